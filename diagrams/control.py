@@ -19,7 +19,6 @@ from drake_oa.perception.config import GroundTruth
 from drake_oa.posture.posture_follower import PostureFollower
 from drake_oa.regulation.config import Verified
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
 from drake_oa.safety.supervisor import Supervisor
 from drake_oa.scenario.end_poses import end_rotations
@@ -105,18 +104,15 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None:
         return
     if "motion" in wires:
-        q_rest = cell.q_start[cell.chain.q_index]
-        wires.add("posture_follower", make_posture_follower(scenario, q_rest))
+        # Without a planned posture the null space is drawn to that of the start.
+        q_rest, policy = cell.q_start[cell.chain.q_index], scenario.policy
+        evasion = scenario.evasion
+        turn = {} if evasion is None else {"turn_acceleration": evasion.turn_acceleration}
+        follower = PostureFollower(q_rest, policy.alpha_k, period=policy.period, **turn)
+        wires.add("posture_follower", follower)
     else:
         add_guide_follower(wires, scenario, cell.q_start)
     wires.log("desired_posture")
-
-
-def make_posture_follower(scenario: Scenario, q_rest: FloatArray) -> PostureFollower:
-    """What draws the null space to the planned posture; without one to q_rest (n,) [rad]."""
-    policy, evasion = scenario.policy, scenario.evasion
-    turn = {} if evasion is None else {"turn_acceleration": evasion.turn_acceleration}
-    return PostureFollower(q_rest, policy.alpha_k, period=policy.period, **turn)
 
 
 def add_guide_follower(wires: Wires, scenario: Scenario, q_start: FloatArray) -> bool:
@@ -150,69 +146,34 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """
     if cell is None or scenario.supervisor is None:
         return
-    wires.add("supervisor", make_supervisor(scenario, cell.guarded_arm))
-    if "obstacles_W" in wires and scenario.evasion is not None:
-        # Who follows a motion's posture turns the arm as well.
-        turns = "motion" in wires and "desired_posture" in wires
-        wires.add(
-            "evasion",
-            make_evasion(scenario, cell.guarded_arm, turns=turns),
-            offers={"decision": "decision_evasion"},
-        )
-    wires.log("speed_scale", "evasion", "decision_evasion")
-
-
-def make_supervisor(scenario: Scenario, arm: GuardedArm) -> Supervisor:
-    """What watches the motion; it decides as often as the policy steps.
-
-    Raises:
-        ScenarioError: if the scenario has no supervisor.
-    """
-    given, policy = scenario.supervisor, scenario.policy
-    if given is None:
-        raise ScenarioError("supervisor: this scenario has null")
-    return Supervisor(
-        arm,
-        make_dmp(scenario).duration,
-        period=policy.period,
-        parameters=given,
-        padding=_padding(scenario),
-        hold_time=policy.hold_time,
-        frame_period=perception_period(scenario),
-        max_age=policy.max_observation_age,
-    )
-
-
-def _padding(scenario: Scenario) -> float:
-    """How much nearer what moves may be than it is seen [m]."""
+    policy, period = scenario.policy, perception_period(scenario)
     exact = isinstance(scenario.perception, (GroundTruth, GivenEllipsoids))
-    return 0.0 if exact else padding(scenario.perception)
-
-
-def make_evasion(scenario: Scenario, arm: GuardedArm, *, turns: bool = True) -> ObstacleEvasion:
-    """What gets the arm out of the way of what moves; it decides with every observation.
-
-    Args:
-        scenario: of the robot.
-        arm: of it.
-        turns: whether there is a posture follower, which turns the arm.
-
-    Raises:
-        ScenarioError: if the scenario has none.
-    """
-    given, policy = scenario.evasion, scenario.policy
-    if given is None:
-        raise ScenarioError("evasion: this scenario has null")
-    return ObstacleEvasion(
-        arm,
-        make_dmp(scenario),
-        period=perception_period(scenario),
-        step=policy.period,
-        max_age=policy.max_observation_age,
-        parameters=given,
-        padding=_padding(scenario),
+    dmp, outside = make_dmp(scenario), 0.0 if exact else padding(scenario.perception)
+    supervisor = Supervisor(
+        cell.guarded_arm,
+        dmp.duration,
+        period=policy.period,
+        parameters=scenario.supervisor,
+        padding=outside,
         hold_time=policy.hold_time,
-        turns=turns,
-        table_height=policy.table_height,
-        thinking=scenario.thinking,
+        frame_period=period,
+        max_age=policy.max_observation_age,
     )
+    wires.add("supervisor", supervisor)
+    if "obstacles_W" in wires and scenario.evasion is not None:
+        evasion = ObstacleEvasion(
+            cell.guarded_arm,
+            dmp,
+            period=period,
+            step=policy.period,
+            max_age=policy.max_observation_age,
+            parameters=scenario.evasion,
+            padding=outside,
+            hold_time=policy.hold_time,
+            # A motion's posture follower turns the arm as well.
+            turns="motion" in wires and "desired_posture" in wires,
+            table_height=policy.table_height,
+            thinking=scenario.thinking,
+        )
+        wires.add("evasion", evasion, offers={"decision": "decision_evasion"})
+    wires.log("speed_scale", "evasion", "decision_evasion")

@@ -11,7 +11,6 @@ from typing import TypeVar
 
 import numpy as np
 from pydrake.geometry import Role
-from pydrake.math import RollPitchYaw
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import (
     ConstantVectorSource,
@@ -28,13 +27,12 @@ from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, minimum_jerk_orientation
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
-from drake_oa.regulation.config import Paper, Verified
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import load_proposals
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
 from drake_oa.regulation.regressor_chain import Proposals, RegressorChain, Scaling
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import JointMargins, Ring
 from drake_oa.scenario.demonstration import demonstrated_path, primitive_constants
@@ -57,8 +55,10 @@ def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.export("desired_position", "phase", "policy_state")
     orientation = None if cell is None else make_orientation_integrator(scenario)
     if orientation is None and cell is not None and "demonstration" in wires:
-        # A path in the joints turns the tool.
-        orientation = make_kept_orientation(scenario)
+        # A path in the joints turns the tool, which stays as at the start until then.
+        policy, R_WE = scenario.policy, end_rotations(scenario)[0].matrix()
+        kept = minimum_jerk_orientation(alpha_k=policy.alpha_k)
+        orientation = OrientationIntegrator(kept, R_WE, R_WE, period=policy.period)
     if orientation is not None:
         add_orientation(wires, orientation)
 
@@ -112,24 +112,6 @@ def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | N
     )
 
 
-def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:
-    """An orientation that stays as it is at the start until something else is demonstrated.
-
-    Raises:
-        ScenarioError: if the scenario has no robot.
-    """
-    robot = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: this scenario has none that has a tool")
-    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
-    return OrientationIntegrator(
-        minimum_jerk_orientation(alpha_k=scenario.policy.alpha_k),
-        R_WE,
-        R_WE,
-        period=scenario.policy.period,
-    )
-
-
 _logger = logging.getLogger("drake_oa")
 
 
@@ -143,21 +125,15 @@ def add_route(wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings 
     With MotionVerifier it offers proposed_route.
     """
     regulation = scenario.regulation
-    if "ellipsoids_W" not in wires:
+    if "ellipsoids_W" not in wires or not (isinstance(regulation, Verified) or regulation.guided):
         return
+    reads: dict[str, str] = {}
+    offers: dict[str, str | None] = {"decision": "route", "route": "shown_route"}
     if isinstance(regulation, Verified):
-        wires.add(
-            "cost_ring_selector",
-            make_cost_ring_selector(scenario, rings),
-            reads={"coupling_parameters": "proposed_parameters"},
-            offers={"decision": "proposed_route", "route": None},
-        )
-    elif regulation.guided:
-        wires.add(
-            "cost_ring_selector",
-            make_cost_ring_selector(scenario, rings),
-            offers={"decision": "route", "route": "shown_route"},
-        )
+        reads = {"coupling_parameters": "proposed_parameters"}
+        offers = {"decision": "proposed_route", "route": None}
+    selector = make_cost_ring_selector(scenario, rings)
+    wires.add("cost_ring_selector", selector, reads=reads, offers=offers)
 
 
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
@@ -229,7 +205,8 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
     Raises:
         ScenarioError: without a robot or collision geometry of the obstacles.
     """
-    if not isinstance(scenario.regulation, Verified):
+    regulation, policy, task = scenario.regulation, scenario.policy, scenario.task
+    if not isinstance(regulation, Verified):
         return
     if cell is None:
         raise ScenarioError("regulation: !Verified needs a robot; this scenario has null")
@@ -238,31 +215,12 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
             "regulation: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
             "ellipsoids of obstacles that are dilated by the tool"
         )
-    wires.add(
-        "motion_verifier",
-        make_motion_verifier(scenario, cell),
-        reads={"coupling_parameters": "proposed_parameters", "route": "proposed_route"},
-        offers={
-            "decision": "decision_regulation",
-            "sides": "shown_route",
-            "source": "motion_source",
-        },
-    )
-    wires.log("shortfall", "lowered", "decision_regulation", "motion_source")
-
-
-def make_motion_verifier(scenario: Scenario, cell: Cell) -> MotionVerifier:
-    """Makes the verification of the whole arm's motion."""
-    regulation, policy, task = scenario.regulation, scenario.policy, scenario.task
-    if not isinstance(regulation, Verified):
-        raise ScenarioError(f"regulation: is !{type(regulation).__name__}, not !Verified")
-    _refuse_start(cell, cell.spheres)
-    _tell_of_bare_links(cell, cell.spheres)
-    dmp = make_dmp(scenario)
+    _refuse_start(cell)
+    _tell_of_bare_links(cell)
     chain, q_rest = cell.chain, cell.q_start[cell.chain.q_index]
     guide = make_posture_guide(scenario, q_rest)
     search = MotionSearch(
-        dmp,
+        make_dmp(scenario),
         task.clearance,
         chain,
         cell.spheres.arrays,
@@ -273,7 +231,7 @@ def make_motion_verifier(scenario: Scenario, cell: Cell) -> MotionVerifier:
         overshoot=cell.spheres.overshoot,
         q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
     )
-    return MotionVerifier(
+    verifier = MotionVerifier(
         search,
         tuple(chain.q_index.tolist()),
         cell.robot_plant.plant.num_multibody_states(),
@@ -281,15 +239,26 @@ def make_motion_verifier(scenario: Scenario, cell: Cell) -> MotionVerifier:
         thinking=scenario.thinking,
         step=policy.period,
     )
+    wires.add(
+        "motion_verifier",
+        verifier,
+        reads={"coupling_parameters": "proposed_parameters", "route": "proposed_route"},
+        offers={
+            "decision": "decision_regulation",
+            "sides": "shown_route",
+            "source": "motion_source",
+        },
+    )
+    wires.log("shortfall", "lowered", "decision_regulation", "motion_source")
 
 
-def _refuse_start(cell: Cell, arm: ArmSpheres) -> None:
+def _refuse_start(cell: Cell) -> None:
     """Refuses an arm that begins in itself.
 
     Raises:
         ScenarioError: naming its links.
     """
-    robot = cell.robot_plant
+    robot, arm = cell.robot_plant, cell.spheres
     context = robot.diagram.CreateDefaultContext()
     robot.plant.SetPositions(robot.plant.GetMyMutableContextFromRoot(context), cell.q_start)
     query = robot.scene_graph.get_query_output_port().Eval(
@@ -310,13 +279,13 @@ def _refuse_start(cell: Cell, arm: ArmSpheres) -> None:
             )
 
 
-def _tell_of_bare_links(cell: Cell, arm: ArmSpheres) -> None:
+def _tell_of_bare_links(cell: Cell) -> None:
     """Says which links are to be seen, but have no shape that could be kept clear."""
     plant, inspector = cell.robot_plant.plant, cell.robot_plant.scene_graph.model_inspector()
     bare = [
         body.name()
         for body in map(plant.get_body, plant.GetBodyIndices(cell.robot_plant.instance))
-        if body.name() not in arm.bodies
+        if body.name() not in cell.spheres.bodies
         and inspector.NumGeometriesForFrameWithRole(
             plant.GetBodyFrameIdOrThrow(body.index()), Role.kPerception
         )
@@ -335,13 +304,12 @@ def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
 
     With MotionVerifier it offers proposed_parameters.
     """
-    regulation = scenario.regulation
-    if isinstance(regulation, Verified):
-        if "ellipsoids_W" in wires:
-            offers = {"coupling_parameters": "proposed_parameters"}
-            wires.add("regressor_chain", make_regressor_chain(scenario), offers=offers)
-        return
-    wires.add("regressor_chain", make_regressor_chain(scenario))
+    offers: dict[str, str] = {}
+    if isinstance(scenario.regulation, Verified):
+        if "ellipsoids_W" not in wires:
+            return
+        offers = {"coupling_parameters": "proposed_parameters"}
+    wires.add("regressor_chain", make_regressor_chain(scenario), offers=offers)
 
 
 def make_regressor_chain(scenario: Scenario, proposals: Proposals | None = None) -> RegressorChain:
@@ -363,22 +331,11 @@ def make_regressor_chain(scenario: Scenario, proposals: Proposals | None = None)
         return RegressorChain(weights, scenario.task.clearance, proposals=proposals, dmp=dmp)
     length: Scaling = "route" if regulation.guided else "sections"
     return RegressorChain(
-        load_weights(scenario),
+        _loaded("weights", regulation.weights, _load_running),
         scenario.task.clearance,
         original=dmp.duration if regulation.term == "original" else None,
         scaling=length if regulation.scaled else "none",
     )
-
-
-def load_weights(scenario: Scenario) -> ChainWeights:
-    """Loads the chain that a scenario of `!Paper` names.
-
-    Raises:
-        ScenarioError: naming the file, if the weights are missing or do not fit.
-    """
-    if not isinstance(scenario.regulation, Paper):
-        raise ScenarioError(f"regulation: is !{type(scenario.regulation).__name__}, not !Paper")
-    return _loaded("weights", scenario.regulation.weights, _load_running)
 
 
 def _load_running(path: Path) -> ChainWeights:

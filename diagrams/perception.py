@@ -100,33 +100,69 @@ def _add_given(
 def _add_ground_truth(
     wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell | None
 ) -> None:
-    cell = _of_robot(source, cell)
-    _warn_without_obstacles(cell, scenario)
+    cell = _of_robot(source, scenario, cell)
+    plant, inspector = cell.plant, cell.scene_graph.model_inspector()
     system = GroundTruthPerception(
-        cell.plant,
-        cell.scene_graph.model_inspector(),
+        plant,
+        inspector,
         cell.obstacles,
         table=table_plane(scenario),
         period=source.period,
     )
     wires.add("perception", system)
-    wires.add("solids", _true_solids(source, cell), if_read=True)
+    # Of all that is not the robot.
+    others = [
+        body
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if instance != cell.robot
+        for body in plant.GetBodyIndices(instance)
+        if plant.GetCollisionGeometriesForBody(plant.get_body(body))
+    ]
+    names = {
+        body: name
+        for name, instance in enumerate(cell.obstacles)
+        for body in plant.GetBodyIndices(instance)
+    }
+    solids = TrueSolids(
+        plant,
+        inspector,
+        others,
+        names=names,
+        period=source.period,
+    )
+    wires.add("solids", solids, if_read=True)
 
 
 def _add_recorded_clouds(
     wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell | None
 ) -> None:
-    cell = _of_robot(source, cell)
-    _warn_without_obstacles(cell, scenario)
-    config = _segmentation(source, scenario)
-    wires.add("perception", _recorded_perception(source, config, robot_shapes(cell.robot_plant)))
+    cell = _of_robot(source, scenario, cell)
+    X_WC = _camera_pose(source)
+    try:
+        perception = RecordedPerception(
+            source.folder,
+            X_WC=X_WC,
+            config=_segmentation(source, scenario),
+            robot=robot_shapes(cell.robot_plant),
+            period=source.period,
+            loop=source.loop,
+        )
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"perception.folder: {error}") from None
+    if X_WC is None and perception.files_without_pose:
+        # By the table alone the scene would lie somewhere else than the robot.
+        raise ScenarioError(
+            f"perception.X_WC: '{perception.files_without_pose[0]}' holds no X_WC, and the robot "
+            "must know where the camera was: give 'X_WC: {translation: [x, y, z], "
+            "rotation: !Rpy {deg: [r, p, y]}}', or 'X_WC: {}' for a cloud in the world frame"
+        )
+    wires.add("perception", perception)
 
 
 def _add_depth_camera(
     wires: Wires, source: CameraSource, scenario: Scenario, cell: Cell | None
 ) -> None:
-    cell = _of_robot(source, cell)
-    _warn_without_obstacles(cell, scenario)
+    cell = _of_robot(source, scenario, cell)
     cameras = {name: cell.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
     live = source if isinstance(source, LiveCameras) else None
@@ -196,33 +232,20 @@ def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.add("solids", solids, if_read=True)
 
 
-def _true_solids(source: GroundTruth, cell: Cell) -> TrueSolids:
-    """Of all that is not the robot."""
-    plant = cell.plant
-    others = [
-        body
-        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if instance != cell.robot
-        for body in plant.GetBodyIndices(instance)
-        if plant.GetCollisionGeometriesForBody(plant.get_body(body))
-    ]
-    names = {
-        body: name
-        for name, instance in enumerate(cell.obstacles)
-        for body in plant.GetBodyIndices(instance)
-    }
-    return TrueSolids(
-        plant,
-        cell.scene_graph.model_inspector(),
-        others,
-        names=names,
-        period=source.period,
-    )
-
-
-def _of_robot(source: object, cell: Cell | None) -> Cell:
+def _of_robot(source: object, scenario: Scenario, cell: Cell | None) -> Cell:
+    """The station; warns where it has no obstacles that ground truth could see."""
     if cell is None:
         raise ScenarioError(f"perception: !{type(source).__name__} needs a robot")
+    # Among true shapes the name decides only how far the tool keeps from it.
+    if not cell.obstacles and not isinstance(scenario.regulation, Verified):
+        count = cell.plant.num_model_instances()
+        names = [cell.plant.GetModelInstanceName(ModelInstanceIndex(i)) for i in range(2, count)]
+        _logger.warning(
+            "directives: no model instance is named '%s...': ground truth sees no obstacle, and "
+            "none is reported on; there are %s",
+            OBSTACLE_PREFIX,
+            ", ".join(names),
+        )
     return cell
 
 
@@ -244,53 +267,13 @@ def robot_shapes(robot_plant: RobotPlant) -> RobotSolids:
 
 def make_robot_state(station: Station) -> MatrixGain:
     """The robot's state [q, v] out of the whole plant's."""
-    plant, robot = station.plant, station.robot
-    n_q, n_v = plant.num_positions(robot), plant.num_velocities(robot)
-    D = np.zeros((n_q + n_v, plant.num_multibody_states()))
-    q = plant.GetPositionsFromArray(robot, np.arange(plant.num_positions()))
-    v = plant.GetVelocitiesFromArray(robot, np.arange(plant.num_velocities()))
-    D[np.arange(n_q), q.astype(int)] = 1.0
-    D[n_q + np.arange(n_v), plant.num_positions() + v.astype(int)] = 1.0
-    return MatrixGain(D)
-
-
-def _warn_without_obstacles(station: Station, scenario: Scenario) -> None:
-    # Among true shapes the name decides only how far the tool keeps from it.
-    if station.obstacles or isinstance(scenario.regulation, Verified):
-        return
-    count = station.plant.num_model_instances()
-    names = [station.plant.GetModelInstanceName(ModelInstanceIndex(i)) for i in range(2, count)]
-    _logger.warning(
-        "directives: no model instance is named '%s...': ground truth sees no obstacle, and "
-        "none is reported on; there are %s",
-        OBSTACLE_PREFIX,
-        ", ".join(names),
-    )
-
-
-def _recorded_perception(
-    source: RecordedClouds, config: SegmentationConfig, robot: RobotSolids
-) -> RecordedPerception:
-    X_WC = _camera_pose(source)
-    try:
-        perception = RecordedPerception(
-            source.folder,
-            X_WC=X_WC,
-            config=config,
-            robot=robot,
-            period=source.period,
-            loop=source.loop,
-        )
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"perception.folder: {error}") from None
-    if X_WC is None and perception.files_without_pose:
-        # By the table alone the scene would lie somewhere else than the robot.
-        raise ScenarioError(
-            f"perception.X_WC: '{perception.files_without_pose[0]}' holds no X_WC, and the robot "
-            "must know where the camera was: give 'X_WC: {translation: [x, y, z], "
-            "rotation: !Rpy {deg: [r, p, y]}}', or 'X_WC: {}' for a cloud in the world frame"
-        )
-    return perception
+    plant = station.plant
+    joints = [
+        joint
+        for joint in plant.GetJointIndices(station.robot)
+        if plant.get_joint(joint).num_positions()
+    ]
+    return MatrixGain(plant.MakeStateSelectorMatrix(joints))
 
 
 def _camera_pose(source: RecordedClouds) -> RigidTransform | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,14 +72,17 @@ class EllipsoidDescriptor(LeafSystem):
             raise ValueError(
                 f"exponent_prior must be finite and not negative, not {exponent_prior}"
             )
-        self._tool_W = check_descriptor_arguments(tool_W, method)
-        self._tool_parts = tuple(check_descriptor_arguments(p, method) for p in tool_parts)
         free = np.array(free_W, dtype=float)
         if free.size and (free.shape[1:] != (3,) or not np.isfinite(free).all()):
             raise ValueError(f"free_W must be (F, 3) finite points [m], not {free}")
         self._free_W = free.reshape(-1, 3)
-        self._method: Method = method
-        self._exponent_prior = exponent_prior
+        self._describe = partial(
+            describe,
+            tool_W=check_descriptor_arguments(tool_W, method),
+            method=method,
+            exponent_prior=exponent_prior,
+            tool_parts=tuple(check_descriptor_arguments(p, method) for p in tool_parts),
+        )
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self.DeclareAbstractOutputPort(
@@ -96,16 +100,7 @@ class EllipsoidDescriptor(LeafSystem):
         free_W = self._free_W
         if self._goal.HasValue(context):
             free_W = np.vstack([free_W, self._goal.Eval(context)])
-        output.set_value(
-            describe(
-                obstacles,
-                self._tool_W,
-                method=self._method,
-                exponent_prior=self._exponent_prior,
-                free_W=free_W,
-                tool_parts=self._tool_parts,
-            )
-        )
+        output.set_value(self._describe(obstacles, free_W=free_W))
 
 
 class GivenEllipsoidSource(LeafSystem):
@@ -129,15 +124,8 @@ class GivenEllipsoidSource(LeafSystem):
         Args:
             ellipsoids: what is handed out; with a stamp of `np.inf` they are never out of
                 date, with another one the policy is held when it has become too old.
-
-        Raises:
-            TypeError: if it is no `EllipsoidSet`.
         """
         super().__init__()
-        if not isinstance(ellipsoids, EllipsoidSet):
-            raise TypeError(
-                f"ellipsoids must be an EllipsoidSet, not a {type(ellipsoids).__name__}"
-            )
         self.DeclareAbstractOutputPort(
             "ellipsoids_W",
             lambda: Value(ellipsoids),

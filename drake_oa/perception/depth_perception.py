@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds
+from drake_oa.common.messages import Frozen, ObstacleClouds, zeros
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.solids import RobotSolids, Solids
@@ -29,7 +29,7 @@ _logger = logging.getLogger("drake_oa")
 
 @dataclass(frozen=True, eq=False)
 class _Points(Frozen):
-    points_W: NDArray[np.floating] = field(default_factory=lambda: np.zeros((0, 3)))
+    points_W: NDArray[np.floating] = zeros(0, 3)
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class DepthPerception(LeafSystem):
 
     def __init__(
         self,
-        camera: CameraInfo | Sequence[float] | Mapping[str, CameraInfo | Sequence[float]],
+        camera: CameraInfo | Mapping[str, CameraInfo],
         *,
         config: SegmentationConfig | None = None,
         robot: RobotSolids | None = None,
@@ -201,8 +201,7 @@ class DepthPerception(LeafSystem):
         """Declares ports, state and events.
 
         Args:
-            camera: the depth camera's intrinsics, or [fx, fy, cx, cy] [pixel]; of several
-                cameras, name -> intrinsics.
+            camera: the depth camera's intrinsics; of several cameras, name -> intrinsics.
             config: how frames are segmented; `table_height` there is the prior on
                 the table. None for the defaults.
             robot: from `robot_solids`; None for no self filter.
@@ -220,24 +219,17 @@ class DepthPerception(LeafSystem):
                 one [s]: the images of a camera that goes by itself now and then miss a period.
 
         Raises:
-            ValueError: for a period that is not positive, a negative delay, invalid intrinsics or
-                no camera.
+            ValueError: for a period that is not positive.
         """
         super().__init__()
-        if not abs(pixel_center) <= 1.0:
-            raise ValueError(f"pixel_center must lie in [-1, 1] pixels, not {pixel_center}")
         cameras = camera if isinstance(camera, Mapping) else {"": camera}
-        if not cameras:
-            raise ValueError("camera must be one or more, not none")
         self._names = tuple(cameras)
-        self._cameras = [_checked(one, pixel_center) for one in cameras.values()]
-        if not 0.0 <= delay < np.inf:
-            raise ValueError(f"delay must be finite and not negative [s], not {delay}")
+        center = np.array([0.0, 0.0, pixel_center, pixel_center])
+        self._cameras = [
+            (np.array(pinhole(one)) - center, (one.height(), one.width()))
+            for one in cameras.values()
+        ]
         self._config = config or SegmentationConfig()
-        if not 0.0 <= together < np.inf:
-            raise ValueError(f"together must be finite and not negative [s], not {together}")
-        if not 0.0 <= unsaid < np.inf:
-            raise ValueError(f"unsaid must be finite and not negative [s], not {unsaid}")
         self._robot, self._all_needed = robot, all_needed
         self._together, self._unsaid = together, unsaid
         period = valid_period(period)
@@ -339,7 +331,7 @@ class DepthPerception(LeafSystem):
         image: Any = read_value(self, port.image, context, ImageDepth32F)
         pose: Any = read_value(self, port.pose, context, RigidTransform)
         depth = image.data[:, :, 0]
-        if size is not None and depth.shape != size:
+        if depth.shape != size:
             raise ValueError(
                 f"{self.get_name()}: {port.image.get_name()} is {depth.shape[1]}x{depth.shape[0]}; "
                 f"the camera's intrinsics are for {size[1]}x{size[0]} pixels"
@@ -368,17 +360,3 @@ def as_of(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:
             for cloud, v_WO in zip(clouds, obstacles.v_WO, strict=True)
         )
     return replace(obstacles, stamp=stamp, clouds_W=clouds)
-
-
-def _checked(
-    camera: CameraInfo | Sequence[float], pixel_center: float
-) -> tuple[FloatArray, tuple[int, int] | None]:
-    """K (4,) of a camera for pixels counted from 0, and rows and columns where they are known."""
-    size = None
-    if isinstance(camera, CameraInfo):
-        size, camera = (camera.height(), camera.width()), pinhole(camera)
-    K = np.array(camera, dtype=float)
-    if K.shape != (4,) or not np.isfinite(K).all() or (K[:2] <= 0.0).any():
-        raise ValueError(f"camera must be [fx, fy, cx, cy] in pixels, not {camera}")
-    K[2:] -= pixel_center
-    return K, size

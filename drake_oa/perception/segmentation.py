@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane, zeros
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import (
@@ -87,7 +87,7 @@ class Segmentation:
     clouds_W: tuple[FloatArray, ...] = ()
     pixels: tuple[IntArray, ...] = ()
     table: TablePlane | None = None
-    points_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    points_W: FloatArray = zeros(0, 3)
     plane_rms: float = np.nan
     X_WC: FloatArray = field(default_factory=lambda: np.eye(4))
     usable: bool = True
@@ -162,7 +162,10 @@ def segment_views(
     """
     config = config or SegmentationConfig()
     seen = [_looked_at(depth, K, X_WC, config) for depth, K, X_WC in views]
-    table = _best_table(seen)
+    # The table of the image that shows most of it.
+    supports = [image.support for image in seen if image.support is not None]
+    most = max(supports, key=lambda support: support.plane.inliers.sum(), default=None)
+    table = None if most is None else most.table_W
     # Of an image without the table the others' will do, if it shows anything.
     blind = {
         number: image.note
@@ -221,9 +224,9 @@ def segment_points(
     low = config.min_height + _height_noise(plane.offset) * distance
     above = np.flatnonzero((height > low) & (height < config.max_height))
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
-    support = _Support(plane, sample[plane.inliers])
+    support = _Support(plane, sample[plane.inliers], _table_W(plane, X_WC))
     standing = _Standing(p_CQ[above], index[above], support, X_WC)
-    return _cluster([standing], _table_W(plane, X_WC), config, robot)
+    return _cluster([standing], support.table_W, config, robot)
 
 
 _NO_TABLE = "no supporting plane found"
@@ -239,10 +242,12 @@ def _height_noise(offset: float) -> float:
 
 
 class _Support(NamedTuple):
-    """The table that obstacles stand on, as it is seen: its plane and points (M, 3) of it in C."""
+    """The table that obstacles stand on, as it is seen: its plane and points (M, 3) of it in C,
+    and its plane in the world."""
 
     plane: PlaneFit
     extent_C: FloatArray
+    table_W: TablePlane
 
 
 class _Image(NamedTuple):
@@ -299,7 +304,7 @@ def _looked_at(
         (step / K[0], step / K[1]),
     )
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
-    return _Image(z, K, X_WC, _Support(plane, extent), "")
+    return _Image(z, K, X_WC, _Support(plane, extent, _table_W(plane, X_WC)), "")
 
 
 def _table_W(plane: PlaneFit, X_WC: FloatArray) -> TablePlane:
@@ -307,31 +312,17 @@ def _table_W(plane: PlaneFit, X_WC: FloatArray) -> TablePlane:
     return TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
 
 
-def _best_table(images: Sequence[_Image]) -> TablePlane | None:
-    """The table of the image that shows most of it."""
-    shown = [
-        (int(image.support.plane.inliers.sum()), _table_W(image.support.plane, image.X_WC))
-        for image in images
-        if image.support is not None and image.X_WC is not None
-    ]
-    return max(shown, key=lambda one: one[0])[1] if shown else None
-
-
-def _support_of(image: _Image, table: TablePlane) -> _Support | None:
-    """The table in an image; None where it is not there, or something else was taken for it."""
-    if image.support is None:
-        return None
-    own = _table_W(image.support.plane, _pose_known(image.X_WC))
-    apart = abs(own.offset - table.offset) + np.linalg.norm(own.normal_W - table.normal_W)
-    return image.support if apart <= HEIGHT_TOLERANCE else None
-
-
 def _standing_in(image: _Image, table: TablePlane | None, config: SegmentationConfig) -> _Standing:
     z, K, X_WC = image.z, image.K, _pose_known(image.X_WC)
-    support = None
+    support = image.support
+    # It may be missing, or something else taken for it.
+    if support is not None and table is not None:
+        apart = abs(support.table_W.offset - table.offset)
+        apart += float(np.linalg.norm(support.table_W.normal_W - table.normal_W))
+        support = support if apart <= HEIGHT_TOLERANCE else None
     if table is None:
         _, index = sampled(z, 1, float(config.near), float(config.far))
-    elif support := _support_of(image, table):
+    elif support is not None:
         index = _pixels_above(z, K, support.plane, config)
     else:
         offset = table.offset - float(table.normal_W @ X_WC[:3, 3])

@@ -294,9 +294,7 @@ def _divided(
     points: FloatArray, vote: IntArray, rows: IntArray, remembered: FloatArray, owner: IntArray
 ) -> IntArray:
     """Rows (Q,) for the points of one cluster that several obstacles claim."""
-    claiming = np.zeros(max(int(vote.max(initial=-1)), int(rows.max())) + 2, dtype=bool)
-    claiming[rows] = True  # of -1 the last place, which is no obstacle's
-    result = np.where(claiming[vote], vote, -1)
+    result = np.where(np.isin(vote, rows), vote, -1)
     far = np.flatnonzero(result < 0)
     if len(far):
         gaps = []
@@ -717,23 +715,13 @@ def held_clouds(
     owner = np.where(points.confirmed, points.owner, -1)
     reach = supports(points.p_OQ, owner, len(ids), DIRECTIONS)
     count = np.bincount(owner[points.confirmed], minlength=len(ids))
-    rows = np.flatnonzero(listed)
-    names = ids[rows].tolist()
-    known = [previous[name] for name in names if name in previous]
-    same, placed = _unchanged(
-        known,
-        reach,
-        shift_W,
-        count,
-        rows[np.array([name in previous for name in names], dtype=bool)],
-    )
-    held, place = {}, 0
-    for row, name in zip(rows, names, strict=True):
+    held = {}
+    for row in np.flatnonzero(listed):
+        name = int(ids[row])
         old = previous.get(name)
-        place += old is not None
-        if old is None or not same[place - 1]:
+        if old is None or not _reaches_as_before(old, reach[row], count[row]):
             held[name] = _cloud(points.p_OQ[owner == row], shift_W[row], reach[row])
-        elif not placed[place - 1]:
+        elif (shift_W[row] != old.shift_W).any():
             held[name] = _cloud(old.p_OQ, shift_W[row], old.reach)
         else:
             held[name] = old
@@ -746,21 +734,11 @@ def _cloud(p_OQ: FloatArray, shift_W: FloatArray, reach: FloatArray) -> HeldClou
     return HeldCloud(p_OQ, p_WQ, np.array(shift_W), np.array(reach))
 
 
-def _unchanged(
-    known: list[HeldCloud],
-    reach: FloatArray,
-    shift_W: FloatArray,
-    count: IntArray,
-    rows: IntArray,
-) -> tuple[BoolArray, BoolArray]:
-    """Which of K held clouds, of these rows, still do, and which are where they were."""
-    if not known:
-        return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-    more = reach[rows] - np.array([old.reach for old in known])
-    sizes = np.array([len(old.p_OQ) for old in known])
-    same = ((more <= _GROWN) & (more >= -_SHRUNK)).all(axis=1)
-    same &= np.abs(count[rows] - sizes) <= _CHANGED_SHARE * sizes
-    return same, (shift_W[rows] == np.array([old.shift_W for old in known])).all(axis=1)
+def _reaches_as_before(old: HeldCloud, reach: FloatArray, count: int) -> bool:
+    """Whether `count` points that reach so far (D,) differ from a cloud by no more than noise."""
+    more, size = reach - old.reach, len(old.p_OQ)
+    same = ((more <= _GROWN) & (more >= -_SHRUNK)).all()
+    return bool(same) and abs(count - size) <= _CHANGED_SHARE * size
 
 
 def held_table(

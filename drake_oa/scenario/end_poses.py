@@ -78,14 +78,11 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
     if shown is None and not given:
         return None
     ends = []
-    for rpy, of_demonstration in (
-        (task.rpy_start, None if shown is None else shown.first),
-        (task.rpy_goal, None if shown is None else shown.last),
-    ):
-        if rpy is None and of_demonstration is not None:
-            ends.append(of_demonstration)
-        else:
-            ends.append(_matrix(robot.rpy_WE if rpy is None else rpy))
+    demonstrated = (None, None) if shown is None else (shown.first, shown.last)
+    for rpy, R_WE in zip(asked.values(), demonstrated, strict=True):
+        if rpy is not None or R_WE is None:
+            R_WE = RollPitchYaw(robot.rpy_WE if rpy is None else rpy).ToRotationMatrix().matrix()
+        ends.append(R_WE)
     primitive = shown or minimum_jerk_orientation(**primitive_constants(scenario.policy))
     try:
         demonstrated_goal(primitive, *ends)
@@ -128,10 +125,6 @@ def held_robots(scenario: Scenario) -> list[Robot]:
         )
         for R in held.samples()
     ]
-
-
-def _matrix(rpy: list[float]) -> FloatArray:
-    return np.array(RollPitchYaw(rpy).ToRotationMatrix().matrix())
 
 
 _POSITION_TOLERANCE, _ANGLE_TOLERANCE = 1e-3, 0.01

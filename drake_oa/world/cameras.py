@@ -9,15 +9,33 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
 from pydrake.geometry import Mesh, Role, SceneGraph, SourceId
 from pydrake.lcm import DrakeLcm
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    LeafSystem,
+    OutputPort,
+)
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
-from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, CameraInfo, RgbdSensor
+from pydrake.systems.sensors import (
+    ApplyCameraConfig,
+    CameraConfig,
+    CameraInfo,
+    ImageDepth32F,
+    RgbdSensor,
+)
 
 from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
 from drake_oa.robot.formats.meshes import as_objs
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.world_model import add_world
@@ -42,6 +60,77 @@ class Camera:
     delay: float = 0.0
     image_time: OutputPort | None = None
     plant_state: OutputPort | None = None
+
+
+class TimedCamera(LeafSystem):
+    """Base of cameras that hand out images with the time and the state that they show."""
+
+    def __init__(self, intrinsics: CameraInfo, num_states: int, kept: object) -> None:
+        """Declares the ports plant_state (in), depth_image, camera_pose, image_time, plant_state.
+
+        Args:
+            intrinsics: of the images.
+            num_states: size n of the plant's state.
+            kept: abstract state of the camera at first.
+        """
+        super().__init__()
+        self._intrinsics = intrinsics
+        size = (intrinsics.width(), intrinsics.height())
+        self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
+        self._kept = self.DeclareAbstractState(Value(kept))
+        shown = {
+            self.time_ticket(),
+            self.abstract_state_ticket(self._kept),
+            self._state_port.ticket(),
+        }
+        self.DeclareAbstractOutputPort(
+            "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, shown
+        )
+        self.DeclareAbstractOutputPort(
+            "camera_pose", lambda: Value(RigidTransform()), self._calc_pose, shown
+        )
+        self.DeclareVectorOutputPort("image_time", 1, self._calc_time, shown)
+        self.DeclareVectorOutputPort("plant_state", num_states, self._calc_state, shown)
+
+    def release(self) -> None:
+        """Releases resources outside the diagram; the next image takes them again."""
+        raise NotImplementedError
+
+    def image(self, context: Context) -> NDArray[np.float32] | float:
+        """(H, W) the depth image that is handed out now, or one depth for all of it [m]."""
+        raise NotImplementedError
+
+    def pose(self, context: Context) -> RigidTransform:
+        """X_WC of that image."""
+        raise NotImplementedError
+
+    def moment(self, context: Context) -> tuple[float, FloatArray]:
+        """Time of that image [s], and the plant's state (n,) then."""
+        raise NotImplementedError
+
+    def camera(self, delay: float = 0.0) -> Camera:
+        """The camera's ports."""
+        names = ("depth_image", "camera_pose", "image_time", "plant_state")
+        image, pose, time, state = map(self.GetOutputPort, names)
+        return Camera(self._intrinsics, image, pose, delay, time, state)
+
+    def _calc_image(self, context: Context, output: AbstractValue) -> None:
+        image: Any = output.get_mutable_value()
+        image.mutable_data[:, :, 0] = self.image(context)
+
+    def _calc_pose(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self.pose(context))
+
+    def _calc_time(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self.moment(context)[0])
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self.moment(context)[1])
+
+
+def depth_intrinsics(config: CameraConfig) -> CameraInfo:
+    """Intrinsics of the depth image of one of Drake's configured cameras."""
+    return config.MakeCameras()[1].core().intrinsics()
 
 
 def add_camera_world(

@@ -181,13 +181,8 @@ class ExternalPush(LeafSystem):
 
         Args:
             pushes: each with the body that it acts on.
-
-        Raises:
-            ValueError: if there is none.
         """
         super().__init__()
-        if not pushes:
-            raise ValueError("pushes is empty; there must be at least one")
         self._pushes = tuple(pushes)
         self.DeclareAbstractOutputPort(
             "spatial_forces",
@@ -233,18 +228,15 @@ class WeakActuators(LeafSystem):
         Args:
             faults: times and remaining shares of the effort limits.
             effort_limits: (n,) of the actuators, in the plant's order [N m, N].
-
-        Raises:
-            ValueError: for limits that are not positive numbers.
         """
         super().__init__()
-        limits = np.array(effort_limits, dtype=float)
-        if limits.ndim != 1 or not (limits > 0.0).all():
-            raise ValueError(f"effort_limits must be (n,) and positive, not {effort_limits}")
-        self._faults, self._limits = tuple(faults), limits
-        self._requested = self.DeclareVectorInputPort("actuation", len(limits))
+        self._faults, self._limits = tuple(faults), effort_limits
+        self._requested = self.DeclareVectorInputPort("actuation", len(effort_limits))
         self.DeclareVectorOutputPort(
-            "actuation", len(limits), self._calc, {self.time_ticket(), self._requested.ticket()}
+            "actuation",
+            len(effort_limits),
+            self._calc,
+            {self.time_ticket(), self._requested.ticket()},
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:

@@ -15,22 +15,22 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem, State
+from pydrake.systems.framework import Context, DiagramBuilder, State
 from pydrake.systems.primitives import ZeroOrderHold
 from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import valid_period
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.cameras import add_camera, add_camera_world
+from drake_oa.world.cameras import TimedCamera, add_camera, add_camera_world
 from drake_oa.world.depth_noise import FrameNoise, NoiseRoom
 
 _T = TypeVar("_T")
@@ -213,10 +213,10 @@ class _Taken(Frozen):
     """When images were taken, and of which state: the one before the last, and the last."""
 
     stamp: tuple[float, ...] = ()
-    state: tuple[FloatArray, ...] = field(default=())
+    state: tuple[FloatArray, ...] = ()
 
 
-class LateCamera(LeafSystem):
+class LateCamera(TimedCamera):
     """Takes a depth image every period, and hands it out some time after.
 
     .. pydrake_system::
@@ -263,27 +263,11 @@ class LateCamera(LeafSystem):
         Raises:
             ValueError: unless 0 < delay < period.
         """
-        super().__init__()
+        super().__init__(intrinsics, num_states, _Taken())
         period = valid_period(period)
         if not 0.0 < delay < period:
             raise ValueError(f"delay must be between 0 and the period {period} s, not {delay}")
         self._camera, self._delay = camera, delay
-        size = (intrinsics.width(), intrinsics.height())
-        self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
-        self._taken = self.DeclareAbstractState(Value(_Taken()))
-        shown = {
-            self.time_ticket(),
-            self.abstract_state_ticket(self._taken),
-            self._state_port.ticket(),
-        }
-        self.DeclareAbstractOutputPort(
-            "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, shown
-        )
-        self.DeclareAbstractOutputPort(
-            "camera_pose", lambda: Value(RigidTransform()), self._calc_pose, shown
-        )
-        self.DeclareVectorOutputPort("image_time", 1, self._calc_time, shown)
-        self.DeclareVectorOutputPort("plant_state", num_states, self._calc_state, shown)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._take)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._take)
 
@@ -293,11 +277,11 @@ class LateCamera(LeafSystem):
 
     def ready(self, context: Context) -> bool:
         """Whether the image that it hands out now is rendered, so that nobody waits for it."""
-        time, state = self._shown(context)
+        time, state = self.moment(context)
         return self._camera.ask(state, time).done()
 
     def _read(self, context: Context) -> _Taken:
-        taken: _Taken = context.get_abstract_state(self._taken).get_value()
+        taken: _Taken = context.get_abstract_state(self._kept).get_value()
         return taken
 
     def _take(self, context: Context, state: State) -> None:
@@ -305,9 +289,9 @@ class LateCamera(LeafSystem):
         x = np.array(self._state_port.Eval(context))
         self._camera.ask(x, context.get_time())
         after = _Taken((*before.stamp[-1:], context.get_time()), (*before.state[-1:], x))
-        state.get_mutable_abstract_state(self._taken).set_value(after)
+        state.get_mutable_abstract_state(self._kept).set_value(after)
 
-    def _shown(self, context: Context) -> tuple[float, FloatArray]:
+    def moment(self, context: Context) -> tuple[float, FloatArray]:
         """Time and state of the image that has come last."""
         taken, now = self._read(context), context.get_time()
         if not taken.stamp:
@@ -316,19 +300,14 @@ class LateCamera(LeafSystem):
         row = -1 if arrived else 0
         return taken.stamp[row], taken.state[row]
 
+    def image(self, context: Context) -> NDArray[np.float32]:
+        """The image that has come last, when it is rendered."""
+        return self._rendered(context).depth
+
+    def pose(self, context: Context) -> RigidTransform:
+        """X_WC when it was taken."""
+        return self._rendered(context).X_WC
+
     def _rendered(self, context: Context) -> Rendered:
-        time, state = self._shown(context)
+        time, state = self.moment(context)
         return self._camera.ask(state, time).result()
-
-    def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        image: Any = output.get_mutable_value()
-        image.mutable_data[:, :, 0] = self._rendered(context).depth
-
-    def _calc_pose(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._rendered(context).X_WC)
-
-    def _calc_time(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._shown(context)[0])
-
-    def _calc_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._shown(context)[1])

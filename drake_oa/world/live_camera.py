@@ -9,22 +9,22 @@ import bisect
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import GetScopedFrameByName
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort, State
-from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
+from pydrake.systems.framework import Context, OutputPort, State
+from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.common.messages import FloatArray, Frozen, zeros
 from drake_oa.common.ports import valid_period
 from drake_oa.perception.depth_perception import log_change
+from drake_oa.world.cameras import TimedCamera
 
 _REMEMBERED = 0.5
 """How far back states are known, at least [s] of the wall clock."""
@@ -113,12 +113,12 @@ class _Seen(Frozen):
     depth: NDArray[np.float32] | None = None
     stamp: float = -math.inf
     time: float = -math.inf
-    plant_state: FloatArray = field(default_factory=lambda: np.zeros(0))
+    plant_state: FloatArray = zeros(0)
     note: str = ""
     past: tuple[_Instant, ...] = ()
 
 
-class LiveCamera(LeafSystem):
+class LiveCamera(TimedCamera):
     """Hands out the images of a depth camera that stands still outside the simulation.
 
     .. pydrake_system::
@@ -177,24 +177,12 @@ class LiveCamera(LeafSystem):
         Raises:
             ValueError: for a period that is not positive.
         """
-        super().__init__()
+        super().__init__(intrinsics, num_states, _Seen())
         outside = outside or Outside()
         self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), outside.clock
         self._wait, self._max_age, self._max_ahead = wait, max_age, max_ahead
         self._to_simulated, self._pause = outside.to_simulated, outside.wait
         self._first: _Seen | None = None
-        self._size = size = (intrinsics.width(), intrinsics.height())
-        self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
-        self._seen = self.DeclareAbstractState(Value(_Seen()))
-        shown = {self.abstract_state_ticket(self._seen), self._state_port.ticket()}
-        self.DeclareAbstractOutputPort(
-            "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, shown
-        )
-        self.DeclareAbstractOutputPort(
-            "camera_pose", lambda: Value(RigidTransform()), self._calc_pose, {self.nothing_ticket()}
-        )
-        self.DeclareVectorOutputPort("image_time", 1, self._calc_time, shown)
-        self.DeclareVectorOutputPort("plant_state", num_states, self._calc_state, shown)
         poll = valid_period(poll)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
         self.DeclarePeriodicUnrestrictedUpdateEvent(poll, poll, self._poll)
@@ -209,13 +197,13 @@ class LiveCamera(LeafSystem):
 
         Events of an initialization all see the Context of before it.
         """
-        seen: _Seen = context.get_abstract_state(self._seen).get_value()
+        seen: _Seen = context.get_abstract_state(self._kept).get_value()
         if not seen.past:
             seen = self._first = self._first or self._begun(context, seen)
         return seen
 
     def _write(self, state: State, seen: _Seen) -> None:
-        state.get_mutable_abstract_state(self._seen).set_value(seen)
+        state.get_mutable_abstract_state(self._kept).set_value(seen)
 
     def _begin(self, context: Context, state: State) -> None:
         self._source.open()
@@ -283,7 +271,8 @@ class LiveCamera(LeafSystem):
 
     def _misfit(self, frame: Frame, now: float) -> str:
         """Why an image does not fit; empty: it does."""
-        (width, height), (rows, columns) = self._size, frame.depth.shape
+        width, height = self._intrinsics.width(), self._intrinsics.height()
+        rows, columns = frame.depth.shape
         if (columns, rows) != (width, height):
             return f"image of {columns} x {rows} pixels, the scenario has {width} x {height}"
         if frame.stamp < now - self._max_age:
@@ -295,20 +284,19 @@ class LiveCamera(LeafSystem):
             return f"image's stamp is more than {self._max_ahead:g} s ahead of the clock here"
         return ""
 
-    def _calc_image(self, context: Context, output: AbstractValue) -> None:
+    def image(self, context: Context) -> NDArray[np.float32] | float:
+        """The newest image; NaN before the first."""
         depth = self._read(context).depth
-        image: Any = output.get_mutable_value()
-        image.mutable_data[:, :, 0] = np.nan if depth is None else depth
+        return np.nan if depth is None else depth
 
-    def _calc_pose(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._X_WC)
+    def pose(self, context: Context) -> RigidTransform:
+        """X_WC, which stays."""
+        return self._X_WC
 
-    def _calc_time(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read(context).time)
-
-    def _calc_state(self, context: Context, output: BasicVector) -> None:
+    def moment(self, context: Context) -> tuple[float, FloatArray]:
+        """Time of the newest image, and the state then; of before the first, the present state."""
         seen = self._read(context)
-        output.SetFromVector(seen.past[-1].plant_state if seen.depth is None else seen.plant_state)
+        return seen.time, seen.past[-1].plant_state if seen.depth is None else seen.plant_state
 
 
 def _state_at(past: tuple[_Instant, ...], stamp: float) -> FloatArray:

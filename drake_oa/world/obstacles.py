@@ -26,7 +26,6 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.ports import valid_period
 from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, offset_at
 
@@ -158,23 +157,10 @@ class ObstacleMover(LeafSystem):
             waypoints: (N, 4) rows t, x, y, z with increasing t [s, m].
             mass: of the obstacle [kg].
             step: of the plant [s].
-            present: [from] or [from, until], when it is there [s]; empty: always. N >= 1 then.
-
-        Raises:
-            ValueError: for waypoints of another shape, or times that do not increase; a mass
-                or step that is not positive; a presence that is neither of these.
+            present: [from] or [from, until], when it is there [s]; empty: always.
         """
         super().__init__()
-        waypoints = np.array(waypoints, dtype=float)
-        if waypoints.ndim != 2 or waypoints.shape[1] != 4 or not (len(waypoints) or present):
-            raise ValueError(f"waypoints must be (N, 4) with N >= 1, not {waypoints.shape}")
-        if len(present) > 2 or (np.diff(present) <= 0.0).any():
-            raise ValueError(f"present must be [from] or [from, until] [s], not {present}")
-        if not np.isfinite(waypoints).all() or (np.diff(waypoints[:, 0]) <= 0.0).any():
-            raise ValueError("waypoints must be finite, and their times must increase")
-        if not mass > 0.0:
-            raise ValueError(f"mass must be positive [kg], not {mass}")
-        self._waypoints, self._mass, self._step = waypoints, float(mass), valid_period(step)
+        self._waypoints, self._mass, self._step = waypoints, mass, step
         self._present = tuple(present)
         self._state = self.DeclareVectorInputPort("obstacle_state", 6)
         self.DeclareVectorOutputPort("force", 3, self._calc_force)

@@ -27,7 +27,13 @@ from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs, noise_seed
-from drake_oa.world.cameras import Camera, add_camera, add_camera_world
+from drake_oa.world.cameras import (
+    Camera,
+    TimedCamera,
+    add_camera,
+    add_camera_world,
+    depth_intrinsics,
+)
 from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
@@ -88,8 +94,7 @@ def _late_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
     try:
-        _, depth = config.MakeCameras()
-        intrinsics = depth.core().intrinsics()
+        intrinsics = depth_intrinsics(config)
         system = LateCamera(
             BackgroundCamera(scenario, config, _noise(scenario, config, intrinsics)),
             intrinsics,
@@ -101,14 +106,7 @@ def _late_camera(
         raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
     builder.AddNamedSystem(f"late_{config.name}", system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
-    return Camera(
-        intrinsics,
-        system.GetOutputPort("depth_image"),
-        system.GetOutputPort("camera_pose"),
-        config.output_delay,
-        system.GetOutputPort("image_time"),
-        system.GetOutputPort("plant_state"),
-    )
+    return system.camera(config.output_delay)
 
 
 def _frame_source(source: LiveCameras, config: CameraConfig, intrinsics: CameraInfo) -> FrameSource:
@@ -128,8 +126,7 @@ def _live_camera(
     outside: Outside,
 ) -> Camera:
     X_WC = standing_pose(plant, config)
-    _, depth = config.MakeCameras()
-    intrinsics = depth.core().intrinsics()
+    intrinsics = depth_intrinsics(config)
     system = LiveCamera(
         _frame_source(source, config, intrinsics),
         intrinsics,
@@ -144,20 +141,13 @@ def _live_camera(
     builder.AddNamedSystem(f"live_{config.name}", system)
     state = outside.plant_state or plant.get_state_output_port()
     builder.Connect(state, system.GetInputPort("plant_state"))
-    return Camera(
-        intrinsics,
-        system.GetOutputPort("depth_image"),
-        system.GetOutputPort("camera_pose"),
-        0.0,
-        system.GetOutputPort("image_time"),
-        system.GetOutputPort("plant_state"),
-    )
+    return system.camera()
 
 
 def release_cameras(diagram: Diagram) -> None:
     """Ends what cameras of a diagram hold outside it: render engines, devices, channels."""
     for system in diagram.GetSystems():
-        if isinstance(system, (LateCamera, LiveCamera)):
+        if isinstance(system, TimedCamera):
             try:
                 system.release()
             except RuntimeError as error:
@@ -168,9 +158,7 @@ def release_cameras(diagram: Diagram) -> None:
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> FrameNoise | None:
     """Of a camera that perception looks through; None for another, or an ideal one."""
     source = scenario.perception
-    if not isinstance(source, DepthCamera) or config.name not in source.names:
-        return None
-    if source.noise is None:
+    if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
         return None
     seed = noise_seed(scenario, config.name)
     return FrameNoise(pinhole(intrinsics), source.noise, seed=seed)
