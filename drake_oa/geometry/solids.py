@@ -160,13 +160,9 @@ def hull(vertices: FloatArray) -> Solid:
     """The convex hull of points (N, 3) in its frame [m]; flat ones get a thickness of 1e-9 m.
 
     Raises:
-        ValueError: for fewer than three points, or points that are not finite or lie on a line.
+        ValueError: for points that lie on a line.
     """
     points = np.asarray(vertices, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
-        raise ValueError(f"a hull needs (N, 3) points with N > 2, not {points.shape}")
-    if not np.isfinite(points).all():
-        raise ValueError("a vertex of the hull is not finite")
     try:
         found = ConvexHull(points)
     except QhullError:
@@ -437,8 +433,7 @@ class SolidScene(Frozen):
         if self.solids is other.solids:
             return True
         # Those at rest have no stamp.
-        pairs = zip(self.solids._asdict().values(), other.solids._asdict().values(), strict=True)
-        return all(np.array_equal(np.asarray(one), np.asarray(two)) for one, two in pairs)
+        return all(map(np.array_equal, self.solids, other.solids))
 
 
 @lru_cache(maxsize=2)

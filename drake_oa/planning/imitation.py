@@ -25,7 +25,7 @@ from drake_oa.policy.dmp import (
     imitate_orientation,
     minimum_jerk_share,
 )
-from drake_oa.robot.arm import Chain, tool_poses
+from drake_oa.robot.arm import tool_poses
 
 SAMPLES = 201
 """Of a path that is imitated."""
@@ -46,7 +46,6 @@ def demonstration(
     *,
     pace: float,
     longest: float = math.inf,
-    share: float = SPEED_SHARE,
     alpha_k: float = ALPHA_K,
 ) -> Demonstration:
     """What a path of corners becomes: rounded, in minimum-jerk time, and imitated.
@@ -56,7 +55,6 @@ def demonstration(
         corners: (C, n) of the path [rad].
         pace: time a metre of the tool's way [s/m].
         longest: it takes no longer where the joints can [s].
-        share: no joint goes faster than this share of its greatest speed.
         alpha_k: decay of the phase.
 
     Raises:
@@ -68,7 +66,8 @@ def demonstration(
     q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_share(s)))
     X_WE = tool_poses(world.chain, q)
     seconds = min(pace * _length(X_WE[:, 9:]), longest)
-    seconds = max(seconds, _least_seconds(q, s, world.chain, share))
+    rate = np.abs(np.diff(q, axis=0)) / np.diff(s)[:, None]
+    seconds = max(seconds, float((rate / (SPEED_SHARE * world.chain.speed)).max()))
     t, R_WE = seconds * s, X_WE[:, :9].reshape(-1, 3, 3)
     return Demonstration(
         imitate(X_WE[:, 9:], t, n_basis=_N_BASIS, alpha_k=alpha_k),
@@ -104,8 +103,3 @@ def _rounded(world: ArmWorld, q: FloatArray) -> FloatArray:
 
 def _length(p: FloatArray) -> float:
     return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
-
-
-def _least_seconds(q: FloatArray, s: FloatArray, chain: Chain, share: float) -> float:
-    rate = np.abs(np.diff(q, axis=0)) / np.diff(s)[:, None]
-    return float((rate / (share * chain.speed)).max())

@@ -54,7 +54,7 @@ class TrueSolids(LeafSystem):
         inspector: SceneGraphInspector,
         bodies: Sequence[BodyIndex],
         *,
-        names: Mapping[BodyIndex, int] | None = None,
+        names: Mapping[BodyIndex, int],
         period: float = 1.0 / 15.0,
     ) -> None:
         """Reads the geometry.
@@ -64,8 +64,7 @@ class TrueSolids(LeafSystem):
             inspector: of its scene graph.
             bodies: which; what has no collision geometry adds nothing.
             names: of the obstacles that bodies belong to, as perception names them; the others
-                are `drake_oa.geometry.solids.SURROUNDINGS`. None: each body is an obstacle,
-                named by its index.
+                are `drake_oa.geometry.solids.SURROUNDINGS`.
             period: time between readings [s].
 
         Raises:
@@ -76,19 +75,16 @@ class TrueSolids(LeafSystem):
         self._bodies = []
         for index in bodies:
             body = plant.get_body(index)
-            name = int(index) if names is None else names.get(index, SURROUNDINGS)
-            label = body.scoped_name().get_full()
-            if names is not None and name >= 0:
-                label = f"obstacle {name}"
+            name = names.get(index, SURROUNDINGS)
+            label = f"obstacle {name}" if name >= 0 else body.scoped_name().get_full()
             geometries = plant.GetCollisionGeometriesForBody(body)
             read = [read_solid(inspector, geometry) for geometry in geometries]
             of_body = [replace(solid, name=name, label=label) for solid in read]
             self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
         period = valid_period(period)
         self._query = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))
-        origins = self.DeclareDiscreteState(3 * len(self._bodies))
+        self._origins = self.DeclareDiscreteState(3 * len(self._bodies))
         self._scene = self.DeclareAbstractState(Value(SolidScene()))
-        self._origins = origins
         self.DeclareStateOutputPort("solids_W", self._scene)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)

@@ -84,12 +84,12 @@ def average_paths(
             )
         local.append((path - path[-1]) @ local_frame(path[0], path[-1]) / baseline)
         ends.append(path[[0, -1]])
-    s, x = _regressed(local, [t for _, t in checked], n_basis)
+    x, t = _regressed(local, [t for _, t in checked], n_basis)
     start, goal = np.mean(ends, axis=0)
     if not np.any(start != goal):
         raise ValueError("the demonstrations' mean start is their mean goal: they lead back")
     path = goal + float(np.linalg.norm(goal - start)) * x @ local_frame(start, goal).T
-    return path, s * _mean_duration([t for _, t in checked])
+    return path, t
 
 
 def average_orientations(
@@ -129,9 +129,8 @@ def average_orientations(
             f"{math.degrees(off[number]):.0f} degrees from the mean of all; average those that "
             "turn the same way"
         )
-    s, r = _regressed(vectors, [t for _, t in checked], n_basis)
-    R = mean * Rotation.from_rotvec(r)
-    return R.as_matrix(), s * _mean_duration([t for _, t in checked])
+    r, t = _regressed(vectors, [t for _, t in checked], n_basis)
+    return (mean * Rotation.from_rotvec(r)).as_matrix(), t
 
 
 def _each(
@@ -155,15 +154,12 @@ def _recording(number: int, count: int) -> str:
     return f"demonstration {number + 1} of {count}: " if count > 1 else ""
 
 
-def _mean_duration(stamps: Sequence[FloatArray]) -> float:
-    return float(np.mean([t[-1] - t[0] for t in stamps]))
-
-
 def _regressed(
     values: Sequence[FloatArray], stamps: Sequence[FloatArray], n_basis: int
 ) -> tuple[FloatArray, FloatArray]:
-    """s (POINTS,), and there the regression (POINTS, D) of all values, each of (T_d, D)."""
+    """Computes the regression (POINTS, D) of all values, each of (T_d, D), and its stamps."""
     at = np.linspace(0.0, 1.0, POINTS)
+    mean_stamps = at * float(np.mean([t[-1] - t[0] for t in stamps]))
     times, parts, shares = [], [], []
     for x, t in zip(values, stamps, strict=True):
         s = (t - t[0]) / (t[-1] - t[0])
@@ -175,7 +171,7 @@ def _regressed(
         # At the edges of a gap no more than of some samples.
         shares.append(np.minimum(np.gradient(times[-1]), 5.0 / len(times[-1])))
     if len(values) == 1 and len(values[0]) < SPARSE:
-        return at, _at_rest(at, parts[0])
+        return _at_rest(at, parts[0]), mean_stamps
     s, x, share = np.concatenate(times), np.concatenate(parts), np.concatenate(shares)
     order = np.argsort(s, kind="stable")
     s, x, root = s[order], x[order], np.sqrt(share[order])
@@ -189,7 +185,7 @@ def _regressed(
         weight = root[inside] * np.sqrt((1.0 - np.minimum(np.abs(u), 1.0) ** 3) ** 3)
         powers = np.vander(u, _DEGREE + 1, increasing=True) * weight[:, None]
         mean[row] = np.linalg.lstsq(powers, x[inside] * weight[:, None], rcond=None)[0][0]
-    return at, _at_rest(at, mean)
+    return _at_rest(at, mean), mean_stamps
 
 
 def _at_rest(s: FloatArray, x: FloatArray) -> FloatArray:

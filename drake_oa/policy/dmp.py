@@ -690,14 +690,11 @@ def orientation_along(
         (T, 3, 3) R_WE.
 
     Raises:
-        ValueError: if the times fall or are not finite and at least 0, or as `goal_vector`.
+        ValueError: as `goal_vector`.
     """
-    times = np.append(0.0, s)
-    if not (np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
-        raise ValueError(f"s must be (T,), finite, at least 0 and not falling, not {times[1:]}")
     R_WS = np.asarray(start, dtype=float)
     target = demonstrated_goal(primitive, R_WS, goal)
-    r = roll_orientation(primitive, target, times, primitive.offset, np.zeros(3)).p[1:]
+    r = roll_orientation(primitive, target, np.append(0.0, s), primitive.offset, np.zeros(3)).p[1:]
     return np.asarray(origin_of(primitive, R_WS) @ Rotation.from_rotvec(r).as_matrix())
 
 

@@ -48,7 +48,7 @@ class World:
                 plant,
                 self.graph.model_inspector(),
                 [body.index() for body in self.bodies],
-                names=None if called is None else {self.bodies[1].index(): called},
+                names={} if called is None else {self.bodies[1].index(): called},
                 period=period,
             )
         )
