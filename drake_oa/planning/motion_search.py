@@ -31,6 +31,7 @@ from drake_oa.common.messages import (
     PlannedMotion,
     PolicyState,
     Route,
+    zeros,
 )
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.planning.arm_world import (
@@ -710,7 +711,7 @@ class MotionCommand(Frozen):
     """
 
     source: int = -1
-    terms: FloatArray = field(default_factory=lambda: np.zeros((0, N_COLUMNS)))
+    terms: FloatArray = zeros(0, N_COLUMNS)
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
     route: Route = field(default_factory=Route)
     tau: float = 0.0
@@ -777,13 +778,13 @@ class SearchMemory(Frozen):
     """
 
     genes: FloatArray = field(default_factory=lambda: np.full(N_GENES, np.nan))
-    elites: FloatArray = field(default_factory=lambda: np.zeros((0, N_GENES)))
+    elites: FloatArray = zeros(0, N_GENES)
     rounds: int = 0
     is_provisional: bool = False
     last_plan: float = -math.inf
     travelled: float = 0.0
     p_WE: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    counts: IntArray = field(default_factory=lambda: np.zeros(len(SOURCES), dtype=np.int64))
+    counts: IntArray = zeros(len(SOURCES), kind=np.int64)
 
     def travelled_to(self, policy: PolicyState) -> float:
         """Returns the length of the path that the motion has covered by now [m]."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import CORES, compiled, kernel_arrays, on_cores, parted
-from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState
+from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState, zeros
 from drake_oa.common.thinking import count
 from drake_oa.policy.action import NO_OBSTACLES, rules_of
 from drake_oa.policy.action_kernels import Ending, Facts, Rules, advance
@@ -53,7 +53,7 @@ class Scene(Frozen):
     R_WL: FloatArray
     baseline: float
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
-    clearance: FloatArray = field(default_factory=lambda: np.zeros(0))
+    clearance: FloatArray = zeros(0)
     s: float = 0.0
 
     @property

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_oa.common.compiled import compiled, kernel_arrays
-from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
+from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
 from drake_oa.geometry.directions import ramped
 
 _SETTLED = 12.0
@@ -115,9 +115,9 @@ class PostureCourse(Frozen):
 
     rest: FloatArray
     motion: PlannedMotion = field(default_factory=PlannedMotion)
-    slopes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    slopes: FloatArray = zeros(0, 0)
     since: float = 0.0
-    away: FloatArray = field(default_factory=lambda: np.zeros(0))
+    away: FloatArray = zeros(0)
     rate: float = TAKE_OVER
 
     @cached_property

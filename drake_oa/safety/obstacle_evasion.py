@@ -6,7 +6,6 @@ import logging
 import math
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
     BasicVector,
@@ -16,13 +15,7 @@ from pydrake.systems.framework import (
     State,
 )
 
-from drake_oa.common.messages import (
-    Evasion,
-    FloatArray,
-    Frozen,
-    PlannedMotion,
-    PolicyState,
-)
+from drake_oa.common.messages import Evasion, FloatArray, Frozen, PlannedMotion, PolicyState, zeros
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.directions import ramped
@@ -41,7 +34,7 @@ class _Kept(Frozen):
     """What is kept from step to step: what was decided, and the velocity now [m/s]."""
 
     thoughts: Thoughts[Evasion] = field(default_factory=lambda: Thoughts(NOTHING_MOVES))
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    velocity: FloatArray = zeros(3)
 
     @property
     def evasion(self) -> Evasion:

@@ -28,9 +28,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-
-from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
+from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.safety.config import SupervisorSettings
 
@@ -113,7 +111,7 @@ class SupervisorState(Frozen):
     torque_scale: float = 1.0
     motion: PlannedMotion | None = None
     scene: SolidScene | None = None
-    kept: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    kept: FloatArray = zeros(0, 0)
     broken: bool = False
 
 

@@ -15,13 +15,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 
-from drake_oa.common.messages import (
-    EllipsoidSet,
-    FloatArray,
-    Frozen,
-    PolicyState,
-    Route,
-)
+from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState, Route, zeros
 from drake_oa.common.ports import read_optional, read_value
 from drake_oa.regulation.regressor import actuation_planes
 from drake_oa.scenario.scenario import LAYERS
@@ -66,7 +60,7 @@ class _Shown(Frozen):
     start: float = 0.0
     frame: int = 0
     slots: tuple[int, ...] = (-1,) * _PLACES
-    p_WE: FloatArray = field(default_factory=lambda: np.zeros(3))
+    p_WE: FloatArray = zeros(3)
     rings: tuple[_Rings, ...] = (_Rings(),) * _PLACES
 
 
