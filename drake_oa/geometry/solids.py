@@ -433,7 +433,8 @@ class SolidScene(Frozen):
         if self.solids is other.solids:
             return True
         # Those at rest have no stamp.
-        return all(map(np.array_equal, self.solids, other.solids))
+        pairs = zip(self.solids, other.solids, strict=True)
+        return all(np.array_equal(np.asarray(one), np.asarray(two)) for one, two in pairs)
 
 
 @lru_cache(maxsize=2)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from pydrake.geometry import GeometryId, SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context
@@ -83,13 +85,13 @@ def make_arm_spheres(
         )
     moved = moved_by(plant, joints)
     # Of all model instances: a gripper may be one of its own. Body 0 is the world.
-    everything = [BodyIndex(i) for i in range(1, plant.num_bodies())]
-    names = [plant.get_body(index).name() for index in everything]
-    bodies = [
-        index for index in everything if plant.GetCollisionGeometriesForBody(plant.get_body(index))
-    ]
-    if not any(index in moved for index in bodies):
-        links = [plant.get_body(index).name() for index in everything if index in moved]
+    everything = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]
+    names = [body.name() for body in everything]
+    bodies = [body for body in everything if plant.GetCollisionGeometriesForBody(body)]
+    bodies.sort(key=lambda body: (moved.get(body.index(), -1), int(body.index())))
+    joint = np.array([moved.get(body.index(), -1) for body in bodies], dtype=np.int64)
+    if not (joint >= 0).any():
+        links = [body.name() for body in everything if body.index() in moved]
         raise ValueError(
             f"none of the links that the joints move ({', '.join(links)}) has collision geometry; "
             "the model needs a <collision> of bounded shape on those that are to be kept clear"
@@ -97,7 +99,9 @@ def make_arm_spheres(
     unknown = sorted(set(tool_links) - set(names))
     if unknown:
         raise ValueError(f"tool_links: no body {', '.join(unknown)}; there are {', '.join(names)}")
-    bodies.sort(key=lambda index: (moved.get(index, -1), int(index)))
+    group_names = tuple(body.name() for body in bodies)
+    is_tool = np.array([name in tool_links for name in group_names])
+    geometries = [plant.GetCollisionGeometriesForBody(body) for body in bodies]
 
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
@@ -108,21 +112,17 @@ def make_arm_spheres(
     model = plant.GetModelInstanceName(robot.instance)
     work = f"covering the links of {model} with spheres"
     progress = ProgressLines(work, len(bodies), last=time.monotonic())
-    for row, index in enumerate(bodies, start=1):
-        progress.update(row)
-        body = plant.get_body(index)
-        solids = [read_solid(inspector, g) for g in plant.GetCollisionGeometriesForBody(body)]
-        asked = parameters.overshoot if index in moved else parameters.fixed_overshoot
-        if body.name() in tool_links:
+    for row, body in enumerate(bodies):
+        progress.update(row + 1)
+        solids = [read_solid(inspector, geometry) for geometry in geometries[row]]
+        asked = parameters.overshoot if joint[row] >= 0 else parameters.fixed_overshoot
+        if is_tool[row]:
             asked = parameters.tool_overshoot
         covers.append(known_cover(solids, asked, max(_MOST, len(solids))))
-        X_JW = RigidTransform(X_WJ[moved.get(index, -1)]).inverse()
+        X_JW = RigidTransform(X_WJ[joint[row]]).inverse()
         X_JB.append((X_JW @ body.EvalPoseInWorld(context)).GetAsMatrix4())
-    joint = np.array([moved.get(index, -1) for index in bodies], dtype=np.int64)
-    is_tool = np.array([plant.get_body(index).name() in tool_links for index in bodies])
-    arrays = _laid(covers, X_JB, joint, is_tool, _candidates(robot, bodies, joint))
-    group_names = tuple(plant.get_body(index).name() for index in bodies)
-    arrays = _with_pairs_found(robot, joints, bodies, q, arrays, parameters)
+    arrays = _laid(covers, X_JB, joint, is_tool, _candidates(inspector, geometries, joint))
+    arrays = _with_pairs_found(robot, joints, geometries, q, arrays, parameters)
     return ArmSpheres(arrays, group_names, np.array([found.overshoot for found in covers]))
 
 
@@ -203,15 +203,12 @@ def _ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
 
 
 def _candidates(
-    robot: RobotPlant, bodies: Sequence[BodyIndex], joint: IntArray
+    inspector: SceneGraphInspector, geometries: Sequence[Sequence[GeometryId]], joint: IntArray
 ) -> list[tuple[int, int]]:
     """Groups that more than one joint parts and that the model's filters let touch."""
-    plant, inspector = robot.plant, robot.scene_graph.model_inspector()
-    geometries = [plant.GetCollisionGeometriesForBody(plant.get_body(index)) for index in bodies]
     return [
         (i, j)
-        for i in range(len(bodies))
-        for j in range(i + 1, len(bodies))
+        for i, j in combinations(range(len(joint)), 2)
         if abs(joint[i] - joint[j]) > 1
         and any(not inspector.CollisionFiltered(a, b) for a in geometries[i] for b in geometries[j])
     ]
@@ -220,7 +217,7 @@ def _candidates(
 def _with_pairs_found(
     robot: RobotPlant,
     joints: list[RevoluteJoint],
-    bodies: Sequence[BodyIndex],
+    geometries: Sequence[Sequence[GeometryId]],
     q: FloatArray,
     spheres: Spheres,
     parameters: SphereParameters,
@@ -243,7 +240,6 @@ def _with_pairs_found(
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
-    geometries = [plant.GetCollisionGeometriesForBody(plant.get_body(body)) for body in bodies]
     group = {geometry: g for g, of_body in enumerate(geometries) for geometry in of_body}
     row = {(int(i), int(j)): k for k, (i, j) in enumerate(spheres.pairs)}
     frames = [(joint.child_body(), axis_frame(joint)) for joint in joints]
