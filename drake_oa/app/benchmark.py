@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -19,25 +19,18 @@ def benchmark(
         "tabletop_box",
         "moving_obstacle",
     ),
-    only: tuple[Literal["run", "thinking"], ...] = ("run", "thinking"),
     seconds: float = 3.0,
     json: Path | None = None,
 ) -> None:
-    """Time runs, their layers and their decisions.
-
-      run       the real-time factor, beside that of Drake alone (plant and camera, the arm
-                held), and what each system takes of a simulated second
-      thinking  the processor time of a run's decisions, the simulated time that their work
-                costs, and the constants that would fit this run best
+    """Time runs: the real-time factor, and the wall time of each system in a simulated second.
 
     For example:
 
         drake-oa benchmark --json benchmark.json
-        drake-oa benchmark --only thinking --scenario shelf_elbow
+        drake-oa benchmark --scenario shelf_elbow
 
     Args:
         scenarios: a shipped name (see `drake-oa scenarios`) or a file; may be repeated.
-        only: time this part only; may be repeated.
         seconds: simulated time of each run.
         json: write the figures.
     """
@@ -49,9 +42,8 @@ def benchmark(
     with quiet():
         figures = run_benchmark(
             chosen,
-            only,
             seconds=seconds,
-            on_part=lambda part: print(f"timing {part} ...", file=sys.stderr),
+            on_scenario=lambda name: print(f"timing {name} ...", file=sys.stderr),
         )
     show(benchmark_table(figures))
     replace_json(json, figures)
