@@ -212,7 +212,7 @@ def station(
     overrides: Overrides = (),
     lcm_url: str = LCM_URL,
     rate: float = 1.0,
-    expiry: float = 0.1,
+    expiry: Positive = 0.1,
     wait: bool = False,
     no_images: bool = False,
     duration: Positive | None = None,
@@ -241,7 +241,6 @@ def station(
     from pydrake.lcm import DrakeLcm
 
     from drake_oa.common.config import check_lcm_url
-    from drake_oa.hardware.command_player import CommandRules
     from drake_oa.hardware.panda_station import PandaStation
     from drake_oa.runs.hardware_run import station_log
     from drake_oa.runs.motion_log import save_logs
@@ -257,7 +256,7 @@ def station(
         arm = PandaStation(
             chosen,
             lcm,
-            rules=CommandRules(expiry=expiry),
+            expiry=expiry,
             images=not no_images,
             rate=rate,
             waits=wait,

@@ -6,6 +6,7 @@ from there at its own rate. Where the planned motion ends the player slows along
 never extrapolates. On the arm's side a `CommandGuard` checks each command; it does not use LCM.
 """
 
+import ctypes
 import gc
 import logging
 import math
@@ -18,12 +19,9 @@ from enum import IntEnum
 
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
-from pydantic import Field
-from pydantic.dataclasses import dataclass
 from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaControlMode
 
-from drake_oa.common.config import BLOCK
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import RobotLimits
 
@@ -54,46 +52,25 @@ _REMEMBERED = 400
 """Commands of our own that are told from somebody else's."""
 
 
-@dataclass(config=BLOCK)
-class PlayerRules:
-    """Timing of the command stream to the arm, and limits at which the arm is stopped."""
-
-    period: float = Field(default=0.004, ge=5e-4, le=0.05)
-    """Time between two commands [s]. Raising it commands the arm more coarsely."""
-    lead: float = Field(default=0.04, ge=0.01, le=1.0)
-    """Time by which the motion is computed ahead of its commands [s]. Raising it tolerates longer
-    pauses of the simulation, up to half of it, and makes the arm react later."""
-    image_delay: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Additional delay of images by the wall clock for which the supervisor does not slow down
-    [s]. Raising it tolerates later images."""
-    ramp: float = Field(default=0.15, ge=0.01, le=5.0)
-    """Time from rest to full speed, and from full speed to rest after a failure [s]. Raising it
-    starts and stops more gently."""
-    silence: float = Field(default=0.1, ge=0.01, le=10.0)
-    """Time without a status message after which the arm is held and simulated time stops [s].
-    Raising it tolerates longer gaps."""
-    patience: float = Field(default=0.3, ge=0.0, le=10.0)
-    """Further time without a status message after which the run stops [s]. Raising it waits
-    longer."""
-    restart_tolerance: float = Field(default=0.03, ge=1e-3, le=3.0)
-    """Maximum distance of a joint from its command when the motion resumes from rest [rad].
-    Raising it resumes earlier, with a larger step."""
-    astray: float = Field(default=0.1, ge=1e-3, le=3.0)
-    """Distance of a joint from its command that stops the run [rad]. Raising it tolerates larger
-    errors."""
-    astray_time: float = Field(default=0.2, ge=0.0, le=10.0)
-    """Duration of such a distance that stops the run [s]. Raising it tolerates longer errors."""
-    start_tolerance: float = Field(default=0.1, ge=0.0, le=3.0)
-    """Maximum distance of the joints from the scenario's start before the motion [rad]. Raising it
-    starts from farther away."""
-    start_speed: float = Field(default=0.05, ge=0.0, le=3.0)
-    """Maximum joint speed before the motion [rad/s]. Raising it starts while the arm moves."""
-    table_tolerance: float = Field(default=0.015, ge=0.0, le=1.0)
-    """Maximum difference between the heights of the perceived and the configured table [m].
-    Raising it accepts a less accurate camera pose."""
-    table_tilt: float = Field(default=math.radians(1.5), ge=0.0, le=1.0)
-    """Maximum angle between the perceived and the configured table [rad]. Raising it accepts a less
-    accurate camera pose."""
+COMMAND_PERIOD = 0.004
+"""Time between two commands [s]."""
+LEAD = 0.04
+"""Time by which the motion is computed ahead of its commands [s]: tolerates pauses of the
+simulation of up to half of it."""
+_RAMP = 0.15
+"""Time from rest to full speed, and from full speed to rest after a failure [s]."""
+SILENCE = 0.1
+"""Time without a status message after which the arm is held and simulated time stops [s]."""
+_PATIENCE = 0.3
+"""Further time without a status message after which the run stops [s]."""
+_RESTART_TOLERANCE = 0.03
+"""Maximum distance of a joint from its command when the motion resumes from rest [rad]."""
+_ASTRAY, _ASTRAY_TIME = 0.1, 0.2
+"""Distance of a joint from its command that stops the run [rad], and its duration [s]."""
+SPEED_SHARE = 1.2
+"""Maximum speed between two accepted commands, relative to the joint's limit [1]."""
+SLACK = 0.01
+"""Additional joint displacement allowed between two accepted commands [rad]."""
 
 
 def check_rate(rate: float) -> None:
@@ -116,117 +93,106 @@ class PlayerState(IntEnum):
     """For good."""
 
 
-_SIZES = {
-    "planned": _ROWS * (1 + ARM_JOINTS),
-    "planned_count": 1,
-    "measured": _ROWS * (1 + 2 * ARM_JOINTS),
-    "measured_count": 1,
-    "played": 1,
-    "state": 1,
-    "end": 1,
-    "longest_pause": 1,
-    "commands": 1,
-    "farthest": 1,
-}
-"""Count of numbers in each part of the shared memory."""
-
-
-class SharedMotion:
+class SharedMotion(ctypes.Structure):
     """Memory shared by the diagram and the player: planned and measured motion, and progress.
 
-    Each array has one writer. Rows are written before they are counted.
+    Each field has one writer. Rows are written before they are counted.
+
+    Attributes:
+        played: simulated time that the arm is at [s].
+        end: 1 once the player is to end.
+        longest_pause: longest time between two commands [s].
+        commands: number of commands.
+        farthest: greatest distance of a joint from its commands [rad].
     """
 
-    def __init__(self) -> None:
-        """Allocates the memory, without any row."""
-        context = multiprocessing.get_context("spawn")
-        self._raw = {name: context.RawArray("d", size) for name, size in _SIZES.items()}
-        self._note = context.RawArray("c", _NOTE)
-
-    def _rows(self, name: str) -> tuple[FloatArray, int]:
-        """Returns the rows of an array, which are overwritten in turn, and their count so far."""
-        return np.frombuffer(self._raw[name]).reshape(_ROWS, -1), int(self.figure(f"{name}_count"))
-
-    def _append(self, name: str, row: FloatArray) -> None:
-        rows, count = self._rows(name)
-        rows[count % _ROWS] = row
-        self.set_figure(f"{name}_count", count + 1)
+    _fields_ = (
+        ("_planned", ctypes.c_double * (1 + ARM_JOINTS) * _ROWS),
+        ("_planned_count", ctypes.c_int64),
+        ("_measured", ctypes.c_double * (1 + 2 * ARM_JOINTS) * _ROWS),
+        ("_measured_count", ctypes.c_int64),
+        ("_state", ctypes.c_int),
+        ("_note", ctypes.c_char * _NOTE),
+        ("played", ctypes.c_double),
+        ("end", ctypes.c_double),
+        ("longest_pause", ctypes.c_double),
+        ("commands", ctypes.c_double),
+        ("farthest", ctypes.c_double),
+    )
 
     def write_planned(self, t: float, q: FloatArray) -> None:
         """Adds the planned positions of the joints (7,) at a simulated time [s, rad]."""
-        self._append("planned", np.array([t, *q]))
+        self._planned[self._planned_count % _ROWS][:] = [t, *q]
+        self._planned_count += 1
 
     def write_measured(self, stamp: float, q: FloatArray, v: FloatArray) -> None:
         """Adds the state of the joints (7,) in a status of the wall clock [s, rad, rad/s]."""
-        self._append("measured", np.array([stamp, *q, *v]))
+        self._measured[self._measured_count % _ROWS][:] = [stamp, *q, *v]
+        self._measured_count += 1
 
     @property
     def planned_until(self) -> float:
         """Simulated time of the last planned positions; -inf before the first [s]."""
-        rows, count = self._rows("planned")
-        return float(rows[(count - 1) % _ROWS, 0]) if count else -math.inf
+        count = self._planned_count
+        return float(self._planned[(count - 1) % _ROWS][0]) if count else -math.inf
 
     def planned(self, t: float) -> FloatArray:
         """Returns the planned positions (7,) at a simulated time that was written [rad]."""
-        rows, count = self._rows("planned")
-        ordered = rows[np.arange(max(0, count - _ROWS // 2), count) % _ROWS]
-        return np.array([np.interp(t, ordered[:, 0], joint) for joint in ordered[:, 1:].T])
+        count = self._planned_count
+        latest = np.arange(max(0, count - _ROWS // 2), count) % _ROWS
+        times, *joints = np.ctypeslib.as_array(self._planned)[latest].T
+        return np.array([np.interp(t, times, joint) for joint in joints])
 
     @property
     def measured(self) -> tuple[float, FloatArray, FloatArray]:
         """Stamp [s], positions and speeds (7,) of the last status; NaN before the first."""
-        rows, count = self._rows("measured")
-        row = rows[(count - 1) % _ROWS].copy() if count else np.full(rows.shape[1], np.nan)
+        count, row = self._measured_count, np.full(1 + 2 * ARM_JOINTS, np.nan)
+        if count:
+            row[:] = self._measured[(count - 1) % _ROWS]
         return float(row[0]), row[1 : 1 + ARM_JOINTS], row[1 + ARM_JOINTS :]
 
     def tell(self, state: PlayerState, note: str) -> None:
         """Says what the player does, and why."""
-        self._note.value = note.encode()[: _NOTE - 1]
-        self._raw["state"][0] = float(state)
+        self._note = note.encode()[: _NOTE - 1]
+        self._state = state
 
     @property
     def state(self) -> PlayerState:
         """What the player does."""
-        return PlayerState(int(self._raw["state"][0]))
+        return PlayerState(self._state)
 
     @property
     def note(self) -> str:
         """Why."""
-        return bytes(self._note.value).decode(errors="replace")
+        return bytes(self._note).decode(errors="replace")
 
-    def figure(self, name: str) -> float:
-        """One of `played`, `longest_pause`, `commands`, `farthest`, `end`."""
-        return float(self._raw[name][0])
 
-    def set_figure(self, name: str, value: float) -> None:
-        """Likewise."""
-        self._raw[name][0] = value
+def shared_motion() -> SharedMotion:
+    """Allocates the memory, without any row."""
+    return multiprocessing.get_context("spawn").RawValue(SharedMotion)
 
 
 class CommandPlayer:
     """Commands what is in a `SharedMotion`, watches the arm, and stops it where it must.
 
     Simulated time is played at `rate` seconds in one of the wall clock, more slowly where less
-    than half of `PlayerRules.lead` is written, and not at all where the arm is silent, astray or
+    than half of `LEAD` is written, and not at all where the arm is silent, astray or
     commanded by somebody else.
     """
 
-    def __init__(
-        self, motion: SharedMotion, lcm: DrakeLcm, *, rules: PlayerRules, rate: float
-    ) -> None:
+    def __init__(self, motion: SharedMotion, lcm: DrakeLcm, rate: float) -> None:
         """Listens.
 
         Args:
             motion: what is to be.
             lcm: what messages come and go by.
-            rules: when to stop.
             rate: simulated seconds in one of the wall clock, at most.
 
         Raises:
             ValueError: if the rate is not above 0 and at most 1.
         """
         check_rate(rate)
-        self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
+        self._motion, self._lcm, self._rate = motion, lcm, rate
         self._pace = self._played = 0.0
         self._heard = self._last = self._commanded = -math.inf
         self._trouble_since = self._astray_since = math.inf
@@ -244,7 +210,7 @@ class CommandPlayer:
     @property
     def finished(self) -> bool:
         """Whether it was told to end, and the arm is at rest as far as it is commanded."""
-        if not self._motion.figure("end"):
+        if not self._motion.end:
             return False
         stopped = self._motion.state is PlayerState.STOPPED
         return stopped or self._pace < 1e-3 or self._motion.planned_until <= self._played
@@ -257,7 +223,7 @@ class CommandPlayer:
             tick: one that is never set [s]; None: the wall clock is not.
         """
         tick = now if tick is None else tick
-        motion, rules = self._motion, self._rules
+        motion = self._motion
         while self._lcm.HandleSubscriptions(0):
             pass
         self._take_statuses(now, tick)
@@ -270,17 +236,17 @@ class CommandPlayer:
         begun = self._commanded > -math.inf
         if self._stopped() or motion.planned_until == -math.inf or (trouble and not begun):
             return
-        if trouble or elapsed > rules.silence:
+        if trouble or elapsed > SILENCE:
             self._from_rest = True
-        if elapsed > rules.silence:
+        if elapsed > SILENCE:
             # The arm holds by now.
             self._pace = 0.0
-        slow = bool(trouble) or motion.figure("end") > 0.0
+        slow = bool(trouble) or motion.end > 0.0
         if self._from_rest and not trouble:
             if self._moved_away():
                 return
             self._from_rest = False
-        self._play(min(elapsed, 3.0 * rules.period), slow)
+        self._play(min(elapsed, 3.0 * COMMAND_PERIOD), slow)
         self._send(now, tick)
 
     def _stopped(self) -> bool:
@@ -290,19 +256,19 @@ class CommandPlayer:
         """Stops for good if the arm, at rest, is not where it is to be."""
         _, q, _ = self._motion.measured
         off = float(np.abs(q - self._motion.planned(self._played)).max())
-        if off > self._rules.restart_tolerance:
+        if off > _RESTART_TOLERANCE:
             self._tell(PlayerState.STOPPED, f"the arm is {off:.3g} rad from where it was left")
         return self._stopped()
 
     def _play(self, elapsed: float, slow: bool) -> None:
-        rules, motion = self._rules, self._motion
+        motion = self._motion
         lead = motion.planned_until - self._played
-        most = self._rate * min(1.0, max(0.0, lead / (0.5 * rules.lead)))
-        change = self._rate * elapsed / rules.ramp
+        most = self._rate * min(1.0, max(0.0, lead / (0.5 * LEAD)))
+        change = self._rate * elapsed / _RAMP
         wanted = max(0.0, self._pace - change) if slow else self._pace + change
         self._pace = min(wanted, most)
         self._played = min(self._played + self._pace * elapsed, motion.planned_until)
-        motion.set_figure("played", self._played)
+        motion.played = self._played
 
     def _send(self, now: float, tick: float) -> None:
         motion = self._motion
@@ -317,9 +283,9 @@ class CommandPlayer:
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
         if self._commanded > -math.inf:
             pause = tick - self._commanded
-            motion.set_figure("longest_pause", max(motion.figure("longest_pause"), pause))
+            motion.longest_pause = max(motion.longest_pause, pause)
         self._commanded = tick
-        motion.set_figure("commands", motion.figure("commands") + 1.0)
+        motion.commands += 1.0
 
     def _take_statuses(self, now: float, tick: float) -> None:
         # Handlers may not raise: what has come is looked at here. The last one counts.
@@ -333,9 +299,9 @@ class CommandPlayer:
             age = now - MICROSECOND * status.utime
             if q.shape != (ARM_JOINTS,) or v.shape != q.shape or not np.isfinite([q, v]).all():
                 self._passed = f"statuses hold no {ARM_JOINTS} finite positions and speeds"
-            elif abs(age) > self._rules.silence:
+            elif abs(age) > SILENCE:
                 self._passed = (
-                    f"statuses are {age:.3f} s old by this clock, at most {self._rules.silence:g} "
+                    f"statuses are {age:.3f} s old by this clock, at most {SILENCE:g} "
                     "may be: are both clocks set alike?"
                 )
             else:
@@ -355,13 +321,13 @@ class CommandPlayer:
 
     def _watch(self, tick: float, stamp: float, q: FloatArray) -> None:
         """How far the arm is from the nearest of what it was sent lately."""
-        rules, motion = self._rules, self._motion
-        sent = [at for when, at in self._past if stamp - rules.astray_time <= when <= stamp]
+        motion = self._motion
+        sent = [at for when, at in self._past if stamp - _ASTRAY_TIME <= when <= stamp]
         if not sent:
             return
         self._apart = float(np.abs(np.array(sent) - q).max(axis=1).min())
-        motion.set_figure("farthest", max(motion.figure("farthest"), self._apart))
-        astray = self._apart > rules.astray
+        motion.farthest = max(motion.farthest, self._apart)
+        astray = self._apart > _ASTRAY
         self._astray_since = min(self._astray_since, tick) if astray else math.inf
 
     def _take_commands(self) -> None:
@@ -376,13 +342,13 @@ class CommandPlayer:
 
     def _trouble(self, tick: float) -> str:
         """What is wrong and may pass; what may not stops for good."""
-        if tick - self._astray_since > self._rules.astray_time:
+        if tick - self._astray_since > _ASTRAY_TIME:
             self._stop = f"the arm is {self._apart:.3g} rad from where it was sent"
         if self._stop:
             self._tell(PlayerState.STOPPED, self._stop)
-        if tick - self._heard <= self._rules.silence:
+        if tick - self._heard <= SILENCE:
             return ""
-        since = f" for {self._rules.silence:g} s" if self._heard > -math.inf else ""
+        since = f" for {SILENCE:g} s" if self._heard > -math.inf else ""
         return self._passed or f"no status on {STATUS_CHANNEL}{since}"
 
     def _say(self, tick: float, trouble: str) -> None:
@@ -392,7 +358,7 @@ class CommandPlayer:
         self._trouble_since = min(self._trouble_since, tick) if trouble else math.inf
         if trouble and self._heard == -math.inf:
             self._tell(PlayerState.LISTENING, trouble)
-        elif tick - self._trouble_since > self._rules.patience:
+        elif tick - self._trouble_since > _PATIENCE:
             self._tell(PlayerState.STOPPED, trouble)
         elif trouble:
             self._tell(PlayerState.HOLDING, trouble)
@@ -425,13 +391,12 @@ def _hurry() -> None:
             _logger.info("commands have no priority: others may make them pause")
 
 
-def play(motion: SharedMotion, lcm_url: str, rules: PlayerRules, rate: float, parent: int) -> None:
+def play(motion: SharedMotion, lcm_url: str, rate: float, parent: int) -> None:
     """Plays until it was told to end, or who decides is no more: the body of a process.
 
     Args:
         motion: shared with who decides.
         lcm_url: of the bus.
-        rules: when to stop.
         rate: simulated seconds in one of the wall clock, at most.
         parent: process that decides.
     """
@@ -441,30 +406,15 @@ def play(motion: SharedMotion, lcm_url: str, rules: PlayerRules, rate: float, pa
     logging.basicConfig(format="%(levelname)s: arm: %(message)s")
     gc.disable()
     _hurry()
-    player = CommandPlayer(motion, DrakeLcm(lcm_url), rules=rules, rate=rate)
+    player = CommandPlayer(motion, DrakeLcm(lcm_url), rate)
     due = time.monotonic()
     while not player.finished:
-        if os.getppid() != parent and not motion.figure("end"):
+        if os.getppid() != parent and not motion.end:
             _logger.warning("who decides is no more: the arm is stopped")
-            motion.set_figure("end", 1.0)
+            motion.end = 1.0
         player.step(time.time(), time.monotonic())
-        due = max(due + rules.period, time.monotonic())
+        due = max(due + COMMAND_PERIOD, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))
-
-
-@dataclass(config=BLOCK)
-class CommandRules:
-    """Limits of accepted commands."""
-
-    expiry: float = Field(default=0.1, ge=1e-3, le=10.0)
-    """Time for which a command is valid, after which the arm holds; maximum difference of its stamp
-    from the wall clock [s]. The vendor's driver has the same. Raising it tolerates longer gaps."""
-    speed_share: float = Field(default=1.2, gt=0.0, le=10.0)
-    """Maximum speed between two commands, relative to the joint's limit [1]. Raising it accepts
-    faster commands."""
-    slack: float = Field(default=0.01, ge=0.0, le=1.0)
-    """Additional joint displacement allowed between two commands [rad]. Raising it accepts larger
-    steps."""
 
 
 class CommandGuard:
@@ -472,20 +422,21 @@ class CommandGuard:
 
     Old commands are passed over. After one that is out of limits, jumps, is of another mode or of
     a second commander, the arm holds the last position that was in order, until nobody has
-    commanded for `CommandRules.expiry`, and goes on from there.
+    commanded for `expiry`, and goes on from there.
 
     Attributes:
         events: message whenever its behavior changed.
         rejected: how many commands were not followed.
     """
 
-    def __init__(self, q: FloatArray, limits: RobotLimits, rules: CommandRules) -> None:
+    def __init__(self, q: FloatArray, limits: RobotLimits, expiry: float = 0.1) -> None:
         """Holds.
 
         Args:
             q: (n,) where the arm is [rad].
             limits: of its joints, in the same order.
-            rules: what commands are held to.
+            expiry: time for which a command is valid, after which the arm holds; maximum difference
+                of its stamp from the wall clock [s]. The vendor's driver has the same.
 
         Raises:
             ValueError: if the limits are of another number of joints.
@@ -494,7 +445,7 @@ class CommandGuard:
             raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")
         self._q = np.array(q, dtype=float)
         self._v = np.zeros_like(self._q)
-        self._limits, self._rules = limits, rules
+        self._limits, self._expiry = limits, expiry
         self._accepted = self._heard = -np.inf
         self._stamp: int | None = None
         self._refused: FloatArray | None = None
@@ -514,7 +465,7 @@ class CommandGuard:
         """
         self._look(now)
         age = now - MICROSECOND * command.utime
-        if abs(age) > self._rules.expiry:
+        if abs(age) > self._expiry:
             self._log(f"command passed over: its stamp is {age:.3f} s before the wall clock")
             self.rejected += 1
             return False
@@ -545,9 +496,9 @@ class CommandGuard:
 
     def _look(self, now: float) -> None:
         """Holds when the last command has expired; listens again when all are silent."""
-        if self._stamp is not None and now - self._accepted > self._rules.expiry:
-            self._hold(f"holding: no command for {self._rules.expiry:g} s")
-        if self._latched and now - self._heard > self._rules.expiry:
+        if self._stamp is not None and now - self._accepted > self._expiry:
+            self._hold(f"holding: no command for {self._expiry:g} s")
+        if self._latched and now - self._heard > self._expiry:
             self._latched, self._refused = False, None
             self._log("holding: nobody commands; the next commander may begin here")
 
@@ -573,9 +524,7 @@ class CommandGuard:
         if self._stamp is not None:
             elapsed = MICROSECOND * (command.utime - self._stamp)
         step = np.abs(q - self._q)
-        allowed = (
-            self._rules.slack + self._rules.speed_share * elapsed * self._limits.velocity_limit
-        )
+        allowed = SLACK + SPEED_SHARE * elapsed * self._limits.velocity_limit
         if (step > allowed).any():
             j = int(np.argmax(step - allowed))
             return (

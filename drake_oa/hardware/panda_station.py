@@ -29,7 +29,6 @@ from drake_oa.hardware.command_player import (
     POSITION_MODE,
     STATUS_CHANNEL,
     CommandGuard,
-    CommandRules,
     check_rate,
 )
 from drake_oa.hardware.hardware_cell import arm_of
@@ -145,7 +144,7 @@ class PandaStation:
         scenario: Scenario,
         lcm: DrakeLcm,
         *,
-        rules: CommandRules | None = None,
+        expiry: float = 0.1,
         images: bool = True,
         rate: float = 1.0,
         waits: bool = False,
@@ -157,7 +156,7 @@ class PandaStation:
         Args:
             scenario: with a Panda.
             lcm: what messages come and go by.
-            rules: what commands are held to; None: `CommandRules()`.
+            expiry: how long a command is in force [s].
             images: whether cameras send theirs.
             rate: simulated seconds in one of the wall clock, at most.
             waits: whether the world stands still until the arm follows a command, so that courses
@@ -219,7 +218,7 @@ class PandaStation:
         self._simulator = Simulator(self._diagram)
         # Of the wall clock's seconds, as all that is in messages.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
-        self.guard = CommandGuard(self._q_start[self._arm], limits, rules or CommandRules())
+        self.guard = CommandGuard(self._q_start[self._arm], limits, expiry)
         self.pace = Pace()
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._waits = self._ends = waits

@@ -18,12 +18,14 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
 from drake_oa.hardware.command_player import (
+    COMMAND_PERIOD,
+    LEAD,
+    SILENCE,
     CommandPlayer,
-    PlayerRules,
     PlayerState,
-    SharedMotion,
     check_rate,
     play,
+    shared_motion,
 )
 from drake_oa.robot.plant import RobotLimits
 
@@ -31,6 +33,12 @@ _NAP = 5e-4
 """Between two looks at the player [s]."""
 START_UP = 30.0
 """In which the player's process has to begin [s]."""
+_START_TOLERANCE, _START_SPEED = 0.1, 0.05
+"""Maximum distance of a joint from the scenario's start before the motion [rad], and maximum speed
+[rad/s]."""
+_TABLE_TOLERANCE, _TABLE_TILT = 0.015, math.radians(1.5)
+"""Maximum difference between the heights of the perceived and the configured table [m], and maximum
+angle between them [rad]."""
 
 
 class HardwareError(Exception):
@@ -45,7 +53,6 @@ class RobotLink:
 
     Attributes:
         motion: what both share.
-        rules: when to stop.
         rate: simulated seconds in one of the wall clock, at most.
         clock: the wall clock [s].
         wait: what is done while something is waited for.
@@ -57,7 +64,6 @@ class RobotLink:
         self,
         lcm_url: str,
         *,
-        rules: PlayerRules | None = None,
         rate: float = 1.0,
         lcm: DrakeLcm | None = None,
         wait: Callable[[], None] = lambda: time.sleep(_NAP),
@@ -68,7 +74,6 @@ class RobotLink:
 
         Args:
             lcm_url: of the bus.
-            rules: when to stop; None: `PlayerRules()`.
             rate: simulated seconds in one of the wall clock, at most.
             lcm: plays in this process, by this.
             wait: called again and again while the diagram is too far ahead.
@@ -78,7 +83,7 @@ class RobotLink:
         Raises:
             ValueError: if the rate is not above 0 and at most 1, or LCM does not accept the URL.
         """
-        self.motion, self.rules, self.rate = SharedMotion(), rules or PlayerRules(), rate
+        self.motion, self.rate = shared_motion(), rate
         self._url, self.wait, self.clock = lcm_url, wait, clock
         self._raise_if_asked = raise_if_asked
         self.events: list[tuple[float, str]] = []
@@ -86,7 +91,7 @@ class RobotLink:
         self.player: CommandPlayer | None = None
         self._process: BaseProcess | None = None
         if lcm is not None:
-            self.player = CommandPlayer(self.motion, lcm, rules=self.rules, rate=rate)
+            self.player = CommandPlayer(self.motion, lcm, rate)
             return
         check_rate(rate)
         try:
@@ -95,7 +100,7 @@ class RobotLink:
             raise ValueError(f"lcm_url: {lcm_url}: {error}") from None
         self._process = multiprocessing.get_context("spawn").Process(
             target=play,
-            args=(self.motion, lcm_url, self.rules, rate, os.getpid()),
+            args=(self.motion, lcm_url, rate, os.getpid()),
             name="command player",
             # Ends the arm's motion by itself when this process is gone.
             daemon=False,
@@ -104,7 +109,7 @@ class RobotLink:
 
     def close(self) -> None:
         """Brings the arm to rest along what was written, and ends the player."""
-        self.motion.set_figure("end", 1.0)
+        self.motion.end = 1.0
         if self._process is not None:
             self._process.join(timeout=5.0)
             if self._process.is_alive():
@@ -114,11 +119,11 @@ class RobotLink:
     @property
     def summary(self) -> str:
         """Counts and extremes of the commands sent until now."""
-        figure = self.motion.figure
+        motion = self.motion
         return (
-            f"commands {figure('commands'):.0f}, "
-            f"longest pause {1e3 * figure('longest_pause'):.0f} ms; "
-            f"the arm was at most {figure('farthest'):.3f} rad off"
+            f"commands {motion.commands:.0f}, "
+            f"longest pause {1e3 * motion.longest_pause:.0f} ms; "
+            f"the arm was at most {motion.farthest:.3f} rad off"
         )
 
     @contextmanager
@@ -137,7 +142,7 @@ class RobotLink:
         """The simulated time that the arm is at, at a time of the wall clock just now [s]."""
         if not math.isnan(self._rehearsed_since):
             return self.rate * (stamp - self._rehearsed_since)
-        return self.motion.figure("played") - self.rate * (self.clock() - stamp)
+        return self.motion.played - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
         """Where the arm is, once it may be moved from there.
@@ -160,7 +165,7 @@ class RobotLink:
             self.wait()
         # Whoever else commands is heard by now.
         listened = self.clock()
-        while self.clock() - listened < 2.0 * self.rules.silence:
+        while self.clock() - listened < 2.0 * SILENCE:
             self.wait()
         if self.motion.state is not PlayerState.READY:
             raise HardwareError(self._why())
@@ -172,16 +177,16 @@ class RobotLink:
             raise HardwareError(
                 f"{name[j]} is at {q[j]:.4g} rad, out of [{low[j]:.4g}, {high[j]:.4g}]"
             )
-        if np.abs(v).max() > self.rules.start_speed:
+        if np.abs(v).max() > _START_SPEED:
             j = int(np.argmax(np.abs(v)))
             raise HardwareError(f"{name[j]} moves at {v[j]:.3g} rad/s; the arm has to rest")
         away = np.abs(q - q_start)
-        if away.max() > self.rules.start_tolerance:
+        if away.max() > _START_TOLERANCE:
             j = int(np.argmax(away))
             raise HardwareError(
                 f"{name[j]} is at {q[j]:.4g} rad, {away[j]:.3g} from where the scenario begins; "
                 f"move the arm to {np.round(q_start, 4).tolist()} rad, to within "
-                f"{self.rules.start_tolerance:g}"
+                f"{_START_TOLERANCE:g}"
             )
         return q
 
@@ -203,7 +208,7 @@ class RobotLink:
         motion = self.motion
         motion.write_planned(t, q)
         self._hear(t)
-        while t > motion.figure("played") + self.rules.lead:
+        while t > motion.played + LEAD:
             try:
                 self._raise_if_asked()
             except KeyboardInterrupt:
@@ -249,7 +254,7 @@ class CommandStream(LeafSystem):
       anything moves.
 
     It publishes at initialization and every `period`, and waits there while simulated time is
-    farther ahead of the arm than `PlayerRules.lead`.
+    farther ahead of the arm than `LEAD`.
     """
 
     def __init__(
@@ -272,12 +277,12 @@ class CommandStream(LeafSystem):
         self._state = self.DeclareVectorInputPort("robot_state", num_states)
         self._seen = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self.DeclareInitializationPublishEvent(self._begin)
-        self.DeclarePeriodicPublishEvent(link.rules.period, 0.0, self._publish)
+        self.DeclarePeriodicPublishEvent(COMMAND_PERIOD, 0.0, self._publish)
 
     def _begin(self, context: Context) -> EventStatus:
         if self._seen.HasValue(context):
             seen: ObstacleClouds = self._seen.Eval(context)
-            check_table(seen, self._table, self._link.rules)
+            check_table(seen, self._table)
         return EventStatus.Succeeded()
 
     def _publish(self, context: Context) -> EventStatus:
@@ -286,7 +291,7 @@ class CommandStream(LeafSystem):
         return EventStatus.Succeeded()
 
 
-def check_table(seen: ObstacleClouds, table: TablePlane | None, rules: PlayerRules) -> None:
+def check_table(seen: ObstacleClouds, table: TablePlane | None) -> None:
     """Whether the camera sees the table where it is, as one whose pose is right does.
 
     Raises:
@@ -298,11 +303,11 @@ def check_table(seen: ObstacleClouds, table: TablePlane | None, rules: PlayerRul
         raise HardwareError(f"the camera does not see the table: {seen.note or 'no plane found'}")
     off = seen.table.offset - table.offset
     tilt = math.acos(min(1.0, abs(float(seen.table.normal_W @ table.normal_W))))
-    if abs(off) > rules.table_tolerance or tilt > rules.table_tilt:
+    if abs(off) > _TABLE_TOLERANCE or tilt > _TABLE_TILT:
         raise HardwareError(
             f"the camera sees the table {1e3 * off:+.0f} mm from where it is, and tilted by "
             f"{math.degrees(tilt):.1f} deg: its pose X_PB in the scenario does not fit "
-            f"({1e3 * rules.table_tolerance:.0f} mm and {math.degrees(rules.table_tilt):.1f} deg "
+            f"({1e3 * _TABLE_TOLERANCE:.0f} mm and {math.degrees(_TABLE_TILT):.1f} deg "
             "may be off)"
         )
 

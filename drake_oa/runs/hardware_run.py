@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.hardware.command_player import LEAD
 from drake_oa.hardware.hardware_cell import add_hardware, arm_of, hardware_scenario
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
@@ -31,6 +32,8 @@ from drake_oa.world.station import release_cameras
 
 _REHEARSED = 0.3
 """Simulated time in which every layer has had its turn [s]."""
+_IMAGE_DELAY = 0.05
+"""Additional delay of images by the wall clock for which the supervisor does not slow down [s]."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ def ready(
         HardwareError: if the arm is silent, not where the scenario begins, out of limits, moves
             or is commanded by somebody else, or the camera does not see the table where it is.
     """
-    late = link.rules.lead + link.rate * link.rules.image_delay
+    late = LEAD + link.rate * _IMAGE_DELAY
     known = hardware_scenario(scenario, lcm_url, late)
     arm, limits = arm_of(known)
     q = start_positions(known)

@@ -12,7 +12,6 @@ import pytest
 from pydantic import ValidationError
 
 from drake_oa.common.config import ScenarioError, json_schema, read_yaml, validate
-from drake_oa.hardware.command_player import CommandRules, PlayerRules
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inertias import Inertia
 from drake_oa.safety.config import EvasionSettings, SupervisorSettings
@@ -31,7 +30,7 @@ def blocks_in(kind: Any) -> set[Any]:
     return set().union(*map(blocks_in, typing.get_args(kind)))
 
 
-OTHERS = {CommandRules, EvasionSettings, Inertia, PlayerRules, SupervisorSettings}
+OTHERS = {EvasionSettings, Inertia, SupervisorSettings}
 BLOCKS = sorted(blocks_in(Scenario) | OTHERS, key=lambda block: block.__name__)
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 from pydrake.lcm import DrakeLcm
 
-from drake_oa.hardware.command_player import PlayerRules
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario
@@ -54,7 +53,6 @@ class Lockstep:
         scenario: str = "tabletop_box",
         *,
         images: bool = False,
-        rules: PlayerRules | None = None,
         log: bool = False,
     ) -> None:
         # Each its own, which nobody of before speaks on.
@@ -72,7 +70,6 @@ class Lockstep:
         )
         self.link = RobotLink(
             self.url,
-            rules=rules,
             lcm=self.lcm,
             wait=self.step,
             clock=self.clock,

@@ -6,7 +6,7 @@ from drake import lcmt_panda_command
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drake_oa.hardware.command_player import CommandGuard, CommandRules
+from drake_oa.hardware.command_player import SLACK, SPEED_SHARE, CommandGuard
 from drake_oa.robot.plant import RobotLimits
 
 N, PERIOD, START = 7, 0.005, 1000.0
@@ -19,7 +19,7 @@ LIMITS = RobotLimits(
 
 
 def guard() -> CommandGuard:
-    return CommandGuard(np.zeros(N), LIMITS, CommandRules())
+    return CommandGuard(np.zeros(N), LIMITS)
 
 
 def command(q: float, now: float, **fields: object) -> lcmt_panda_command:
@@ -102,14 +102,14 @@ def test_passes_over_what_is_not_of_now(shift: float) -> None:
 def test_no_commands_move_it_out_of_limits_or_faster_than_it_can(
     commands: list[tuple[float, float]],
 ) -> None:
-    any_guard, now, rules = guard(), START, CommandRules()
+    any_guard, now = guard(), START
     before, at = np.zeros(N), START
     for q, wait in commands:
         now += wait
         if any_guard.receive(command(q, now), now):
             after = any_guard.desired(now)[0].copy()
             assert (np.abs(after) <= 2.0).all()
-            far = rules.slack + rules.speed_share * 2.0 * (now - at) + 1e-4
+            far = SLACK + SPEED_SHARE * 2.0 * (now - at) + 1e-4
             assert (np.abs(after - before) <= far).all()
             before, at = after, now
         np.testing.assert_array_equal(any_guard.desired(now)[0], before)

@@ -9,6 +9,7 @@ from pydrake.manipulation import PandaControlMode
 
 from drake_oa.hardware.command_player import (
     COMMAND_CHANNEL,
+    SILENCE,
     STATUS_CHANNEL,
     PlayerState,
 )
@@ -43,9 +44,9 @@ def test_the_arm_does_what_is_written_and_comes_to_rest_at_its_end() -> None:
     assert both.link.player.finished
     np.testing.assert_allclose(both.station.q, goal, atol=2e-3)
     assert both.station.pace.rejected == 0
-    assert both.link.motion.figure("farthest") < 5e-3
+    assert both.link.motion.farthest < 5e-3
     # Full speed all the way: the pace lacks only its ramp and the lead.
-    assert both.clock.now - EPOCH < 2.0 + 0.2 + 0.5 + 2 * both.link.rules.silence
+    assert both.clock.now - EPOCH < 2.0 + 0.2 + 0.5 + 2 * SILENCE
 
 
 def test_an_arm_that_was_moved_since_it_was_looked_at_is_not_driven() -> None:

@@ -15,7 +15,7 @@ from pydrake.lcm import DrakeLcm
 from drake_oa.app.main import main
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.hardware.command_player import STATUS_CHANNEL, PlayerRules
+from drake_oa.hardware.command_player import STATUS_CHANNEL
 from drake_oa.hardware.hardware_cell import hardware_scenario
 from drake_oa.hardware.robot_link import HardwareError, check_table
 from drake_oa.runs.hardware_run import drive, ready, station_log
@@ -76,17 +76,17 @@ def test_what_is_of_the_simulated_world_is_refused() -> None:
 
 
 def test_a_camera_that_is_not_where_it_should_be_is_told() -> None:
-    rules, table = PlayerRules(), TablePlane()
+    table = TablePlane()
     seen = ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.01))
-    check_table(seen, table, rules)
-    check_table(ObstacleClouds(), None, rules)
+    check_table(seen, table)
+    check_table(ObstacleClouds(), None)
     with pytest.raises(HardwareError, match=r"\+20 mm from where it is"):
-        check_table(ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.02)), table, rules)
+        check_table(ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.02)), table)
     tilted = TablePlane(normal_W=np.array([0.0, np.sin(0.05), np.cos(0.05)]))
     with pytest.raises(HardwareError, match=r"tilted by 2\.9 deg"):
-        check_table(ObstacleClouds(stamp=0.0, table=tilted), table, rules)
+        check_table(ObstacleClouds(stamp=0.0, table=tilted), table)
     with pytest.raises(HardwareError, match="does not see the table: no valid pixel"):
-        check_table(ObstacleClouds(note="no valid pixel"), table, rules)
+        check_table(ObstacleClouds(note="no valid pixel"), table)
 
 
 COMMAND = [sys.executable, "-m", "drake_oa.app.main"]
