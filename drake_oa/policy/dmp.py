@@ -153,8 +153,7 @@ class Dmp(Frozen):
     def kernel(self) -> Primitive:
         """As the kernels take it."""
         basis = np.vstack([self.centers, self.widths, self.weights])
-        alpha_x, beta_x, alpha_k = map(float, (self.alpha_x, self.beta_x, self.alpha_k))
-        return Primitive(alpha_x, beta_x, alpha_k, float(self.duration), basis)
+        return Primitive(self.alpha_x, self.beta_x, self.alpha_k, self.duration, basis)
 
     @property
     def dimension(self) -> int:
