@@ -6,8 +6,10 @@ own distance and contact queries: nothing that steered the motion judges it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,12 +23,12 @@ from pydrake.geometry import (
 from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, FloatArray
+from drake_oa.common.messages import OUT_OF_WORLD, BoolArray, EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.geometry.solids import read_solid, solids_of
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import TOOL_FRAME
-from drake_oa.scenario.loading import scenario_text
+from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
 
@@ -233,13 +235,8 @@ class RobotJudge:
             q_world: (n,) all positions of the station's plant.
         """
         query = self._query_at(q, q_world)
-        found, least = None, OUT_OF_WORLD
-        for bound, i, j in self._pairs():
-            if bound >= least:
-                break
-            hit = self._closest_points(query, i, j)
-            if hit.distance < least:
-                found, least = hit, hit.distance
+        bounds = self._bounds()
+        found = self._closest(query, bounds, np.ones(bounds.shape, dtype=bool))
         if found is None:
             return None
         p_WA = query.GetPoseInWorld(found.id_A) @ found.p_ACa
@@ -264,41 +261,43 @@ class RobotJudge:
             known[pair] = max(known.get(pair, 0.0), hit.depth)
         return found, own
 
-    def _pairs(self) -> Iterator[tuple[float, int, int]]:
-        """Yields lower bounds of distances [m] in ascending order.
+    def _bounds(self) -> FloatArray:
+        """Returns lower bounds (I, J) of the robot's distances to the obstacles [m].
 
-        Each with the indices of a geometry of the robot and one of the obstacles.
+        No pair of geometries is nearer than the balls around both.
         """
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
-        # No pair is nearer than the balls around both.
-        bound = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
-        for pair in np.argsort(bound, axis=None):
-            i, j = divmod(int(pair), bound.shape[1])
-            yield bound[i, j], i, j
+        return np.asarray(np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius)
 
-    def _closest_points(self, query: QueryObject, i: int, j: int) -> SignedDistancePair:
-        return query.ComputeSignedDistancePairClosestPoints(
-            self._robot_balls.geometries[i], self._obstacle_balls.geometries[j]
-        )
+    def _closest(
+        self, query: QueryObject, bounds: FloatArray, counts: BoolArray
+    ) -> SignedDistancePair | None:
+        """Returns the closest of the pairs (I, J) that count; None if all are out of the world."""
+        found, least = None, OUT_OF_WORLD
+        for pair in np.argsort(bounds, axis=None):
+            i, j = divmod(int(pair), bounds.shape[1])
+            if bounds[i, j] >= least:
+                break
+            if counts[i, j]:
+                hit = query.ComputeSignedDistancePairClosestPoints(
+                    self._robot_balls.geometries[i], self._obstacle_balls.geometries[j]
+                )
+                if hit.distance < least:
+                    found, least = hit, hit.distance
+        return found
 
-    def _clearances(self, query: QueryObject) -> FloatArray:
-        """Returns (3,) least distances to the obstacles that are there [m].
+    def _clearances(self, query: QueryObject) -> list[float]:
+        """Returns least distances to the obstacles that are there [m].
 
         Of the robot, of the tool, and of the tool to what never moves.
         """
-        least = np.full(3, np.inf)
-        sought = np.array([True, self._tool.any(), bool(self._tool.any() and self._rests.any())])
-        for bound, i, j in self._pairs():
-            if bound >= min(least[sought].max(), OUT_OF_WORLD):
-                break
-            counts = np.array([True, self._tool[i], self._tool[i] and self._rests[j]])
-            counts &= bound < least
-            if counts.any():
-                least[counts] = np.minimum(
-                    least[counts], self._closest_points(query, i, j).distance
-                )
-        return least
+        bounds, tool = self._bounds(), self._tool[:, None]
+        found = [
+            self._closest(query, bounds, np.broadcast_to(counts, bounds.shape))
+            for counts in (np.True_, tool, tool & self._rests)
+        ]
+        return [math.inf if pair is None else pair.distance for pair in found]
 
 
 class _Balls:
@@ -323,19 +322,15 @@ class _Balls:
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], self._p_BC) + poses[:, :, 3])
 
 
-_JUDGES: dict[str, RobotJudge] = {}
-"""Judges of this process by the text of their scenarios."""
-_MOST_JUDGES = 4
+@lru_cache(maxsize=4)
+def _judge_of(text: str) -> RobotJudge:
+    """Returns the judge of the robot in the text of a scenario."""
+    return RobotJudge(parse_scenario(text))
 
 
 def robot_judge(scenario: Scenario) -> RobotJudge:
     """Returns the judge of a scenario's robot; its station is built once for equal scenarios."""
-    text = scenario_text(scenario)
-    if text not in _JUDGES:
-        _JUDGES[text] = RobotJudge(scenario)
-    while len(_JUDGES) > _MOST_JUDGES:
-        del _JUDGES[next(iter(_JUDGES))]
-    return _JUDGES[text]
+    return _judge_of(scenario_text(scenario))
 
 
 def robot_metrics(

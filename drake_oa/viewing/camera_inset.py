@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.perception import BaseField, Fields, PointCloud
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds
-from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.pinhole import View, pixel_at
 from drake_oa.viewing.viewer import floor_frame, looking_pose
 
 _PATH = "/drake_oa/inset"
@@ -28,31 +28,24 @@ def depth_picture(view: View, seen: ObstacleClouds, columns: int = _COLUMNS) -> 
     Args:
         view: the image, depth (H, W) [m].
         seen: what it was segmented into.
-        columns: of the picture.
+        columns: about how many the picture has.
 
     Returns:
-        (h, columns, 3) in [0, 1], of the image's proportions.
+        (h, w, 3) in [0, 1], each `stride` pixels of the image.
     """
-    rows = round(columns * view.z.shape[0] / view.z.shape[1])
-    down = np.linspace(0, view.z.shape[0] - 1, rows).round().astype(int)
-    across = np.linspace(0, view.z.shape[1] - 1, columns).round().astype(int)
-    z = view.z[np.ix_(down, across)]
+    stride = max(1, view.z.shape[1] // columns)
+    z = view.z[::stride, ::stride]
     there = np.isfinite(z) & (z > 0.0)
-    picture = np.empty((rows, columns, 3))
-    picture[:] = _MISSING
+    picture = np.tile(_MISSING, (*z.shape, 1))
     if there.any():
         low, high = np.percentile(z[there], [2, 98])
         share = np.clip((z[there] - low) / max(high - low, 1e-3), 0.0, 1.0)[:, None]
         picture[there] = (1.0 - share) * _NEAR + share * _FAR
-    scale = np.array([columns / view.z.shape[1], rows / view.z.shape[0]])
     R_WC, p_WC = view.X_WC[:3, :3], view.X_WC[:3, 3]
     for name, cloud_W in zip(seen.ids, seen.clouds_W, strict=True):
-        p_C = (np.asarray(cloud_W) - p_WC) @ R_WC
-        p_C = p_C[p_C[:, 2] > 1e-3]
-        pixel = p_C[:, :2] / p_C[:, 2:] * view.K[:2] + view.K[2:]
-        column, row = (pixel * scale).astype(int).T
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        picture[row[inside], column[inside]] = _OBSTACLES[int(name) % len(_OBSTACLES)]
+        pixel = pixel_at((np.asarray(cloud_W) - p_WC) @ R_WC, z.shape, view.K / stride)
+        color = _OBSTACLES[int(name) % len(_OBSTACLES)]
+        picture.reshape(-1, 3)[pixel[pixel >= 0]] = color
     return picture
 
 

@@ -24,7 +24,7 @@ def test_near_is_light_missing_dark_and_obstacles_are_coloured() -> None:
         | np.isclose(picture, far_grey).all(axis=2)
         | np.isclose(picture, picture[0, 4]).all(axis=2)
     )
-    assert np.argwhere(coloured).tolist() == [[11, 15]]
+    assert np.argwhere(coloured).tolist() == [[12, 16]]
 
 
 def test_an_image_without_depth_is_dark() -> None:
