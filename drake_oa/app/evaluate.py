@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -493,10 +492,6 @@ def _named(texts: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(name.strip() for name in names))
 
 
-_RUN = 15.0
-"""About what a run of the robot takes on one core [s]: docs/results/panda.md."""
-
-
 def run_suites(
     runs: Runs,
     suites: Sequence[PandaSuite],
@@ -530,11 +525,6 @@ def run_suites(
     check_outputs(runs.json)
     keeping = _keeping(runs, suites)
     jobs = 1 if runs.scheduler is not None else runs.jobs or cpu_count()
-    count = sum(suite.scenes * len(suite.methods) for suite in suites)
-    minutes = count * _RUN / jobs / 60.0
-    if minutes >= 1.0:
-        told = f"{count} runs, {jobs} side by side: some {minutes:.0f} minutes"
-        print(f"{told}; after an interruption the same command goes on", file=sys.stderr)
     results: list[PandaResults] = []
     with counted(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
         for suite in suites:

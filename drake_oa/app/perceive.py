@@ -126,7 +126,7 @@ def perceive(
     for path in paths:
         try:
             frame = read_frame(path, K=K, depth_scale=depth_scale)
-            perceived = perceive_frame(frame, tool_W, X_WC=X_WC, config=config)
+            perceived = perceive_frame(frame, tool_W, config, X_WC=X_WC)
         except (ValueError, OSError) as error:
             complain(str(error))
             results.append({"file": str(path), "error": str(error)})
@@ -210,9 +210,9 @@ class PerceivedFrame:
 def perceive_frame(
     frame: RecordedFrame,
     tool_W: FloatArray,
+    config: SegmentationConfig,
     *,
     X_WC: FloatArray | None = None,
-    config: SegmentationConfig | None = None,
     repeats: int = 5,
 ) -> PerceivedFrame:
     """Segments a frame, encloses its clusters, and measures the time.
@@ -221,8 +221,8 @@ def perceive_frame(
         frame: a depth image with K, or points.
         tool_W: (K, 3) corners of the tool about its reference point, in the orientation of W
             [m]; [[0, 0, 0]] for a point.
+        config: parameters of the segmentation.
         X_WC: (4, 4) pose of the camera for a frame that does not hold one; None: unknown.
-        config: parameters of the segmentation; None for the defaults.
         repeats: number of measurements of the time, after a first call.
 
     Raises:
@@ -231,12 +231,11 @@ def perceive_frame(
     import numpy as np
 
     from drake_oa.geometry.ellipsoid import enclosing_ellipsoid
-    from drake_oa.perception.config import SegmentationConfig
     from drake_oa.perception.depth_image import back_projected
     from drake_oa.perception.recorded_perception import segment_frame
 
     def work() -> tuple[FloatArray, Segmentation, list[Ellipsoid]]:
-        found = segment_frame(frame, X_WC, config or SegmentationConfig())
+        found = segment_frame(frame, X_WC, config)
         points = np.asarray(frame.points, dtype=float)
         if frame.depth is not None and frame.K is not None:
             z = np.require(frame.depth, np.float32, ["C", "W"])

@@ -41,6 +41,7 @@ from drake_oa.common.files import (
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
+    from pydrake.lcm import DrakeLcm
 
     from drake_oa.runs.motion_log import MotionLog
     from drake_oa.runs.page import LivePanel
@@ -159,9 +160,7 @@ def run(
 
     chosen = open_scenario(scenario, overrides, html, json, log)
     if hardware:
-        from drake_oa.common.config import check_lcm_url
-
-        check_lcm_url(lcm_url, "--lcm-url")
+        _open_bus(lcm_url)
     elif rate != 1.0 or lcm_url != LCM_URL:
         raise ValueError("--lcm-url and --rate need --hardware")
     viewer = None
@@ -238,20 +237,13 @@ def station(
         duration: end after so many simulated seconds.
         log: write what the arm did here, and print what it kept and touched.
     """
-    from pydrake.lcm import DrakeLcm
-
-    from drake_oa.common.config import check_lcm_url
     from drake_oa.hardware.panda_station import PandaStation
     from drake_oa.runs.hardware_run import station_log
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.report import contact_error, report_table, run_report
 
     chosen = open_scenario(scenario, overrides, log)
-    check_lcm_url(lcm_url, "--lcm-url")
-    try:
-        lcm = DrakeLcm(lcm_url)
-    except RuntimeError as error:
-        raise ValueError(f"--lcm-url: {lcm_url}: {error}") from None
+    lcm = _open_bus(lcm_url)
     with build_errors():
         arm = PandaStation(
             chosen,
@@ -293,6 +285,19 @@ def station(
         complain(f"cut short: {type(failure).__name__}: {failure}")
         return FAILED
     return TERMINATED if isinstance(failure, Terminated) else status
+
+
+def _open_bus(lcm_url: str) -> DrakeLcm:
+    """Opens the bus of --lcm-url."""
+    from pydrake.lcm import DrakeLcm
+
+    from drake_oa.common.config import check_lcm_url
+
+    check_lcm_url(lcm_url, "--lcm-url")
+    try:
+        return DrakeLcm(lcm_url)
+    except RuntimeError as error:
+        raise ValueError(f"--lcm-url: {lcm_url}: {error}") from None
 
 
 @contextlib.contextmanager

@@ -81,7 +81,7 @@ class RobotLink:
             clock: the wall clock [s].
 
         Raises:
-            ValueError: if the rate is not above 0 and at most 1, or LCM does not accept the URL.
+            ValueError: if the rate is not above 0 and at most 1.
         """
         self.motion, self.rate = shared_motion(), rate
         self._url, self.wait, self.clock = lcm_url, wait, clock
@@ -94,10 +94,6 @@ class RobotLink:
             self.player = CommandPlayer(self.motion, lcm, rate)
             return
         check_rate(rate)
-        try:
-            DrakeLcm(lcm_url)
-        except RuntimeError as error:
-            raise ValueError(f"lcm_url: {lcm_url}: {error}") from None
         self._process = multiprocessing.get_context("spawn").Process(
             target=play,
             args=(self.motion, lcm_url, rate, os.getpid()),

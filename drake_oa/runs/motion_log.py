@@ -250,13 +250,12 @@ def pack_ellipsoids(frames: Sequence[EllipsoidSet]) -> dict[str, Any]:
         `observation_stamp`, `p_WO`, `R_WO`, `semi_axes`, `v_WO` and `obstacle_id`.
     """
     shape = (len(frames), max(map(len, frames), default=0))
-    packed = {
-        "p_WO": np.full((*shape, 3), np.nan),
-        "R_WO": np.full((*shape, 3, 3), np.nan),
-        "semi_axes": np.full((*shape, 3), np.nan),
-        "v_WO": np.full((*shape, 3), np.nan),
-        "ids": np.full(shape, -1, dtype=np.int64),
+    empty = EllipsoidSet()
+    packed: dict[str, np.ndarray] = {
+        name: np.full((*shape, *getattr(empty, name).shape[1:]), np.nan)
+        for name in ("p_WO", "R_WO", "semi_axes", "v_WO")
     }
+    packed["ids"] = np.full(shape, -1, dtype=np.int64)
     for row, frame in enumerate(frames):
         for name, array in packed.items():
             array[row, : len(frame)] = getattr(frame, name)
@@ -275,11 +274,11 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
         if name.startswith(DECISION_SIGNAL):
             begun = np.unique(rows[np.isfinite(rows).all(axis=1)], axis=0)
             found += [(*row, name.removeprefix(DECISION_SIGNAL)) for row in begun.tolist()]
-    found.sort()
+    times, costs, layers = zip(*sorted(found), strict=True) if found else [()] * 3
     return {
-        "decision_time": np.array([time for time, _, _ in found]),
-        "decision_cost": np.array([cost for _, cost, _ in found]),
-        "decision_layer": tuple(layer for _, _, layer in found),
+        "decision_time": np.array(times),
+        "decision_cost": np.array(costs),
+        "decision_layer": layers,
     }
 
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatCone, Rgba, Shape, Sphere
+from pydrake.geometry import Capsule, Cylinder, Meshcat, Rgba, Shape, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import PointCloud
@@ -92,7 +92,7 @@ class MeshcatOverlay(LeafSystem):
     planned path. Red: the executed one. Round the point of the baseline where an
     obstacle's side is decided: the cost rings from inside to outside in the order of
     `Route.costs`, green where a direction costs nothing, yellow at 0.5, red where it costs 1;
-    the magenta arrow is the chosen one. Rings are shown of obstacles that bend the motion only.
+    the magenta line is the chosen one. Rings are shown of obstacles that bend the motion only.
 
     Everything is under "/drake_oa" in the scene tree, a folder for each of `LAYERS`, and is
     recorded when Meshcat records: a recording holds transforms and properties but no objects,
@@ -231,18 +231,6 @@ class MeshcatOverlay(LeafSystem):
         R = RotationMatrix.MakeFromOneVector(way, 2)
         self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + p_to)))
 
-    def _arrow(self, path: str, length: float, radius: float, color: Color) -> None:
-        """Sets an arrow from the path's origin along its x axis [m]."""
-        head = 7.0 * radius
-        for name, shape, turn, x in (
-            ("shaft", Cylinder(radius, length - head), 0.5 * np.pi, 0.5 * (length - head)),
-            # Its apex is its origin, from where it opens along z.
-            ("head", MeshcatCone(head, 2.4 * radius, 2.4 * radius), -0.5 * np.pi, length),
-        ):
-            X = RigidTransform(RotationMatrix.MakeYRotation(turn), [x, 0.0, 0.0])
-            self._meshcat.SetObject(f"{path}/{name}", shape, Rgba(*color))
-            self._meshcat.SetTransform(f"{path}/{name}", X)
-
     def _show_path(self, path: str, visible: bool, time: float) -> None:
         """Shows or hides a path from a time on."""
         self._meshcat.SetProperty(path, "visible", visible, time)
@@ -267,7 +255,8 @@ class MeshcatOverlay(LeafSystem):
             # What is inside or behind it stays visible.
             meshcat.SetProperty(f"{body}/<object>", "material.depthWrite", False)
             self._solid(f"{path}/section/shape", Cylinder(1.0, 0.02), drawing.SECTION, 0.6)
-            self._arrow(f"{_ROOT}/decision/{slot}/direction", length, 0.0055, drawing.CHOSEN)
+            line = f"{_ROOT}/decision/{slot}/direction/line"
+            self._segment(line, np.zeros(3), np.array([length, 0.0, 0.0]), 0.0055, drawing.CHOSEN)
         self._draw_planned(read_value(self, self._policy, context, PolicyState))
         for path, edges_C, _ in self._connected_cameras(context):
             start, end = edges_C[:, 0].T, edges_C[:, 1].T

@@ -10,7 +10,6 @@ from pydrake.geometry import (
     ClippingRange,
     ColorRenderCamera,
     GeometryInstance,
-    LightParameter,
     MakeRenderEngineVtk,
     PerceptionProperties,
     RenderCameraCore,
@@ -49,7 +48,6 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     Raises:
         ScenarioError: naming the field that does not fit.
     """
-    # Here: takes a second.
     scenario = simulated(copy.deepcopy(scenario))
     for config in scenario.cameras:
         config.output_delay = 0.0
@@ -66,11 +64,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         properties.AddProperty("phong", "diffuse", color)
         ball.set_perception_properties(properties)
         graph.RegisterAnchoredGeometry(source, ball)
-    lamps = [
-        LightParameter(type="directional", frame="world", direction=direction, intensity=power)
-        for direction, power in (([-1.0, 0.8, -1.5], 1.6), ([1.0, 1.0, -0.5], 0.7))
-    ]
-    params = RenderEngineVtkParams(default_clear_color=[0.93, 0.95, 0.97], lights=lamps)
+    params = RenderEngineVtkParams(default_clear_color=[0.93, 0.95, 0.97])
     give_normals(graph, source)
     graph.AddRenderer(_RENDERER, MakeRenderEngineVtk(params))
     station.plant.SetDefaultPositions(station.robot, start_positions(scenario))

@@ -42,7 +42,7 @@ def test_clusters_are_enclosed_and_named_by_their_pixels(depth, points, pose, ki
     frame = RecordedFrame(tmp_path, 0.0, depth, K)
     if kind == "cloud":
         frame = RecordedFrame(tmp_path, 0.0, points=points)
-    found = perceive_frame(frame, TOOL, X_WC=pose, repeats=1).as_json()
+    found = perceive_frame(frame, TOOL, SegmentationConfig(), X_WC=pose, repeats=1).as_json()
     assert found["valid"] == np.isfinite(depth).sum()
     assert_allclose(found["plane"]["normal"], X_WC[2, :3], atol=2e-3)
     assert found["plane"]["offset"] == pytest.approx(-0.8, abs=2e-3)
@@ -109,7 +109,7 @@ def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth,
 def test_in_real_scans_no_object_is_lost_and_no_table_taken(scan_files):
     for path in scan_files:
         config = SegmentationConfig(far=1.5)
-        found = perceive_frame(read_frame(path), TOOL, config=config, repeats=1)
+        found = perceive_frame(read_frame(path), TOOL, config, repeats=1)
         assert len(found.ellipsoids) == GROUPS[path.stem], path.stem
         assert all(ellipsoid.gauge <= 1.0 + 1e-9 for ellipsoid in found.ellipsoids)
         with np.load(path) as scan:

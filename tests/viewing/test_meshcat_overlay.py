@@ -99,8 +99,7 @@ def test_pool_is_set_at_the_start(meshcat):
     for slot in (0, 7):
         for part in ("ellipsoid/shape", "section/shape"):
             assert meshcat.HasPath(f"{ROOT}/descriptor/{slot}/{part}")
-        for part in ("direction/shaft", "direction/head"):
-            assert meshcat.HasPath(f"{ROOT}/decision/{slot}/{part}")
+        assert meshcat.HasPath(f"{ROOT}/decision/{slot}/direction/line")
     assert not meshcat.HasPath(f"{ROOT}/descriptor/8")
     for part in ("start", "goal", "path"):
         assert meshcat.HasPath(f"{ROOT}/motion/planned/{part}")
