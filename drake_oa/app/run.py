@@ -367,7 +367,7 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
     with contextlib.closing(link):
         print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)
         with build_errors():
-            driven = ready(this.scenario, link, lcm_url=lcm_url, meshcat=this.meshcat)
+            driven = ready(this.scenario, link, this.meshcat)
         print("the arm is ready", file=sys.stderr)
         this.scenario = driven.known
         panel = _open_panel(this)

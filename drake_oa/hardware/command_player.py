@@ -426,7 +426,6 @@ class CommandGuard:
 
     Attributes:
         events: message whenever its behavior changed.
-        rejected: how many commands were not followed.
     """
 
     def __init__(self, q: FloatArray, limits: RobotLimits, expiry: float = 0.1) -> None:
@@ -451,7 +450,6 @@ class CommandGuard:
         self._refused: FloatArray | None = None
         self._latched = False
         self.events: list[str] = []
-        self.rejected = 0
 
     def receive(self, command: lcmt_panda_command, now: float) -> bool:
         """Takes a command, or says why not.
@@ -467,7 +465,6 @@ class CommandGuard:
         age = now - MICROSECOND * command.utime
         if abs(age) > self._expiry:
             self._log(f"command passed over: its stamp is {age:.3f} s before the wall clock")
-            self.rejected += 1
             return False
         why = self._why_not(command)
         self._heard = now
@@ -534,7 +531,6 @@ class CommandGuard:
         return ""
 
     def _refuse(self, command: lcmt_panda_command, why: str) -> None:
-        self.rejected += 1
         if not self._latched:
             self._latched = True
             self._refused = np.array(command.joint_position)

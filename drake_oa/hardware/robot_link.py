@@ -54,6 +54,7 @@ class RobotLink:
     Attributes:
         motion: what both share.
         rate: simulated seconds in one of the wall clock, at most.
+        url: of the bus.
         clock: the wall clock [s].
         wait: what is done while something is waited for.
         player: in this process, or None.
@@ -84,7 +85,7 @@ class RobotLink:
             ValueError: if the rate is not above 0 and at most 1.
         """
         self.motion, self.rate = shared_motion(), rate
-        self._url, self.wait, self.clock = lcm_url, wait, clock
+        self.url, self.wait, self.clock = lcm_url, wait, clock
         self._raise_if_asked = raise_if_asked
         self.events: list[tuple[float, str]] = []
         self._rehearsed_since = math.nan
@@ -214,7 +215,7 @@ class RobotLink:
             self._hear(t)
 
     def _why(self) -> str:
-        return f"{self.motion.note or 'no status of the arm'} ({self._url})"
+        return f"{self.motion.note or 'no status of the arm'} ({self.url})"
 
     def _hear(self, t: float) -> None:
         """Takes down what the player says; raises if it has stopped the arm."""

@@ -51,15 +51,12 @@ class Driven:
     diagram: Diagram
 
 
-def ready(
-    scenario: Scenario, link: RobotLink, *, lcm_url: str, meshcat: Meshcat | None = None
-) -> Driven:
+def ready(scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None) -> Driven:
     """Looks whether the arm may be moved, builds what is to move it, and rehearses its beginning.
 
     Args:
         scenario: what to run.
-        link: to the arm.
-        lcm_url: of the bus that the images come by.
+        link: to the arm; the images come by the same bus.
         meshcat: viewer, or None.
 
     Raises:
@@ -68,7 +65,7 @@ def ready(
             or is commanded by somebody else, or the camera does not see the table where it is.
     """
     late = LEAD + link.rate * _IMAGE_DELAY
-    known = hardware_scenario(scenario, lcm_url, late)
+    known = hardware_scenario(scenario, link.url, late)
     arm, limits = arm_of(known)
     q = start_positions(known)
     q[arm] = link.ready_arm(q[arm], limits)

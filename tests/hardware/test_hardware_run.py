@@ -27,7 +27,7 @@ from tests.test_systems import checked_systems
 
 
 def run(both: Lockstep, duration: float | None = None) -> MotionLog:
-    driven = ready(both.scenario, both.link, lcm_url=both.url)
+    driven = ready(both.scenario, both.link)
     assert checked_systems(driven.diagram) >= {"CommandStream", "MeasuredState", "LiveCamera"}
     for _ in range(25):
         both.step()
