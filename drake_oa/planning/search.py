@@ -560,8 +560,8 @@ class ArmSearch(Search):
             s = self.sample_times(path.shape[1], stride)
             self._led[stride] = s, *self.leading.at(s)
         s, R_WE, q = self._led[stride]
-        led = (np.broadcast_to(of[:T], (len(path), T, of.shape[1])) for of in (R_WE, q))
-        paths = ToolPaths(s[:T], path[:, :T], *led, self.seconds(genes))
+        R_WE, q = (np.broadcast_to(of[:T], (len(path), T, of.shape[1])) for of in (R_WE, q))
+        paths = ToolPaths(s[:T], path[:, :T], R_WE, q, self.seconds(genes))
         return roll_out_arm(self.world, self.q, paths, enough)
 
     def rollout(
@@ -591,7 +591,7 @@ _Rollouts = TypeVar("_Rollouts", ToolRollouts, "ArmRollouts")
 def _row(rollouts: _Rollouts, row: int) -> _Rollouts:
     """Returns the roll-outs of one candidate."""
     values = {item.name: getattr(rollouts, item.name) for item in fields(rollouts)}
-    rows = {
+    rows: dict[str, Any] = {
         name: value[row : row + 1]
         for name, value in values.items()
         if isinstance(value, np.ndarray)
