@@ -11,8 +11,7 @@ from pydrake.systems.primitives import ConstantValueSource
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, PlannedMotion
 from drake_oa.common.wires import Wires
-from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
-from drake_oa.control.integral_action import IntegralAction
+from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics, IntegralAction
 from drake_oa.diagrams.motion import make_dmp
 from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.perception.config import GroundTruth

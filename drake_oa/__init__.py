@@ -32,7 +32,7 @@ _SYSTEMS = {
     "Supervisor": "safety.supervisor",
     "ObstacleEvasion": "safety.obstacle_evasion",
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
-    "IntegralAction": "control.integral_action",
+    "IntegralAction": "control.cartesian_inverse_dynamics",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
 """Class -> its module below this package."""

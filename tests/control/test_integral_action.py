@@ -5,7 +5,11 @@ import pytest
 from pydrake.systems.framework import BasicVector
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.control.integral_action import LARGEST_ACCELERATION, LARGEST_ERROR, IntegralAction
+from drake_oa.control.cartesian_inverse_dynamics import (
+    LARGEST_ACCELERATION,
+    LARGEST_ERROR,
+    IntegralAction,
+)
 from drake_oa.diagrams.control import make_integral_action
 from drake_oa.scenario.loading import load_scenario
 
