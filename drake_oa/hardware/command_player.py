@@ -438,8 +438,11 @@ class CommandGuard:
                 of its stamp from the wall clock [s]. The vendor's driver has the same.
 
         Raises:
-            ValueError: if the limits are of another number of joints.
+            ValueError: if the limits are of another number of joints, or the expiry is not between
+                1 ms and 10 s.
         """
+        if not 1e-3 <= expiry <= 10.0:
+            raise ValueError(f"expiry must be between 0.001 and 10 s, not {expiry}")
         if limits.position_lower.shape != q.shape:
             raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")
         self._q = np.array(q, dtype=float)

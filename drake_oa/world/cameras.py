@@ -63,10 +63,28 @@ class Camera:
 
 
 class TimedCamera(LeafSystem):
-    """Base of cameras that hand out images with the time and the state that they show."""
+    """Base class of cameras whose images come with their time and the plant's state then.
+
+    .. pydrake_system::
+
+      name: TimedCamera
+      input_ports:
+      - plant_state
+      output_ports:
+      - depth_image
+      - camera_pose
+      - image_time
+      - plant_state
+
+    - plant_state (input): (num_states,) state of the plant now.
+    - depth_image: (H, W) depths [m].
+    - camera_pose: X_WC of the image.
+    - image_time: (1,) time of the image [s].
+    - plant_state (output): (num_states,) state of the plant at that time.
+    """
 
     def __init__(self, intrinsics: CameraInfo, num_states: int, kept: object) -> None:
-        """Declares the ports plant_state (in), depth_image, camera_pose, image_time, plant_state.
+        """Declares the ports.
 
         Args:
             intrinsics: of the images.
