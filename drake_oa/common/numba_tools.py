@@ -42,7 +42,10 @@ def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | No
         The temporary folder, to be kept as long as the process lives; None where
         numba has a place of its own.
     """
-    if os.environ.get("NUMBA_CACHE_DIR") or is_writable(package / "__pycache__"):
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return None
+    if is_writable(package / "__pycache__"):
+        remove_outdated_kernels(package)
         return None
     user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "numba"
     if is_writable(user):
@@ -78,6 +81,63 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
         os.environ["NUMBA_CPU_NAME"] = _TARGET
         # Empty: those that the name implies. Unset, numba takes those of this machine.
         os.environ.setdefault("NUMBA_CPU_FEATURES", "")
+
+
+def remove_outdated_kernels(package: Path) -> None:
+    """Removes compiled kernels of modules that call kernels whose source has changed.
+
+    Numba compares a kernel's own file only, and would run the former code of the kernels that it
+    calls. `__pycache__/kernels.json` has the digest of each module's source, joined with the
+    source of the kernels that it imports.
+
+    Args:
+        package: folder of the kernels' source.
+    """
+    import json
+
+    stamp = package / "__pycache__" / "kernels.json"
+    known = json.loads(stamp.read_text()) if stamp.is_file() else {}
+    states = {str(file): file.stat() for file in package.rglob("*.py")}
+    found = {name: [state.st_mtime_ns, state.st_size] for name, state in states.items()}
+    if known.get("files") == found:
+        return
+    modules = _kernel_modules(package)
+    for file, digest in modules.items():
+        if known.get("modules", {}).get(file) != digest:
+            path = Path(file)
+            for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.nb[ic]"):
+                compiled.unlink(missing_ok=True)
+    # In one piece: another process may be starting, too.
+    beside = stamp.with_name(f"kernels.{os.getpid()}")
+    beside.write_text(json.dumps({"files": found, "modules": modules}))
+    beside.replace(stamp)
+
+
+_DECORATORS = ("@compiled", "@leaf", "@parted", "@njit")
+"""Beginnings of the lines above a kernel."""
+
+
+def _kernel_modules(package: Path) -> dict[str, str]:
+    """Returns modules with kernels -> digest of their source and that of the kernels they call."""
+    import hashlib
+
+    texts = {file: file.read_text() for file in sorted(package.rglob("*.py"))}
+    sources = {file: t for file, t in texts.items() if any(word in t for word in _DECORATORS)}
+    calls = {file: {file} for file in sources}
+    for other in sources:
+        parts = (package.name, *other.relative_to(package).with_suffix("").parts)
+        names = f"{'.'.join(parts)} import", f"{'.'.join(parts[:-1])} import {parts[-1]}"
+        for file, text in sources.items():
+            if any(name in text for name in names):
+                calls[file].add(other)
+    for _ in sources:
+        for file, others in calls.items():
+            calls[file] = others.union(*(calls[other] for other in others))
+    digests = {}
+    for file, others in calls.items():
+        text = "".join(sources[other] for other in sorted(others))
+        digests[str(file)] = hashlib.sha256(text.encode()).hexdigest()
+    return digests
 
 
 def _copy_kernels(package: Path, cache: Path) -> None:

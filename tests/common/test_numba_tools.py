@@ -43,6 +43,34 @@ def test_beside_the_source_or_in_the_users_cache(
     assert not os.environ["NUMBA_CACHE_DIR"]
 
 
+def test_kernels_whose_callees_change_are_removed(tmp_path: Path) -> None:
+    package = tmp_path / "package"
+    (package / "sub").mkdir(parents=True)
+    texts = {
+        "callee": "@compiled\ndef f(): ...",
+        "sub/caller": "from package.callee import f\n@compiled\ndef g(): ...",
+        "sub/other": "@leaf\ndef h(): ...",
+    }
+    compiled = {}
+    for name, text in texts.items():
+        file = package / f"{name}.py"
+        file.write_text(text)
+        compiled[name] = file.parent / "__pycache__" / f"{file.stem}.f-1.py311.nbi"
+        compiled[name].parent.mkdir(exist_ok=True)
+    assert provide_kernel_cache(package) is None
+
+    def left() -> list[str]:
+        return [name for name, file in compiled.items() if file.exists()]
+
+    for file in compiled.values():
+        file.touch()
+    assert provide_kernel_cache(package) is None
+    assert left() == list(texts)
+    (package / "callee.py").write_text(texts["callee"] + "  # changed")
+    assert provide_kernel_cache(package) is None
+    assert left() == ["sub/other"]
+
+
 def test_in_a_temporary_folder_where_nothing_else_can_be_written(tmp_path: Path) -> None:
     folder = provide_kernel_cache(read_only(tmp_path))
     assert folder is not None
