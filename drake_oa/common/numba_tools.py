@@ -97,14 +97,14 @@ def remove_outdated_kernels(package: Path) -> None:
 
     stamp = package / "__pycache__" / "kernels.json"
     known = json.loads(stamp.read_text()) if stamp.is_file() else {}
-    states = {str(file): file.stat() for file in package.rglob("*.py")}
+    states = {str(file.relative_to(package)): file.stat() for file in package.rglob("*.py")}
     found = {name: [state.st_mtime_ns, state.st_size] for name, state in states.items()}
     if known.get("files") == found:
         return
     modules = _kernel_modules(package)
     for file, digest in modules.items():
         if known.get("modules", {}).get(file) != digest:
-            path = Path(file)
+            path = package / file
             for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.nb[ic]"):
                 compiled.unlink(missing_ok=True)
     # In one piece: another process may be starting, too.
@@ -136,7 +136,7 @@ def _kernel_modules(package: Path) -> dict[str, str]:
     digests = {}
     for file, others in calls.items():
         text = "".join(sources[other] for other in sorted(others))
-        digests[str(file)] = hashlib.sha256(text.encode()).hexdigest()
+        digests[str(file.relative_to(package))] = hashlib.sha256(text.encode()).hexdigest()
     return digests
 
 
