@@ -12,7 +12,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {"drake_oa": "drake_oa", "diagrams": "drake_oa/diagrams", "models": "drake_oa/models"}
-NOT_DATA = {".py", ".pyc", ".nbi", ".nbc"}
 
 
 def data_files() -> set[str]:
@@ -21,7 +20,7 @@ def data_files() -> set[str]:
         f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, inside in SOURCES.items()
         for path in (ROOT / folder).rglob("*")
-        if path.is_file() and path.suffix not in NOT_DATA
+        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
     }
 
 
