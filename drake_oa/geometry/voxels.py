@@ -96,11 +96,21 @@ def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray,
         of points (M,) of each voxel.
     """
     keys, voxel_of, _ = filed(voxel_keys(points, voxel))
-    # The inverse of the order of the keys.
-    voxel_of = np.argsort(np.argsort(keys))[voxel_of]
+    place = np.empty(len(keys), dtype=np.int64)
+    place[np.argsort(keys)] = np.arange(len(keys))
+    voxel_of = place[voxel_of]
     count = np.bincount(voxel_of)
-    sums = np.stack([np.bincount(voxel_of, coordinate) for coordinate in points.T], axis=1)
-    return sums / count[:, None], voxel_of, count
+    return _sums(points, voxel_of, len(count)) / count[:, None], voxel_of, count
+
+
+@compiled
+def _sums(points: FloatArray, group: IntArray, count: int) -> FloatArray:
+    """Adds up points (N, 3) by their groups (N,), (count, 3)."""
+    sums = np.zeros((count, 3))
+    for i in range(len(group)):
+        for k in range(3):
+            sums[group[i], k] += points[i, k]
+    return sums
 
 
 def points_of_groups(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_opening
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
@@ -127,7 +126,12 @@ def seen_extent(
     sample = np.full(rows * columns, -1)
     sample[pixel[on_table]] = np.flatnonzero(on_table)
     sample = sample.reshape(shape)
-    opened = binary_opening(sample >= 0, np.ones((3, 3)))
+    shown = sample >= 0
+    shown = shown[:-2] & shown[1:-1] & shown[2:]
+    inner = np.zeros((rows + 2, columns + 2), dtype=bool)
+    inner[2:-2, 2:-2] = shown[:, :-2] & shown[:, 1:-1] & shown[:, 2:]
+    opened = inner[:-2] | inner[1:-1] | inner[2:]
+    opened = opened[:, :-2] | opened[:, 1:-1] | opened[:, 2:]
     row = np.flatnonzero(opened.any(axis=1))
     # First and last column, (2, R).
     ends = np.stack([opened[row].argmax(axis=1), columns - 1 - opened[row, ::-1].argmax(axis=1)])

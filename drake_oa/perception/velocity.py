@@ -582,21 +582,24 @@ def tail_places(
         which nothing is seen.
     """
     sides = np.full((len(tail), 3, 2), np.nan)
+    axis = np.arange(3)
     for m in np.unique(row):
         mine = row == m
-        for k, along in enumerate(points[mine].T):
-            low, high = along.min(), along.max()
-            if high == low:
-                sides[m, k] = low
-                continue
-            scale = (_BINS - 1) / (high - low)
-            places = ((along - low) * scale).astype(np.int64)
-            histogram = np.bincount(places, area[mine], _BINS)
-            for side, bins in enumerate((histogram, histogram[::-1])):
-                total = np.append(0.0, np.cumsum(bins))
-                n = min(int(np.searchsorted(total[1:], tail[m])), _BINS - 1)
-                part = min((tail[m] - total[n]) / max(bins[n], 1e-12), 1.0)
-                sides[m, k, side] = low + (_BINS - n - part if side else n + part) / scale
+        along = points[mine].T
+        low, high = along.min(axis=1), along.max(axis=1)
+        extended = high > low
+        scale = (_BINS - 1) / np.where(extended, high - low, 1.0)
+        place = ((along - low[:, None]) * scale[:, None]).astype(np.int64)
+        place += _BINS * axis[:, None]
+        weight = np.tile(area[mine], 3)
+        histogram = np.bincount(place.ravel(), weight, 3 * _BINS).reshape(3, _BINS)
+        for side, bins in enumerate((histogram, histogram[:, ::-1])):
+            total = np.cumsum(bins, axis=1)
+            n = np.minimum((total < tail[m]).sum(axis=1), _BINS - 1)
+            before = np.where(n > 0, total[axis, n - 1], 0.0)
+            part = np.minimum((tail[m] - before) / np.maximum(bins[axis, n], 1e-12), 1.0)
+            reach = (_BINS - n - part if side else n + part) / scale
+            sides[m, :, side] = np.where(extended, low + reach, low)
     return sides
 
 
