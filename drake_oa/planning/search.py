@@ -153,12 +153,6 @@ def nominal_genes() -> FloatArray:
     return genes
 
 
-_FEASIBLE = Ranked(
-    nominal_genes(), np.full(1, np.nextafter(BAD, 0.0)), np.zeros(1), np.zeros(1, int)
-)
-"""A feasible candidate of the largest cost, below which only feasible candidates are."""
-
-
 def _first(ranked: Ranked) -> Ranked:
     """Returns the best candidate alone."""
     return Ranked(ranked.genes[:1], ranked.cost[:1], ranked.length[:1], ranked.source[:1])
@@ -233,9 +227,7 @@ class Search(ABC):
             feasible, nothing else is looked at.
         """
         genes, had = nominal_genes(), bool(np.isfinite(self.previous).all())
-        is_used = in_use is not None or had
-        # Its shortfall does not matter while the motion in use is feasible.
-        nominal = self.evaluate(genes, [NOMINAL], _FEASIBLE if is_used else None)
+        nominal = self.evaluate(genes, [NOMINAL])
         if nominal.solved:
             return nominal
         best = nominal
@@ -243,12 +235,10 @@ class Search(ABC):
             best = self.evaluate(genes, [CHAIN], guided=in_use)
         elif had:
             best = self.evaluate(self.previous[None], [source])
-        held = is_used and best.solved
+        held = (in_use is not None or had) and best.solved
         if held and self.settled:
             self.stays = True
             return best
-        if is_used and not held:
-            nominal = self.evaluate(genes, [NOMINAL])
         same, best = best, best.joined(nominal)
         if guided is not None:
             ranked = self.evaluate(genes, [CHAIN], _first(best), guided)
