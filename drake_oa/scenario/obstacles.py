@@ -127,11 +127,8 @@ def offset_at(waypoints: FloatArray, time: float, present: Sequence[float] = ())
     """
     offset = np.zeros(3)
     if len(waypoints):
-        after = int(waypoints[:, 0].searchsorted(time, side="right"))
-        offset = waypoints[max(after - 1, 0), 1:].copy()
-        if 0 < after < len(waypoints):
-            begin, way = waypoints[after - 1], waypoints[after] - waypoints[after - 1]
-            offset += way[1:] / way[0] * (time - begin[0])
+        times, *axes = waypoints.T
+        offset = np.array([np.interp(time, times, axis) for axis in axes])
     if not is_present(present, time):
         offset[2] += ABSENT_HEIGHT
     return offset

@@ -19,7 +19,6 @@ from pydrake.lcm import DrakeLcm
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     DiagramBuilder,
     LeafSystem,
@@ -34,7 +33,7 @@ from pydrake.systems.sensors import (
     RgbdSensor,
 )
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import field_errors
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.formats.meshes import as_objs
 from drake_oa.scenario.scenario import Scenario
@@ -105,10 +104,23 @@ class TimedCamera(LeafSystem):
             "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, shown
         )
         self.DeclareAbstractOutputPort(
-            "camera_pose", lambda: Value(RigidTransform()), self._calc_pose, shown
+            "camera_pose",
+            lambda: Value(RigidTransform()),
+            lambda context, output: output.set_value(self.pose(context)),
+            shown,
         )
-        self.DeclareVectorOutputPort("image_time", 1, self._calc_time, shown)
-        self.DeclareVectorOutputPort("plant_state", num_states, self._calc_state, shown)
+        self.DeclareVectorOutputPort(
+            "image_time",
+            1,
+            lambda context, output: output.SetAtIndex(0, self.moment(context)[0]),
+            shown,
+        )
+        self.DeclareVectorOutputPort(
+            "plant_state",
+            num_states,
+            lambda context, output: output.SetFromVector(self.moment(context)[1]),
+            shown,
+        )
 
     def release(self) -> None:
         """Releases resources outside the diagram; the next image takes them again."""
@@ -136,15 +148,6 @@ class TimedCamera(LeafSystem):
         image: Any = output.get_mutable_value()
         image.mutable_data[:, :, 0] = self.image(context)
 
-    def _calc_pose(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self.pose(context))
-
-    def _calc_time(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self.moment(context)[0])
-
-    def _calc_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.moment(context)[1])
-
 
 def depth_intrinsics(config: CameraConfig) -> CameraInfo:
     """Intrinsics of the depth image of one of Drake's configured cameras."""
@@ -165,10 +168,8 @@ def add_camera_world(
     shown.RegisterAsSourceForSceneGraph(scene_graph)
     add_world(shown, scenario)
     shown.Finalize()
-    try:
+    with field_errors("directives", OSError, ValueError):
         give_normals(scene_graph, shown.get_source_id())
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"directives: {error}") from None
     poses = builder.AddNamedSystem(
         "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
     )
@@ -186,7 +187,7 @@ def add_camera(
     config = copy.copy(config)
     config.output_delay = 0.0
     known = {system.get_name() for system in builder.GetSystems()}
-    try:
+    with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         # A null message queue: otherwise a publisher is added that renders each frame once more.
         ApplyCameraConfig(
             config=config,
@@ -195,8 +196,6 @@ def add_camera(
             scene_graph=scene_graph,
             lcm=DrakeLcm("memq://null"),
         )
-    except (RuntimeError, ValueError) as error:
-        raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
     (sensor,) = (
         system
         for system in builder.GetSystems()

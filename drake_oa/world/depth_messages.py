@@ -16,7 +16,7 @@ from drake import lcmt_header, lcmt_image, lcmt_image_array
 from numpy.typing import NDArray
 from pydrake.lcm import DrakeLcm
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import field_errors
 from drake_oa.world.live_camera import Frame
 
 CHANNEL = "DRAKE_RGBD_CAMERA_IMAGES_{}"
@@ -148,10 +148,8 @@ class LcmFrames:
         """
         if self._bus is not None:
             return
-        try:
+        with field_errors(f"perception.lcm_url: '{self._url}'", RuntimeError):
             self._bus = lcm_bus(self._url)
-        except RuntimeError as error:
-            raise ScenarioError(f"perception.lcm_url: '{self._url}': {error}") from None
         self._received = deque(maxlen=1)
         self._bus.Subscribe(self._channel, self._received.append)
         self._receive()

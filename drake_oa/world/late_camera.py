@@ -31,7 +31,7 @@ from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import valid_period
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import TimedCamera, add_camera, add_camera_world
-from drake_oa.world.depth_noise import FrameNoise, NoiseRoom
+from drake_oa.world.depth_noise import FrameNoise
 
 _T = TypeVar("_T")
 
@@ -104,8 +104,6 @@ class BackgroundCamera:
             ScenarioError: if the camera does not fit the world.
         """
         self._scenario, self._config, self._noise = scenario, config, noise
-        # Of the render thread alone.
-        self._room = NoiseRoom(config.height, config.width)
         self._images: OrderedDict[tuple[bytes, float], Future[Rendered]] = OrderedDict()
         self._world = self._built()
 
@@ -135,19 +133,17 @@ class BackgroundCamera:
             time: when it was taken [s]: of that its noise is a function too.
         """
         key = (np.ascontiguousarray(state).tobytes(), float(time))
-        found = self._images.get(key)
-        if found is None:
+        if key not in self._images:
             self._world = self._world or self._built()
             world, asked = self._world, np.array(state)
-            found = _thread.submit(lambda: self._measured(world[0].render(asked), time))
-            self._images[key] = found
+            self._images[key] = _thread.submit(lambda: self._measured(world[0].render(asked), time))
             if len(self._images) > _KEPT:
                 self._images.popitem(last=False)
-        return found
+        return self._images[key]
 
     def _measured(self, image: Rendered, time: float) -> Rendered:
         if self._noise is not None:
-            self._noise(image.depth, time, out=image.depth, room=self._room)
+            image.depth[:] = self._noise(image.depth, time)
         return image
 
 

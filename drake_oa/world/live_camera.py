@@ -5,7 +5,6 @@ Their stamps are of the wall clock; what stands behind works by the time of its 
 
 from __future__ import annotations
 
-import bisect
 import math
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, OutputPort, State
 from pydrake.systems.sensors import CameraConfig, CameraInfo
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.messages import FloatArray, Frozen, zeros
 from drake_oa.common.ports import valid_period
 from drake_oa.perception.depth_perception import log_change
@@ -202,12 +201,9 @@ class LiveCamera(TimedCamera):
             seen = self._first = self._first or self._begun(context, seen)
         return seen
 
-    def _write(self, state: State, seen: _Seen) -> None:
-        state.get_mutable_abstract_state(self._kept).set_value(seen)
-
     def _begin(self, context: Context, state: State) -> None:
         self._source.open()
-        self._write(state, self._read(context))
+        state.get_mutable_abstract_state(self._kept).set_value(self._read(context))
 
     def _begun(self, context: Context, seen: _Seen) -> _Seen:
         """Opens the source and waits for the first image."""
@@ -227,7 +223,8 @@ class LiveCamera(TimedCamera):
         return seen
 
     def _poll(self, context: Context, state: State) -> None:
-        self._write(state, self._looked(context, self._read(context)))
+        seen = self._looked(context, self._read(context))
+        state.get_mutable_abstract_state(self._kept).set_value(seen)
         self._first = None
 
     def _looked(self, context: Context, seen: _Seen, after: float | None = None) -> _Seen:
@@ -301,12 +298,9 @@ class LiveCamera(TimedCamera):
 
 def _state_at(past: tuple[_Instant, ...], stamp: float) -> FloatArray:
     """(n,) the state at a moment of the wall clock [s]; outside the past, the nearest known."""
-    row = bisect.bisect_left(past, stamp, key=lambda instant: instant.wall)
-    if row in (0, len(past)):
-        return past[min(row, len(past) - 1)].plant_state
-    one, other = past[row - 1], past[row]
-    share = (stamp - one.wall) / (other.wall - one.wall)
-    return (1.0 - share) * one.plant_state + share * other.plant_state
+    walls = [instant.wall for instant in past]
+    states = np.transpose([instant.plant_state for instant in past])
+    return np.array([np.interp(stamp, walls, values) for values in states])
 
 
 def standing_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
@@ -320,10 +314,8 @@ def standing_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform
         ScenarioError: if it stands on something that moves, or at random.
     """
     where, base = f"cameras: camera '{config.name}': X_PB", config.X_PB.base_frame
-    try:
+    with field_errors(f"{where}.base_frame", RuntimeError):
         frame = GetScopedFrameByName(plant, base) if base else plant.world_frame()
-    except RuntimeError as error:
-        raise ScenarioError(f"{where}.base_frame: {error}") from None
     if not plant.IsAnchored(frame.body()):
         raise ScenarioError(
             f"{where}.base_frame: '{base}' moves; a camera outside the simulation must stand "

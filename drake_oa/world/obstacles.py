@@ -128,6 +128,15 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
     return instance
 
 
+def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
+    """Returns the model instances that are obstacles."""
+    return tuple(
+        instance
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
+    )
+
+
 class ObstacleMover(LeafSystem):
     """Drives an obstacle on slides along its waypoints, and away while it is absent.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.world.live_camera import Frame
 
 _MILLISECOND = 1e-3
@@ -72,7 +72,7 @@ class RealSenseFrames:
         """
         if self._sensor is not None:
             return
-        try:
+        with field_errors(f"perception: {self.name}", RuntimeError):
             device = self._given or self._found()
             sensor = device.first_depth_sensor()
             profile = self._profile(sensor)
@@ -80,8 +80,6 @@ class RealSenseFrames:
             self._scale = sensor.get_depth_scale()
             sensor.open(profile)
             sensor.start(self._queue)
-        except RuntimeError as error:
-            raise ScenarioError(f"perception: {self.name}: {error}") from None
         self._sensor = sensor
 
     def latest(self) -> Frame | None:

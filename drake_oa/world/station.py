@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import CollisionFilterDeclaration, SceneGraph
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
     MultibodyPlant,
@@ -19,7 +19,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.sensors import CameraConfig, CameraInfo
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras, RealSense
 from drake_oa.robot.grasped_object import part_carried
@@ -38,6 +38,7 @@ from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
+from drake_oa.world.obstacles import obstacle_instances
 from drake_oa.world.realsense import RealSenseFrames
 from drake_oa.world.world_model import add_world
 
@@ -93,7 +94,7 @@ def add_cameras(
 def _late_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
-    try:
+    with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         intrinsics = depth_intrinsics(config)
         system = LateCamera(
             BackgroundCamera(scenario, config, _noise(scenario, config, intrinsics)),
@@ -102,8 +103,6 @@ def _late_camera(
             period=1.0 / config.fps,
             delay=config.output_delay,
         )
-    except (RuntimeError, ValueError) as error:
-        raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
     builder.AddNamedSystem(f"late_{config.name}", system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
     return system.camera(config.output_delay)
@@ -209,12 +208,20 @@ def make_station(
     plant.Finalize()
     part_carried(plant, scene_graph, scenario.robot)
     cameras = add_cameras(builder, scenario, plant, outside) if render else {}
-    obstacles = tuple(
-        instance
-        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
-    )
+    obstacles = obstacle_instances(plant)
     _refuse_movable(plant, obstacles, scenario.obstacles)
+    # Obstacles touch the robot alone: a contact with anything else would push one off its course.
+    still = [
+        body
+        for body in plant.GetBodiesWeldedTo(plant.world_body())
+        if body.model_instance() != robot
+    ]
+    bodies = [plant.get_body(i) for item in obstacles for i in plant.GetBodyIndices(item)]
+    scene_graph.collision_filter_manager().Apply(
+        CollisionFilterDeclaration().ExcludeWithin(
+            plant.CollectRegisteredGeometries([*still, *bodies])
+        )
+    )
     return Station(plant, scene_graph, robot, obstacles, cameras)
 
 

@@ -18,7 +18,7 @@ from pydrake.multibody.parsing import (
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.robot.formats.model_file import (
     add_installed_package,
     check_links,
@@ -44,12 +44,10 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
     """
     robot = add_robot(plant, robot_of(scenario))
     parser = make_parser(plant)
-    try:
+    with field_errors("directives", RuntimeError):
         _check_directives(scenario.directives, parser.package_map())
         with named_warnings():
             ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
-    except RuntimeError as error:
-        raise ScenarioError(f"directives: {error}") from None
     for obstacle in scenario.obstacles:
         add_obstacle(plant, obstacle)
     return robot

@@ -132,6 +132,25 @@ def test_an_obstacle_that_is_absent_is_far_above_its_course() -> None:
     assert not still.driven
 
 
+def test_obstacles_pass_through_one_another_and_the_table():
+    text = _TEXT + "  waypoints: [[0, 0, 0, 0], [1, 0.2, 0.4, -0.1]]\n"
+    station, _ = _station(text)
+    inspector, plant = station.scene_graph.model_inspector(), station.plant
+    pile, ball, table, hand = (
+        plant.GetCollisionGeometriesForBody(body)[0]
+        for body in (
+            plant.GetBodyByName("body", station.obstacles[0]),
+            plant.GetBodyByName("body", station.obstacles[1]),
+            plant.GetBodyByName("body", plant.GetModelInstanceByName("table")),
+            plant.GetBodyByName("panda_hand"),
+        )
+    )
+    assert inspector.CollisionFiltered(pile, ball)
+    assert inspector.CollisionFiltered(table, ball)
+    for other in (pile, ball, table):
+        assert not inspector.CollisionFiltered(hand, other)
+
+
 STEP = 0.002
 BALL = Obstacle(
     name="ball",
