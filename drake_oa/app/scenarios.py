@@ -158,7 +158,9 @@ def check(
     """Say all that is wrong with a scenario, and draw it.
 
     Where its fields are right the cell is built, and a table says what start and goal leave
-    the arm. The picture, NAME.check.png unless --plot names another file, shows the cell with
+    the arm. A line says how much of the space near the arm its cameras do not see, at the start
+    and on the way, and suggests a place for one that sees more if it is much. The picture,
+    NAME.check.png unless --plot names another file, shows the cell with
     the arm at the start, and what each camera sees; green is the start, red the goal.
 
     Exit status: 0 when nothing is wrong, 1 when something is, 2 for a file that cannot be read.
@@ -178,6 +180,7 @@ def check(
     check_outputs(file, read=[scenario_path(scenario)])
     wrong = scenario_problems(scenario, overrides)
     if not wrong:
+        from drake_oa.runs.camera_placement import view_note
         from drake_oa.runs.scenario_check import end_contacts, end_table, unbuildable
 
         chosen = open_scenario(scenario, overrides, file)
@@ -192,7 +195,10 @@ def check(
         return 0
     with build_errors(), quiet():
         table, contacts = end_table(chosen), end_contacts(chosen)
+        view = view_note(chosen)
     show(table)
+    if view:
+        print(view)
     if file is not None:
         from drake_oa.viewing.still import draw_scenario
 

@@ -16,9 +16,9 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.common.messages import Frozen, ObstacleClouds, zeros
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, ObstacleClouds, zeros
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.geometry.pinhole import View, pinhole
+from drake_oa.geometry.pinhole import View, pinhole, pixel_at
 from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_views
@@ -109,16 +109,34 @@ _SAME_TIME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Views(Frozen):
-    """The images of one observation.
+class FreeSpace(Frozen):
+    """Space before the surfaces in depth images of one instant, which is seen to be free.
 
     Attributes:
-        views: of each camera, in order; None for one that tells nothing of that instant.
-        stamp: when they were taken [s].
+        views: images of the cameras, in order; None for one that shows nothing of that instant.
+        stamp: time at which they were taken [s].
+        near, far: range of the cameras' depths [m].
     """
 
     views: tuple[View | None, ...] = ()
     stamp: float = -np.inf
+    near: float = 0.0
+    far: float = np.inf
+
+    def contains(self, p_WQ: FloatArray) -> BoolArray:
+        """Checks for places (N, 3) [m] whether any camera saw them free.
+
+        A pixel without depth shows nothing; one beyond the range shows its ray up to `far`.
+        """
+        free = np.zeros(len(p_WQ), dtype=bool)
+        for view in self.views:
+            if view is None:
+                continue
+            p_CQ = (p_WQ - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
+            pixel, z = pixel_at(p_CQ, view.z.shape, view.K), p_CQ[:, 2]
+            depth = np.minimum(view.z.ravel()[pixel], self.far)
+            free |= (pixel >= 0) & (self.near <= z) & (z < depth)
+        return free
 
 
 class _Ports(NamedTuple):
@@ -144,9 +162,10 @@ class DepthPerception(LeafSystem):
       output_ports:
       - obstacles_W
       - cloud
+      - free_space_W
 
     Of several cameras `names`, each has those four input ports, named `depth_image_NAME`,
-    `camera_pose_NAME`, `robot_state_NAME` and `image_stamp_NAME`, and there is an output `views`.
+    `camera_pose_NAME`, `robot_state_NAME` and `image_stamp_NAME`.
 
     Port `depth_image`: ImageDepth32F, depth along the optical axis [m]; 0 is too
     near, inf too far, NaN missing.
@@ -167,7 +186,7 @@ class DepthPerception(LeafSystem):
     Port `cloud`: PointCloud of every point above the table, in the world frame [m],
     the robot's own included: for viewing.
 
-    Port `views`: abstract `Views`, the images that the obstacles were seen in last.
+    Port `free_space_W`: abstract `FreeSpace`, the images in which the obstacles were seen last.
 
     The inputs are pulled at initialization and then every `period` (a simulated
     camera renders again each time it is asked), and the outputs are held between.
@@ -197,6 +216,7 @@ class DepthPerception(LeafSystem):
         all_needed: bool = True,
         together: float = 0.0,
         unsaid: float = 0.0,
+        depth_range: tuple[float, float] = (0.0, np.inf),
     ) -> None:
         """Declares ports, state and events.
 
@@ -217,6 +237,7 @@ class DepthPerception(LeafSystem):
                 instant, that of the newest [s].
             unsaid: how old a camera's last image may be before `note` says that there is no new
                 one [s]: the images of a camera that goes by itself now and then miss a period.
+            depth_range: minimum and maximum depth that all cameras measure [m].
 
         Raises:
             ValueError: for a period that is not positive.
@@ -236,10 +257,9 @@ class DepthPerception(LeafSystem):
         several = len(cameras) > 1
         self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
         self._state = PerceptionState.declare(self)
-        self._views = None
-        if several:
-            self._views = self.DeclareAbstractState(Value(Views()))
-            self.DeclareStateOutputPort("views", self._views)
+        self._range = depth_range
+        self._free_space = self.DeclareAbstractState(Value(FreeSpace()))
+        self.DeclareStateOutputPort("free_space_W", self._free_space)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         # The first frame is the initialization's.
         offset = period + delay + _AFTER if delay else period
@@ -299,10 +319,11 @@ class DepthPerception(LeafSystem):
             if self._all_needed:
                 obstacles = as_of(memory.obstacles, float(told.min()))
                 memory = replace(memory, obstacles=obstacles)
-        if self._views is not None and frame.usable:
+        if frame.usable:
             seen = dict(zip(seeing, frame.views, strict=True))
-            views = Views(tuple(seen.get(row) for row in range(len(stamps))), newest)
-            state.get_mutable_abstract_state(self._views).set_value(views)
+            views = tuple(seen.get(row) for row in range(len(stamps)))
+            free_space = FreeSpace(views, newest, *self._range)
+            state.get_mutable_abstract_state(self._free_space).set_value(free_space)
         self._write(context, state, memory, note, frame.points_W if frame.usable else None)
 
     def _write(

@@ -33,7 +33,7 @@ from drake_oa.common.messages import (
     zeros,
 )
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT
+from drake_oa.geometry.pinhole import AT, EMPTY, FREE, OUT
 from drake_oa.geometry.solids import Solids
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig
@@ -61,7 +61,6 @@ from drake_oa.perception.visibility import (
     hidden_by_itself,
     mutual_nearest,
     shown_at,
-    without_background,
 )
 
 _MATCH_RADIUS = 0.02
@@ -530,8 +529,8 @@ class _Step:
         points = self.points
         found = np.zeros(len(self.tracks), dtype=bool)
         found[association.point_row] = True
-        seen = without_background(look.shows, (found & self.tracks.moving)[points.owner])
-        parts = self._parts(association, look.p_WQ, (seen == HIDDEN) | (seen == OUT))
+        seen = look.shows
+        parts = self._parts(association, look.p_WQ, (seen != AT) & (seen != FREE))
         evidence, confirmed = evidence_after(
             points.owner,
             points.evidence,

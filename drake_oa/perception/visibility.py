@@ -3,7 +3,8 @@
 Each point carries evidence. A frame that shows it adds one; a frame whose rays pass
 through it takes away all but one, and the next such frame the rest: two frames confirm
 a point, two remove it. One that is hidden (by the arm, another obstacle, a missing
-pixel, the border of the image) stays as it is. Of several images one that sees through it is
+pixel, the border of the image) stays as it is: a pixel without depth is unknown, never free, of
+obstacles that move as well. Of several images one that sees through it is
 enough, and it is hidden only if it is in all. Where the image shows something at the
 point's depth but no cluster has a point there (grazing surfaces, the foot of an
 obstacle) the evidence only decays.
@@ -277,22 +278,6 @@ def hidden_by_itself(
                 place = np.minimum(np.searchsorted(surface, pixel[mine]), len(surface) - 1)
                 own[mine] |= surface[place] == pixel[mine]
     return np.asarray(before.any(axis=0) & (before | (looked.pixel < 0)).all(axis=0))
-
-
-def without_background(seen: IntArray, moved: BoolArray) -> IntArray:
-    """What a frame shows at points (N,), those decided that have nothing around them.
-
-    Missing pixels hide what rests. What moves on before a background that is too far away to
-    be measured leaves nothing else where it was: its points there are gone.
-
-    Args:
-        seen: (N,) from `shown_at`.
-        moved: (N,) whether they are of an obstacle that moves, and is seen in the frame.
-
-    Returns:
-        (N,) HIDDEN, AT, FREE or OUT.
-    """
-    return np.where(seen == EMPTY, np.where(moved, FREE, OUT), seen)
 
 
 _LONGEST = 0.5

@@ -3,8 +3,8 @@
 All are ASUS Xtions as the shipped scenarios have them: 640 x 480 pixels, 58 x 45 degrees, what is
 nearer than 0.8 m is not seen, 30 images a second that come 30 ms late, with the published noise.
 
-- `with_opposite`: a second camera where the first one of a scenario stands, turned by half a circle
-  about the vertical line through the middle of the workspace, (0.45, 0): behind the robot's base.
+- `seen_from`: one or two cameras 2.1 m from the middle of the workspace, which see most of what
+  is near the arm (`drake_oa.runs.camera_placement`) and 0.6 m beside the table, to 3.5 m depth.
 - `with_two`: left and right of the way from the robot to what is to be done, see there.
 """
 
@@ -12,14 +12,12 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from pydrake.common.schema import Transform
-from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.parsing import GetScopedFrameByName
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.math import RigidTransform
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
@@ -27,13 +25,19 @@ from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import Solids, least_distances, shape_solids, solids_of
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
+from drake_oa.runs.camera_placement import placed_around
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import camera_configs
-from drake_oa.world.world_model import add_world
 
-WORKSPACE = (0.45, 0.0)
-"""Middle of the workspace over a table [m]."""
+MIDDLE = np.array([0.4, 0.0, 0.3])
+"""Point that the cameras of `seen_from` look at [m]."""
+ONE = {"camera": (0.0, 35.0)}
+"""Name of a camera -> azimuth and elevation of its place [degrees]: in front of the robot."""
+TWO = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
+"""Names and places of a pair beside the robot, which misses 1 % of the space near the arm."""
+FAR, BESIDE = 3.5, 0.6
+"""Maximum depth, and distance from the table up to which obstacles count [m]."""
+_STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
 AWAY = 1.2
 """From a camera to the middle of what it looks at [m]."""
 ASIDE = math.radians(60.0)
@@ -52,34 +56,36 @@ def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:
     return camera
 
 
-def looking_at(p_WC: FloatArray, p_WT: FloatArray) -> RigidTransform:
-    """Pose of a camera at a place that looks at another, its x axis level."""
-    z = np.subtract(p_WT, p_WC) / np.linalg.norm(np.subtract(p_WT, p_WC))
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return RigidTransform(RotationMatrix(np.column_stack([x, np.cross(z, x), z])), p_WC)
+def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> Scenario:
+    """The scenario, seen by cameras around the workspace, from above the table and beside it.
 
-
-def with_opposite(scenario: Scenario) -> Scenario:
-    """The scenario, seen by a second camera too, see above; it must be seen by one already.
+    Args:
+        scenario: seen by a depth camera.
+        places: name of each camera -> azimuth and elevation of its place, as `ONE` and `TWO`.
 
     Raises:
-        ValueError: if it is not.
+        ValueError: if it is not seen by a depth camera.
     """
     source = scenario.perception
-    if not isinstance(source, DepthCamera) or len(source.names) != 1:
-        raise ValueError("a second camera needs a scenario that is seen by one depth camera")
+    if not isinstance(source, DepthCamera):
+        raise ValueError("other places of cameras need a scenario that is seen by a depth camera")
     scenario = copy.deepcopy(scenario)
-    (first,) = camera_configs(scenario, source)
-    X_WC, middle = camera_pose(scenario, first), np.array([*WORKSPACE, 0.0])
-    half = RotationMatrix.MakeZRotation(math.pi)
-    p_WC = middle + half @ (X_WC.translation() - middle)
-    second = copy.deepcopy(first)
-    second.name = "opposite"
-    second.X_PB = Transform(RigidTransform(half @ X_WC.rotation(), p_WC))
-    scenario.cameras.append(second)
-    cameras = [first.name, second.name]
-    scenario.perception = replace(source, camera=DepthCamera.camera, cameras=cameras)
+    # The stand of the camera at the table would be an obstacle beside it.
+    scenario.directives = [
+        item
+        for item in scenario.directives
+        if item.add_directives is None or item.add_directives.file != _STAND
+    ]
+    scenario.cameras = [
+        xtion(name, placed_around(MIDDLE, *map(math.radians, place)))
+        for name, place in places.items()
+    ]
+    scenario.perception = replace(
+        source,
+        camera=DepthCamera.camera,
+        cameras=list(places),
+        segmentation=replace(source.segmentation, far=FAR, table_margin=BESIDE),
+    )
     return scenario
 
 
@@ -108,31 +114,19 @@ def with_two(scenario: Scenario) -> Scenario:
         name: _place(middle, toward + side * ASIDE, things)
         for name, side in (("left", -1.0), ("right", 1.0))
     }
-    scenario.cameras = [xtion(name, looking_at(p_WC, middle)) for name, p_WC in places.items()]
+    scenario.cameras = [xtion(name, X_WC) for name, X_WC in places.items()]
     scenario.perception = DepthCamera(cameras=list(places), noise=CameraNoise())
     return scenario
 
 
-def _place(middle: FloatArray, heading: float, things: Solids) -> FloatArray:
-    """(3,) where a camera stands that looks at the middle [m]."""
-    found = middle
+def _place(middle: FloatArray, heading: float, things: Solids) -> RigidTransform:
+    """Returns the pose of a camera that looks at the middle."""
+    X_WC = RigidTransform()
     for elevation in ELEVATIONS:
-        level = math.cos(elevation)
-        way = np.array([level * math.cos(heading), level * math.sin(heading), math.sin(elevation)])
-        found = middle + AWAY * way
-        sight = found - np.linspace(0.0, _NEAREST, 9)[:, None] * way
+        X_WC = placed_around(middle, heading, elevation, AWAY)
+        along = np.linspace(0.0, _NEAREST, 9)[:, None]
+        sight = X_WC.translation() + along * X_WC.rotation().col(2)
         if (least_distances(things, sight, 0.0, APART, APART) >= APART).all():
-            return found
-    # None fits: what stands in its way is seen from near, or not at all.
-    return found
-
-
-def camera_pose(scenario: Scenario, camera: CameraConfig) -> RigidTransform:
-    """Computes the pose in the world of a camera of a scenario."""
-    scene_graph, plant = SceneGraph(), MultibodyPlant(time_step=scenario.plant_step)
-    plant.RegisterAsSourceForSceneGraph(scene_graph)
-    add_world(plant, scenario)
-    plant.Finalize()
-    frame = GetScopedFrameByName(plant, camera.X_PB.base_frame or "world")
-    X_WP = frame.CalcPoseInWorld(plant.CreateDefaultContext())
-    return X_WP @ camera.X_PB.GetDeterministicValue()
+            break
+    # If none fits, what stands in its way is seen from near, or not at all.
+    return X_WC

@@ -30,7 +30,9 @@ def test_a_new_scenario_has_no_errors_and_moves(capsys: pytest.CaptureFixture[st
     assert main(["new", "mine"]) == 0
     assert capsys.readouterr().out.split() == ["mine.scenario.yaml", "scenario.schema.json"]
     assert main(["check", "mine.scenario.yaml"]) == 0
-    assert "asked clearance: 0.1 m" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "asked clearance: 0.1 m" in out
+    assert "of the space within 0.4 m of the arm is unseen; " in out
     assert Path("mine.check.png").stat().st_size > 20_000
     log = simulate(load_scenario("mine.scenario.yaml"), duration=0.05)
     assert log.stop_reason == "time limit of 0.05 s"

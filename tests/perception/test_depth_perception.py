@@ -244,7 +244,7 @@ def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(all_needed
     system, context = pair(all_needed=all_needed)
     first = update(system, context)
     assert (first.stamp, first.note, len(first)) == (0.0, "", 1)
-    seen = system.GetOutputPort("views").Eval(context).views
+    seen = system.GetOutputPort("free_space_W").Eval(context).views
     assert all(view is not None for view in seen)
     # The block goes; only the left camera has new images.
     gone = table_with_block()
@@ -257,7 +257,7 @@ def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(all_needed
     assert after.note == "right: no new image"
     assert after.stamp == pytest.approx(0.0 if all_needed else 0.3)
     assert len(caplog.records) == 1
-    views = system.GetOutputPort("views").Eval(context).views
+    views = system.GetOutputPort("free_space_W").Eval(context).views
     assert views[0] is not None
     assert views[1] is None
     give(system, context, "left", 0.4, table_with_block())
@@ -291,7 +291,9 @@ def test_images_that_are_not_far_apart_are_taken_together():
     give(system, context, "right", 0.08)
     obstacles = update(system, context)
     assert (obstacles.stamp, obstacles.note) == (0.1, "")
-    assert all(view is not None for view in system.GetOutputPort("views").Eval(context).views)
+    assert all(
+        view is not None for view in system.GetOutputPort("free_space_W").Eval(context).views
+    )
     # One that comes behind a newer one that is known already waits for the next.
     give(system, context, "right", 0.09)
     obstacles = update(system, context)

@@ -395,6 +395,25 @@ def test_a_large_hole_in_the_image_moves_and_removes_nothing(share):
     np.testing.assert_allclose(np.ptp(after, axis=0), np.ptp(before, axis=0), atol=0.01)
 
 
+@pytest.mark.parametrize("value", [np.nan, 0.0])
+def test_missing_depth_removes_no_part_of_a_moving_obstacle(value):
+    rng = np.random.default_rng(7)
+    memory = ObstacleMemory()
+    for k in range(30):
+        p_WO = np.array([0.1, -0.2 + 0.3 * FRAME * k, 0.5])
+        thing = box(p_WO, [0.1, 0.24, 0.16])
+        mask = np.isfinite(render(thing, X_WC=LEVEL)) & ~np.isfinite(render(X_WC=LEVEL))
+        columns = np.flatnonzero(mask.any(axis=0))
+        depth = before_nothing(noisy(render(thing, X_WC=LEVEL), rng))
+        if k >= 20:
+            depth[:, (columns[0] + columns[-1]) // 2 :] = value
+        memory = step(memory, depth, k * FRAME, X_WC=LEVEL)
+        (row,) = range(len(memory.obstacles))
+        length = np.ptp(memory.obstacles.clouds_W[row], axis=0)[1]
+        assert k < 3 or length > 0.2, k
+    assert memory.obstacles.v_WO[row, 1] > 0.15
+
+
 def test_a_moving_obstacle_keeps_its_name_behind_the_arm():
     rng = np.random.default_rng(3)
     memory, names, unseen = ObstacleMemory(), set(), 0.0

@@ -8,7 +8,7 @@ import pytest
 from drake_oa.geometry.shapes import Box
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.cameras import ASIDE, AWAY, ELEVATIONS, with_two
+from drake_oa.studies.cameras import ASIDE, AWAY, ELEVATIONS, ONE, TWO, seen_from, with_two
 
 
 def places(scenario):
@@ -45,3 +45,21 @@ def test_a_camera_stands_higher_where_something_is_in_its_way():
     found = places(scenario)
     assert found["left"].translation()[2] > free[2]
     assert found["right"].translation()[2] == pytest.approx(free[2])
+
+
+def test_other_places_change_the_view_alone():
+    scenario = load_scenario("tabletop_clutter")
+    for places in (ONE, TWO):
+        seen = seen_from(scenario, places)
+        assert seen.perception.names == tuple(places)
+        assert seen.perception.noise == scenario.perception.noise
+        assert (seen.task, seen.obstacles, seen.seed) == (
+            scenario.task,
+            scenario.obstacles,
+            scenario.seed,
+        )
+        assert len(seen.directives) == len(scenario.directives) - 1
+        text = scenario_text(seen)
+        assert scenario_text(parse_scenario(text)) == text
+    with pytest.raises(ValueError, match="seen by a depth camera"):
+        seen_from(load_scenario("free_space"), ONE)

@@ -1,0 +1,104 @@
+"""Share of the space near an arm that depth cameras do not measure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.geometry.pinhole import pixel_at
+
+REACH = 0.4
+"""Maximum distance of the space from the surface of the arm [m]."""
+HEIGHT = 0.75
+"""Maximum height of the space above the table, where there is one [m]."""
+_PITCH = 0.08
+"""Distance between the points of the space [m]."""
+
+
+class ViewVolume(NamedTuple):
+    """Volume in which a depth camera measures.
+
+    Attributes:
+        X_WC: (4, 4) pose of the camera (x right, y down, z forward).
+        K: (4,) fx, fy, cx, cy [pixel].
+        shape: rows and columns of the image.
+        near: minimum depth [m].
+        far: maximum depth [m].
+    """
+
+    X_WC: FloatArray
+    K: FloatArray
+    shape: tuple[int, int]
+    near: float
+    far: float
+
+
+class NearSpace:
+    """Space near an arm in T configurations, as points of a grid, and the arm as S spheres.
+
+    Attributes:
+        places: of each configuration the centers (S, 3) of the spheres, and the points (N, 3) [m].
+    """
+
+    def __init__(self, p_WS: FloatArray, radius: FloatArray, table_height: float | None) -> None:
+        """Finds the points within `REACH` of the arm, above the table and below `HEIGHT`.
+
+        Args:
+            p_WS: (T, S, 3) centers of the spheres [m].
+            radius: (S,) radii of the spheres [m].
+            table_height: height of the table in the world [m]; None: there is none.
+        """
+        self._radius = radius
+        self.places = [(centers, self._points_near(centers, table_height)) for centers in p_WS]
+
+    @property
+    def middle(self) -> FloatArray:
+        """Mean (3,) of the points of all configurations [m]."""
+        return np.asarray(np.concatenate([points for _, points in self.places]).mean(axis=0))
+
+    def _points_near(self, p_WS: FloatArray, table_height: float | None) -> FloatArray:
+        low = (p_WS - self._radius[:, None]).min(axis=0) - REACH
+        high = (p_WS + self._radius[:, None]).max(axis=0) + REACH
+        if table_height is not None:
+            low[2], high[2] = max(low[2], table_height), min(high[2], table_height + HEIGHT)
+        axes = [np.arange(a + 0.5 * _PITCH, b, _PITCH) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        distance = (cdist(grid, p_WS) - self._radius).min(axis=1)
+        return grid[(distance > 0.0) & (distance < REACH)]
+
+    def unseen_share(self, views: Iterable[ViewVolume]) -> float:
+        """Computes the share of the space that none of some cameras sees.
+
+        A camera does not see a point outside its image or its range of depths, nor one that the arm
+        hides.
+
+        Returns:
+            Mean over the configurations, in [0, 1]: 1 without a camera, 0 without a point.
+        """
+        views = list(views)
+        shares = []
+        for p_WS, points in self.places:
+            seen = np.zeros(len(points), dtype=bool)
+            for view in views:
+                seen |= self._sees(view, points, p_WS)
+            shares.append(np.count_nonzero(~seen) / max(len(points), 1))
+        return float(np.mean(shares))
+
+    def _sees(self, view: ViewVolume, points: FloatArray, p_WS: FloatArray) -> BoolArray:
+        """Computes for (N,) points whether a camera sees them past the spheres p_WS (S, 3)."""
+        R_WC, p_WC = view.X_WC[:3, :3], view.X_WC[:3, 3]
+        p_CQ = (points - p_WC) @ R_WC
+        seen = pixel_at(p_CQ, view.shape, view.K) >= 0
+        seen &= (p_CQ[:, 2] >= view.near) & (p_CQ[:, 2] <= view.far)
+        # Distance of each sphere's center from the ray between camera and point.
+        ray, sphere = points[seen] - p_WC, p_WS - p_WC
+        along = ray @ sphere.T
+        squared = (ray**2).sum(axis=1)[:, None]
+        share = np.clip(along / squared, 0.0, 1.0)
+        apart = (sphere**2).sum(axis=1) - share * (2.0 * along - share * squared)
+        seen[seen] = (apart >= self._radius**2).all(axis=1)
+        return seen

@@ -1,0 +1,91 @@
+"""Unseen share of the space near an arm."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.perception.coverage import HEIGHT, REACH, NearSpace, ViewVolume
+from tests.reference.depth_images import look_at
+
+COLUMN = np.array([[[0.0, 0.0, z] for z in np.arange(0.05, 0.7, 0.05)]])
+"""A column of spheres for an arm."""
+RADIUS = np.full(COLUMN.shape[1], 0.06)
+SPACE = NearSpace(COLUMN, RADIUS, 0.0)
+ANGLES = st.floats(-np.pi, np.pi)
+
+
+def view(p_WC, p_WT=(0.0, 0.0, 0.35), near=0.3, far=4.0, focal=500.0):
+    K = np.array([focal, focal, 320.0, 240.0])
+    return ViewVolume(look_at(p_WC, p_WT), K, (480, 640), near, far)
+
+
+def around(azimuth, distance=2.0, **options):
+    place = [distance * np.cos(azimuth), distance * np.sin(azimuth), 0.6]
+    return view(place, **options)
+
+
+def test_the_space_is_near_the_arm_and_above_the_table():
+    for height in (0.0, 0.2, None):
+        ((_, points),) = NearSpace(COLUMN, RADIUS, height).places
+        distance = np.linalg.norm(points[:, None] - COLUMN[0], axis=2).min(axis=1) - 0.06
+        assert 0.0 < distance.min() < distance.max() < REACH
+        if height is None:
+            assert points[:, 2].min() < 0.0
+            assert points[:, 2].max() > HEIGHT
+        else:
+            assert points[:, 2].min() >= height
+            assert points[:, 2].max() <= height + HEIGHT
+
+
+def test_no_space_is_no_unseen_space():
+    assert NearSpace(COLUMN, RADIUS, -5.0).unseen_share([]) == 0.0
+
+
+def test_a_camera_that_sees_everything_leaves_nothing():
+    thin = NearSpace(COLUMN, np.full(len(RADIUS), 1e-6), 0.0)
+    assert thin.unseen_share([around(0.3)]) == 0.0
+
+
+@pytest.mark.parametrize(
+    "blind",
+    [
+        view((2.0, 0.0, 0.6), (4.0, 0.0, 0.6)),
+        around(0.0, near=3.0),
+        around(0.0, far=1.0),
+    ],
+    ids=["looks away", "too near", "too far"],
+)
+def test_a_camera_that_sees_nothing_leaves_everything(blind):
+    assert SPACE.unseen_share([blind]) == 1.0
+    assert SPACE.unseen_share([]) == 1.0
+    both = SPACE.unseen_share([around(1.0), blind])
+    assert both == SPACE.unseen_share([around(1.0)])
+
+
+@settings(deadline=None, max_examples=30)
+@given(ANGLES, ANGLES, st.floats(0.8, 2.5), st.floats(300.0, 900.0))
+def test_a_second_camera_never_raises_the_share(first, second, distance, focal):
+    one, other = around(first, focal=focal), around(second, distance=distance)
+    shares = [SPACE.unseen_share([camera]) for camera in (one, other)]
+    both = SPACE.unseen_share([one, other])
+    assert 0.0 <= both <= min(shares) <= max(shares) <= 1.0
+    assert both == SPACE.unseen_share([other, one])
+
+
+@settings(deadline=None, max_examples=20)
+@given(ANGLES)
+def test_the_arm_hides_what_is_behind_it(azimuth):
+    alone = SPACE.unseen_share([around(azimuth)])
+    assert 0.02 < alone < 0.5
+    # The camera on the other side sees what the arm hides from this one.
+    assert SPACE.unseen_share([around(azimuth), around(azimuth + np.pi)]) < 0.1 * alone
+
+
+def test_the_share_is_the_mean_over_configurations():
+    aside = COLUMN + [0.3, 0.0, 0.0]
+    camera = around(0.4, focal=900.0)
+    apart = [NearSpace(c, RADIUS, 0.0).unseen_share([camera]) for c in (COLUMN, aside)]
+    both = NearSpace(np.concatenate([COLUMN, aside]), RADIUS, 0.0).unseen_share([camera])
+    assert apart[0] != apart[1]
+    assert both == pytest.approx(np.mean(apart))
