@@ -1,21 +1,22 @@
-"""From the desired motion of the tool to torques: inverse dynamics in operational space.
+"""From a desired motion to torques: inverse dynamics of the arm, in its joints or of its tool.
 
-In: robot_state [q, v], desired position, velocity and acceleration (3,) of E in the world [m, m/s,
-m/s^2]; optionally orientation, angular velocity and acceleration, a posture and a null-space
-acceleration. Out: actuation [N m], whether torques saturate, tracking error (3,) [m], orientation
-error (3,) [rad], and whether the arm is being stopped.
+In: robot_state [q, v] and either the desired position, velocity and acceleration of the arm's
+joints, or those (3,) of E in the world [m, m/s, m/s^2], optionally with orientation, angular
+velocity and acceleration, and a posture. Out: actuation [N m], whether torques saturate, and
+whether the arm is being stopped; of the tool also tracking error (3,) [m] and orientation error
+(3,) [rad].
 
 Systems:
 
-- `CartesianInverseDynamics`: stateless, evaluated with every step of the plant.
-- `IntegralAction`: adds to the desired acceleration what a wrong model lacks, summed up at
-  `policy.period`.
+- `JointInverseDynamics`: computed torque for the joints that MotionGuard commands.
+- `CartesianInverseDynamics`: operational-space law for the tool, in diagrams without MotionGuard,
+  as those of `!Paper`.
 
-The law is tau = M (a_0 + J# (A_c - dJ/dt v - J a_0)) + h with the dynamically consistent inverse J#
-(Khatib, IEEE J. Robotics and Automation 3(1), 1987), damped near singularities, and limited to
-the joints' efforts, the task before the posture. What is not finite brakes the joints.
+Both derive from `InverseDynamics`: an integral, updated at `policy.period`, removes the error that
+a wrong model leaves; torques are limited to the joints' efforts with the direction of the
+acceleration kept; an input that is not finite brakes the joints.
 
 The configuration is `robot.gains` of a scenario (`drake_oa.robot.config.Gains`).
 
-Begin with `operational_space`, then `operational_space_kernels.law`.
+Begin with `joint_inverse_dynamics`.
 """

@@ -1,0 +1,336 @@
+"""The control layer in joint space: torques that make the arm follow a desired joint motion.
+
+With the arm's equation of motion M(q) dv/dt + h(q, v) = tau, computed torque (J. Y. S. Luh,
+M. W. Walker and R. P. C. Paul, IEEE Trans. Automatic Control 25(3), 1980) is
+
+    tau = M (a_d + kd (v_d - v) + kp (q_d - q) + i) + h,    di/dt = ki (q_d - q).
+
+`InverseDynamics`, from which `CartesianInverseDynamics` derives as well, has all that is the same
+for a desired motion of the joints and of the tool.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame, MultibodyForces
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, ValueProducer
+
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.common.ports import Cell, ModelContext, valid_period
+from drake_oa.robot.config import Gains
+
+LARGEST_ERROR = 0.02
+"""Error of a joint above which the integral does not grow: an obstacle holds the arm then [rad]."""
+LARGEST_ACCELERATION = 4.0
+"""Largest acceleration by which the integral corrects each joint [rad/s^2]."""
+FINGER_STIFFNESS = 400.0
+"""Stiffness of the springs that hold the joints of the hand [N/m]."""
+FINGER_DAMPING = 10.0
+"""Damping of the joints of the hand [N s/m]."""
+LARGEST_STATE = 1e9
+"""Magnitude from which a position or velocity counts as not finite, as torques would overflow."""
+
+
+class Command(NamedTuple):
+    """Torques of one instant.
+
+    Attributes:
+        tau: (m,) of all joints, finite and within the limits [N m, N].
+        saturated: whether an arm joint needs more than its effort limit.
+        stopping: whether an input is not finite, and the joints are braked.
+        error: (k,) control error; all inf while the joints are braked.
+    """
+
+    tau: FloatArray
+    saturated: bool
+    stopping: bool
+    error: FloatArray
+
+
+class InverseDynamics(LeafSystem):
+    """Base class of controllers by inverse dynamics of the arm, with springs on the hand's joints.
+
+    .. pydrake_system::
+
+      name: InverseDynamics
+      input_ports:
+      - robot_state
+      output_ports:
+      - actuation
+      - torque_saturation
+      - stopping
+
+    With M dv/dt + h = tau a subclass computes tau - h and the control error. It declares a discrete
+    state of the error's size: `ki_position` times the integral of the error, an acceleration. The
+    torque is evaluated once for all outputs; the robot's model is a cache entry of the Context.
+    """
+
+    max_correction: float
+    """Largest acceleration by which the integral corrects a component of the error."""
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        *,
+        tool_frame: str,
+        gains: Gains | None,
+        finger_opening: float,
+        period: float,
+    ) -> None:
+        """Declares the shared ports, the cache entries and the update of the integral.
+
+        Args:
+            plant: finalized plant of the robot alone, its base welded to the world, every joint of
+                one degree of freedom and actuated. It must outlive the system.
+            tool_frame: name of the frame E, which the arm's joints move.
+            gains: of the controller; None: the defaults.
+            finger_opening: set point of each joint that does not move the tool [m].
+            period: of the integral [s].
+
+        Raises:
+            ValueError: if the plant is not such a robot or has no such frame.
+        """
+        super().__init__()
+        if not plant.is_finalized():
+            raise ValueError("plant: it must be finalized: call plant.Finalize() first")
+        if not plant.HasFrameNamed(tool_frame):
+            raise ValueError(f"tool_frame: the plant has no frame '{tool_frame}'")
+        if not math.isfinite(finger_opening):
+            raise ValueError(f"finger_opening {finger_opening} must be finite [m]")
+        self._plant, self._frame = plant, plant.GetFrameByName(tool_frame)
+        self._gains, self._opening = gains or Gains(), finger_opening
+        self._period = valid_period(period)
+        actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
+        self._order = [actuator.joint().velocity_start() for actuator in actuators]
+        self._arm = find_arm(plant, self._frame, self._order)
+        self._m = plant.num_velocities()
+        self._n = self._arm.stop - self._arm.start
+        self._hand = np.delete(np.arange(self._m), self._arm)
+        self._effort = np.empty(self._m)
+        self._effort[self._order] = plant.GetEffortUpperLimits()
+        self._state = self.DeclareVectorInputPort("robot_state", 2 * self._m)
+        self._model = ModelContext(self, plant)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._period, self._period, self._integrate)
+        self._command = self.DeclareCacheEntry(
+            "joint torques",
+            ValueProducer(allocate=lambda: Value(Cell()), calc=self._calc_command),
+            prerequisites_of_calc={self.all_input_ports_ticket(), self.xd_ticket()},
+        )
+        self._offer("actuation", self._m, lambda command: command.tau[self._order])
+        self._offer("torque_saturation", 1, lambda command: np.full(1, command.saturated))
+        self._offer("stopping", 1, lambda command: np.full(1, command.stopping))
+
+    def _offer(self, name: str, size: int, part: Callable[[Command], Any]) -> None:
+        """Declares an output port for a part of the command."""
+        self.DeclareVectorOutputPort(
+            name,
+            size,
+            lambda context, output: output.SetFromVector(part(self._evaluate(context))),
+            prerequisites_of_calc={self._command.ticket()},
+        )
+
+    def _evaluate(self, context: Context) -> Command:
+        cell: Cell[Command] = self._command.Eval(context)
+        return cell.known
+
+    @abstractmethod
+    def _drive(
+        self, context: Context, model: Context, M: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Computes the torques that accelerate the arm.
+
+        Args:
+            context: of the system.
+            model: of the plant, at a finite state.
+            M: (n, n) mass matrix of the arm, reflected rotor inertia included [kg m^2].
+            correction: (k,) acceleration by the integral.
+
+        Returns:
+            (n,) torques tau - h [N m], not finite if an input is not; and (k,) the control error.
+        """
+
+    @abstractmethod
+    def _integrand(self, error: FloatArray) -> FloatArray:
+        """Returns the control error (k,), with zeros where it is too large to be integrated."""
+
+    def _integrate(self, context: Context, values: DiscreteValues) -> None:
+        correction = context.get_discrete_state_vector().value()
+        rate = self._gains.ki_position * self._integrand(self._evaluate(context).error)
+        limit = self.max_correction
+        values.set_value(np.clip(correction + self._period * rate, -limit, limit))
+
+    # Values that are not finite are an expected input; the sum of the drive shows them.
+    @np.errstate(over="ignore", invalid="ignore")
+    def _calc_command(self, context: Context, value: AbstractValue) -> None:
+        plant, arm, hand, effort = self._plant, self._arm, self._hand, self._effort
+        x = self._state.Eval(context)
+        q, v = x[: self._m], x[self._m :]
+        correction = context.get_discrete_state_vector().value()
+        unknown = np.full(len(correction), np.inf)
+        tau, saturated, stopping, error = np.zeros(self._m), False, True, unknown
+        spring = FINGER_STIFFNESS * (self._opening - q[hand]) - FINGER_DAMPING * v[hand]
+        spring[~np.isfinite(spring)] = 0.0
+        tau[hand] = np.minimum(np.maximum(spring, -effort[hand]), effort[hand])
+        if np.abs(x).max() < LARGEST_STATE:
+            model = self._model.at(context, q, v)
+            forces = MultibodyForces(plant)
+            plant.CalcForceElementsContribution(model, forces)
+            bias = plant.CalcInverseDynamics(model, np.zeros(self._m), forces)[arm]
+            M = plant.CalcMassMatrix(model)[arm, arm]
+            drive, error = self._drive(context, model, M, correction)
+            stopping = not math.isfinite(drive.sum())
+            if stopping:
+                drive, error = -self._gains.kd_stop * (M @ v[arm]), unknown
+            tau[arm], saturated = limit_torque(bias, drive, effort[arm])
+        value.get_mutable_value().value = Command(tau, saturated, stopping, error)
+
+
+class JointInverseDynamics(InverseDynamics):
+    """Inverse-dynamics controller of the arm's joints.
+
+    .. pydrake_system::
+
+      name: JointInverseDynamics
+      input_ports:
+      - robot_state
+      - desired_joint_state
+      - desired_joint_acceleration
+      output_ports:
+      - actuation
+      - torque_saturation
+      - stopping
+
+    - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
+    - desired_joint_state: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints.
+    - desired_joint_acceleration: (n,) [rad/s^2].
+    - actuation: (m,) in the order of the plant's actuators [N m, N]: computed torque of the arm,
+      a spring and a damper of the other joints.
+    - torque_saturation: (1,) 1 while an arm joint needs more than its effort limit, else 0.
+    - stopping: (1,) 1 while an input is not finite; the joints are braked then, or have no torque
+      if the robot's state is not finite.
+
+    Gains are `kp_position`, `kd_position` and `ki_position` of `Gains`, and `kd_stop` for braking.
+    Where a torque exceeds its limit, the drive of all joints is reduced by the same factor, so
+    that the direction of the acceleration stays; Drake's `InverseDynamicsController` limits nothing
+    and outputs NaN for a state that is not finite.
+    """
+
+    max_correction = LARGEST_ACCELERATION
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        *,
+        tool_frame: str,
+        gains: Gains | None = None,
+        finger_opening: float = 0.04,
+        period: float = 0.008,
+    ) -> None:
+        """Declares ports and state.
+
+        Args:
+            plant: finalized plant of the robot alone, its base welded to the world, every joint of
+                one degree of freedom and actuated. It must outlive the system.
+            tool_frame: name of the frame E, which the arm's joints move.
+            gains: of the controller; None: the defaults.
+            finger_opening: set point of each joint that does not move the tool [m].
+            period: of the integral [s].
+
+        Raises:
+            ValueError: if the plant is not such a robot or has no such frame.
+        """
+        super().__init__(
+            plant, tool_frame=tool_frame, gains=gains, finger_opening=finger_opening, period=period
+        )
+        self._desired = self.DeclareVectorInputPort("desired_joint_state", 2 * self._n)
+        self._acceleration = self.DeclareVectorInputPort("desired_joint_acceleration", self._n)
+        self.DeclareDiscreteState(self._n)
+
+    def _drive(
+        self, context: Context, model: Context, M: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        x, desired, gains = self._state.Eval(context), self._desired.Eval(context), self._gains
+        error = desired[: self._n] - x[: self._m][self._arm]
+        error_rate = desired[self._n :] - x[self._m :][self._arm]
+        acceleration = (
+            self._acceleration.Eval(context)
+            + gains.kp_position * error
+            + gains.kd_position * error_rate
+            + correction
+        )
+        return M @ acceleration, error
+
+    def _integrand(self, error: FloatArray) -> FloatArray:
+        return np.where(np.abs(error) <= LARGEST_ERROR, error, 0.0)
+
+
+def find_arm(plant: MultibodyPlant, frame: Frame, actuated: list[int]) -> slice:
+    """Finds the joints that move the tool, by their indices in the velocities of the plant.
+
+    Args:
+        plant: finalized.
+        frame: of the tool.
+        actuated: indices of the joints with an actuator.
+
+    Raises:
+        ValueError: if a joint has several degrees of freedom or no actuator, no joint moves the
+            tool, or those that do are not consecutive.
+    """
+    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
+    moving = [joint for joint in joints if joint.num_velocities() > 0]
+    for joint in moving:
+        if joint.num_velocities() != 1 or joint.velocity_start() not in actuated:
+            raise ValueError(
+                f"plant: joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom"
+                f"{'' if joint.velocity_start() in actuated else ' and no actuator'}; every joint "
+                "must have one and be actuated, and the base be welded to the world"
+            )
+    tool = frame.body().index()
+    arm = [
+        joint.velocity_start()
+        for joint in moving
+        if tool in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+    ]
+    if not arm or arm != list(range(arm[0], arm[0] + len(arm))):
+        raise ValueError(
+            f"tool_frame: the joints that move '{frame.name()}' have indices {arm}; they must "
+            "follow one another in the plant's velocities, and there must be one at least"
+        )
+    return slice(arm[0], arm[0] + len(arm))
+
+
+def limit_torque(
+    bias: FloatArray, drive: FloatArray, effort: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Fits tau = bias + drive into the effort limits.
+
+    When a joint needs too much, the whole drive is scaled by the largest factor in [0, 1] that
+    fits: gravity stays carried and the commanded acceleration keeps its direction, where clipping
+    joint by joint would bend the tool's path and turn the tool. A bias that alone is beyond its
+    limit is clipped.
+
+    Args:
+        bias: (n,) torques that carry the arm [N m].
+        drive: (n,) torques that accelerate it [N m].
+        effort: (n,) largest torque either way [N m].
+
+    Returns:
+        (n,) torques within the limits, and whether a joint needed more.
+    """
+    tau = bias + drive
+    saturated: BoolArray = np.abs(tau) > effort
+    if not saturated.any():
+        return tau, False
+    # A drive that unloads a joint whose bias is beyond the limit may stay.
+    sense = np.sign(tau)
+    limiting = saturated & (sense * drive > 0.0)
+    room = (effort - sense * bias)[limiting]
+    factor = max((room / np.abs(drive[limiting])).min(initial=1.0), 0.0)
+    return np.minimum(np.maximum(bias + factor * drive, -effort), effort), True

@@ -1,0 +1,118 @@
+"""The inverse-dynamics controller of the joints."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.controllers import InverseDynamicsController
+
+from drake_oa.control.joint_inverse_dynamics import JointInverseDynamics, limit_torque
+from drake_oa.robot.config import Gains, Robot
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+
+GAINS = Gains(kp_position=100.0, kd_position=20.0, ki_position=0.0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotPlant:
+    return make_robot_plant(Robot())
+
+
+def torques(robot: RobotPlant, x: np.ndarray, desired: np.ndarray, a: np.ndarray) -> tuple:
+    """Actuation (9,), and whether a torque saturates and the arm is braked."""
+    system = JointInverseDynamics(
+        robot.plant, tool_frame=robot.tool_frame.name(), gains=GAINS, finger_opening=0.02
+    )
+    context = system.CreateDefaultContext()
+    for name, value in (
+        ("robot_state", x),
+        ("desired_joint_state", desired),
+        ("desired_joint_acceleration", a),
+    ):
+        system.GetInputPort(name).FixValue(context, value)
+    names = ("actuation", "torque_saturation", "stopping")
+    return tuple(np.array(system.GetOutputPort(name).Eval(context)) for name in names)
+
+
+def state(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Robot state (18,), desired joint state (14,) and acceleration (7,)."""
+    rng, q = np.random.default_rng(seed), home_positions(Robot())
+    x = np.concatenate([q + 0.1 * rng.normal(size=9), 0.2 * rng.normal(size=9)])
+    desired = np.append(x[:7] + 0.01 * rng.normal(size=7), x[9:16] + 0.01 * rng.normal(size=7))
+    return x, desired, rng.normal(size=7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_torques_are_those_of_drakes_controller(robot: RobotPlant, seed: int) -> None:
+    x, desired, a = state(seed)
+    tau, saturated, stopping = torques(robot, x, desired, a)
+    gains = (np.full(9, GAINS.kp_position), np.zeros(9), np.full(9, GAINS.kd_position))
+    drake = InverseDynamicsController(robot.plant, *gains, True)
+    context = drake.CreateDefaultContext()
+    # The fingers are not accelerated.
+    q_d, v_d = np.append(desired[:7], x[7:9]), np.append(desired[7:], x[16:])
+    drake.get_input_port_estimated_state().FixValue(context, x)
+    drake.get_input_port_desired_state().FixValue(context, np.append(q_d, v_d))
+    drake.get_input_port_desired_acceleration().FixValue(context, np.append(a, np.zeros(2)))
+    expected = drake.get_output_port_control().Eval(context)
+    np.testing.assert_allclose(tau[:7], expected[:7], atol=1e-9)
+    assert saturated[0] == stopping[0] == 0.0
+
+
+def test_torques_stay_within_the_limits(robot: RobotPlant) -> None:
+    x, desired, a = state(0)
+    tau, saturated, _ = torques(robot, x, desired, 1e3 * a)
+    assert saturated[0] == 1.0
+    assert (np.abs(tau[:7]) <= robot.limits.effort_limit[:7] + 1e-9).all()
+
+
+def test_values_that_are_not_finite_brake_the_arm(robot: RobotPlant) -> None:
+    x, desired, a = state(0)
+    tau, _, stopping = torques(robot, x, np.full(14, np.nan), a)
+    assert stopping[0] == 1.0
+    assert np.isfinite(tau).all()
+    tau, _, stopping = torques(robot, np.full(18, np.nan), desired, a)
+    assert stopping[0] == 1.0
+    np.testing.assert_array_equal(tau, 0.0)
+
+
+def test_the_integral_ignores_a_joint_that_an_obstacle_holds(robot: RobotPlant) -> None:
+    system = JointInverseDynamics(robot.plant, tool_frame=robot.tool_frame.name(), period=0.01)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    x = np.append(home_positions(Robot()), np.zeros(9))
+    desired = np.append(x[:7] + [0.01, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0], np.zeros(7))
+    system.GetInputPort("robot_state").FixValue(context, x)
+    system.GetInputPort("desired_joint_state").FixValue(context, desired)
+    system.GetInputPort("desired_joint_acceleration").FixValue(context, np.zeros(7))
+    before = np.array(system.GetOutputPort("actuation").Eval(context))
+    simulator.AdvanceTo(0.055)
+    added = context.get_discrete_state_vector().value()
+    assert added[0] == pytest.approx(Gains().ki_position * 0.05 * 0.01)
+    np.testing.assert_array_equal(added[1:], 0.0)
+    assert np.abs(system.GetOutputPort("actuation").Eval(context) - before).max() > 0.1
+
+
+@given(st.integers(0, 2**31 - 1))
+@settings(max_examples=100, deadline=None)
+def test_limited_torque_keeps_gravity_and_the_direction_of_the_drive(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    effort = random.uniform(5.0, 20.0, 7)
+    bias, drive = random.uniform(-0.9, 0.9, 7) * effort, 30.0 * random.normal(size=7)
+    tau, saturated = limit_torque(bias, drive, effort)
+    assert np.all(np.abs(tau) <= effort)
+    assert saturated == np.any(np.abs(bias + drive) > effort)
+    factor = (tau - bias) @ drive / (drive @ drive)
+    assert 0.0 <= factor <= 1.0 + 1e-12
+    np.testing.assert_allclose(tau, bias + factor * drive, atol=1e-9)
+    assert saturated == np.any(np.isclose(np.abs(tau), effort))
+
+
+def test_a_bias_beyond_its_limit_is_clipped_and_may_be_unloaded() -> None:
+    bias, effort = np.array([12.0, 1.0]), np.array([10.0, np.inf])
+    tau, saturated = limit_torque(bias, np.array([-1.0, 2.0]), effort)
+    np.testing.assert_allclose(tau, [10.0, 3.0])
+    assert saturated
+    tau, _ = limit_torque(bias, np.array([1.0, 2.0]), effort)
+    np.testing.assert_allclose(tau, [10.0, 1.0])
