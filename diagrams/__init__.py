@@ -23,7 +23,7 @@ Signals, with who offers them (`avoidance.Layers` says who reads them):
     coupling_parameters, route, motion, demonstration      motion_verifier
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
     desired_posture                                        posture_follower
-    speed_scale, evasion, evading                          supervisor, evasion
+    desired_joint_state, speed_scale, evasion              motion_guard
     actuation, tracking_error, torque_saturation           controller
 
 The files `*.scenario.yaml` are the shipped scenarios. Read `avoidance` first.

@@ -54,9 +54,11 @@ class Layers:
             with `!Paper`.
         policy: goal, and dmp_integrator: ellipsoids_W, coupling_parameters, route, speed_scale,
             evasion -> policy_state, phase and desired_position, _velocity, _acceleration.
-        posture: motion, policy_state, evading -> desired_posture.
-        safety: solids_W, robot_state, policy_state, motion -> speed_scale, evasion and evading.
-        control: robot_state and what is desired -> actuation, tracking_error, torque_saturation.
+        posture: motion, policy_state -> desired_posture.
+        safety: solids_W, robot_state, policy_state, motion, desired_posture and the desired motion
+            of the tool -> desired_joint_state and _acceleration, path_state, speed_scale and
+            evasion; nothing with `!Paper`.
+        control: robot_state and the desired motion -> actuation, torque_saturation.
     """
 
     perception: AddLayer = add_perception

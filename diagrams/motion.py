@@ -242,13 +242,19 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
     wires.add(
         "motion_verifier",
         verifier,
-        reads={"coupling_parameters": "proposed_parameters", "route": "proposed_route"},
+        reads={
+            "coupling_parameters": "proposed_parameters",
+            "route": "proposed_route",
+            # During a maneuver the arm is away from the motion that is verified.
+            "robot_state": "path_state",
+        },
         offers={
             "decision": "decision_regulation",
             "sides": "shown_route",
             "source": "motion_source",
         },
     )
+    wires.otherwise("path_state", "robot_state")
     wires.log("shortfall", "lowered", "decision_regulation", "motion_source")
 
 

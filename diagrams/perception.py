@@ -34,7 +34,7 @@ from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.perception.visibility import ImageRange
 from drake_oa.planning.cloud_solids import CloudSolids
-from drake_oa.planning.true_solids import GivenSolids, TrueSolids
+from drake_oa.planning.true_solids import TrueSolids
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import RobotPlant, tool_link_corners
 from drake_oa.scenario.end_poses import held_robots
@@ -91,10 +91,7 @@ def add_perception(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
 def _add_given(
     wires: Wires, source: GivenEllipsoids, scenario: Scenario, cell: Cell | None
 ) -> None:
-    given = given_ellipsoids(source)
-    wires.add("perception", GivenEllipsoidSource(given))
-    if cell is not None:
-        wires.add("solids", GivenSolids(given, table_plane(scenario)), if_read=True)
+    wires.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
 
 
 def _add_ground_truth(
@@ -190,6 +187,7 @@ def _add_depth_camera(
             wires.interpose(
                 source.signal("depth_image", name), source.signal("depth_noise", name), noise
             )
+    configs = camera_configs(scenario, source)
     intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
@@ -201,6 +199,10 @@ def _add_depth_camera(
         all_needed=source.all_needed,
         together=live.together if live else 0.0,
         unsaid=live.max_age if live else 0.0,
+        depth_range=(
+            max(config.z_near for config in configs),
+            min(config.z_far for config in configs),
+        ),
     )
     wires.add("perception", perception, reads=reads)
 

@@ -25,14 +25,12 @@ _SYSTEMS = {
     "MotionVerifier": "planning.motion_verifier",
     "TrueSolids": "planning.true_solids",
     "CloudSolids": "planning.cloud_solids",
-    "GivenSolids": "planning.true_solids",
     "DmpIntegrator": "policy.dmp_integrator",
     "OrientationIntegrator": "policy.orientation_integrator",
     "PostureFollower": "posture.posture_follower",
-    "Supervisor": "safety.supervisor",
-    "ObstacleEvasion": "safety.obstacle_evasion",
+    "MotionGuard": "safety.motion_guard",
+    "JointInverseDynamics": "control.joint_inverse_dynamics",
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
-    "IntegralAction": "control.cartesian_inverse_dynamics",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
 """Class -> its module below this package."""

@@ -25,20 +25,20 @@ LAYERS = (
 
 
 def systems() -> dict[str, type]:
-    """The LeafSystems that the layers' folders define."""
+    """The LeafSystems that the layers' folders define, without base classes."""
     found = {}
     for layer in LAYERS:
         for file in (Path(drake_oa.__file__).parent / layer).glob("*.py"):
-            if "(LeafSystem)" in file.read_text():
-                module = import_module(f"drake_oa.{layer}.{file.stem}")
-                found |= {
-                    name: item
-                    for name, item in vars(module).items()
-                    if isinstance(item, type)
-                    and issubclass(item, LeafSystem)
-                    and item.__module__ == module.__name__
-                    and not name.startswith("_")
-                }
+            module = import_module(f"drake_oa.{layer}.{file.stem}")
+            found |= {
+                name: item
+                for name, item in vars(module).items()
+                if isinstance(item, type)
+                and issubclass(item, LeafSystem)
+                and item.__module__ == module.__name__
+                and not item.__subclasses__()
+                and not name.startswith("_")
+            }
     return found
 
 

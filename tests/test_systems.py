@@ -48,14 +48,17 @@ OVERRIDES = {
 ECHOES = {
     "CartesianInverseDynamics.tracking_error",
     "CartesianInverseDynamics.orientation_error",
-    "IntegralAction.desired_acceleration",
+    "MotionGuard.guard_contact",
+    "MotionGuard.path_state",
+    "MotionGuard.tracking_error",
+    "MotionGuard.orientation_error",
 }
-"""Outputs that hand on an input that is not a number; the controller commands no torque of it."""
+"""Outputs that hand on an input that is not a number, and the time of a contact that never comes;
+the controller commands no torque of them."""
 
 SELDOM_READ = {
     "DmpIntegrator.demonstration",
-    "ObstacleEvasion.motion",
-    "ObstacleEvasion.demonstration",
+    "MotionGuard.demonstration",
 }
 """Inputs that are read where a motion begins or something moves."""
 
@@ -136,8 +139,8 @@ def test_several_cameras_have_the_ports_of_one_with_their_names() -> None:
         written = [str(p).partition(" ")[0] for p in documented_ports(type(system))["input_ports"]]
         for side in ("left", "right"):
             own = [port.removesuffix(f"_{side}") for port in inputs if port.endswith(f"_{side}")]
-            assert own == [port for port in written if port != "obstacles_W"]
-        assert "views" in inputs + [port.get_name() for port in outputs_of(system)]
+            assert own == [port for port in written if port not in ("obstacles_W", "free_space_W")]
+        assert "free_space_W" in inputs + [port.get_name() for port in outputs_of(system)]
 
 
 # Each alone.
@@ -199,8 +202,9 @@ def test_the_diagrams_have_every_system(diagrams: dict[str, Diagram]) -> None:
     live = load_scenario("tabletop_box", ["perception=!LcmCamera {lcm_url: 'memq://'}"])
     every = [*diagrams.values(), build_avoidance(live)]
     checked = set().union(*map(checked_systems, every))
-    # Tested in tests/hardware and in tests/studies; and the base class of the cameras.
-    others = {"CommandStream", "MeasuredState", "ProgramInputs", "TimedCamera"}
+    # Tested in tests/hardware and in tests/studies; and base classes.
+    others = {"CommandStream", "CommandedJoints", "MeasuredState", "ProgramInputs"}
+    others |= {"TimedCamera", "InverseDynamics"}
     assert checked == set(system_classes()) - others
 
 

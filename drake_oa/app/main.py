@@ -41,7 +41,7 @@ _COMPILATION = {
 }
 """Functions that compute -> about how long their kernels take to compile, where that is known."""
 
-_KERNELS = 127
+_KERNELS = 97
 """Number of kernels that `drake-oa run tabletop_box` compiles in a fresh installation."""
 
 _HELP = """\

@@ -10,6 +10,7 @@ import itertools
 import statistics
 import time
 import timeit
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -109,10 +110,15 @@ def perceive(
     """
     from pydrake.math import RigidTransform, RollPitchYaw
 
+    from drake_oa.common.config import validate
     from drake_oa.common.files import software_versions
+    from drake_oa.perception.config import SegmentationConfig
     from drake_oa.perception.recordings import checked_intrinsics, read_frame
 
-    tool_W, config = _tool_corners(tool), _segmentation_config(near, far)
+    tool_W, limits = _tool_corners(tool), {"near": near, "far": far}
+    config: SegmentationConfig = validate(
+        SegmentationConfig, {name: limit for name, limit in limits.items() if limit is not None}
+    )
     K = None if intrinsics is None else checked_intrinsics(intrinsics, "--intrinsics")
     X_WC = None
     if pose is not None:
@@ -140,13 +146,8 @@ def perceive(
             status = status or FAILED
     show(_table(results))
     if json is not None:
-        whole = {
-            "tool": tool,
-            "tool_W": tool_W.tolist(),
-            "versions": list(software_versions()),
-            "files": results,
-        }
-        writes.append(partial(replace_json, json, whole))
+        made = {"tool": tool, "tool_W": tool_W.tolist(), "versions": list(software_versions())}
+        writes.append(partial(replace_json, json, made | {"files": results}))
     return status if write_all(*writes) else status or FAILED
 
 
@@ -303,10 +304,13 @@ def _expand_folders(files: Sequence[Path]) -> list[Path]:
 
 def _picture_files(folder: Path, paths: Sequence[Path]) -> dict[Path, Path]:
     """Returns the file of the picture of each path, numbered where names are equal."""
-    stems = [path.stem for path in paths]
-    earlier = [stems[:row].count(stem) for row, stem in enumerate(stems)]
-    names = [f"{stem}_{n + 1}" if n else stem for stem, n in zip(stems, earlier, strict=True)]
-    return {path: folder / f"{name}.png" for path, name in zip(paths, names, strict=True)}
+    count = Counter[str]()
+    pictures = {}
+    for path in paths:
+        count[path.stem] += 1
+        number = f"_{count[path.stem]}" if count[path.stem] > 1 else ""
+        pictures[path] = folder / f"{path.stem}{number}.png"
+    return pictures
 
 
 def _tool_corners(text: str) -> FloatArray:
@@ -327,15 +331,6 @@ def _tool_corners(text: str) -> FloatArray:
     if size.shape != (3,) or not np.isfinite(size).all() or (size < 0.0).any():
         raise ValueError(f"--tool must be panda, none or LX,LY,LZ [m], not '{text}'")
     return 0.5 * size * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-
-
-def _segmentation_config(near: float | None, far: float | None) -> SegmentationConfig:
-    from drake_oa.common.config import validate
-    from drake_oa.perception.config import SegmentationConfig
-
-    given = {name: value for name, value in (("near", near), ("far", far)) if value is not None}
-    config: SegmentationConfig = validate(SegmentationConfig, given)
-    return config
 
 
 def plot_frame(perceived: PerceivedFrame, path: Path) -> None:

@@ -1,7 +1,7 @@
 """What all layers share; it imports none of them.
 
 - `messages`: the frozen values on the abstract ports between layers: `ObstacleClouds`,
-  `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`, `Evasion`. Arrays
+  `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Arrays
   are locked, and a copy is the value itself, so that a Context clones in constant time.
 - `wires`: signals of a diagram by name: systems are added, replaced and put between by them.
 - `ports`: typed reading of abstract ports; a robot's plant as a cache entry of a system.

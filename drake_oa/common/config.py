@@ -12,7 +12,8 @@ import difflib
 import math
 import re
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 import yaml
@@ -68,6 +69,15 @@ class ScenarioError(ValueError):
     def of_file(self, name: str) -> ScenarioError:
         """Returns the error with the name of the file."""
         return ScenarioError(*self.problems, file=name)
+
+
+@contextmanager
+def field_errors(field: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Turns errors of some kinds into a `ScenarioError` that begins with the name of a field."""
+    try:
+        yield
+    except kinds as error:
+        raise ScenarioError(f"{field}: {error}") from None
 
 
 def _check_angle(angle: float) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -339,39 +339,3 @@ class CouplingParameters(Frozen):
 
 DECIDING = "no motion from here is verified yet"
 """The note of a motion that is held while its first one is being decided on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Evasion(Frozen):
-    """What has been decided against what moves.
-
-    Attributes:
-        action: ""; "going on": the motion goes on at full speed past what comes near;
-            "waiting": it is held; "evading": it is held, and the tool displaced; "caught":
-            the same, but no way was found without a contact.
-        velocity: (3,) wanted of the displacement, in the world [m/s].
-        obstacle: name of the obstacle; -1: none.
-        clearance: least distance that is expected [m].
-        contact: in how long the contact is expected, of "caught" [s]; else inf.
-        turn: (n,) velocity wanted of the arm's joints in the null space of the tool's task, in
-            place of the planned posture's [rad/s]; (0,) leaves them to the plan.
-    """
-
-    action: Evading = ""
-    velocity: FloatArray = zeros(3)
-    obstacle: int = -1
-    clearance: float = math.inf
-    contact: float = math.inf
-    turn: FloatArray = zeros(0)
-
-    @property
-    def certain(self) -> bool:
-        """Whether a contact is near that cannot be evaded."""
-        return self.action == "caught" and self.contact <= _CERTAIN
-
-
-Evading = Literal["", "going on", "waiting", "evading", "caught"]
-
-
-_CERTAIN = 0.4
-"""A contact that cannot be evaded is certain when it is no farther ahead than this [s]."""

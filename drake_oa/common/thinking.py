@@ -2,7 +2,7 @@
 
 A clock would make no two runs alike; a count is the same on every machine. `counted` opens an
 account, and what dominates the decisions adds to it by `count`: roll-outs of motions,
-configurations of the arm along them, ways of evasion. `Thinking` makes seconds of it.
+configurations of the arm along them. `Thinking` makes seconds of it.
 """
 
 import dataclasses as dc
@@ -26,13 +26,11 @@ class Work:
     Attributes:
         searches: batches of motions that were rolled out.
         steps: their steps, of all motions.
-        poses: those of the configurations that are on ways of evasion.
         configurations: of the whole arm that were measured against the solids.
     """
 
     searches: int = 0
     steps: int = 0
-    poses: int = 0
     configurations: int = 0
 
 
@@ -48,10 +46,7 @@ class Thinking:
     """Time of one time step of one rolled-out motion [s]. Raising it makes searches later."""
     configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
     """Time of one clearance computation of the whole arm [s]. Raising it makes searches and
-    evasions later."""
-    pose: float = Field(default=2.5e-6, ge=0.0, le=1.0)
-    """Additional time of one arm configuration of an evasive motion [s]. Raising it makes evasions
-    later."""
+    maneuvers later."""
 
     def seconds(self, work: Work) -> float:
         """Time that a decision takes [s]."""
@@ -59,7 +54,6 @@ class Thinking:
             self.decision
             + self.search * work.searches
             + self.step * work.steps
-            + self.pose * work.poses
             + self.configuration * work.configurations
         )
 

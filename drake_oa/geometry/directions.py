@@ -22,10 +22,3 @@ def _directions() -> FloatArray:
 
 DIRECTIONS = _directions()
 """(26, 3) unit vectors to the faces, edges and corners of a cube."""
-
-
-def ramped(velocity: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """(m,) a velocity on its way to the wanted one, changed by a norm of `most` or less."""
-    change = wanted - velocity
-    size = float(np.linalg.norm(change))
-    return np.array(wanted if size <= most else velocity + change * (most / size))

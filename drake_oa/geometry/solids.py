@@ -24,7 +24,7 @@ from pydrake.systems.framework import Context
 from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
-from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane, zeros
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
 from drake_oa.geometry.directions import lattice
 from drake_oa.geometry.distance_field import OFFSET, DistanceField
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
@@ -69,6 +69,16 @@ class Solids(NamedTuple):
     faces: FloatArray
     triangles: FloatArray
     voxels: NDArray[np.float32]
+
+    @property
+    def moving(self) -> BoolArray:
+        """(K,) whether each of them moves."""
+        return np.asarray(self.ball[:, 4:7].any(axis=1))
+
+    def chosen(self, rows: BoolArray) -> Solids:
+        """Returns the solids of some rows (K,)."""
+        parts = {name: getattr(self, name)[rows] for name in ("ball", "X_WO", "size", "layout")}
+        return self._replace(**parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,10 +429,24 @@ class SolidScene(Frozen):
     def __len__(self) -> int:
         return len(self.labels)
 
+    def at_rest(self) -> SolidScene:
+        """Returns the scene without the solids that move."""
+        if not self.moves:
+            return self
+        rows = ~self.solids.moving
+        labels = tuple(label for label, rests in zip(self.labels, rows, strict=True) if rests)
+        return replace(self, solids=self.solids.chosen(rows), labels=labels)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all places and velocities are; the radius of a half-space is not."""
+        solids = self.solids
+        return bool(np.isfinite(solids.X_WO).all() and np.isfinite(solids.ball[:, 4:]).all())
+
     @property
     def moves(self) -> bool:
         """Whether any of them does."""
-        return bool(self.solids.ball[:, 4:7].any())
+        return bool(self.solids.moving.any())
 
     def same_as(self, other: SolidScene) -> bool:
         """Whether nothing has moved or changed since another observation."""

@@ -79,6 +79,15 @@ def check_rate(rate: float) -> None:
         raise ValueError(f"rate: {rate} must be above 0 and at most 1")
 
 
+def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
+    """Returns a message about the first of the positions (n,) beyond its limits; "" if none is."""
+    lower, upper = limits.position_lower, limits.position_upper
+    for name, value, low, high in zip(limits.position_name, q, lower, upper, strict=True):
+        if not low <= value <= high:
+            return f"{name} at {value:.4g} rad is out of [{low:.4g}, {high:.4g}]"
+    return ""
+
+
 class PlayerState(IntEnum):
     """What the player does."""
 
@@ -514,12 +523,8 @@ class CommandGuard:
 
     def _position_out(self, command: lcmt_panda_command) -> str:
         q = np.array(command.joint_position)
-        inside = (self._limits.position_lower <= q) & (q <= self._limits.position_upper)
-        if not inside.all():
-            j = int(np.argmin(inside))
-            low, high = self._limits.position_lower[j], self._limits.position_upper[j]
-            name = self._limits.position_name[j]
-            return f"{name} at {q[j]:.4g} rad is out of [{low:.4g}, {high:.4g}]"
+        if beyond := beyond_limits(q, self._limits):
+            return beyond
         elapsed = 0.0
         if self._stamp is not None:
             elapsed = MICROSECOND * (command.utime - self._stamp)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcm
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
 from drake_oa.hardware.command_player import (
@@ -23,6 +23,7 @@ from drake_oa.hardware.command_player import (
     SILENCE,
     CommandPlayer,
     PlayerState,
+    beyond_limits,
     check_rate,
     play,
     shared_motion,
@@ -165,15 +166,11 @@ class RobotLink:
         while self.clock() - listened < 2.0 * SILENCE:
             self.wait()
         if self.motion.state is not PlayerState.READY:
-            raise HardwareError(self._why())
+            raise HardwareError(f"{self.motion.note or 'no status of the arm'} ({self.url})")
         _, q, v = self.motion.measured
+        if beyond := beyond_limits(q, limits):
+            raise HardwareError(beyond)
         name = limits.position_name
-        low, high = limits.position_lower, limits.position_upper
-        if ((q < low) | (q > high)).any():
-            j = int(np.argmax(np.maximum(low - q, q - high)))
-            raise HardwareError(
-                f"{name[j]} is at {q[j]:.4g} rad, out of [{low[j]:.4g}, {high[j]:.4g}]"
-            )
         if np.abs(v).max() > _START_SPEED:
             j = int(np.argmax(np.abs(v)))
             raise HardwareError(f"{name[j]} moves at {v[j]:.3g} rad/s; the arm has to rest")
@@ -213,9 +210,6 @@ class RobotLink:
                 return
             self.wait()
             self._hear(t)
-
-    def _why(self) -> str:
-        return f"{self.motion.note or 'no status of the arm'} ({self.url})"
 
     def _hear(self, t: float) -> None:
         """Takes down what the player says; raises if it has stopped the arm."""
@@ -276,16 +270,14 @@ class CommandStream(LeafSystem):
         self.DeclareInitializationPublishEvent(self._begin)
         self.DeclarePeriodicPublishEvent(COMMAND_PERIOD, 0.0, self._publish)
 
-    def _begin(self, context: Context) -> EventStatus:
+    def _begin(self, context: Context) -> None:
         if self._seen.HasValue(context):
             seen: ObstacleClouds = self._seen.Eval(context)
             check_table(seen, self._table)
-        return EventStatus.Succeeded()
 
-    def _publish(self, context: Context) -> EventStatus:
+    def _publish(self, context: Context) -> None:
         q = self._state.Eval(context)[self._arm]
         self._link.write(context.get_time(), q)
-        return EventStatus.Succeeded()
 
 
 def check_table(seen: ObstacleClouds, table: TablePlane | None) -> None:

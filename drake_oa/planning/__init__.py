@@ -10,7 +10,6 @@ Out: coupling_parameters and route, verified; demonstration `Demonstration`, wit
 Systems
     TrueSolids      every observation; the collision geometry of the simulator
     CloudSolids     every observation; the collision geometry of obstacles_W
-    GivenSolids     given ellipsoids as collision geometry
     MotionVerifier  every observation (15 Hz); rolls candidates out and selects the shortest one
                     that achieves the requested clearance of tool and links
 

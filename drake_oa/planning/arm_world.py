@@ -30,14 +30,11 @@ class Asked(NamedTuple):
         of_solids: (G, K) clearance of each group to each solid [m]; -inf: they may touch.
         of_self: clearance of the groups to each other [m].
         is_tool: (G,) whether a group is of the tool, else of the links.
-        growth: (K,) by how much more is asked of each solid a second after its stamp [m/s]; (0,):
-            no more.
     """
 
     of_solids: FloatArray
     of_self: float
     is_tool: BoolArray
-    growth: FloatArray = np.zeros(0)
 
 
 class ArmWorld(NamedTuple):
@@ -143,8 +140,6 @@ def lower_excess(
         row = TOOL if asked.is_tool[g] else LINKS
         for k in range(len(solids.ball)):
             keep = asked.of_solids[g, k]
-            if len(asked.growth) > 0:
-                keep += asked.growth[k] * (t - solids.ball[k, 7])
             far = spheres.bound[g, 3] + keep + least[row]
             if ball_bound(solids, k, x, y, z, t) >= far:
                 continue
@@ -261,24 +256,34 @@ def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
 
 @compiled
 def group_distances(
-    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float
+    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float, most: float
 ) -> FloatArray:
-    """(G, K) distances of the groups to the solids at a configuration (n,) and a time [m]."""
-    X = np.empty((len(q) + 2, 12))
-    chain_poses(q, chain.X_PJ, X)
-    found = np.full((len(spheres.group_joint), len(solids.ball)), np.inf)
-    for g in range(len(spheres.group_joint)):
-        frame = spheres.group_joint[g] + 1
-        for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
-            x, y, z = placed(X, frame, spheres.cluster_bound, c)
+    """Computes the least distances (G, K) of groups to solids along configurations (T, n) [m].
+
+    Distances above `most` are not computed exactly.
+    """
+    found = np.full((len(spheres.group_joint), len(solids.ball)), most)
+    X = np.empty((q.shape[1] + 2, 12))
+    for row in range(len(q)):
+        chain_poses(q[row], chain.X_PJ, X)
+        for g in range(len(spheres.group_joint)):
+            frame = spheres.group_joint[g] + 1
+            x, y, z = placed(X, frame, spheres.bound, g)
             for k in range(len(solids.ball)):
-                near = solid_distance(solids, k, x, y, z, t) - spheres.cluster_bound[c, 3]
-                if near >= found[g, k]:
+                far = found[g, k] + spheres.bound[g, 3]
+                if ball_bound(solids, k, x, y, z, t) >= far:
                     continue
-                for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
-                    u, v, w = placed(X, frame, spheres.p_JS, i)
-                    d = solid_distance(solids, k, u, v, w, t) - spheres.radius[i]
-                    found[g, k] = min(found[g, k], d)
+                if solid_distance(solids, k, x, y, z, t) >= far:
+                    continue
+                for m in range(spheres.cluster[g], spheres.cluster[g + 1]):
+                    u, v, w = placed(X, frame, spheres.cluster_bound, m)
+                    near = solid_distance(solids, k, u, v, w, t) - spheres.cluster_bound[m, 3]
+                    if near >= found[g, k]:
+                        continue
+                    for i in range(spheres.cluster_first[m], spheres.cluster_first[m + 1]):
+                        u, v, w = placed(X, frame, spheres.p_JS, i)
+                        d = solid_distance(solids, k, u, v, w, t) - spheres.radius[i]
+                        found[g, k] = min(found[g, k], d)
     return found
 
 

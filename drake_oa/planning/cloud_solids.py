@@ -42,7 +42,7 @@ from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, va
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.pinhole import FREE, View, shown
 from drake_oa.geometry.solids import Solid, SolidScene, cloud_solid, table_solid
-from drake_oa.perception.depth_perception import Views
+from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.perception.tracking import held_table
 from drake_oa.perception.visibility import ImageRange, with_unseen_ends
 
@@ -354,8 +354,9 @@ class CloudSolids(LeafSystem):
       - solids_W
 
     Of several `cameras` the pose of each has a port, named by them, and there is one more:
-    `views` (optional), abstract `Views`, the images of the observation: where any of them sees
-    through what another one leaves open, nothing is filled. Those of another time do not count.
+    `free_space_W` (optional), abstract `FreeSpace`, the images of the observation: where any of
+    them sees through what another one leaves open, nothing is filled. Those of another time do not
+    count.
 
     - obstacles_W: abstract `ObstacleClouds` of any source.
     - camera_pose (optional): RigidTransform X_WC of the camera that sees them; without it nothing
@@ -399,7 +400,7 @@ class CloudSolids(LeafSystem):
         ]
         self._views = None
         if len(self._poses) > 1:
-            self._views = self.DeclareAbstractInputPort("views", Value(Views()))
+            self._views = self.DeclareAbstractInputPort("free_space_W", Value(FreeSpace()))
         self._seen = self.DeclareAbstractState(Value(unseen(table)))
         self.DeclareAbstractOutputPort(
             "solids_W",
@@ -439,7 +440,7 @@ class CloudSolids(LeafSystem):
         poses = [pose.GetAsMatrix4() for pose in read if pose is not None]
         views: list[View] = []
         if self._views is not None:
-            seen = read_optional(self, self._views, context, Views) or Views()
+            seen = read_optional(self, self._views, context, FreeSpace) or FreeSpace()
             # Of another time they show what moves elsewhere.
             if seen.stamp == obstacles.stamp:
                 views = [view for view in seen.views if view is not None]

@@ -72,6 +72,7 @@ def demonstration(
     return Demonstration(
         imitate(X_WE[:, 9:], t, n_basis=_N_BASIS, alpha_k=alpha_k),
         imitate_orientation(R_WE, t, n_basis=_N_BASIS, alpha_k=alpha_k),
+        R_WE[0],
         R_WE[-1],
         s,
         q,

@@ -62,14 +62,13 @@ from drake_oa.planning.search import (
 from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, N_COLUMNS, NORMAL
-from drake_oa.policy.dmp import Demonstration, Dmp, orientation_along
+from drake_oa.policy.dmp import Demonstration, Dmp, normalised_time, orientation_along
 from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
     ANGLE,
     N_GENES,
-    TAU,
     avoidance_terms,
     genes_of,
     rows_of,
@@ -81,7 +80,6 @@ from drake_oa.robot.arm import (
     Spheres,
     inverse_kinematics,
     nearest_free_place,
-    tool_poses,
 )
 
 _LED = 201
@@ -92,6 +90,8 @@ _SELF_CLEARANCE, _LEAST_KEPT = 0.005, 1e-3
 """Requested distance of the arm to itself, and least distance to anything [m]."""
 _SEEK_PERIOD = 0.5
 """Time between searches for a path in the joints while no motion will do [s]."""
+_LEFT = 0.04
+"""Distance of a joint from the motion in use above which the arm has left it [rad]."""
 _SHARES, _GOAL_SEEDS = (0.5, 0.2), 128
 """Shares of the requested clearances that are tried in turn, and random seeds of goal postures."""
 
@@ -104,7 +104,7 @@ class Sight(Frozen):
         policy: the motion under way.
         p_WG: (3,) its goal [m].
         q: (n,) the arm's joints [rad].
-        scene: the solids.
+        scene: the solids that rest.
         ellipsoids: descriptors of the obstacles.
         proposed: returns the proposed coupling parameters and the route; called only if a search
             is needed.
@@ -193,6 +193,9 @@ class MotionSearch:
                                            result: path in the joints; without: full search
         ======== ======= ======= ========= ==================================================
 
+        Where the arm rests away from the motion, after a maneuver of `MotionGuard`, a path in the
+        joints from there comes first.
+
         A motion with another start or goal starts from an empty memory, unless it is the restart
         that was commanded.
 
@@ -222,7 +225,9 @@ class MotionSearch:
         )
         same = here.key.scene.same_as(sight.scene)
         settled = here.command.tau > 0.0 and not here.memory.is_provisional
-        if goes_on and not here.command.note and same and settled:
+        due = sight.time - here.memory.last_plan >= _SEEK_PERIOD
+        left = goes_on and due and self._is_left(here, sight)
+        if goes_on and not here.command.note and same and settled and not left:
             return here
         if here.prediction.goal_note and not same:
             # The result of a search without a goal is no beginning for another one.
@@ -238,13 +243,15 @@ class MotionSearch:
         rests = policy.speed == 0.0 or policy.phase == 1.0
         if goes_on and rests and here.prediction.goal_note:
             return here.changed(command={"note": here.prediction.goal_note})
-        due = sight.time - here.memory.last_plan >= _SEEK_PERIOD
-        plans = rests and due and not sight.scene.moves
+        plans = rests and due
+        if left:
+            here = here.changed(memory={"last_plan": sight.time})
+            planned, _ = self._planned(here, sight)
+            if planned is not None:
+                return planned
         # At rest the first feasible motion does, and a path in the joints may follow.
         hasty = plans and policy.phase == 1.0 and not here.memory.is_provisional
-        # The best among resting obstacles may be far from the best among moving ones.
-        afresh = sight.scene.moves and not before.key.scene.moves
-        found = self._modulated(here, sight, hasty=hasty, afresh=afresh)
+        found = self._modulated(here, sight, hasty=hasty)
         if found.prediction.can_follow and found.prediction.shortfall == 0.0:
             return found
         sides = found.prediction.sides
@@ -262,13 +269,22 @@ class MotionSearch:
         note = found.prediction.goal_note or self._hold(found, sight)
         return found.changed(command={"note": note})
 
+    def _is_left(self, here: SelectedMotion, sight: Sight) -> bool:
+        """Returns whether the arm rests away from the motion in use, after a maneuver."""
+        motion, policy = here.prediction.motion, sight.policy
+        if policy.speed > 0.0 or not len(motion.q):
+            return False
+        s = normalised_time(policy.phase, self._dmp.alpha_k)
+        on_path = np.array([np.interp(s, motion.s, q) for q in motion.q.T])
+        return bool(np.abs(on_path - sight.q).max() > _LEFT)
+
     def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
         """Returns whether a motion still achieves its predicted clearance from now on.
 
         Since then the one in use has continued: straight toward an obstacle, small differences
-        decide its side. Among moving obstacles the next decision checks it.
+        decide its side.
         """
-        if sight.scene.moves or sight.policy.phase == 1.0 or not made.prediction.motion.s.size:
+        if sight.policy.phase == 1.0 or not made.prediction.motion.s.size:
             return True
         motion = made.prediction.motion
         found = self._rolled(made, sight, self._world(sight, motion.q[-1:])).prediction
@@ -301,9 +317,11 @@ class MotionSearch:
         table = np.tile(share * asked[:, None], (1, len(solids.ball)))
         around = solids.layout[:, 5] == SURROUNDINGS
         table[:, around] = np.minimum(table[:, around], share * p.link_clearance)
-        left = group_distances(self._chain, spheres, solids, sight.q, now)
+        left = group_distances(self._chain, spheres, solids, sight.q[None], now, math.inf)
         if len(ends):
-            at_end = [group_distances(self._chain, spheres, solids, q, now) for q in ends]
+            at_end = [
+                group_distances(self._chain, spheres, solids, q[None], now, math.inf) for q in ends
+            ]
             left = np.minimum(
                 left, np.maximum(np.max(at_end, axis=0), self._touch[:, None] + p.slack)
             )
@@ -323,14 +341,11 @@ class MotionSearch:
         shown = command.demonstration
         if shown.orientation is None:
             return self._task
-        X_WS = tool_poses(self._chain, shown.q[:1])[0]
-        R_WE = orientation_along(
-            shown.orientation, X_WS[:9].reshape(3, 3), shown.R_WG, self._task.s
-        )
+        R_WE = orientation_along(shown.orientation, shown.R_WS, shown.R_WG, self._task.s)
         return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s))
 
     def _modulated(
-        self, here: SelectedMotion, sight: Sight, *, hasty: bool = False, afresh: bool = False
+        self, here: SelectedMotion, sight: Sight, *, hasty: bool = False
     ) -> SelectedMotion:
         """Returns the best motion by coupling terms, or in haste the first feasible one."""
         command, memory = here.command, here.memory
@@ -338,7 +353,7 @@ class MotionSearch:
         scene = self._scene(sight, dmp)
         target = np.append(leading.R_WE[-1], sight.p_WG)
         world = self._world(sight, self._posture_at(target.tobytes(), leading.q[-1].tobytes()))
-        waits = sight.policy.phase == 1.0 and not sight.scene.moves
+        waits = sight.policy.phase == 1.0
         coupling, route = sight.proposed()
         provisional = memory.is_provisional
         search = ArmSearch(
@@ -352,8 +367,8 @@ class MotionSearch:
             # Of a provisional motion only the elites are used.
             previous=NONE_IN_USE if provisional else memory.genes,
             parameters=replace(self._parameters, polish=0) if hasty else self._parameters,
-            settled=command.tau > 0.0 and not sight.scene.moves and not provisional,
-            earlier=Earlier(memory.elites, memory.rounds, afresh),
+            settled=command.tau > 0.0 and not provisional,
+            earlier=Earlier(memory.elites, memory.rounds),
             most=math.inf if waits else self._parameters.frame,
             samples=_samples_of(command),
         )
@@ -445,10 +460,8 @@ class MotionSearch:
             near = -1
         follows = float(arm.error[0]) <= MISSED and float(arm.hurry[0]) <= 1.0
         follows &= float(tool.goal_error[0]) <= ASTRAY * search.scene.baseline
-        tau = math.exp(genes[TAU])
-        if not sight.scene.moves:
-            total = here.memory.travelled + length
-            tau = max(1.0, total / max(search.planned_length, 1e-9))
+        total = here.memory.travelled + length
+        tau = max(1.0, total / max(search.planned_length, 1e-9))
         lowered = self._clearance - float(world.asked.of_solids.max(initial=-np.inf))
         return here.changed(
             command={"tau": tau, "note": ""},
@@ -568,7 +581,8 @@ class MotionSearch:
 
     def _of_moving(self, sight: Sight, q: FloatArray) -> FloatArray:
         """(G, K) distances of the groups that move to the solids; inf of the others [m]."""
-        d = group_distances(self._chain, self._spheres, sight.scene.solids, q, sight.time)
+        solids = sight.scene.solids
+        d = group_distances(self._chain, self._spheres, solids, q[None], sight.time, math.inf)
         d[self._spheres.group_joint < 0] = np.inf
         return np.asarray(d)
 

@@ -68,7 +68,8 @@ class MotionVerifier(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive.
     - goal: (3,) goal of the motion in the world frame [m].
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
-    - solids_W: abstract `SolidScene`: collision geometry of everything but the robot.
+    - solids_W: abstract `SolidScene`: collision geometry of everything but the robot. Solids that
+      move are left to `MotionGuard`.
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles.
     - coupling_parameters (optional, input): abstract `CouplingParameters`, the proposals of
       `RegressorChain`.
@@ -207,7 +208,7 @@ class MotionVerifier(LeafSystem):
             read_value(self, self._policy, context, PolicyState),
             np.array(self._goal.Eval(context)),
             np.array(self._robot.Eval(context)[self._positions]),
-            read_value(self, self._solids, context, SolidScene),
+            read_value(self, self._solids, context, SolidScene).at_rest(),
             read_optional(self, self._ellipsoids, context, EllipsoidSet) or EllipsoidSet(),
             proposed,
         )
@@ -238,7 +239,11 @@ class MotionVerifier(LeafSystem):
         is_short = in_force.prediction.shortfall > 0.0 or in_force.command.note
         if is_short or not in_force.key.scene.same_as(made.key.scene):
             return False
-        return not self._search.still_holds(made, self.sight(context))
+        sight = self.sight(context)
+        # During a maneuver of MotionGuard neither may.
+        return not self._search.still_holds(made, sight) and self._search.still_holds(
+            in_force, sight
+        )
 
     def _coupling(self, state: _State) -> CouplingParameters:
         command = state.choice.command

@@ -82,11 +82,6 @@ ASTRAY = 0.1
 """Distance from the goal beyond which the end of a motion is no arrival, in baselines."""
 FORBIDDEN = 1e3
 """Additional cost of a motion on a side with an infinite price."""
-_HELD = 0.1
-"""Shortfall that a motion counts as having among moving obstacles if the arm cannot follow it
-[m]."""
-_PACES = np.log([0.7, 1.4, 1.8, 2.3])
-"""Logarithms of tau at which the nominal motion is proposed among moving obstacles."""
 BAD = 10.0
 """Additional cost of a motion that does not achieve the clearance or does not arrive."""
 PRICE = 100.0
@@ -235,7 +230,7 @@ class Search(ABC):
             best = self.evaluate(genes, [CHAIN], guided=in_use)
         elif had:
             best = self.evaluate(self.previous[None], [source])
-        held = (in_use is not None or had) and best.solved
+        held = best.solved
         if held and self.settled:
             self.stays = True
             return best
@@ -418,12 +413,10 @@ class Earlier(NamedTuple):
     Attributes:
         elites: (k, 7) its best candidates.
         rounds: number of its rounds.
-        afresh: whether the other one has proposals, too.
     """
 
     elites: FloatArray = np.zeros((0, N_GENES))
     rounds: int = 0
-    afresh: bool = False
 
 
 class ArmSearch(Search):
@@ -459,8 +452,9 @@ class ArmSearch(Search):
         super().__init__(scene, **more)
         self.world, self.q, self.leading = world, q, leading
         self.most, self.spent, self.latest = most, 0.0, 0.0
-        self.seeds, self.rounds, self.afresh = earlier or Earlier()
-        self.moves = bool(world.solids.ball[:, 4:7].any())
+        self.seeds, self.rounds = earlier or Earlier()
+        # MotionGuard is responsible for moving obstacles.
+        self.moves = False
         # No round follows the first feasible motion.
         self.hasty = self.parameters.polish == 0
         self.every = max(round(1.0 / (self.ds * samples)), 1)
@@ -486,11 +480,11 @@ class ArmSearch(Search):
         may = (worst - BAD - cost) * self.scene.baseline / PRICE
         may = np.where(worst < BAD, np.where(cost < worst, self.parameters.slack, -np.inf), may)
         hopeless = np.isneginf(may)
-        deep = math.inf if self.moves else 0.0 if self.hasty else DEEP
+        deep = 0.0 if self.hasty else DEEP
         may = np.maximum(np.minimum(may, deep), self.parameters.slack)
         enough = np.where(hopeless, np.inf, -may)
         screened = np.zeros(len(genes))
-        if self.hasty and not self.moves:
+        if self.hasty:
             rough = self.follow(genes, tool, enough, stride=_ROUGH)
             screened = np.where(~hopeless & (rough.least < enough), self.arm_cost(rough), 0.0)
             enough = np.where(screened > 0.0, np.inf, enough)
@@ -505,31 +499,15 @@ class ArmSearch(Search):
         """
         if self.spent + self.latest > self.most:
             return True
-        far = PRICE * HOPELESS / self.scene.baseline
-        if self.moves:
-            # No path in the joints waits for what moves to pass.
-            far = math.inf
-        elif self.hasty:
-            # Their shortfalls are not computed.
-            far = 0.0
+        # The shortfalls of a hasty search are not computed.
+        far = 0.0 if self.hasty else PRICE * HOPELESS / self.scene.baseline
         return bool(number >= ROUNDS_OF_HOPE and ranked.cost[0] > BAD + far)
 
     def seeded(self, sides: FloatArray, guided: Obstacles | None) -> tuple[FloatArray, IntArray]:
-        """Returns the first candidates, or the best of the earlier search, or both; see `Search`.
-
-        Among moving obstacles the nominal motion is proposed at other paces, too: to wait is a way.
-        """
-        seeds = self.bounded(self.seeds)
-        if self.moves:
-            paced = np.zeros((len(_PACES), N_GENES))
-            paced[:, ALPHA], paced[:, TAU] = -np.inf, _PACES
-            seeds = np.concatenate([seeds, self.bounded(paced)])
-        own = np.full(len(seeds), SEARCH)
-        if len(self.seeds) and not self.afresh:
-            return seeds, own
-        genes, source = super().seeded(sides, guided)
-        room = max(len(genes) - len(seeds), 0)
-        return np.concatenate([seeds, genes[:room]]), np.append(own, source[:room])
+        """Returns the best candidates of the earlier search, or the first ones; see `Search`."""
+        if len(self.seeds):
+            return self.bounded(self.seeds), np.full(len(self.seeds), SEARCH)
+        return super().seeded(sides, guided)
 
     def children(self, ranked: Ranked, number: int) -> FloatArray:
         """Returns the candidates of a round; never those of a recent one."""
@@ -570,8 +548,7 @@ class ArmSearch(Search):
         short = np.maximum(-arms.least - self.parameters.slack, 0.0)
         lost = np.maximum(arms.error - MISSED, 0.0)
         fast = np.maximum(arms.hurry - 1.0, 0.0)
-        held = _HELD * ((lost > 0.0) | (fast > 0.0)) * self.moves
-        bad = PRICE * (short + np.minimum(lost, FAR) + held) / L + fast
+        bad = PRICE * (short + np.minimum(lost, FAR)) / L + fast
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""Solids that are known exactly: the simulated world's, and given ones."""
+"""Collision geometry of the simulated world, known exactly."""
 
 from __future__ import annotations
 
@@ -13,16 +13,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, TablePlane
+from drake_oa.common.messages import OUT_OF_WORLD
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.solids import (
     SURROUNDINGS,
-    Solid,
     SolidScene,
-    ellipsoid,
     read_solid,
-    sphere,
-    table_solid,
 )
 
 _AT_REST = 1e-3
@@ -114,45 +110,3 @@ class TrueSolids(LeafSystem):
         scene = SolidScene.of(time, solids)
         state.get_mutable_discrete_state(self._origins).SetFromVector(origins.ravel())
         state.get_mutable_abstract_state(self._scene).set_value(scene)
-
-
-class GivenSolids(LeafSystem):
-    """Hands out the solids of given ellipsoids, always the same.
-
-    .. pydrake_system::
-
-      name: GivenSolids
-      output_ports:
-      - solids_W
-
-    - solids_W: abstract `SolidScene`: the ellipsoids at rest, and what is below the table.
-    """
-
-    def __init__(self, given: EllipsoidSet, table: TablePlane | None = None) -> None:
-        """Makes the solids.
-
-        Args:
-            given: the ellipsoids; those that were dilated by the tool keep it that much farther.
-            table: the supporting plane; None: there is none.
-        """
-        super().__init__()
-        solids = [
-            _ellipsoid_solid(given, row, f"obstacle {name}") for row, name in enumerate(given.ids)
-        ]
-        if table is not None:
-            solids.append(table_solid(table))
-        scene = Value(SolidScene.of(given.stamp, solids))
-        self.DeclareAbstractOutputPort(
-            "solids_W",
-            scene.Clone,
-            lambda _, output: output.SetFrom(scene),
-            {self.nothing_ticket()},
-        )
-
-
-def _ellipsoid_solid(given: EllipsoidSet, row: int, label: str) -> Solid:
-    axes = np.array(given.semi_axes[row])
-    shape = sphere(float(axes[0])) if np.ptp(axes) == 0.0 else ellipsoid(axes.tolist())
-    X_WO = np.eye(4)
-    X_WO[:3, :3], X_WO[:3, 3] = given.R_WO[row], given.p_WO[row]
-    return replace(shape, X_WO=X_WO, name=int(given.ids[row]), label=label)

@@ -1,7 +1,7 @@
 """The action level: a movement primitive whose motion coupling terms bend round obstacles.
 
-In: goal (3,) [m], `EllipsoidSet`, `CouplingParameters`, `Route`, the supervisor's speed scale and
-the evasion's velocity (3,) [m/s], all but the goal optional. Out: desired position, velocity and
+In: goal (3,) [m], `EllipsoidSet`, `CouplingParameters`, `Route`, the motion guard's speed scale and
+displacement velocity (3,) [m/s], all but the goal optional. Out: desired position, velocity and
 acceleration (3,) of the tool point E in the world, the phase k and `PolicyState`; for the
 orientation a quaternion R_WE, w_WE [rad/s] and its derivative.
 

@@ -322,7 +322,7 @@ def desired_headings(
     return terms[:, HEADING : HEADING + 3]
 
 
-_UNSEEN = Facts(False, 0.0, False, -1.0, 0.0, False, False, False)
+_UNSEEN = Facts(False, 0.0, False, -1.0, 0.0, False, False, False, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,6 +403,7 @@ class Surroundings(Frozen):
             couples=couples,
             in_plane=in_plane,
             original=coupling is not None and coupling.original,
+            verified=own,
         )
         anew = coupling is not None and coupling.anew
         return Surroundings(ellipsoids, hold, note, anew, facts, obstacles)

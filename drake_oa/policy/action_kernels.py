@@ -79,8 +79,8 @@ class Facts(NamedTuple):
 
     Whether obstacles are looked for, when they were seen [s], whether no way past them is known,
     the route's length [m] (negative: no route), the asked tau (0: none), whether there are
-    coupling terms, whether they act in the planes of their normals, and whether they are the
-    original ones.
+    coupling terms, whether they act in the planes of their normals, whether they are the
+    original ones, and whether they were verified by roll-outs, so that no ellipsoid holds them.
     """
 
     looked_for: bool
@@ -91,6 +91,7 @@ class Facts(NamedTuple):
     couples: bool
     in_plane: bool
     original: bool
+    verified: bool
 
 
 @compiled
@@ -116,7 +117,8 @@ def hold_code(
     """Why the motion must not go on now, as a number.
 
     It is held while nothing has been observed yet or the observation is too old; while the tool
-    is inside an obstacle's ellipsoid, or the goal is; and while no way past them is known.
+    is inside an obstacle's ellipsoid, or the goal is, unless the motion was verified; and while no
+    way past them is known.
     """
     if not facts.looked_for:
         return FREE
@@ -126,6 +128,8 @@ def hold_code(
         return OUTDATED
     if facts.blocked:
         return FORBIDDEN
+    if facts.verified:
+        return FREE
     row = first_inside(p_WE, obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes)
     if row >= 0:
         return INSIDE + 2 * row

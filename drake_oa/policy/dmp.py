@@ -784,13 +784,14 @@ class Demonstration(Frozen):
     Attributes:
         position: of the tool point, three dimensions; its duration is the motion's [s].
         orientation: of the tool, from where it is to where it ends.
-        R_WG: (3, 3) orientation at the end.
+        R_WS, R_WG: (3, 3) orientation at its begin and at its end.
         s: (T,) normalised times of the posture, from 0 to 1.
         q: (T, n) positions of the arm's joints there [rad].
     """
 
     position: Dmp | None = None
     orientation: OrientationDmp | None = None
+    R_WS: FloatArray = field(default_factory=lambda: np.eye(3))
     R_WG: FloatArray = field(default_factory=lambda: np.eye(3))
     s: FloatArray = zeros(0)
     q: FloatArray = zeros(0, 0)

@@ -70,10 +70,10 @@ class DmpIntegrator(LeafSystem):
       step; or a route with headings of its own. Without it there is no guidance term,
       and the motion is not scaled in time.
     - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
-      [0, 1], as a `Supervisor` gives it. The rate of normalised time follows it at the rate
+      [0, 1], as `MotionGuard` outputs it. The rate of normalised time follows it at the rate
       of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
     - evasion (optional): (3,) velocity in the world [m/s] by which p_WE is displaced besides
-      its motion, as an `ObstacleEvasion` gives it; phase and scaled velocity stay as they
+      its motion, as `MotionGuard` outputs it; phase and scaled velocity stay as they
       are, and the spring leads on from where it has come to. It should be continuous: the
       desired velocity follows it within a step.
     - demonstration (optional): abstract `Demonstration`: what a motion that begins anew

@@ -190,9 +190,11 @@ class OrientationIntegrator(LeafSystem):
             return seen
         R_WG = self._R_WG if given.orientation is None else given.R_WG
         primitive = given.orientation or self._primitive
-        # From the orientation at hand, at rest.
+        # At rest, from where it begins; a motion of the task from the present orientation.
         start = Rotation.from_quat(before.origin.copy(), scalar_first=True)
         start *= Rotation.from_rotvec(before.ends[1, 0].copy())
+        if given.orientation is not None:
+            start = Rotation.from_matrix(given.R_WS)
         origin = start * Rotation.from_rotvec(-primitive.offset)
         return replace(
             seen,

@@ -157,7 +157,7 @@ def roll_out_tool(
     samples = len(course.rest) // every + 1
     table, (path, velocity) = np.empty((N, 3)), np.full((2, N, samples, 3), np.nan)
     led = NO_OBSTACLES if obstacles is None else obstacles
-    facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False)
+    facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False, True)
     (given,) = kernel_arrays(terms)
     threads = min(CORES, N // _EACH + 1)
     arguments = course, dmp.kernel, rules_of(policy), facts, led, given, lengths, table

@@ -1,6 +1,6 @@
 """Posture: where the rest of a redundant arm goes while its tool follows a path.
 
-In:  motion `PlannedMotion` with the arm's joints (T, n) [rad]; policy_state; evading `Evasion`.
+In:  motion `PlannedMotion` with the arm's joints (T, n) [rad]; policy_state.
 Out: desired_posture (2n,) [rad, rad/s] for `CartesianInverseDynamics`.
 
 System

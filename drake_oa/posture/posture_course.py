@@ -6,8 +6,7 @@ lies between two safe postures is not left. A new plan q*(t) is taken over criti
 
     q(t) = q*(t) + (e_0 + (de_0/dt + w e_0) (t - t_0)) exp(-w (t - t_0)),
 
-where e_0 is what the old course was away from it at the change t_0. A plan can also be left,
-at a velocity in place of de_0/dt and with w = 0, and is taken over so again.
+where e_0 is what the old course was away from it at the change t_0.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled, kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
-from drake_oa.geometry.directions import ramped
 
 _SETTLED = 12.0
 """After this many times 1 / w nothing of the old one is left."""
@@ -44,7 +42,7 @@ def course_at(
         q: (T, n) positions there [rad].
         slopes: (T, n) dq/ds there [rad].
         away: (2n,) what was left of another course, e_0 and de_0/dt [rad, rad/s].
-        rate: how fast it is taken over, w [1/s]; 0: what is left stays, at its velocity.
+        rate: how fast it is taken over, w [1/s].
         s: normalised time.
         speed: ds/dt [1/s].
         elapsed: since that other course was left [s].
@@ -110,7 +108,6 @@ class PostureCourse(Frozen):
         slopes: (T, n) dq/ds at its samples [rad].
         since: when it was taken over [s].
         away: (2n,) what was left of the course before then [rad, rad/s].
-        rate: how fast the plan is taken over, w [1/s]; 0: it is left, at that velocity.
     """
 
     rest: FloatArray
@@ -118,7 +115,6 @@ class PostureCourse(Frozen):
     slopes: FloatArray = zeros(0, 0)
     since: float = 0.0
     away: FloatArray = zeros(0)
-    rate: float = TAKE_OVER
 
     @cached_property
     def _arrays(self) -> list[FloatArray]:
@@ -136,7 +132,7 @@ class PostureCourse(Frozen):
             speed: ds/dt [1/s].
             time: now [s].
         """
-        return course_at(*self._arrays, self.rate, s, speed, time - self.since)
+        return course_at(*self._arrays, TAKE_OVER, s, speed, time - self.since)
 
     def with_motion(
         self,
@@ -168,27 +164,6 @@ class PostureCourse(Frozen):
         slopes = monotone_slopes(motion.s, motion.q) if len(motion.q) else motion.q
         left = self.at(s, speed, time) if left is None else left
         return PostureCourse(self.rest, motion, slopes)._from(left, s, speed, time)
-
-    def turned(
-        self, velocity: FloatArray, most: float, s: float, speed: float, time: float
-    ) -> PostureCourse:
-        """The course that leaves its plan.
-
-        Args:
-            velocity: (n,) that it is to have; 0: it stays where it is [rad/s].
-            most: greatest change of it now, the norm [rad/s].
-            s, speed, time: now, as of `at`.
-        """
-        here = self.at(s, speed, time)
-        n = len(self.rest)
-        goes_on = np.concatenate([here[:n], ramped(here[n:], velocity, most)])
-        return replace(self._from(goes_on, s, speed, time), rate=0.0)
-
-    def taken_up(self, s: float, speed: float, time: float) -> PostureCourse:
-        """The course that comes back to the plan that it has left; arguments as of `at`."""
-        if self.rate:
-            return self
-        return replace(self._from(self.at(s, speed, time), s, speed, time), rate=TAKE_OVER)
 
     def _from(self, here: FloatArray, s: float, speed: float, time: float) -> PostureCourse:
         """The course to the same plan from positions and velocities (2n,) now."""

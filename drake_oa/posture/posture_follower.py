@@ -6,8 +6,8 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from drake_oa.common.messages import Evasion, FloatArray, PlannedMotion, PolicyState
-from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.common.messages import FloatArray, PlannedMotion, PolicyState
+from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.posture.posture_course import PostureCourse
 
@@ -21,20 +21,16 @@ class PostureFollower(LeafSystem):
       input_ports:
       - motion
       - policy_state
-      - evading (optional)
       output_ports:
       - desired_posture
 
     - motion: abstract `PlannedMotion` with the arm's positions, or without.
     - policy_state: abstract `PolicyState` of the movement primitive.
-    - evading (optional): abstract `drake_oa.safety.evasion.Evasion`: a velocity with which the
-      posture leaves the plan, and until when it stays away.
     - desired_posture: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints, for
       `CartesianInverseDynamics`.
 
     The posture is that of the plan at the policy's normalised time, so that it rests while the
-    motion is held, and where it begins anew until there is a plan for that; but for what is
-    evaded it leaves the plan, also while the motion is held. A new plan, or one that was left, is
+    motion is held, and where it begins anew until there is a plan for that. A new plan is
     taken over smoothly (`drake_oa.posture.posture_course`); without one it is the posture given
     here, at rest. The plan under way is abstract state.
     """
@@ -45,16 +41,13 @@ class PostureFollower(LeafSystem):
         alpha_k: float,
         *,
         period: float = 0.008,
-        turn_acceleration: float = 10.0,
     ) -> None:
         """Declares the ports.
 
         Args:
             q_rest: (n,) posture while none is planned [rad].
             alpha_k: decay of the policy's phase.
-            period: time between looks at the plan and at what is evaded [s].
-            turn_acceleration: greatest change of the velocity with which the plan is left
-                [rad/s^2].
+            period: time between looks at the plan [s].
 
         Raises:
             ValueError: if the posture is not n finite numbers, or one of the others is not
@@ -66,16 +59,10 @@ class PostureFollower(LeafSystem):
             raise ValueError(f"q_rest must be finite numbers [rad], not {q_rest}")
         if not 0.0 < alpha_k < np.inf:
             raise ValueError(f"alpha_k must be positive and finite, not {alpha_k}")
-        if not 0.0 < turn_acceleration < np.inf:
-            raise ValueError(
-                f"turn_acceleration must be positive and finite, not {turn_acceleration}"
-            )
         period = valid_period(period)
         self._alpha_k = float(alpha_k)
-        self._turn_step = turn_acceleration * period
         self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
-        self._evading = self.DeclareAbstractInputPort("evading", Value(Evasion()))
         self._course = self.DeclareAbstractState(Value(PostureCourse(q_rest)))
         self.DeclareVectorOutputPort(
             "desired_posture",
@@ -112,11 +99,6 @@ class PostureFollower(LeafSystem):
         if motion is not before.motion:
             left = before.at(*self._now(context, before.motion))
             after = before.with_motion(motion, *now, left)
-        evading = read_optional(self, self._evading, context, Evasion)
-        if evading is not None and len(evading.turn):
-            after = after.turned(evading.turn, self._turn_step, *now)
-        else:
-            after = after.taken_up(*now)
         if after is before:
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(self._course).set_value(after)

@@ -3,7 +3,7 @@
 import math
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic.dataclasses import dataclass
 
 from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3, length
@@ -12,9 +12,20 @@ from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
 
 
+def _check_stable(ki: float, info: ValidationInfo) -> float:
+    """Checks an integral gain; the control error e obeys de'/dt + kd e' + kp e + ki int e = 0."""
+    bound = info.data.get("kp_position", math.inf) * info.data.get("kd_position", math.inf)
+    if ki > 0.0 and ki >= bound:
+        raise ValueError(f"{ki:g} must be below kp_position times kd_position, {bound:g}")
+    return ki
+
+
 @dataclass(config=BLOCK)
 class Gains:
-    """Gains of the operational-space inverse-dynamics controller.
+    """Gains of the inverse-dynamics controllers.
+
+    JointInverseDynamics uses `kp_position`, `kd_position` and `ki_position` for each joint, and
+    `kd_stop`; CartesianInverseDynamics uses all.
 
     Stiffness and damping multiply accelerations, so the error of a free tool obeys
     e'' + kd e' + kp e = 0 for any inertia of the arm; the defaults are critically damped.
@@ -24,7 +35,9 @@ class Gains:
     """Proportional gain of the tool position [1/s^2]. Raising it tracks more stiffly."""
     kd_position: float = Field(default=40.0, ge=0.0, le=1e4)
     """Derivative gain of the tool position [1/s]. Raising it damps more."""
-    ki_position: float = Field(default=1000.0, ge=0.0, le=1e6)
+    ki_position: Annotated[float, AfterValidator(_check_stable)] = Field(
+        default=1000.0, ge=0.0, le=1e6
+    )
     """Integral gain of the tool position, less than kp kd [1/s^3]; 0: none. Raising it removes
     steady errors sooner and oscillates more."""
     kp_orientation: float = Field(default=400.0, ge=0.0, le=1e5)

@@ -13,7 +13,15 @@ from xml.etree import ElementTree
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import BLOCK, ScenarioError, Vector3, length, read_yaml, validate
+from drake_oa.common.config import (
+    BLOCK,
+    ScenarioError,
+    Vector3,
+    field_errors,
+    length,
+    read_yaml,
+    validate,
+)
 from drake_oa.robot.formats.urdf import DRAKE_XML
 
 
@@ -36,12 +44,10 @@ def read_inertias(file: Path) -> dict[str, Inertia]:
     Raises:
         ScenarioError: naming the file and every wrong value.
     """
-    try:
+    with field_errors(f"'{file}'", OSError, UnicodeDecodeError, ScenarioError):
         inertias: dict[str, Inertia] = validate(
             dict[str, Inertia], read_yaml(file.read_text()), "inertias"
         )
-    except (OSError, UnicodeDecodeError, ScenarioError) as error:
-        raise ScenarioError(f"'{file}': {error}") from None
     return inertias
 
 

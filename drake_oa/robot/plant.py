@@ -17,7 +17,7 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.messages import FloatArray, zeros
 from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import outline_corners, read_solid
@@ -116,10 +116,8 @@ def model_file(robot: Robot, packages: PackageMap | None = None) -> Path:
     packages = packages or known_packages()
     url = _url(robot.model)
     add_installed_package(packages, url)
-    try:
+    with field_errors(f"robot.model: cannot load '{robot.model}'", RuntimeError):
         return Path(packages.ResolveUrl(url))
-    except RuntimeError as error:
-        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
 
 
 def base_pose(robot: Robot | None) -> RigidTransform:
@@ -133,11 +131,9 @@ def _url(url_or_file: str) -> str:
 
 def _replaced(urdf: str, parser: Parser, inertias: str) -> str:
     """The text of a URDF with the inertias of a file."""
-    try:
+    with field_errors("faults: !ModelError.inertias", RuntimeError, ScenarioError):
         file = Path(parser.package_map().ResolveUrl(_url(inertias)))
         return with_inertias(urdf, read_inertias(file))
-    except (RuntimeError, ScenarioError) as error:
-        raise ScenarioError(f"faults: !ModelError.inertias: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +237,8 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     Raises:
         ScenarioError: naming the field of the robot that does not fit.
     """
-    try:
+    with field_errors(f"robot.model: cannot load '{robot.model}'", OSError):
         model = model_file(robot).read_bytes()
-    except OSError as error:
-        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
     key = (repr([getattr(robot, name) for name in _PARSED]), inertias, model)
     if key not in _PLANTS:
         _PLANTS[key] = _parse(robot, inertias)
@@ -256,10 +250,8 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = add_robot(plant, robot, inertias=inertias)
     plant.Finalize()
-    try:
+    with field_errors("robot.model", ValueError):
         arm = joints_to(plant, plant.GetFrameByName(TOOL_FRAME))
-    except ValueError as error:
-        raise ScenarioError(f"robot.model: {error}") from None
     if len(robot.q_seed) != len(arm):
         raise ScenarioError(
             f"robot.q_seed: expected {len(arm)} numbers, of "
@@ -296,11 +288,9 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
         X_EB = X_WE.inverse() @ plant.EvalBodyPoseInWorld(context, body)
         of_link = []
         for geometry in plant.GetCollisionGeometriesForBody(body):
-            try:
+            with field_errors("robot.tool_links", ValueError):
                 solid = read_solid(inspector, geometry)
                 p_BQ = solid.placed(outline_corners(solid))
-            except ValueError as error:
-                raise ScenarioError(f"robot.tool_links: {error}") from None
             of_link.append((R_WE @ X_EB.multiply(p_BQ.T)).T)
         if of_link:
             corners.append(np.concatenate(of_link))

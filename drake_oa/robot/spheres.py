@@ -14,10 +14,11 @@ from pydrake.multibody.tree import BodyIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context
 from scipy.spatial.distance import cdist
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.console import ProgressLines
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.geometry.solids import read_solid
-from drake_oa.robot.arm import Spheres, axis_frame, joints_to, moved_by
+from drake_oa.robot.arm import Chain, Spheres, axis_frame, chain_poses, joints_to, moved_by
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_cover import Cover, known_cover
@@ -53,6 +54,21 @@ class ArmSpheres(Frozen):
 
     def __len__(self) -> int:
         return len(self.arrays.radius)
+
+
+@compiled
+def sphere_centers(chain: Chain, spheres: Spheres, q: FloatArray) -> FloatArray:
+    """Computes (T, S, 3) centers of an arm's spheres in the world at joints (T, n) [m]."""
+    X_WJ = np.empty((q.shape[1] + 2, 12))
+    p_WS = np.empty((len(q), len(spheres.joint), 3))
+    for row in range(len(q)):
+        chain_poses(q[row], chain.X_PJ, X_WJ)
+        for i in range(len(spheres.joint)):
+            X = X_WJ[spheres.joint[i] + 1]
+            x, y, z = spheres.p_JS[i]
+            for k in range(3):
+                p_WS[row, i, k] = X[3 * k] * x + X[3 * k + 1] * y + X[3 * k + 2] * z + X[9 + k]
+    return p_WS
 
 
 def make_arm_spheres(

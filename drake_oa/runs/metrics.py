@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.geometry import (
     GeometryId,
+    PenetrationAsPointPair,
     QueryObject,
     SceneGraphInspector,
     SignedDistancePair,
@@ -25,10 +26,11 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_oa.common.messages import OUT_OF_WORLD, BoolArray, EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.geometry.solids import read_solid, solids_of
+from drake_oa.geometry.solids import Solids, read_solid, solids_of
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
 
@@ -71,6 +73,8 @@ Shapes that rest flush on each other, as a carried object on the hand's link, pe
 """
 Contacts = dict[str, float]
 """Pairs in contact at one instant -> their greatest penetrations [m]."""
+Hits = dict[str, PenetrationAsPointPair]
+"""Pairs in contact at one instant -> their deepest points."""
 
 
 def path_length(path: FloatArray) -> float:
@@ -157,6 +161,7 @@ class RobotJudge:
         builder = DiagramBuilder()
         self._station = make_station(builder, scenario, render=False)
         self._diagram = builder.Build()  # Owns plant and scene graph.
+        self._courses = scenario.obstacles
         self._plant, graph = self._station.plant, self._station.scene_graph
         self._root = self._diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._root)
@@ -178,6 +183,9 @@ class RobotJudge:
         inspector = graph.model_inspector()
         self._robot_balls = _Balls(inspector, robot)
         self._obstacle_balls = _Balls(inspector, obstacles)
+        self._others = [
+            (read_solid(inspector, g), body) for g, body in self._body.items() if g not in robot
+        ]
         of_tool = tool_links(scenario.robot) if scenario.robot else []
         self._tool = np.array([body.name() in of_tool for body in robot.values()], bool)
         # Driven obstacles hang on slides.
@@ -215,8 +223,8 @@ class RobotJudge:
         clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
         for row, positions in enumerate(q):
             query = self._query_at(positions, q_world[row])
-            for known, found in zip((contacts, own), self._contacts(query), strict=True):
-                known.append(found)
+            for known, hits in zip((contacts, own), self._deepest_hits(query), strict=True):
+                known.append({pair: hit.depth for pair, hit in hits.items()})
             clearance[:, row] = self._clearances(query)
             p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
         return _metrics(contacts, own, clearance, p_WE)
@@ -242,10 +250,61 @@ class RobotJudge:
         p_WA = query.GetPoseInWorld(found.id_A) @ found.p_ACa
         return Nearest(found.distance, p_WA, query.GetPoseInWorld(found.id_B) @ found.p_BCb)
 
-    def _contacts(self, query: QueryObject) -> tuple[Contacts, Contacts]:
-        """Returns contacts "link - object" of the robot, and "link - link" of its own links."""
-        found: Contacts = {}
-        own: Contacts = {}
+    def positions_at(self, time: float) -> FloatArray:
+        """Computes (n,) positions of the station's plant with the obstacles on their courses.
+
+        The robot, and all else, is where the scenario puts it.
+
+        Args:
+            time: of the courses [s].
+        """
+        q_world = np.array(self._q_world)
+        for obstacle in self._courses:
+            if obstacle.driven:
+                name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
+                instance = self._plant.GetModelInstanceByName(name)
+                self._plant.SetPositionsInArray(instance, obstacle.offset_at(time), q_world)
+        return q_world
+
+    def solids_at(self, time: float) -> Solids:
+        """Computes all that is not the robot, each solid at rest, as `positions_at`."""
+        self._plant.SetPositions(self._plant_context, self.positions_at(time))
+        found = []
+        for solid, body in self._others:
+            X_WB = body.EvalPoseInWorld(self._plant_context).GetAsMatrix4()
+            found.append(replace(solid, X_WO=X_WB @ solid.X_WO))
+        return solids_of(found)
+
+    def touches(
+        self, q: FloatArray, v: FloatArray, q_world: FloatArray
+    ) -> tuple[dict[str, float], float]:
+        """Computes closing speeds of the robot's contacts with others, and its kinetic energy.
+
+        Args:
+            q: (nq,) positions of the robot, in the plant's order.
+            v: (nv,) velocities of the robot.
+            q_world: (n,) all positions of the station's plant.
+
+        Returns:
+            Pair "link - object" -> velocity of the link's point, where it is deepest in the object,
+            along the contact normal, positive into the object [m/s]; and the energy [J].
+        """
+        hits, _ = self._deepest_hits(self._query_at(q, q_world))
+        self._plant.SetVelocities(self._plant_context, self._station.robot, v)
+        found = {}
+        for pair, hit in hits.items():
+            is_A = self._is_robot(hit.id_A)
+            link = self._body[hit.id_A if is_A else hit.id_B]
+            p_WC, sign = (hit.p_WCa, -1.0) if is_A else (hit.p_WCb, 1.0)
+            offset = p_WC - link.EvalPoseInWorld(self._plant_context).translation()
+            V_WC = link.EvalSpatialVelocityInWorld(self._plant_context).Shift(offset)
+            found[pair] = sign * float(V_WC.translational() @ hit.nhat_BA_W)
+        return found, float(self._plant.EvalKineticEnergy(self._plant_context))
+
+    def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
+        """Returns the deepest penetration of each "link - object", and of each "link - link"."""
+        found: Hits = {}
+        own: Hits = {}
         for hit in query.ComputePointPairPenetration():
             if hit.depth < MIN_PENETRATION:
                 continue
@@ -258,7 +317,8 @@ class RobotJudge:
                 known, pair = found, f"{link.name()} - {model}"
             else:
                 continue
-            known[pair] = max(known.get(pair, 0.0), hit.depth)
+            if pair not in known or hit.depth > known[pair].depth:
+                known[pair] = hit
         return found, own
 
     def _bounds(self) -> FloatArray:

@@ -22,7 +22,7 @@ desired_position       (T, 3)         m        p_WE asked of the controller
 desired_velocity       (T, 3)         m/s      its derivative
 desired_acceleration   (T, 3)         m/s^2    its second derivative
 phase                  (T,)           1        canonical phase k, 1 falling to 0
-speed_scale            (T,)           1        share of full speed that the supervisor leaves, in
+speed_scale            (T,)           1        share of full speed that the guard allows, in
                                                [0, 1]; 1 without one
 tracking_error         (T,)           m        distance of E to where it was asked to be,
                                                as the controller tells it; NaN where none does
@@ -44,7 +44,7 @@ shortfall              (T,)           m        what the verified motion lacked o
                                                feasible clearance, as regulation believed
 event_time             (E,)           s        times at which a note of the policy changed
 event                  (E,)           text     those notes; "": running freely again
-supervision_time       (S,)           s        times at which the supervisor changed its mind
+supervision_time       (S,)           s        times at which the guard's decision changed
 supervision_action     (S,)           text     "run", "slow", "hold" or "stop" from then on
 supervision_reason     (S,)           text     why; "" for "run"
 position_name          (nq,)          text     names of the robot's positions
@@ -67,8 +67,12 @@ orientation_error      (T, 3)         rad      rotation vector from the actual t
                                                orientation in W; (0, 3) likewise
 desired_posture        (T, 2n)        rad,     arm positions, then velocities, that the null space
                                       rad/s    was drawn to; (T, 0) where none was planned
-evasion                (T, 3)         m/s      velocity of the tool point out of the way of what
-                                               moves; (0, 3) where nothing watches for it
+guard_action           (T,)           1        action of the motion guard: 0 follow, 1 slow, 2 wait,
+                                               3 evade, 4 brake; (0,) without a guard
+guard_contact          (T,)           s        time of the first contact that it predicts on the
+                                               verified motion; inf: none; (0,) likewise
+guard_claim            (T,)           1        claim of passive motion safety that limits the speed:
+                                               0 none, 1 (A), 2 (B); (0,) likewise
 lowered                (T,)           m        by how much regulation had lowered the asked
                                                clearance; (0,) where a file does not tell
 motion_source          (T,)           1        source of the motion: -1 none, 0 nominal, 1 chain,
@@ -79,7 +83,7 @@ settled                ()             bool     whether all came to rest
 decision_time          (D,)           s        when decisions began; (0,) where a file does
                                                not tell, or they cost no time
 decision_cost          (D,)           s        the simulated time that each takes
-decision_layer         (D,)           text     whose it is: "regulation" or "evasion"
+decision_layer         (D,)           text     whose it is: "regulation" or "guard"
 event_hold             (E,)           text     what held the motion from then on, one of `HoldCause`
 ended                  ()             text     how the motion ended, one of `MotionEnd`
 =====================  =============  =======  ==========================================
@@ -107,7 +111,8 @@ _SCHEMA_KEY = "schema_version"
 _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
     "phase speed_scale tracking_error q_world shortfall lowered motion_source goal "
-    "desired_orientation orientation_error desired_posture evasion",
+    "desired_orientation orientation_error desired_posture guard_action guard_contact "
+    "guard_claim",
     "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
     "event_time": "event event_hold",
     "supervision_time": "supervision_action supervision_reason",
@@ -197,7 +202,9 @@ class MotionLog:
     desired_orientation: FloatArray = _empty(0, 4)
     orientation_error: FloatArray = _empty(0, 3)
     desired_posture: FloatArray = _empty(0, 0)
-    evasion: FloatArray = _empty(0, 3)
+    guard_action: FloatArray = _empty(0)
+    guard_contact: FloatArray = _empty(0)
+    guard_claim: FloatArray = _empty(0)
     lowered: FloatArray = _empty(0)
     motion_source: FloatArray = _empty(0)
     motion_end: float = math.nan

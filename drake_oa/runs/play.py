@@ -40,6 +40,7 @@ from drake_oa.scenario.sources import camera_configs
 from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.panel import LivePage
+from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.station import release_cameras
 from drake_oa.world.world_model import flat_directives
 
@@ -396,16 +397,12 @@ class PlaySession:
             return
         perception = diagram.GetSubsystemByName("perception")
         context = perception.GetMyContextFromRoot(root)
-        name = source.names[0]
-
-        def read(signal: str) -> Any:
-            return perception.GetInputPort(source.signal(signal, name)).Eval(context)
-
-        config = camera_configs(self._played, source)[0]
-        _, camera = config.MakeCameras()
-        K = np.array(pinhole(camera.core().intrinsics()))
-        X_WC = read("camera_pose").GetAsMatrix4()
-        view = View.of(read("depth_image").data[:, :, 0], K, X_WC)
+        image, X_WC = (
+            perception.GetInputPort(source.signal(signal, source.names[0])).Eval(context)
+            for signal in ("depth_image", "camera_pose")
+        )
+        K = np.array(pinhole(depth_intrinsics(camera_configs(self._played, source)[0])))
+        view = View.of(image.data[:, :, 0], K, X_WC.GetAsMatrix4())
         self._inset.show(view, perception.GetOutputPort("obstacles_W").Eval(context))
 
     def status(self, paused: bool = False) -> str:

@@ -77,7 +77,7 @@ def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> s
     Raises:
         ValueError: if there is no such motion, or nothing was logged of it.
     """
-    chosen = ("modulated" if "modulated" in logs else next(iter(logs))) if name is None else name
+    chosen = name or ("modulated" if "modulated" in logs else next(iter(logs)))
     if chosen not in logs:
         raise ValueError(f"{path} has no motion '{chosen}'; it has {', '.join(logs)}")
     if not len(logs[chosen].t):

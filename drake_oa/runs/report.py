@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from drake_oa.planning.search import SOURCES
 from drake_oa.policy.dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
+from drake_oa.safety.maneuvers import ACTIONS
+from drake_oa.safety.passive_safety import CLAIMS
 from drake_oa.scenario.end_poses import end_positions, end_rotations
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
@@ -24,7 +27,8 @@ from drake_oa.scenario.task import goal_at
 
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
-_COST_KEYS = {"regulation": "decision_cost", "evasion": "evasion_cost", "turn": "turn_cost"}
+_CONTACTS = ("contacts", "initial_contacts", "made_contacts", "self_contacts")
+_COST_KEYS = {"regulation": "decision_cost", "guard": "guard_cost", "turn": "turn_cost"}
 """Layer -> key of the costs of its decisions in the report."""
 
 
@@ -84,11 +88,13 @@ def motion_report(
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
     believed feasible; None unless it was verified), `lowered` (by how much regulation
     lowered the asked clearance at most; None unless verified), `sources` (source of the motion ->
-    fraction of the moving time; None unless verified), `decision_cost`, `evasion_cost` and
-    `turn_cost` (`cost_figures` of the decisions of the regulation, the evasion and the turn of the
+    fraction of the moving time; None unless verified), `guard_actions` and `guard_claims` (action
+    of the motion guard, and claim of passive motion safety that limits the speed -> fraction of the
+    moving time), `decision_cost`, `guard_cost` and
+    `turn_cost` (`cost_figures` of the decisions of the regulation, the guard and the turn of the
     tool; None without decisions that cost time), `stop_reason`,
     `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
-    the policy, and its notes), `supervision` (what the supervisor did, and why).
+    the policy, and its notes), `supervision` (actions of the motion guard, with reasons).
 
     Args:
         scenario: what was run.
@@ -98,18 +104,18 @@ def motion_report(
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if feasible is None:
         feasible = feasible_clearance_of(scenario)
-    resting, nearest = _least(metrics.resting_clearance), _least(metrics.robot_clearance)
+    resting, nearest = (
+        min_clearance(metrics.resting_clearance),
+        min_clearance(metrics.robot_clearance),
+    )
     short = 0.0 if resting is None else max(feasible - resting, 0.0)
     verified = log.regulation == "Verified"
     measured = nearest is not None or not isinstance(scenario.perception, LiveCameras)
     return {
         "collisions": len(metrics.contacts) if measured or metrics.contacts else None,
-        "contacts": list(metrics.contacts),
-        "initial_contacts": list(metrics.initial_contacts),
-        "made_contacts": list(metrics.made_contacts),
-        "self_contacts": list(metrics.self_contacts),
+        **{name: list(getattr(metrics, name)) for name in _CONTACTS},
         "contact_depth": metrics.contact_depth,
-        "tool_clearance_min": _least(metrics.tool_clearance),
+        "tool_clearance_min": min_clearance(metrics.tool_clearance),
         "robot_clearance_min": nearest,
         "asked_clearance": scenario.task.clearance,
         "feasible_clearance": feasible if measured else None,
@@ -124,22 +130,25 @@ def motion_report(
         "regulation": log.regulation or None,
         "believed_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
         "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
-        "sources": motion_sources(log) if verified else None,
+        "sources": shares(log, log.motion_source, SOURCES) if verified else None,
+        "guard_actions": shares(log, log.guard_action, ACTIONS),
+        "guard_claims": shares(log, log.guard_claim, CLAIMS),
         **{key: cost_figures(layer_costs(log, layer), period) for layer, key in _COST_KEYS.items()},
         "stop_reason": log.stop_reason,
         "ended": log.ended,
         "settled": log.settled,
-        "events": [
-            {"time": float(when), "hold": hold, "note": note}
-            for when, hold, note in zip(log.event_time, log.event_hold, log.event, strict=True)
-        ],
-        "supervision": [
-            {"time": float(when), "action": action, "reason": reason}
-            for when, action, reason in zip(
-                log.supervision_time, log.supervision_action, log.supervision_reason, strict=True
-            )
-        ],
+        "events": _rows(time=log.event_time.tolist(), hold=log.event_hold, note=log.event),
+        "supervision": _rows(
+            time=log.supervision_time.tolist(),
+            action=log.supervision_action,
+            reason=log.supervision_reason,
+        ),
     }
+
+
+def _rows(**columns: Sequence[object]) -> list[dict[str, object]]:
+    """Returns rows by the names of their columns."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def cost_figures(costs: ArrayLike, period: float) -> dict[str, float] | None:
@@ -189,19 +198,17 @@ def _given(scenario: Scenario) -> EllipsoidSet:
     return given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
 
 
-def _least(clearance: FloatArray) -> float | None:
-    """Returns the least clearance [m]; None if there is none."""
-    least = float(clearance.min(initial=math.inf))
-    return least if math.isfinite(least) else None
+def min_clearance(clearance: FloatArray) -> float | None:
+    """Returns the minimum clearance [m]; None if there is none."""
+    minimum = float(clearance.min(initial=math.inf))
+    return minimum if math.isfinite(minimum) else None
 
 
-def motion_sources(log: MotionLog) -> dict[str, float]:
-    """Returns the fractions of the moving time in which motions of each source were executed."""
-    codes = log.motion_source[log.moving] if len(log.motion_source) else np.zeros(0)
-    shares = {
-        name: float((codes == code).mean()) for code, name in enumerate(SOURCES) if len(codes)
-    }
-    return {name: share for name, share in shares.items() if share > 0.0}
+def shares(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str, float]:
+    """Returns the fractions of the moving time in which a logged code had each of its names."""
+    codes = codes[log.moving] if len(codes) else codes
+    found = {name: float(np.mean(codes == code)) for code, name in enumerate(names) if len(codes)}
+    return {name: share for name, share in found.items() if share > 0.0 and name}
 
 
 def _sources_text(sources: dict[str, float] | None) -> str | None:

@@ -110,9 +110,9 @@ def _reader(
 
 
 def motion_state(supervision: tuple[str, str], note: str) -> str:
-    """Says what the supervisor does and why, else what holds the motion, else that it runs."""
+    """Returns the action of the motion guard, the reason of a hold, or "running"."""
     action, reason = supervision
-    return note or "running" if action == "run" else f"supervisor: {action}, {reason}"
+    return note or "running" if action == "run" else f"motion guard: {action}, {reason}"
 
 
 class MotionWatcher:
@@ -158,7 +158,7 @@ class MotionWatcher:
         self._diagram = diagram
         described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
         self._policy = _reader(diagram, "dmp_integrator", "policy_state", PolicyState())
-        self._supervision = _reader(diagram, "supervisor", "supervision", Supervision())
+        self._supervision = _reader(diagram, "motion_guard", "supervision", Supervision())
         self._motion = _reader(diagram, "motion_verifier", "motion", PlannedMotion())
         self._source = _reader(diagram, "motion_verifier", "source", np.full(1, -1.0))
         # With MotionVerifier the chain only proposes, and is evaluated only for a search.
@@ -204,7 +204,7 @@ class MotionWatcher:
         policy = self._policy(root)
         supervision = self._supervision(root)
         if policy.hold is HoldCause.SPEED_SCALE and supervision.reason:
-            note = f"supervisor: {supervision.reason}"
+            note = f"motion guard: {supervision.reason}"
             policy = replace(policy, hold=HoldCause.SUPERVISOR, note=note)
         self._record(root, now, policy, supervision)
         if self._on_progress is not None:
@@ -243,7 +243,7 @@ class MotionWatcher:
 
     @property
     def _decided(self) -> tuple[str, str]:
-        """The supervisor's newest action and its reason."""
+        """The motion guard's newest action and its reason."""
         return self.supervision[-1][1:] if self.supervision else ("run", "")
 
     @property
@@ -398,7 +398,7 @@ def simulate(
     The goal is reached when the phase has passed s = 1, the desired motion has arrived where
     the goal is at last, and the tool is within `AT_GOAL` of it; before its last move it goes on.
     One that has not by `LATEST_END` is ended there; at the goal, if the tool is. The log's
-    `stop_reason` is "goal", "stopped: ..." (by the supervisor), "held for ...", "goal missed by
+    `stop_reason` is "goal", "stopped: ..." (by the motion guard), "held for ...", "goal missed by
     ...", "goal left by ..." (where it had to evade there, and did not come back), "at the goal,
     but the tool cannot be turned back there", "time limit of ..." or, in what a
     `MotionInterruptedError` carries, "interrupted" or what was raised.
@@ -540,7 +540,6 @@ def log_of(
         "desired_orientation": np.zeros((0, 4)),
         "orientation_error": np.zeros((0, 3)),
         "desired_posture": empty,
-        "evasion": np.zeros((0, 3)),
     }
     nothing, unknown = np.zeros((count, 1)), np.full((count, 1), math.nan)
     scalars = {
@@ -549,6 +548,9 @@ def log_of(
         "shortfall": nothing,
         "lowered": nothing,
         "motion_source": nothing - 1.0,
+        "guard_action": np.zeros((0, 1)),
+        "guard_contact": np.zeros((0, 1)),
+        "guard_claim": np.zeros((0, 1)),
     }
     series: dict[str, Any] = {name: signals.get(name, of) for name, of in vectors.items()}
     series |= {name: signals.get(name, of)[:, 0] for name, of in scalars.items()}

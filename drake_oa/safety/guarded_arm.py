@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
-from drake_oa.robot.arm import Chain, Spheres, chain_poses, jacobian, joints_to
+from drake_oa.robot.arm import Chain, Spheres, joints_to
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.spheres import ArmSpheres
 
@@ -65,44 +64,3 @@ def make_guarded_arm(robot: RobotPlant, chain: Chain, covered: ArmSpheres) -> Gu
         size=plant.num_positions(),
         overshoot=covered.overshoot,
     )
-
-
-@compiled
-def tool_jacobian(chain: Chain, q: FloatArray) -> FloatArray:
-    """(6, n) of the tool point's angular and linear velocity in the world."""
-    n = len(q)
-    X, J = np.empty((n + 2, 12)), np.empty((6, n))
-    chain_poses(q, chain.X_PJ, X)
-    jacobian(X, J)
-    return J
-
-
-@compiled
-def full_speed_rates(J: FloatArray, v: FloatArray, v_WE: FloatArray, damping: float) -> FloatArray:
-    """(n,) velocities of the joints if the policy ran at full speed [rad/s].
-
-    The tool point moves as the policy wants, without turning; in the null space of the tool
-    the arm moves as it does.
-
-    Args:
-        J: (6, n) see `tool_jacobian`.
-        v: (n,) the joints' velocities now [rad/s].
-        v_WE: (3,) velocity of the tool point at full speed, in the world [m/s].
-        damping: of the least-squares solution, against singular postures [m^2].
-    """
-    n = len(v)
-    lacking, square = np.zeros(6), np.zeros((6, 6))
-    for i in range(6):
-        lacking[i] = v_WE[i - 3] if i >= 3 else 0.0
-        for k in range(n):
-            lacking[i] -= J[i, k] * v[k]
-        for j in range(6):
-            for k in range(n):
-                square[i, j] += J[i, k] * J[j, k]
-        square[i, i] += damping
-    share = np.linalg.solve(square, lacking)
-    rates = v.copy()
-    for k in range(n):
-        for i in range(6):
-            rates[k] += J[i, k] * share[i]
-    return rates

@@ -1,207 +1,214 @@
-"""When a motion must be slowed, held or stopped: the decisions of the supervisor.
+"""Speed of the phase, slowed or held by monitors of the observations, the guard and the torques.
 
-`drake_oa.safety.supervisor` evaluates the robot, each watch of `drake_oa.safety.monitors`
-gives a `Demand`: the share of full speed, ds/dt = 1 / (tau T), at which the motion may go,
-and why. The least one counts. The path is a function of normalised time s alone, so that
-a motion at another speed keeps its path.
-
-The watch of clearance asks of every sphere of the arm and every solid, at their distance d and
-closing at the speed c at full speed,
-
-    share * c + (speed of the solid towards the sphere) <= (d - d_stop) / T_reaction,
-
-where T_reaction is the time in which the policy comes to rest from full speed, and the
-controller with it. A resting obstacle is thereby approached exponentially, at a rate
-that the policy can follow, and never nearer than d_stop.
-
-A solid that rests, beside a motion that was verified among it, is no stranger: the policy, which
-goes from a share x to rest in x hold, has only to brake in time,
-
-    c * (share * step + share^2 * hold / 2) <= d - d_stop,
-
-and d_stop is the least of the stop distance and what the motion keeps of it, less 5 mm.
+Each monitor returns a `Demand`: a share of full speed,
+ds/dt = 1 / (tau T). The least one counts. The path is a function of normalised time s alone, so
+that a motion at another speed keeps its path.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
+from drake_oa.common.messages import Frozen
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.safety.config import SupervisorSettings
+from drake_oa.safety.maneuvers import GuardDecision
 
 Action = Literal["run", "slow", "hold", "stop"]
 
 _RUNNING, _SLOW = 0.99, 0.95
-"""A motion is slow below the second, and again free above the first."""
-
-
-@dataclass(frozen=True, eq=False)
-class Supervision(Frozen):
-    """What the supervisor has decided.
-
-    Attributes:
-        action: "run"; "slow"; "hold": at rest until it is safe; "stop": the same, where that
-            is not to be expected.
-        speed_scale: share of full speed asked of the policy, in [0, 1].
-        reason: why it does not run; "" while it does.
-        since: since when action and reason are these [s].
-        link: the body nearest to a limit of clearance; "" where none is.
-        obstacle: name of the obstacle it is near to; -1: the table, or none.
-        distance: between them [m]; inf where nothing limits the motion.
-    """
-
-    action: Action = "run"
-    speed_scale: float = 1.0
-    reason: str = ""
-    since: float = 0.0
-    link: str = ""
-    obstacle: int = -1
-    distance: float = math.inf
+"""Shares of full speed above which a slow motion runs again, and below which a motion is slow."""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What one watch asks for.
+    """Speed that a monitor demands.
 
     Attributes:
         scale: share of full speed, in [0, 1].
-        cause: what the watch calls it; two demands of one cause are the same event.
-        reason: the same with its figures.
-        lasting: whether it stays while the motion is at rest.
-        urgent: whether it is told even shortly after another event of the same action.
-        link, obstacle, distance: see `Supervision`.
+        cause: name of the event; two demands of one cause are the same event.
+        reason: the same with figures.
+        lasting: whether the cause remains while the motion is at rest.
     """
 
     scale: float = 1.0
     cause: str = ""
     reason: str = ""
     lasting: bool = False
-    urgent: bool = False
-    link: str = ""
-    obstacle: int = -1
-    distance: float = math.inf
 
 
 NO_DEMAND = Demand()
-"""Of a watch that has nothing to say."""
+"""Full speed."""
 
 
 @dataclass(frozen=True, eq=False)
-class SupervisorState(Frozen):
-    """What the supervisor keeps from step to step.
+class Supervision(Frozen):
+    """Speed of the phase, and the state of its monitors.
 
     Attributes:
-        supervision: its decision.
-        cause: what it was made for; see `Demand`.
-        blocked_since: since when the motion is held for something lasting [s].
-        saturated_since: since when a torque is saturated, or since it last slowed [s].
+        action: "run"; "slow"; "hold": at rest until the cause has gone; "stop": the same, for a
+            cause that is not expected to go.
+        speed_scale: share of full speed, in [0, 1].
+        reason, cause: of the demand; "" while the motion runs.
+        since: time since which action and cause are these [s].
+        blocked_since: time since which the motion is held for a lasting cause [s]; inf: it is not.
+        saturated_since: time since which a torque is saturated, or of the last slowing for it [s].
         torque_scale: share of full speed that torque saturation leaves.
-        motion, scene: the verified motion and the solids that `kept` is of.
-        kept: (G, K) what that motion keeps of them [m].
-        broken: whether nothing can be watched any more; a stop for that is for good.
+        is_broken: whether an input is not finite; such a stop is final.
     """
 
-    supervision: Supervision = field(default_factory=Supervision)
+    action: Action = "run"
+    speed_scale: float = 1.0
+    reason: str = ""
     cause: str = ""
+    since: float = 0.0
     blocked_since: float = math.inf
     saturated_since: float = math.inf
     torque_scale: float = 1.0
-    motion: PlannedMotion | None = None
-    scene: SolidScene | None = None
-    kept: FloatArray = zeros(0, 0)
-    broken: bool = False
+    is_broken: bool = False
+
+    def broken(self, reason: str, time: float) -> Supervision:
+        """Returns the final stop for a reason; time [s]."""
+        return replace(
+            self, action="stop", speed_scale=0.0, reason=reason, cause=reason, since=time,
+            is_broken=True,
+        )  # fmt: skip
 
 
-def broken(state: SupervisorState, reason: str, time: float) -> SupervisorState:
-    """The state after a stop for good: what is to be watched cannot be."""
-    return replace(_stopped(state, reason, time), broken=True)
-
-
-def _stopped(state: SupervisorState, reason: str, time: float) -> SupervisorState:
-    supervision = replace(
-        state.supervision, action="stop", speed_scale=0.0, reason=reason, since=time
-    )
-    return replace(state, supervision=supervision, cause=reason)
-
-
-def decide(
-    state: SupervisorState,
+def supervise(
+    before: Supervision,
     demands: list[Demand],
     time: float,
     elapsed: float,
     parameters: SupervisorSettings,
     *,
     waits: bool = False,
-) -> SupervisorState:
-    """What follows from the demands of all watches.
+) -> Supervision:
+    """Computes action and speed from the demands of all monitors.
 
-    The speed asked for falls at once (the policy ramps it) and rises at a bounded rate. A
-    demand below `hold_below` holds the motion until all are above `resume_above`; held for
-    something lasting for `patience`, it is stopped, and goes on by itself as from a hold.
+    The speed falls at once, as the motion primitive ramps it, and rises at a bounded rate. A demand
+    below `hold_below` holds the motion until all are above `resume_above`; held for a lasting
+    cause for `patience`, it is stopped until then.
 
     Args:
-        state: before.
-        demands: one at least.
+        before: result of the step before.
+        demands: at least one.
         time: now [s].
         elapsed: time since the step before [s].
-        parameters: what is kept.
-        waits: whether the policy holds the motion for a reason of its own: then it is left
-            to the policy, and no patience is lost.
+        parameters: limits and times.
+        waits: whether the motion primitive is held for another reason, so that no patience is lost.
     """
-    before = state.supervision
-    tightest = min(demands, key=lambda demand: demand.scale)
+    p, tightest = parameters, min(demands, key=lambda demand: demand.scale)
     held = before.action in ("hold", "stop")
-    holds = tightest.scale < (parameters.resume_above if held else parameters.hold_below)
-    if state.broken or (holds and before.action == "stop"):
-        return state
+    holds = tightest.scale < (p.resume_above if held else p.hold_below)
+    if before.is_broken or (holds and before.action == "stop"):
+        return before
+    lasts = any(demand.lasting and demand.scale < p.resume_above for demand in demands)
+    blocked_since = min(before.blocked_since, time) if holds and lasts and not waits else math.inf
     target = 0.0 if holds else tightest.scale
-    scale = min(target, before.speed_scale + elapsed / parameters.recovery_time)
+    scale = min(target, before.speed_scale + elapsed / p.recovery_time)
+    early = time - before.since < p.dwell
+    slows = scale < (_SLOW if before.action == "run" else _RUNNING)
     action: Action = "run"
     if holds:
-        action = "hold"
-    elif before.action == "run":
-        action = "slow" if scale < _SLOW else "run"
-    elif scale < _RUNNING or held or time - before.since < parameters.dwell:
+        action = "stop" if time - blocked_since >= p.patience else "hold"
+    elif slows or (before.action != "run" and (held or early)):
         action = "slow"
-    blocked_since = math.inf
-    if (
-        holds
-        and not waits
-        and any(d.lasting and d.scale < parameters.resume_above for d in demands)
-    ):
-        blocked_since = min(state.blocked_since, time)
-        if time - blocked_since >= parameters.patience:
-            return _stopped(state, tightest.reason if tightest.lasting else before.reason, time)
     cause, reason = tightest.cause, tightest.reason
     if action == "run":
         cause = reason = ""
-    elif tightest.scale >= 1.0 or (
-        action == before.action
-        and (
-            cause == state.cause or (time - before.since < parameters.dwell and not tightest.urgent)
-        )
-    ):
-        # The same event, or the way back from it: its first figures stay.
-        cause, reason = state.cause, before.reason
-    same = action == before.action and cause == state.cause
-    if (
-        same
-        and scale == before.speed_scale
-        and blocked_since == state.blocked_since
-        and tightest.link == before.link
-        and tightest.distance == before.distance
-    ):
-        return state
-    supervision = Supervision(
-        action=action,
-        speed_scale=scale,
-        reason=reason,
-        since=before.since if same else time,
-        link=tightest.link,
-        obstacle=tightest.obstacle,
-        distance=tightest.distance,
-    )
-    return replace(state, supervision=supervision, cause=cause, blocked_since=blocked_since)
+    elif tightest.scale >= 1.0 or (action == before.action and (cause == before.cause or early)):
+        # The same event, or the recovery from it: its first figures stay.
+        cause, reason = before.cause, before.reason
+    elif action == "stop" and not tightest.lasting:
+        cause, reason = before.cause, before.reason
+    same = (action, cause) == (before.action, before.cause)
+    if same and (scale, blocked_since) == (before.speed_scale, before.blocked_since):
+        return before
+    return replace(
+        before, action=action, speed_scale=scale, reason=reason, cause=cause,
+        since=before.since if same else time, blocked_since=blocked_since,
+    )  # fmt: skip
+
+
+def watch_observation(scene: SolidScene, time: float, parameters: SupervisorSettings) -> Demand:
+    """Slows by the age of the last good observation, and holds beyond `max_age`; time [s]."""
+    why = f" ({scene.note})" if scene.note else ""
+    if scene.stamp == -math.inf:
+        return Demand(0.0, "unobserved", f"no observation{why}")
+    age = time - scene.stamp
+    fresh = min(parameters.stale_frames * parameters.frame_period, 0.9 * parameters.max_age)
+    if age <= fresh:
+        return NO_DEMAND
+    reason = f"obstacles not seen since t = {scene.stamp:.2f} s{why}"
+    if age > parameters.max_age:
+        return Demand(0.0, "unseen", reason)
+    # The hold itself begins at that age, where the policy's own does.
+    scale = max(parameters.slowest, 1.0 - (age - fresh) / (parameters.max_age - fresh))
+    return Demand(scale, "unseen", reason)
+
+
+def watch_guard(decision: GuardDecision, time: float, *, late: bool, moves: bool) -> Demand:
+    """Slows or holds the phase as the motion guard has decided.
+
+    Args:
+        decision: of the guard.
+        time: now [s].
+        late: whether the decision is too old.
+        moves: whether an obstacle moves, so that waiting may end by itself.
+    """
+    if late:
+        return Demand(0.0, "late decision", "no decision of the motion guard in time", lasting=True)
+    if decision.action == "follow":
+        return NO_DEMAND
+    obstacle = decision.obstacle or "an obstacle"
+    contact = f", contact in {decision.contact - time:.2f} s" if decision.contact < math.inf else ""
+    said = {"slow": "near", "wait": "waits for", "evade": "evades", "brake": "brakes for"}
+    claim = f", by claim ({decision.claim})" if decision.claim else ""
+    reason = f"{said[decision.action]} {obstacle}{contact}{claim}"
+    scale = decision.scale if decision.follows else 0.0
+    return Demand(scale, f"guard: {decision.action}", reason, lasting=not moves)
+
+
+_OFF_PATH, _FAR_OFF = 0.02, 0.1
+"""Distances of a joint from the verified motion at which its phase slows down, and rests [rad]."""
+
+
+def watch_path(distance: float) -> Demand:
+    """Slows the phase while joint accelerations limit how fast the arm follows; distance [rad]."""
+    if distance <= _OFF_PATH:
+        return NO_DEMAND
+    scale = max(0.0, (_FAR_OFF - distance) / (_FAR_OFF - _OFF_PATH))
+    return Demand(scale, "path", f"the arm is {distance:.3f} rad from its path")
+
+
+def watch_torque(
+    state: Supervision,
+    saturated: bool,
+    time: float,
+    elapsed: float,
+    parameters: SupervisorSettings,
+) -> tuple[Supervision, Demand]:
+    """Slows while torques are saturated: by a factor each time, then linearly back.
+
+    Args:
+        state: of the monitors.
+        saturated: whether a joint is asked for more than its effort limit.
+        time: now [s].
+        elapsed: time since the step before [s].
+        parameters: what is kept.
+    """
+    since, scale = state.saturated_since, state.torque_scale
+    if not saturated:
+        since, scale = math.inf, min(1.0, scale + elapsed / parameters.recovery_time)
+    elif since == math.inf:
+        since = time
+    elif time - since >= parameters.saturation_time - 1e-9:
+        since, scale = time, max(parameters.slowest, parameters.back_off * scale)
+    if since != state.saturated_since or scale != state.torque_scale:
+        state = replace(state, saturated_since=since, torque_scale=scale)
+    if scale >= 1.0:
+        return state, NO_DEMAND
+    return state, Demand(scale, "torque", "a joint torque is at its limit")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.averaging import STILL, average_orientations, average_paths
@@ -91,10 +91,8 @@ def read_demonstrations(task: Task) -> list[Demonstration]:
     """
     shown = []
     for file in task.demonstration:
-        try:
+        with field_errors(f"task.demonstration: '{file}'", ValueError, OSError):
             shown.append(read_demonstration(file, task.duration))
-        except (ValueError, OSError) as error:
-            raise ScenarioError(f"task.demonstration: '{file}': {error}") from None
     turning = [item.orientations is not None for item in shown]
     if any(turning) and not all(turning):
         file = task.demonstration[turning.index(False)]
@@ -112,13 +110,11 @@ def demonstrated_path(scenario: Scenario) -> Dmp:
         ScenarioError: naming the files, if they cannot be imitated.
     """
     shown, policy = read_demonstrations(scenario.task), scenario.policy
-    try:
+    with field_errors(_files(scenario.task), ValueError):
         path, t = average_paths(
             [item.path for item in shown], [item.t for item in shown], n_basis=policy.n_basis
         )
         return imitate(path, t, still=STILL, **primitive_constants(policy))
-    except ValueError as error:
-        raise ScenarioError(f"{_files(scenario.task)}: {error}") from None
 
 
 def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
@@ -131,11 +127,9 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
     given = [(item.orientations, item.t) for item in shown if item.orientations is not None]
     if not given:
         return None
-    try:
+    with field_errors(_files(scenario.task), ValueError):
         R_WE, t = average_orientations(*zip(*given, strict=True), n_basis=policy.n_basis)
         return imitate_orientation(R_WE, t, still=STILL, **primitive_constants(policy))
-    except ValueError as error:
-        raise ScenarioError(f"{_files(scenario.task)}: {error}") from None
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:

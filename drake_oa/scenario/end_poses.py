@@ -9,7 +9,7 @@ from collections.abc import Collection
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import (
     OrientationDmp,
@@ -84,10 +84,8 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
             R_WE = RollPitchYaw(robot.rpy_WE if rpy is None else rpy).ToRotationMatrix().matrix()
         ends.append(R_WE)
     primitive = shown or minimum_jerk_orientation(**primitive_constants(scenario.policy))
-    try:
+    with field_errors("task.rpy_goal", ValueError):
         demonstrated_goal(primitive, *ends)
-    except ValueError as error:
-        raise ScenarioError(f"task.rpy_goal: {error}") from None
     return ToolOrientation(primitive, *ends)
 
 
@@ -248,10 +246,8 @@ def end_positions(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
         if name in found:
             _check_agreement(robot_plant, name, found[name], X_WE)
             continue
-        try:
+        with field_errors(f"task.{name}", ValueError):
             found[name] = solve_tool_pose(
                 robot_plant.plant, robot_plant.tool_frame.name(), X_WE, seed
             )
-        except ValueError as error:
-            raise ScenarioError(f"task.{name}: {error}") from None
     return found["start"], found[name]

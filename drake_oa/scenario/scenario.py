@@ -25,7 +25,7 @@ from drake_oa.perception.config import (
 from drake_oa.policy.config import Policy
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.config import Robot
-from drake_oa.safety.config import EvasionParameters, SupervisorParameters
+from drake_oa.safety.config import GuardParameters, SupervisorParameters
 from drake_oa.scenario.faults import Fault
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
@@ -78,9 +78,9 @@ class Scenario:
     regulation: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
     """Source of the coupling parameters."""
     supervisor: SupervisorParameters | None = Field(default_factory=SupervisorParameters)
-    """Supervisor of the robot's motion; null: none."""
-    evasion: EvasionParameters | None = Field(default_factory=EvasionParameters)
-    """Evasion of moving obstacles, which needs a supervisor; null: none."""
+    """Monitors of observations and torques; null: the defaults."""
+    guard: GuardParameters = Field(default_factory=GuardParameters)
+    """Maneuvers away from moving obstacles, and reaction to contact."""
     thinking: Thinking | None = Field(default_factory=Thinking)
     """Simulated duration of decisions; null: decisions act immediately."""
     table_height: float | None = 0.0

@@ -17,12 +17,13 @@ LAYERS = (
     "cost_ring_selector",
     "motion_verifier",
     "dmp_integrator",
+    "motion_guard",
     "controller",
     "plant",
 )
 """Names of the drawn subsystems, those that a diagram has, in the order data flows."""
-_WIDTH, _HEIGHT, _STEP, _LEFT, _TOP = 210, 44, 92, 185, 12
-_PAGE = 570
+_WIDTH, _HEIGHT, _STEP, _LEFT, _TOP = 210, 44, 92, 215, 12
+_PAGE = 630
 _STYLE = (
     "<style>text { font: 13px sans-serif; fill: #222 } .name { font-weight: bold }"
     " .small { font-size: 11px; fill: #555 } rect { fill: #eef3fa; stroke: #456 }"
@@ -55,7 +56,11 @@ def layer_figure(diagram: Diagram) -> str:
     for back in (False, True):
         mine = [(one, port, rows) for (one, port, side), rows in lanes.items() if side == back]
         mine.sort(key=lambda lane: max(abs(other - lane[0]) for other in lane[2]))
-        parts += [_lane(*lane, back, number) for number, lane in enumerate(mine)]
+        begun = [lane[0] for lane in mine]
+        parts += [
+            _lane(*lane, back, number, begun[:number].count(lane[0]))
+            for number, lane in enumerate(mine)
+        ]
     height = 2 * _TOP + (len(names) - 1) * _STEP + _HEIGHT
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_PAGE} {height}" '
@@ -84,10 +89,20 @@ def _arrow(row: int, ports: Sequence[str]) -> str:
     )
 
 
-def _lane(row: int, port: str, readers: Sequence[int], back: bool, lane: int) -> str:
-    """Draws a signal to layers that are not the next one: on the right, or back on the left."""
+def _lane(row: int, port: str, readers: Sequence[int], back: bool, lane: int, earlier: int) -> str:
+    """Draws a signal to layers that are not the next one: on the right, or back on the left.
+
+    Args:
+        row: of the layer that it comes from.
+        port: its name.
+        readers: rows of the layers that read it.
+        back: whether these come before.
+        lane: number of the vertical line.
+        earlier: number of lines from the same layer that are drawn above.
+    """
     edge, sign = (_LEFT, -1) if back else (_LEFT + _WIDTH, 1)
     x, begin = edge + sign * (125 + 20 * lane), _TOP + row * _STEP + (12 if back else 30)
+    begin += 13 * earlier
     ends = [_TOP + reader * _STEP + (34 if back else 12) for reader in readers]
     path = '<path class="back" d="' if back else '<path d="'
     tip = '" marker-end="url(#tip)"/>'

@@ -13,7 +13,7 @@ from pydrake.geometry import Capsule, Cylinder, Meshcat, Rgba, Shape, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import PointCloud
-from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
+from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState, Route, zeros
 from drake_oa.common.ports import read_optional, read_value
@@ -122,14 +122,8 @@ class MeshcatOverlay(LeafSystem):
             body_index: body B of the plant that carries E; None: policy_state.p_WE.
             p_BE: (3,) the tool point E in B [m].
             show: the `LAYERS` that are visible at first; whoever looks may change that.
-
-        Raises:
-            ValueError: for a layer that does not exist.
         """
         super().__init__()
-        unknown = [layer for layer in show if layer not in LAYERS]
-        if unknown:
-            raise ValueError(f"show: {unknown[0]!r} is not one of {', '.join(LAYERS)}")
         self._show = tuple(show)
         self._meshcat = meshcat
         self._planned_W = planned_W
@@ -171,17 +165,15 @@ class MeshcatOverlay(LeafSystem):
         X_WB: RigidTransform = self._bodies.Eval(context)[int(self._body_index)]
         return np.asarray(X_WB @ self._p_BE)
 
-    def _begin(self, context: Context, state: State) -> EventStatus:
+    def _begin(self, context: Context, state: State) -> None:
         shown = _Shown(start=context.get_time(), p_WE=self._tool_point(context))
         state.get_mutable_abstract_state(self._shown).set_value(
             self._with_obstacles(context, shown)
         )
-        return EventStatus.Succeeded()
 
-    def _advance(self, context: Context, state: State) -> EventStatus:
+    def _advance(self, context: Context, state: State) -> None:
         _, shown = self._last_two(context)
         state.get_mutable_abstract_state(self._shown).set_value(shown)
-        return EventStatus.Succeeded()
 
     def _last_two(self, context: Context) -> tuple[_Shown, _Shown]:
         """Returns the contents of the last frame and of this one.
@@ -241,7 +233,7 @@ class MeshcatOverlay(LeafSystem):
             self._show_path(path, False, shown.start)
         self._show_path(path, True, time)
 
-    def _draw_start(self, context: Context) -> EventStatus:
+    def _draw_start(self, context: Context) -> None:
         """The objects that only move, and the first frame."""
         meshcat = self._meshcat
         for layer in LAYERS:
@@ -264,7 +256,6 @@ class MeshcatOverlay(LeafSystem):
         meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         shown: _Shown = context.get_abstract_state(self._shown).get_value()
         self._draw_frame(context, _Shown(p_WE=shown.p_WE), shown)
-        return EventStatus.Succeeded()
 
     def _draw_planned(self, policy: PolicyState) -> None:
         path = np.stack([policy.p_WS, policy.p_WG]) if self._planned_W is None else self._planned_W
@@ -277,9 +268,8 @@ class MeshcatOverlay(LeafSystem):
             self._meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.PLANNED))
             self._meshcat.SetTransform(ball, RigidTransform(p_WQ))
 
-    def _draw(self, context: Context) -> EventStatus:
+    def _draw(self, context: Context) -> None:
         self._draw_frame(context, *self._last_two(context))
-        return EventStatus.Succeeded()
 
     def _draw_frame(self, context: Context, before: _Shown, shown: _Shown) -> None:
         time = context.get_time()
@@ -375,7 +365,5 @@ def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:
 def _look_alike(costs: Mapping[str, FloatArray], drawn: Mapping[str, FloatArray]) -> bool:
     """Whether two sets of rings differ too little to be drawn again."""
     return list(costs) == list(drawn) and all(
-        costs[name].shape == drawn[name].shape
-        and bool(np.all(np.abs(costs[name] - drawn[name]) <= _COST_CHANGE))
-        for name in costs
+        np.allclose(costs[name], drawn[name], rtol=0.0, atol=_COST_CHANGE) for name in costs
     )

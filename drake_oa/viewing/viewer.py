@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -15,7 +16,6 @@ from drake_oa.viewing.panel import LivePage
 
 RECORDING_RATE = 15.0
 """Frames of a recording a second."""
-Point = tuple[float, float, float]
 _EYE_F, _TARGET_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
 """Position of the viewer's camera, and the point that it looks at, in the floor's frame F [m]."""
 
@@ -46,7 +46,7 @@ def floor_frame(X_WB: RigidTransform, floor: float) -> RigidTransform:
 
 
 def looking_pose(
-    X_WF: RigidTransform, p_FC: Point = _EYE_F, p_FT: Point = _TARGET_F
+    X_WF: RigidTransform, p_FC: ArrayLike = _EYE_F, p_FT: ArrayLike = _TARGET_F
 ) -> RigidTransform:
     """Returns X_WC of a camera C that looks along its z axis at T, x to the right of the image.
 

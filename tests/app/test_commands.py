@@ -114,7 +114,6 @@ INVOCATIONS = (
     f"{PANDA} --cameras 2",
     f"{PANDA} --suite elbow,maze",
     "evaluate panda --scenes-file x.npz",
-    "evaluate panda --suite elbow,moving_hard --method planner",
     "station tabletop_box --lcm-url foo://bar",
     "train --recipe mine",
 )

@@ -96,6 +96,25 @@ def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFix
     assert "2 runs were on disk" in capsys.readouterr().out
 
 
+def test_scenes_of_a_level_are_read_from_files_with_their_digest() -> None:
+    one = partial(run, "panda", "--suite", "drp", "--level", "floating1", "--method", "preplanned")
+    short = partial(one, "--scenes", "1", "--duration", "0.02", "--json", "p.json")
+    assert short("--perception", "truth", "--write-scenes", "scenes") == 0
+    drawn = json.loads(Path("p.json").read_text())
+    assert drawn["methods"]["preplanned"]["drp_success"] == 0
+    assert drawn["methods"]["preplanned"]["drp_contacts"] == 0
+    (file,) = Path("scenes").iterdir()
+    assert short("--cameras", "2", "--read-scenes", "scenes") == 0
+    read = json.loads(Path("p.json").read_text())
+    assert read["scenes_digest"] == drawn["scenes_digest"]
+    file.write_text(file.read_text().replace("goal: [", "goal: [0.3, 0.3, 0.3] # ["))
+    assert short("--read-scenes", "scenes") == 0
+    changed = json.loads(Path("p.json").read_text())
+    assert changed["scenes_digest"] != drawn["scenes_digest"]
+    file.unlink()
+    assert short("--read-scenes", "scenes") == 2
+
+
 def test_without_ompl_the_error_names_the_package(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

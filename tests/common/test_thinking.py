@@ -20,7 +20,7 @@ from drake_oa.planning.motion_verifier import MotionVerifier
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 ELSEWHERE = np.array([0.5, 0.0, 0.3])
 PERIOD, STEP = 0.1, 0.01
-SLOW = Thinking(decision=0.01, search=0.02, step=0.0, configuration=0.0, pose=0.0)
+SLOW = Thinking(decision=0.01, search=0.02, step=0.0, configuration=0.0)
 
 
 class Scripted:
@@ -86,12 +86,12 @@ def test_work_is_counted_where_an_account_is_open() -> None:
     with counted() as outer:
         count(searches=2, steps=10)
         with counted() as inner:
-            count(poses=3)
+            count(searches=3)
         count(configurations=4)
-    assert outer == Work(searches=2, steps=10, poses=3, configurations=4)
-    assert inner == Work(poses=3)
-    costs = Thinking(decision=1.0, search=0.1, step=0.01, configuration=0.5, pose=0.7)
-    assert costs.seconds(outer) == pytest.approx(1.0 + 0.2 + 0.1 + 2.0 + 2.1)
+    assert outer == Work(searches=5, steps=10, configurations=4)
+    assert inner == Work(searches=3)
+    costs = Thinking(decision=1.0, search=0.1, step=0.01, configuration=0.5)
+    assert costs.seconds(outer) == pytest.approx(1.0 + 0.5 + 0.1 + 2.0)
 
 
 def test_a_decision_is_in_force_when_its_work_is_done() -> None:

@@ -39,7 +39,7 @@ def test_a_box_that_appears_is_seen_at_once_and_avoided() -> None:
     assert np.linalg.norm(log.desired_velocity[row]) > 0.3
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"
-    assert report["contacts"] == report["supervision"] == []
+    assert report["contacts"] == []
     seen = np.isfinite(log.p_WO).all(axis=2).any(axis=1)
     first = log.observation_time[np.argmax(seen)]
     turning = np.linalg.norm(log.desired_acceleration, axis=1) > 1.0
@@ -130,9 +130,8 @@ def test_a_goal_moved_into_an_obstacle_is_waited_for(caplog: pytest.LogCaptureFi
 
 def test_a_hard_push_slows_the_motion_and_is_said() -> None:
     push = "faults=[!Push {start: 0.2, force: [0.0, 0.0, 120.0]}]"
-    log = simulate(load_scenario("pushed_robot", [GROUND_TRUTH, QUICK, push]), duration=2.4)
-    assert log.supervision_action[0] in ("slow", "hold")
-    assert "tracking error" in log.supervision_reason[0]
+    log = simulate(load_scenario("pushed_robot", [GROUND_TRUTH, push]), duration=4.0)
+    assert log.supervision_action[0] == "hold"
     assert log.supervision_action[-1] == "run"
     assert log.tracking_error[-1] < 1e-3
 
@@ -158,12 +157,12 @@ def test_what_is_faster_than_the_arm_is_told_and_its_contacts_count(
         )
     ]
     log = simulate(scenario)
-    assert "supervisor holds: obstacle 0 cannot be evaded by this arm" in caplog.text
+    assert "motion guard evades obstacle 0" in caplog.text
     # The run goes on past the prediction, until the ball has arrived and all is at rest.
     assert log.simulated_time > 1.0 + time + REST_TIME
     found = robot_metrics(scenario, log.q, log.q_world)
     assert any(contact.startswith("panda_link2 - ") for contact in found.contacts)
-    assert found.robot_clearance.min() < -0.03
+    assert found.robot_clearance.min() < 0.0
 
 
 @pytest.mark.slow

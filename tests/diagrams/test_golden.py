@@ -22,6 +22,7 @@ from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.simulation import MotionWatcher, run_motion, simulate
+from drake_oa.safety.maneuvers import ACTIONS
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
@@ -88,7 +89,14 @@ def test_is_wired_as_before_and_runs(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", _NAMES)
 def test_moves_as_before(name: str) -> None:
-    found = _kept(simulate(_scenario(name), duration=2.0)) | {"processor": np.array(_PROCESSOR)}
+    scenario = _scenario(name)
+    log = simulate(scenario, duration=2.0)
+    if not scenario.faults and len(log.guard_action):
+        # The joints that are commanded have the tool at the desired pose.
+        follows = log.guard_action == ACTIONS.index("follow")
+        assert log.tracking_error[follows].max() <= 1e-3
+        assert np.linalg.norm(log.orientation_error[follows], axis=1).max() <= np.radians(0.5)
+    found = _kept(log) | {"processor": np.array(_PROCESSOR)}
     path = _GOLDEN / f"{name}.npz"
     if _WRITES:
         np.savez_compressed(path, **found)

@@ -57,7 +57,7 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
     assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
     # Of what it sees solids are made, for what watches.
     assert ("perception.y0", "solids.obstacles_W") in edges
-    assert ("solids.solids_W", "supervisor.solids_W") in edges
+    assert ("solids.solids_W", "motion_guard.solids_W") in edges
 
 
 def test_what_cannot_be_a_block_is_refused() -> None:
@@ -71,7 +71,7 @@ def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:
         load_scenario("tabletop_box", ["perception=!GroundTruth {}"]), layers=layers
     )
     names = {system.get_name() for system in diagram.GetSystems()}
-    assert not names & {"supervisor", "evasion", "posture_follower", "log_speed_scale"}
+    assert not names & {"motion_guard", "posture_follower", "log_speed_scale"}
     readers = {reader for _, reader in connections(diagram)}
     assert "dmp_integrator.speed_scale" not in readers
     assert "controller.desired_posture" not in readers

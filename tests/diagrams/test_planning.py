@@ -22,7 +22,7 @@ from drake_oa.scenario.shipped import shipped_scenarios
 from tests.diagrams.six_arm import SIX_ARM, arm_text
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-WHOLE_ARM = ["regulation=!Verified {}", "evasion=null"]
+WHOLE_ARM = ["regulation=!Verified {}"]
 
 
 def test_what_a_source_of_ones_own_sees_becomes_solids():

@@ -31,10 +31,14 @@ def test_the_layers_are_connected_in_their_order(name: str) -> None:
     scenario = load_scenario(name)
     diagram = build_avoidance(scenario)
     order = ["DepthPerception", "EllipsoidDescriptor", "RegressorChain", "CostRingSelector"]
-    order += ["MotionVerifier"] if isinstance(scenario.regulation, Verified) else []
-    order += ["DmpIntegrator", "CartesianInverseDynamics"]
+    if isinstance(scenario.regulation, Verified):
+        order += ["MotionVerifier", "DmpIntegrator", "MotionGuard", "JointInverseDynamics"]
+    else:
+        order += ["DmpIntegrator", "CartesianInverseDynamics"]
     classes = [type(system).__name__ for system in diagram.GetSystems()]
-    assert [found for found in classes if found in {*order, "MotionVerifier"}] == order
+    assert [
+        found for found in classes if found in {*order, "MotionVerifier", "MotionGuard"}
+    ] == order
     assert set(pairwise(order)) <= edges(diagram)
     if "MotionVerifier" in order:
         assert ("CostRingSelector", "DmpIntegrator") not in edges(diagram)

@@ -244,3 +244,13 @@ def test_an_unknown_shape_is_named():
     shape = Mock(GetShape=lambda _: drake.MeshcatCone(0.1, 0.1, 0.1), GetName=lambda _: "tip")
     with pytest.raises(ValueError, match="tip: a MeshcatCone is no solid"):
         solid.read_solid(shape, None)
+
+
+def test_a_scene_at_rest_has_no_solid_that_moves():
+    still = replace(solid.box([0.1, 0.1, 0.1]), label="box")
+    moving = replace(solid.sphere(0.1), label="ball", v_WO=np.array([0.0, 0.1, 0.0]))
+    scene = solid.SolidScene.of(1.0, [moving, still])
+    rest = scene.at_rest()
+    assert (rest.labels, rest.stamp, rest.moves) == (("box",), 1.0, False)
+    assert rest.same_as(solid.SolidScene.of(1.0, [still]))
+    assert rest.at_rest() is rest

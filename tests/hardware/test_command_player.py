@@ -150,5 +150,5 @@ def test_does_not_begin_while_the_arm_may_not_be_moved() -> None:
         both.link.ready_arm(both.station.q + 0.2, limits)
     low = limits.position_lower.copy()
     low[3] = -1.0
-    with pytest.raises(HardwareError, match=r"joint4 is at .* out of"):
+    with pytest.raises(HardwareError, match=r"joint4 at .* out of"):
         both.link.ready_arm(both.station.q, type(limits)(**{**vars(limits), "position_lower": low}))

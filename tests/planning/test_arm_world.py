@@ -157,7 +157,7 @@ def test_the_distances_of_groups_are_the_least_of_their_spheres(
     random = np.random.default_rng(seed)
     world, q = random_world(panda_arm, random), panda_arm.random_q(random)
     t, spheres, p = random.uniform(0.0, 2.0), world.spheres, panda_arm.centers(q)
-    found = group_distances(world.chain, spheres, world.solids, q, t)
+    found = group_distances(world.chain, spheres, world.solids, q[None], t, np.inf)
     for k in range(found.shape[1]):
         each = [
             solid_distance(world.solids, k, *center, t) - radius

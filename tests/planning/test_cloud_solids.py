@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import Solids, solid_distance
-from drake_oa.perception.depth_perception import Views
+from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.perception.visibility import ImageRange, with_unseen_ends
 from drake_oa.planning import cloud_solids
 from drake_oa.planning.cloud_solids import (
@@ -349,7 +349,9 @@ def test_the_system_reads_what_several_cameras_see():
         made.GetInputPort(name).FixValue(context, pose)
 
     def show(*images, stamp):
-        made.GetInputPort("views").FixValue(context, AbstractValue.Make(Views(images, stamp)))
+        made.GetInputPort("free_space_W").FixValue(
+            context, AbstractValue.Make(FreeSpace(images, stamp))
+        )
 
     # Those of another time tell nothing, as what moves is elsewhere in them.
     show(*views, stamp=1.2)

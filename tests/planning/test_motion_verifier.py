@@ -35,7 +35,7 @@ from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimu
 from drake_oa.policy.rollout import ToolRollouts
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
-from drake_oa.regulation.proposals import ANGLE, ProposalNetwork, draws
+from drake_oa.regulation.proposals import ANGLE, ProposalNetwork
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import tool_poses
@@ -156,7 +156,9 @@ class Bench:
         spheres, least = self.arm.covered.arrays, np.full(2, np.inf)
         is_tool = spheres.of_tool[spheres.first[:-1]]
         for row in q:
-            d = group_distances(self.arm.chain, spheres, self.scene.solids, np.array(row), 0.0)
+            d = group_distances(
+                self.arm.chain, spheres, self.scene.solids, np.array(row)[None], 0.0, np.inf
+            )
             for k, which in enumerate((is_tool, ~is_tool & (spheres.group_joint >= 0))):
                 least[k] = min(least[k], d[which].min(initial=np.inf))
         return least
@@ -499,19 +501,3 @@ def test_a_tool_in_contact_may_leave_it(
     assert found.note == ""
     assert bench.kept(bench.motion.q).min() >= deep - 1e-3
     assert bench.kept(bench.motion.q[-1:]).min() > CLEARANCE
-
-
-def test_among_what_moves_a_search_goes_on_with_other_candidates(
-    panda_arm: ArmAlone, proposer: ProposalNetwork, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[int] = []
-    monkeypatch.setattr(search, "draws", lambda number, n: asked.append(number) or draws(number, n))
-    wall = replace(box_at([0.6, 0.1, 0.8], [0.5, 0.02, 0.4], "wall"), v_WO=np.array([0.0, 0.01, 0]))
-    bench = Bench(panda_arm, proposer, TABLE, wall)
-    choice = SelectedMotion()
-    for time in np.arange(10) / 30.0:
-        sight = Sight(replace(bench.policy, stamp=time), GOAL, panda_arm.q, bench.scene)
-        choice = bench.search.decide(choice, sight)
-    assert choice.prediction.shortfall > 0.0
-    assert len(asked) >= 8
-    assert len(set(asked)) == len(asked)

@@ -12,9 +12,9 @@ from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, TablePlane
+from drake_oa.common.messages import OUT_OF_WORLD
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene, solid_distance
-from drake_oa.planning.true_solids import GivenSolids, TrueSolids
+from drake_oa.planning.true_solids import TrueSolids
 
 PERIOD = 0.1
 X_WB = RigidTransform(RollPitchYaw(0.3, -0.5, 0.9), [0.5, 0.1, 0.4])
@@ -169,21 +169,3 @@ def test_scenes_are_the_same_while_nothing_moves() -> None:
     assert not again.same_as(world.scene(2 * PERIOD))
     assert first.same_as(first)
     assert SolidScene().same_as(SolidScene())
-
-
-def test_given_ellipsoids_are_solids():
-    given = EllipsoidSet(
-        stamp=np.inf,
-        p_WO=np.array([[0.5, 0.0, 0.3], [0.0, 0.4, 0.2]]),
-        R_WO=np.stack([RollPitchYaw(0.0, 0.0, np.pi / 2).ToRotationMatrix().matrix(), np.eye(3)]),
-        semi_axes=np.array([[0.1, 0.2, 0.05], [0.1, 0.1, 0.1]]),
-        v_WO=np.zeros((2, 3)),
-        ids=np.array([4, 5]),
-    )
-    made = GivenSolids(given, TablePlane(offset=0.1))
-    scene = made.GetOutputPort("solids_W").Eval(made.CreateDefaultContext())
-    assert scene.labels == ("obstacle 4", "obstacle 5", "the table")
-    assert (scene.stamp, scene.moves) == (np.inf, False)
-    found = [solid_distance(scene.solids, k, 0.8, 0.0, 0.3, 7.0) for k in range(3)]
-    across = np.linalg.norm([0.8, -0.4, 0.1]) - 0.1
-    np.testing.assert_allclose(found, [0.3 - 0.2, across, 0.2])

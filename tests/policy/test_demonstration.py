@@ -36,7 +36,7 @@ def arc(turned: float = np.pi / 3.0) -> Demonstration:
     path = center + 0.4 * np.column_stack([0.0 * t, -np.cos(angle), np.sin(angle)])
     turns = [RollPitchYaw(0.0, 0.0, turned * a / np.pi).ToRotationMatrix() for a in angle]
     R = R_WS @ np.array([turn.matrix() for turn in turns])
-    return Demonstration(imitate(path, t), imitate_orientation(R, t), R[-1], t / 2.0)
+    return Demonstration(imitate(path, t), imitate_orientation(R, t), R[0], R[-1], t / 2.0)
 
 
 def simulator(shown: Demonstration, *, anew: bool) -> tuple[Simulator, Diagram]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import Evasion, PlannedMotion, PolicyState
+from drake_oa.common.messages import PlannedMotion, PolicyState
 from drake_oa.posture.posture_course import PostureCourse, monotone_slopes
 from drake_oa.posture.posture_follower import PostureFollower
 
@@ -118,60 +118,3 @@ def test_where_the_motion_begins_anew_it_stays_until_there_is_a_plan_for_that() 
     np.testing.assert_allclose(follower.get_output_port().Eval(context)[:2], held[:2], atol=0.01)
     simulator.AdvanceTo(10.0)
     np.testing.assert_allclose(follower.get_output_port().Eval(context)[:2], [0.6, 0.0], atol=1e-6)
-
-
-def test_what_is_evaded_makes_it_leave_the_plan_and_come_back() -> None:
-    follower = PostureFollower(REST, ALPHA_K, period=0.01, turn_acceleration=4.0)
-    simulator = Simulator(follower)
-    context = simulator.get_mutable_context()
-    follower.GetInputPort("motion").FixValue(context, Value(motion(0.0, 0.4, 0.8)))
-    follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.5, speed=0.0)))
-    port = follower.GetInputPort("evading").FixValue(context, Value(Evasion()))
-
-    def run(evading: Evasion, duration: float) -> np.ndarray:
-        port.GetMutableData().set_value(evading)
-        begin, courses = context.get_time(), []
-        for step in range(1, round(duration / 0.01) + 1):
-            simulator.AdvanceTo(begin + 0.01 * step)
-            courses.append(follower.get_output_port().Eval(context))
-        return np.array(courses)
-
-    planned = run(Evasion(), 5.0)[-1]
-    np.testing.assert_allclose(planned, [0.4, -0.4, 0.0, 0.0], atol=1e-6)
-    turn = np.array([0.6, 0.8])
-    turning = run(Evasion("waiting", turn=turn), 1.0)
-    np.testing.assert_allclose(turning[-1, 2:], turn, atol=1e-9)
-    # Reached at its acceleration, after a quarter of a second.
-    np.testing.assert_allclose(turning[-1, :2] - planned[:2], 0.875 * turn, atol=0.03)
-    held = run(Evasion("waiting", turn=np.zeros(2)), 1.0)
-    np.testing.assert_allclose(held[-1, 2:], 0.0, atol=1e-9)
-    np.testing.assert_allclose(held[-1], held[-30], atol=1e-9)
-    back = run(Evasion(), 4.0)
-    np.testing.assert_allclose(back[-1], planned, atol=1e-4)
-    whole = np.concatenate([turning, held, back])
-    # The way back begins at 16 times as far per second squared.
-    assert np.abs(np.diff(whole[:, 2:], axis=0)).max() < 0.16 * 0.875 + 0.02
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([], ALPHA_K), "q_rest"),
-        (([0.0, np.nan], ALPHA_K), "q_rest"),
-        ((REST, 0.0), "alpha_k"),
-        ((REST, np.inf), "alpha_k"),
-    ],
-)
-def test_bad_arguments_are_refused(arguments: tuple, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        PostureFollower(*arguments)
-
-
-def test_a_turn_acceleration_has_to_be_positive() -> None:
-    with pytest.raises(ValueError, match="turn_acceleration must be positive"):
-        PostureFollower(REST, ALPHA_K, turn_acceleration=0.0)
-
-
-def test_a_plan_of_another_arm_is_refused() -> None:
-    with pytest.raises(ValueError, match="shape"):
-        PostureCourse(np.zeros(3)).with_motion(motion(0.0, 1.0), 0.0, 0.2, 0.0)

@@ -17,10 +17,11 @@ from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.shipped import missing_package, shipped_scenarios
+from drake_oa.studies.cameras import ONE, seen_from
 from drake_oa.studies.mbm.suite import mbm_suites
 from drake_oa.studies.panda.evaluation import Criteria, run_text
-from drake_oa.studies.panda.scene_arm import LIKE, base_scenario
-from drake_oa.studies.panda.scenes import ELBOW_LIKE, draw_panda_scene
+from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, base_scenario
+from drake_oa.studies.panda.scenes import MOVING_KINDS, draw_panda_scene
 from drake_oa.studies.paper_tables import (
     TRIAL_KINDS,
     Choice,
@@ -123,7 +124,10 @@ def run_scene(suite: str, scene: Mapping[str, Any]) -> dict[str, Any]:
     data = read_yaml(scenario_text(base_scenario(_PANDA_SUITES[suite])))
     data["task"] |= {"start": scene["start"], "goal": scene["goal"]}
     data |= {"seed": scene["seed"], "obstacles": scene["obstacles"]}
-    return _judged(scenario_text(parse_scenario(yaml_dump(data))), "verified", "depth")
+    scenario = parse_scenario(yaml_dump(data))
+    if suite in MOVING_KINDS:
+        scenario = seen_from(scenario, ONE)
+    return _judged(scenario_text(scenario), "verified", "depth")
 
 
 def run_problem(text: str) -> dict[str, Any]:

@@ -80,8 +80,8 @@ def test_live_pages_and_recordings_have_one_panel(
         log, supervision_time=[0.05], supervision_action=["hold"], supervision_reason=["x"]
     )
     said = [row.text for row in readings(SCENARIO, held)]
-    assert "supervisor" not in said[0]
-    assert said[1].endswith("supervisor: hold, x")
+    assert "motion guard" not in said[0]
+    assert said[1].endswith("motion guard: hold, x")
 
 
 def test_the_page_names_a_motion_without_avoidance_and_its_contacts(

@@ -112,9 +112,9 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         decision_layer=(
             "regulation",
             "regulation",
-            "evasion",
+            "guard",
             "regulation",
-            "evasion",
+            "guard",
             "regulation",
         ),
     )
@@ -127,7 +127,7 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         "share_over_period": pytest.approx(2.0 / 3.0),
         "count": 3,
     }
-    assert found["evasion_cost"]["max"] == 0.004
+    assert found["guard_cost"]["max"] == 0.004
     assert found["turn_cost"] is None
     table = str(report_table({"modulated": found}))
     assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table

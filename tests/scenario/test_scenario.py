@@ -8,7 +8,6 @@ import pytest
 from drake_oa.common.config import ScenarioError
 from drake_oa.perception.config import CameraNoise, GroundTruth, RecordedClouds
 from drake_oa.regulation.config import Paper, Verified
-from drake_oa.safety.config import EvasionParameters
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
@@ -66,8 +65,8 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
         ("task: {goal_moves: [[3, 0.45, -0.45, 0.3]]}", ["goal_moves[0]", "is the start"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
         (
-            "supervisor: {tracking_slow: 0.1}",
-            ["supervisor.tracking_hold", "greater than tracking_slow"],
+            "supervisor: {hold_below: 0.4}",
+            ["supervisor.resume_above", "greater than hold_below"],
         ),
         (
             f"{{{TWO_CAMERAS} {{camera: a, noise: {{near: 3, far: 2}}}}}}",
@@ -114,12 +113,6 @@ def test_a_bad_scenario_is_refused_with_the_field_and_what_is_valid(
         parse_scenario(text)
     for words in said:
         assert words in str(error.value)
-
-
-def test_the_shortest_horizon_is_one_that_evasion_takes() -> None:
-    evasion = parse_scenario("evasion: {horizon: 0.7}").evasion
-    assert evasion is not None
-    assert EvasionParameters(horizon=evasion.horizon).times[-1] == 0.7
 
 
 @pytest.mark.parametrize("text", ["", "\n", "# nothing but words\n"])

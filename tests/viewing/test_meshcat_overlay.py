@@ -113,8 +113,6 @@ def test_layers_are_shown_that_are_asked_for(meshcat):
         for layer in LAYERS
     }
     assert shown == {layer: layer == "motion" for layer in LAYERS}
-    with pytest.raises(ValueError, match="show: 'moton' is not one of perception, descriptor"):
-        MeshcatOverlay(meshcat, show=["moton"])
 
 
 def frames(meshcat, path):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import ModelMeshes
 
 _OF_CLASSES = ("joint", "geom", "mesh")
@@ -112,8 +112,6 @@ def _with_mesh(mesh: ElementTree.Element, meshes: ModelMeshes, folder: str) -> N
         return
     file = meshes.find(str(Path(folder) / name))
     mesh.attrib.setdefault("name", Path(name).stem)
-    try:
+    with field_errors(f"robot.model: <mesh> {mesh.get('name')}", ValueError):
         (converted,) = meshes.convert(file, hulls=False)
-    except ValueError as error:
-        raise ScenarioError(f"robot.model: <mesh> {mesh.get('name')}: {error}") from None
     mesh.set("file", str(converted.absolute()))

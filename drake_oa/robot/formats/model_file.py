@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from pydrake.multibody.parsing import PackageMap
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import installed_package
 from drake_oa.robot.formats.meshes import ModelMeshes, check_vertices
 from drake_oa.robot.formats.mjcf import drake_mjcf
@@ -58,10 +58,8 @@ def drake_model(file: Path, packages: PackageMap) -> str | None:
     change = _CHANGES.get(file.suffix.lower())
     if change is None:
         return None
-    try:
+    with field_errors(f"robot.model: '{file}'", ElementTree.ParseError, OSError):
         root = ElementTree.parse(file).getroot()
-    except (ElementTree.ParseError, OSError) as error:
-        raise ScenarioError(f"robot.model: '{file}': {error}") from None
     check_links(root, file, packages)
     count = sum(1 for _ in root.iter("mesh"))
     if change(root, ModelMeshes(file.stem, count, lambda url: _resolved(url, file, packages))):
@@ -100,10 +98,8 @@ def check_links(
                     )
             url = solid.get("filename", solid.findtext("uri", "")).strip()
             if solid.tag == "mesh" and url.lower().endswith(".obj"):
-                try:
+                with field_errors(where, OSError, ValueError):
                     check_vertices(_resolved(url, file, packages, field))
-                except (OSError, ValueError) as error:
-                    raise ScenarioError(f"{where}: {error}") from None
 
 
 def _numbers(text: str | None) -> list[float]:
@@ -150,7 +146,5 @@ def _resolved(url: str, file: Path, packages: PackageMap, field: str = "robot.mo
     if "://" not in url:
         return file.parent / url
     add_installed_package(packages, url, field)
-    try:
+    with field_errors(f"{field}: '{file}'", RuntimeError):
         return Path(packages.ResolveUrl(url))
-    except RuntimeError as error:
-        raise ScenarioError(f"{field}: '{file}': {error}") from None

@@ -10,8 +10,8 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import (
     METHOD,
+    CommandedJoints,
     KeptDistances,
-    ProgramInputs,
     make_collision_checker,
     simulate_differential_ik,
 )
@@ -75,16 +75,16 @@ def test_the_inputs_are_a_pose_ahead_and_the_positions_of_the_world() -> None:
     scenario = scene(f"obstacles=[{ball}]")
     checker = make_collision_checker(scenario, tool=0.0, links=0.0, world=0.0, own=0.0)
     plant, q_start = checker.plant(), start_positions(scenario)
-    system = ProgramInputs(scenario, plant, q_start)
+    system = CommandedJoints(scenario, plant, q_start)
     context = system.CreateDefaultContext()
+    commanded = np.append(q_start + 0.1, np.arange(len(q_start)))
+    context.SetDiscreteState(commanded)
     state = np.arange(plant.num_multibody_states(), dtype=float)
     for name, value in (
         ("desired_position", [1.0, 2.0, 3.0]),
         ("desired_velocity", [0.0, -1.0, 2.0]),
         ("desired_orientation", [1.0, 0.0, 0.0, 0.0]),
         ("desired_angular_velocity", [0.0, 0.0, 2.0]),
-        ("phase", [1.0]),
-        ("commanded_position", q_start + 0.1),
         ("plant_state", state),
     ):
         system.GetInputPort(name).FixValue(context, value)
@@ -98,6 +98,8 @@ def test_the_inputs_are_a_pose_ahead_and_the_positions_of_the_world() -> None:
     position = system.GetOutputPort("position").Eval(context)
     np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, position), q_start + 0.1)
     assert set(position) - set(q_start + 0.1) <= set(state)
+    joints = system.GetOutputPort("desired_joint_state").Eval(context)
+    np.testing.assert_array_equal(joints, commanded[[*range(7), *range(9, 16)]])
     posture = system.GetOutputPort("nominal_posture").Eval(context)
     np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, posture), q_start)
 

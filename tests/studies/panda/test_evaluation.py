@@ -155,8 +155,38 @@ def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=
         "moving_after": 0.06,
         "duration": 5.0,
         "ended": "goal",
+        "contact_events": None,
+        "claim_violations": None,
         **more,
     }
+
+
+def test_figures_count_avoidable_contacts_and_violated_claims():
+    events = [
+        {"avoidable_by_physics": True, "avoidable_by_view": True},
+        {"avoidable_by_physics": True, "avoidable_by_view": False},
+    ]
+    claims = {"instants": 100, "A": 3, "B": 7}
+    figures = run_figures(
+        [
+            _run("contact", contact_events=events, claim_violations=claims),
+            _run("success", contact_events=[], claim_violations=claims | {"A": 0}),
+            _run("stopped"),
+        ]
+    )
+    keys = ("avoidable_by_physics", "avoidable_by_view", "claim_A", "claim_B")
+    assert [figures[key] for key in keys] == [2, 1, 3, 14]
+    assert run_figures([_run("success")])["claim_A"] is None
+
+
+def test_scenes_that_any_method_solves_count_as_solved():
+    suite = panda_suite("moving_hard", 2, 0, ("verified", "planner"), "truth")
+    yes, no = _run("success"), _run("stopped", "held")
+    results = PandaResults(suite, runs={"verified": {0: yes, 1: no}, "planner": {0: no, 1: no}})
+    figures = panda_figures(results, ["drake 1"])
+    assert figures["solved"] == 1
+    assert figures["methods"]["planner"]["success_rate_solved"] == 0.0
+    assert "scenes that a method solves: 1" in str(panda_table([figures]))
 
 
 def test_figures_count_outcomes_reasons_and_pairs():

@@ -13,7 +13,7 @@ from drake_oa.studies.panda.scenes import draw_panda_scene
 
 @pytest.fixture(scope="module")
 def scenes():
-    drawn = {"moving": 2, "moving_hard": 8}
+    drawn = {"moving": 2, "moving_hard": 8, "moving_high": 2}
     return {
         kind: [draw_panda_scene(0, index, kind=kind) for index in range(count)]
         for kind, count in drawn.items()
@@ -30,7 +30,9 @@ def velocities(item):
     return rows[:, 1:3] / rows[:, :1], rows[:, 0]
 
 
-@pytest.mark.parametrize(("kind", "counts"), [("moving", (1, 2)), ("moving_hard", (2, 4))])
+@pytest.mark.parametrize(
+    ("kind", "counts"), [("moving", (1, 2)), ("moving_hard", (2, 4)), ("moving_high", (2, 4))]
+)
 def test_so_many_things_move_off_the_base(scenes, kind, counts):
     for scene in scenes[kind]:
         moving = movers([scene])
@@ -42,6 +44,40 @@ def test_so_many_things_move_off_the_base(scenes, kind, counts):
             places = [item.translation + item.offset_at(time) for time in times]
             nearest = min(math.hypot(x, y) for x, y, _ in places)
             assert nearest >= bounding_ball(item)[1] + 0.15
+
+
+def test_only_in_moving_high_something_passes_above_60_cm(scenes):
+    heights = {
+        kind: [max(item.translation[2] for item in movers([scene])) for scene in of_kind]
+        for kind, of_kind in scenes.items()
+    }
+    assert max(heights["moving"] + heights["moving_hard"]) <= 0.6
+    assert min(heights["moving_high"]) > 0.6
+    assert max(heights["moving_high"]) <= 1.0
+
+
+def test_scenes_of_moving_hard_are_those_of_earlier_versions(scenes):
+    expected = [
+        (
+            534990184,
+            [0.5835, -0.4048, 0.4485],
+            [0.0728, 0.6154, 0.5659],
+            [7.44, 1.4023, -1.7669, 0],
+        ),
+        (417601619, [0.119, 0.6881, 0.2012], [1.0942, -0.335, 0.5186], [7.15, -1.8506, 1.157, 0]),
+        (
+            1017261145,
+            [0.197, -0.6455, 0.4692],
+            [1.3055, -0.4027, 0.5671],
+            [10.12, 1.7455, 0.6502, 0],
+        ),
+    ]
+    for scene, (seed, start, place, end) in zip(scenes["moving_hard"], expected, strict=False):
+        first = scene.obstacles[0]
+        assert scene.seed == seed
+        np.testing.assert_allclose(scene.task.start, start)
+        np.testing.assert_allclose(first.translation, place)
+        np.testing.assert_allclose(first.waypoints[-1], end)
 
 
 def test_courses_of_moving_are_straight_and_steady(scenes):

@@ -1,0 +1,487 @@
+"""Decisions of the motion guard: whole-arm joint motions in time among moving obstacles.
+
+Each decision compares joint motions over a horizon of 1.4 s: the verified motion at several shares
+of its speed (follow, slow, wait), and maneuvers of two legs that leave it: brake, retrace,
+refuges, via points, and refinements of the best of them. The one with the least cost
+
+    J = w_c contact + w_m near_moving + w_r near_resting + lost
+
+is selected, `lost` being the time by which the arm arrives later on the verified motion, with
+hysteresis for the motion in use. Obstacles move at constant velocity; the margin to them grows with
+time. Every motion ends at rest: the phase of a followed motion stops within `hold_time`, and
+each leg of a maneuver ends at its target.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+
+from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
+from drake_oa.common.thinking import count
+from drake_oa.geometry.solids import SolidScene
+from drake_oa.perception.depth_perception import FreeSpace
+from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_distance
+from drake_oa.safety.config import GuardParameters
+from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.joint_motions import Judged, Legs, Weights, judge_motions, roll_out_legs
+from drake_oa.safety.passive_safety import Claim, Course, violated_claim
+
+Action = Literal["follow", "slow", "wait", "evade", "brake"]
+ACTIONS: tuple[Action, ...] = get_args(Action)
+
+_SCALES = (1.0, 0.6, 0.3, 0.15, 0.0)
+"""Shares of full speed at which the verified motion is tried."""
+_SAMPLES = 28
+"""Configurations of each motion that are judged."""
+_SLACK = 2e-3
+"""Distance by which the arm may come nearer to anything than it is or would be on its path [m]."""
+_KEPT = 5e-3
+"""Distance by which the verified motion may come nearer than it was verified to [m]."""
+_SELF = 5e-3
+"""Required distance of the arm to itself [m]."""
+_CLEAR = 0.02
+"""Cost of nearness up to which the verified motion is followed without alternatives [s]."""
+_SETTLED = 4.0
+"""Rate at which an offset from the verified motion decays [1/s]."""
+_INSIDE = 0.03
+"""Distance of targets to the joints' limits [rad]."""
+_PARENTS = 8
+"""Number of motions that are refined."""
+_TRIES = 40
+"""Number of motions of least cost that are checked for passive motion safety."""
+_VIOLATION: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
+"""Costs of the violation of a claim, less than that of any predicted contact [s]."""
+_REST = 8
+"""Samples after a period in which the arm brakes."""
+ARRIVED, AT_REST = 0.01, 0.1
+"""Largest distance [rad] and speed [rad/s] of the joints at which the path is followed again."""
+
+
+@dataclass(frozen=True, eq=False)
+class GuardDecision(Frozen):
+    """Motion that the guard has selected.
+
+    Attributes:
+        action: "follow" the verified motion; "slow": follow it at a fraction of its speed; "wait":
+            let its phase rest; "evade": leave it by a maneuver; "brake": come to rest.
+        scale: share of full speed at which the phase runs.
+        target: (2, n) ends of the two legs of a maneuver [rad]; (0, n): the motion is followed.
+        speed: (2, n) limits of the joint speeds in the legs [rad/s].
+        switch: time at which the second leg begins [s].
+        contact: time of the first contact that is predicted on the verified motion at full speed
+            [s]; inf: none is.
+        obstacle: label of the moving obstacle that is nearest; "": none moves.
+        claim: claim of passive motion safety that a motion of less cost would violate; "": none.
+    """
+
+    action: Action = "follow"
+    scale: float = 1.0
+    target: FloatArray = zeros(0, 0)
+    speed: FloatArray = zeros(0, 0)
+    switch: float = math.inf
+    contact: float = math.inf
+    obstacle: str = ""
+    claim: Claim = ""
+
+    @property
+    def follows(self) -> bool:
+        """Whether the verified motion is followed."""
+        return not len(self.target)
+
+
+@dataclass(frozen=True, eq=False)
+class GuardSight(Frozen):
+    """Input of a decision.
+
+    Attributes:
+        begin: time at which the decision comes into force [s].
+        q, v: (n,) joint state at that time [rad, rad/s].
+        q_path: (n,) configuration on the verified motion at its phase [rad].
+        on_path: whether the arm is there.
+        s: normalised time of the verified motion.
+        rate, full_rate: ds/dt now and at full speed [1/s].
+        motion: the verified motion.
+        scene: collision geometry of the world.
+        free_space: space that the cameras saw free; None: all outside the solids.
+        trail: (m, n) configurations in the last seconds, the newest last [rad].
+        speed_share: share of the speed limits that the arm may use.
+        number: of this decision, which seeds its random candidates.
+    """
+
+    begin: float
+    q: FloatArray
+    v: FloatArray
+    q_path: FloatArray
+    on_path: bool
+    s: float
+    rate: float
+    full_rate: float
+    motion: PlannedMotion
+    scene: SolidScene
+    trail: FloatArray = zeros(0, 0)
+    speed_share: float = 1.0
+    number: int = 0
+    free_space: FreeSpace | None = None
+
+
+class GuardSearch:
+    """Selection of joint motions among moving obstacles."""
+
+    def __init__(
+        self,
+        arm: GuardedArm,
+        *,
+        step: float,
+        hold_time: float,
+        period: float,
+        padding: float,
+        parameters: GuardParameters,
+    ) -> None:
+        """Keeps the constants.
+
+        Args:
+            arm: the arm.
+            step: time step of the commanded motion [s].
+            hold_time: time in which the phase comes to rest from full speed [s].
+            period: time between decisions [s].
+            padding: distance by which moving obstacles may be nearer than observed [m].
+            parameters: of the search.
+        """
+        self._arm, self._step, self._hold_time = arm, step, hold_time
+        self._padding, self._parameters = padding, parameters
+        self._every = max(round(parameters.horizon / _SAMPLES / step), 1)
+        self._interval = self._every * step
+        self._times = self._interval * np.arange(1, _SAMPLES + 1)
+        self._until_next = math.ceil(period / self._interval)
+        n = len(arm.joints)
+        self.acceleration = np.full(n, parameters.acceleration)
+        self.speed = np.array(arm.chain.speed) * parameters.speed_share
+        self._lower, self._upper = arm.chain.lower + _INSIDE, arm.chain.upper - _INSIDE
+        # Of a verified motion, which is the same for many decisions.
+        self._own = lru_cache(maxsize=2)(
+            lambda motion: min(
+                (self_distance(arm.chain, arm.spheres, np.array(q)) for q in _samples(motion)),
+                default=math.inf,
+            )
+        )
+
+    def decide(self, before: GuardDecision, sight: GuardSight) -> GuardDecision:
+        """Selects the motion from `sight.begin` on.
+
+        Args:
+            before: motion in use.
+            sight: input.
+        """
+        look = _Look(self._arm, sight, self._padding, self._parameters, self._own(sight.motion))
+        moves = sight.scene.moves
+        followed = GuardDecision()
+        if sight.on_path:
+            ahead = self._followed(sight, 1.0)
+            free = self._judge(look, ahead[None])
+            followed = self._reported(followed, look, free, 0)
+            clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
+            if clear and not self._violated(ahead, sight):
+                return followed
+        options, q = self._followed_options(sight)
+        if moves or not sight.on_path:
+            legs = self._maneuvers(before, sight)
+            options += legs
+            q = np.concatenate([q, self._rolled(legs, sight)])
+        judged = self._judge(look, q)
+        cost = self._cost(judged, options, q, sight)
+        if not before.follows and len(options) > len(_SCALES) * sight.on_path:
+            # The first maneuver is the one in use.
+            row = len(_SCALES) * sight.on_path
+            back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
+            cost[row] -= self._parameters.hysteresis * min(1.0, 2.0 * back)
+        if moves or not sight.on_path:
+            better = self._refined(options, cost, sight)
+            q_better = self._rolled(better, sight)
+            q = np.concatenate([q, q_better])
+            judged_better = self._judge(look, q_better)
+            cost = np.append(cost, self._cost(judged_better, better, q_better, sight))
+            options += better
+            judged = Judged(*map(np.append, judged, judged_better))
+        chosen = self._selected(look, options, q, judged, cost)
+        return replace(chosen, contact=followed.contact)
+
+    def _selected(
+        self,
+        look: _Look,
+        options: list[GuardDecision],
+        q: FloatArray,
+        judged: Judged,
+        cost: FloatArray,
+    ) -> GuardDecision:
+        """Returns the motion of least cost, that of violated claims included.
+
+        Args:
+            look: the arm among the solids.
+            options: N motions.
+            q: (N, T, n) configurations along them [rad].
+            judged: their predicted contacts.
+            cost: (N,) without claims [s].
+        """
+        sight, least = look.sight, math.inf
+        claim: Claim = ""
+        chosen = replace(self.brake(sight.q, sight.v), obstacle=look.nearest)
+        brakes = [row for row, option in enumerate(options) if option.action == "brake"]
+        for row in [*cost.argsort()[:_TRIES].tolist(), *brakes]:
+            if cost[row] >= least:
+                continue
+            violated = self._violated(q[row], sight)
+            claim = claim or violated
+            if cost[row] + _VIOLATION[violated] < least:
+                least = cost[row] + _VIOLATION[violated]
+                chosen = self._reported(options[row], look, judged, row)
+        return replace(chosen, claim=claim)
+
+    def _violated(self, q: FloatArray, sight: GuardSight) -> Claim:
+        """Returns the claim that a motion q (T, n) violates that is braked after one period."""
+        p, m = self._parameters, self._until_next
+        if p.obstacle_speed == 0.0:
+            return ""
+        follows = np.vstack([sight.q, q[: m + 1]])
+        v = (follows[m + 1] - follows[m]) / self._interval
+        stop = self.brake(follows[m], v)
+        legs = Legs(stop.target[None], stop.speed[None], np.array([math.inf]))
+        rest = roll_out_legs(
+            np.array(follows[m]), v, legs, self.acceleration, self._step, self._every,
+            _REST,
+        )  # fmt: skip
+        course = Course(
+            sight.begin + self._interval * np.arange(float(m + 1 + _REST)),
+            np.concatenate([follows[: m + 1], rest[0]]),
+        )
+        count(configurations=len(course.t))
+        return violated_claim(
+            self._arm, course, sight.scene, sight.free_space, V=p.obstacle_speed,
+            v_unseen=p.v_unseen,
+        )  # fmt: skip
+
+    def _reported(
+        self, decision: GuardDecision, look: _Look, judged: Judged, row: int
+    ) -> GuardDecision:
+        """Returns a decision with its predicted contact."""
+        return replace(
+            decision,
+            contact=look.sight.begin + float(judged.first[row]),
+            obstacle=look.nearest,
+        )
+
+    def _judge(self, look: _Look, q: FloatArray) -> Judged:
+        p = self._parameters
+        weights = Weights(p.margin_moving, p.margin_resting, p.growth, p.decay)
+        return judge_motions(look.resting, look.moving, q, self._interval, weights)
+
+    def _cost(
+        self, judged: Judged, options: list[GuardDecision], q: FloatArray, sight: GuardSight
+    ) -> FloatArray:
+        """Returns the costs (N,) of motions q (N, T, n) [s]."""
+        p, horizon = self._parameters, self._times[-1]
+        cost = p.contact_weight * judged.contact + p.moving_weight * judged.near_moving
+        cost = cost + p.resting_weight * judged.near_resting
+        away = np.abs(q - sight.q_path) / self.speed
+        for row, option in enumerate(options):
+            if option.follows:
+                rates = self._rates(sight, option.scale)
+                cost[row] += horizon - float(rates.sum()) * self._interval / sight.full_rate
+            else:
+                back = away[row].max(axis=1)
+                left = back[-1] + 0.3 * away[row, -1].mean()
+                cost[row] += horizon + left + float(back.sum()) * self._interval
+        return np.asarray(cost)
+
+    # --- candidates ------------------------------------------------------------------------
+
+    def _rates(self, sight: GuardSight, scale: float) -> FloatArray:
+        """Returns the rates ds/dt (T,) while the phase goes over to a share of full speed."""
+        change = sight.full_rate / self._hold_time * self._times
+        wanted = scale * sight.full_rate
+        return sight.rate + np.clip(wanted - sight.rate, -change, change)
+
+    def _followed(self, sight: GuardSight, scale: float) -> FloatArray:
+        """Returns configurations (T, n) along the verified motion at a share of its speed."""
+        motion = sight.motion
+        if not len(motion.q):
+            return np.tile(sight.q, (_SAMPLES, 1))
+        s = sight.s + self._interval * np.cumsum(self._rates(sight, scale))
+        columns = motion.q.T
+        q = np.stack([np.interp(s, motion.s, column) for column in columns], axis=1)
+        now = np.array([np.interp(sight.s, motion.s, column) for column in columns])
+        return np.asarray(q + np.exp(-_SETTLED * self._times)[:, None] * (sight.q - now))
+
+    def _followed_options(self, sight: GuardSight) -> tuple[list[GuardDecision], FloatArray]:
+        if not sight.on_path:
+            return [], np.zeros((0, _SAMPLES, len(sight.q)))
+        names: dict[float, Action] = {1.0: "follow", 0.0: "wait"}
+        options = [GuardDecision(names.get(scale, "slow"), scale) for scale in _SCALES]
+        return options, np.stack([self._followed(sight, scale) for scale in _SCALES])
+
+    def _rolled(self, options: list[GuardDecision], sight: GuardSight) -> FloatArray:
+        """Returns configurations (N, T, n) along maneuvers."""
+        legs = Legs(
+            np.stack([option.target for option in options]),
+            np.stack([option.speed for option in options]),
+            np.array([option.switch - sight.begin for option in options]),
+        )
+        count(steps=len(options) * _SAMPLES * self._every)
+        return roll_out_legs(
+            np.array(sight.q), np.array(sight.v), legs, self.acceleration, self._step, self._every,
+            _SAMPLES,
+        )  # fmt: skip
+
+    def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Returns the configuration (n,) in which full braking ends [rad]."""
+        rest = q + np.sign(v) * v**2 / (2.0 * self.acceleration)
+        return np.asarray(np.clip(rest, self._lower, self._upper))
+
+    def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
+        """Returns the maneuver that brings the arm to rest from a joint state (n,), (n,)."""
+        return _legs("brake", self.stop(q, v), self.speed)
+
+    def _maneuvers(self, before: GuardDecision, sight: GuardSight) -> list[GuardDecision]:
+        """Returns maneuvers, the one in use first if there is one."""
+        p, begin = self._parameters, sight.begin
+        rng = np.random.default_rng([p.seed, sight.number])
+        full = self.speed * sight.speed_share
+        rest, path = self.stop(sight.q, sight.v), sight.q_path
+        found = [] if before.follows else [before]
+        found.append(_legs("brake", rest, full))
+        found += [
+            _legs("evade", path, _synchronized(sight.q, path, full, share))
+            for share in (1.0, 0.6, 0.3, 0.12)
+        ]
+        for wait in (0.3, 0.6):
+            back = _synchronized(rest, path, full, 0.9)
+            found.append(_legs("evade", rest, full, path, back, begin + wait))
+        for age in (4, 8, 14):
+            if len(sight.trail) > age:
+                past = sight.trail[-1 - age]
+                found.append(_legs("evade", past, _synchronized(sight.q, past, full, 1.0)))
+        n = len(rest)
+        while len(found) < p.candidates:
+            kind = rng.integers(4)
+            if kind == 0:
+                target = rest + rng.normal(size=n) * rng.choice([0.15, 0.4, 0.9])
+            elif kind == 1:
+                turned = rng.random(n) < 0.5
+                target = rest + turned * rng.normal(size=n) * rng.choice([0.4, 1.0])
+            elif kind == 2:
+                target = rng.uniform(self._lower, self._upper)
+            else:
+                target = rest + rng.uniform(0.0, 0.6) * (path - rest)
+                target = target + rng.normal(size=n) * rng.choice([0.2, 0.5])
+            target = np.clip(target, self._lower, self._upper)
+            if rng.random() < 0.5:
+                found.append(_legs("evade", target, full))
+            else:
+                back = _synchronized(target, path, full, rng.choice([0.5, 1.0]))
+                switch = begin + rng.uniform(0.1, 0.9)
+                found.append(_legs("evade", target, full, path, back, switch))
+        return found
+
+    def _refined(
+        self, options: list[GuardDecision], cost: FloatArray, sight: GuardSight
+    ) -> list[GuardDecision]:
+        """Returns variations of the best maneuvers."""
+        rng = np.random.default_rng([self._parameters.seed, sight.number, 1])
+        ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
+        n, found = len(sight.q), []
+        for i in range(self._parameters.refinements):
+            parent = options[ranked[i % min(_PARENTS, len(ranked))]]
+            target = parent.target[0] + rng.normal(size=n) * rng.choice([0.05, 0.2])
+            target = np.clip(target, self._lower, self._upper)
+            is_single = bool((parent.target[0] == parent.target[1]).all())
+            last = target if is_single else parent.target[1]
+            switch = parent.switch
+            if math.isfinite(switch):
+                switch = max(sight.begin, switch + 0.1 * rng.normal())
+            found.append(_legs("evade", target, parent.speed[0], last, parent.speed[1], switch))
+        return found
+
+
+def _legs(
+    action: Action,
+    first: FloatArray,
+    speed: FloatArray,
+    last: FloatArray | None = None,
+    last_speed: FloatArray | None = None,
+    switch: float = math.inf,
+) -> GuardDecision:
+    """Returns a maneuver of one leg, or of two."""
+    if last is None or last_speed is None:
+        last, last_speed = first, speed
+    return GuardDecision(
+        action, 0.0, np.stack([first, last]), np.stack([speed, last_speed]), switch
+    )
+
+
+def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: float) -> FloatArray:
+    """Returns speeds (n,) at which all joints arrive together, at a share of the fastest."""
+    way = np.abs(target - q)
+    seconds = max(float((way / speed).max()), 1e-3) / share
+    return np.asarray(np.clip(way / seconds, 0.02, speed))
+
+
+def _samples(motion: PlannedMotion) -> FloatArray:
+    """Returns up to about 80 configurations (M, n) along a motion [rad]."""
+    return motion.q[:: max(len(motion.q) // 80, 1)]
+
+
+class _Look:
+    """Arm among the solids of one observation, with the clearances required of both kinds."""
+
+    def __init__(
+        self,
+        arm: GuardedArm,
+        sight: GuardSight,
+        padding: float,
+        parameters: GuardParameters,
+        least_own: float,
+    ) -> None:
+        """Computes the required clearances.
+
+        Of group g and resting solid k: the least of `touch_resting`, the present distance less
+        a slack, and what the verified motion keeps less a slack, or the depth by which the
+        spheres stick out if that is less; likewise of the arm to itself, `least_own` being what the
+        verified motion keeps. Of moving solids: `padding + touch_moving`, or the
+        present distance less a slack.
+        """
+        self.sight = sight
+        chain, spheres, solids = arm.chain, arm.spheres, sight.scene.solids
+        moves = solids.moving
+        self._now = group_distances(
+            chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
+        )
+        fixed = spheres.group_joint < 0
+        rest = np.minimum(parameters.touch_resting, self._now - _SLACK)
+        path = _samples(sight.motion).reshape(-1, len(sight.q))
+        path = np.ascontiguousarray(np.vstack([sight.q_path[None], path]))
+        most = parameters.touch_resting + 0.1
+        kept = group_distances(chain, spheres, solids, path, sight.begin, most)
+        rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
+        rest[:, moves] = -np.inf
+        near = np.minimum(padding + parameters.touch_moving, self._now - _SLACK)
+        near[:, ~moves] = -np.inf
+        rest[fixed] = near[fixed] = -np.inf
+        own = [float(self_distance(chain, spheres, np.array(q))) for q in (sight.q, sight.q_path)]
+        of_self = min(_SELF, min(own) - 1e-3, least_own - _SLACK)
+        tool = np.zeros(len(fixed), dtype=bool)
+        self.resting = ArmWorld(chain, spheres, solids, Asked(rest, of_self, tool), sight.begin)
+        self.moving = ArmWorld(chain, spheres, solids, Asked(near, -np.inf, tool), sight.begin)
+        self._moves, self._fixed = moves, fixed
+
+    @cached_property
+    def nearest(self) -> str:
+        """Label of the moving solid that is nearest to the arm now; "": none moves."""
+        if not self._moves.any():
+            return ""
+        distance = self._now[~self._fixed].min(axis=0, initial=math.inf)
+        row = int(np.where(self._moves, distance, np.inf).argmin())
+        return self.sight.scene.labels[row]

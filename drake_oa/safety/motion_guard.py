@@ -1,0 +1,594 @@
+"""The safety layer: the arm's commanded motion, on the verified one or away from an obstacle."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_oa.common.messages import (
+    FloatArray,
+    Frozen,
+    HoldCause,
+    PlannedMotion,
+    PolicyState,
+    zeros,
+)
+from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.common.thinking import Thinking, Thoughts
+from drake_oa.geometry.rotation import rotation_of, rotation_vector
+from drake_oa.geometry.solids import SolidScene
+from drake_oa.perception.depth_perception import FreeSpace
+from drake_oa.policy.dmp import Demonstration, normalised_time
+from drake_oa.robot.arm import tool_poses
+from drake_oa.safety.config import GuardParameters, SupervisorSettings
+from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.joint_motions import advance_leg, approach, track
+from drake_oa.safety.maneuvers import (
+    ACTIONS,
+    ARRIVED,
+    AT_REST,
+    GuardDecision,
+    GuardSearch,
+    GuardSight,
+)
+from drake_oa.safety.passive_safety import CLAIMS
+from drake_oa.safety.supervision import (
+    Demand,
+    Supervision,
+    supervise,
+    watch_guard,
+    watch_observation,
+    watch_path,
+    watch_torque,
+)
+
+_logger = logging.getLogger("drake_oa")
+_RATE = 20.0
+"""Rate at which the null space converges to the desired posture [1/s]."""
+_TRAIL, _TRAIL_PERIOD = 15, 0.1
+"""Number of past configurations that are kept, and time between them [s]."""
+_CARRY = 0.1
+"""Time constant with which the desired position follows the tool during a maneuver [s]."""
+_PATIENCE, _PROGRESS = 1.0, 0.02
+"""Time in which the arm comes no nearer to the verified motion by so much, after which it stops
+and a new one is planned from there [s, rad]."""
+_LONGEST_WAIT = 5.0
+"""Time for which such a motion is awaited before the arm tries to return again [s]."""
+_STILL = 0.01
+"""Joint speed below which the arm waits [rad/s]."""
+_FOUND = 0.03
+"""Error of the tool below which a desired pose is that of the arm at rest [m, rad]."""
+_LATE = 3.0
+"""Number of periods after which the arm brakes because no newer decision is in force."""
+_SAID = {"slow": "slows", "hold": "holds", "stop": "stops"}
+
+
+@dataclass(frozen=True, eq=False)
+class GuardState(Frozen):
+    """State of the guard between two steps.
+
+    Attributes:
+        begin, end: times of the two steps; equal before the first one [s].
+        x, x_end: (2n,) commanded joint state at both [rad, rad/s].
+        path: (2n,) joint state on the verified motion at the end, at its phase [rad, rad/s].
+        carry: (3,) velocity by which the desired position is displaced to the tool [m/s].
+        thoughts: the decision in force, and the pending one.
+        lost_since: time since which the arm comes no nearer to the verified motion that it has left
+            [s]; inf: it does, or has not left it.
+        nearest: least distance of the joints to it since then [rad].
+        expires: time at which the decision in force is too old [s].
+        slow_until: time until which the arm moves slowly after a contact [s].
+        trail: (m, n) past configurations, the newest last [rad].
+        trail_time: time of the newest one [s].
+        number: of decisions so far.
+        supervision: state of the monitors.
+    """
+
+    begin: float = -math.inf
+    end: float = -math.inf
+    x: FloatArray = zeros(0)
+    x_end: FloatArray = zeros(0)
+    path: FloatArray = zeros(0)
+    carry: FloatArray = zeros(3)
+    thoughts: Thoughts[GuardDecision] = field(default_factory=lambda: Thoughts(GuardDecision()))
+    lost_since: float = math.inf
+    nearest: float = math.inf
+    expires: float = math.inf
+    slow_until: float = -math.inf
+    trail: FloatArray = zeros(0, 0)
+    trail_time: float = -math.inf
+    number: int = 0
+    supervision: Supervision = field(default_factory=Supervision)
+
+    @property
+    def decision(self) -> GuardDecision:
+        """Decision in force."""
+        return self.thoughts.in_force
+
+    @property
+    def speed(self) -> float:
+        """Largest commanded joint speed [rad/s]."""
+        return float(np.abs(self.x_end[len(self.x_end) // 2 :]).max())
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the arm waits for a new motion from where it is."""
+        return self.end - self.lost_since > _PATIENCE
+
+    @property
+    def on_path(self) -> bool:
+        """Whether the commanded motion is the verified one, or rests on it."""
+        n = len(self.path) // 2
+        near = bool((np.abs(self.x_end - self.path)[:n] <= ARRIVED).all())
+        return self.decision.follows or (self.speed <= AT_REST and near and not self.is_lost)
+
+    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Computes joint state (2n,) and acceleration (n,) at a time.
+
+        Between the two steps the velocity is linear in time, and the position its integral, with a
+        linear correction that makes it continuous. Outside they stay.
+        """
+        n, length = len(self.x) // 2, self.end - self.begin
+        if not length > 0.0:
+            return self.x, np.zeros(n)
+        since = min(max(time - self.begin, 0.0), length)
+        p, v = self.x[:n], self.x[n:]
+        acceleration = (self.x_end[n:] - v) / length
+        drift = (self.x_end[:n] - p) / length - 0.5 * length * acceleration
+        q = p + since * (drift + 0.5 * since * acceleration)
+        return np.append(q, v + since * acceleration), acceleration
+
+
+class MotionGuard(LeafSystem):
+    """Command of the arm's joints: the verified motion, or a maneuver away from obstacles.
+
+    .. pydrake_system::
+
+      name: MotionGuard
+      input_ports:
+      - robot_state
+      - policy_state
+      - desired_position
+      - desired_velocity
+      - desired_orientation
+      - desired_angular_velocity
+      - desired_posture
+      - motion
+      - solids_W
+      - free_space_W (optional)
+      - demonstration (optional)
+      - torque_saturation (optional)
+      output_ports:
+      - desired_joint_state
+      - desired_joint_acceleration
+      - speed_scale
+      - evasion
+      - decision
+      - path_state
+      - tracking_error
+      - orientation_error
+      - guard_action
+      - guard_contact
+      - guard_claim
+      - supervision
+      - guard_decision
+
+    - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - desired_position, desired_velocity: (3,) of the tool point in the world frame [m, m/s].
+    - desired_orientation: (4,) quaternion w, x, y, z of R_WE.
+    - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
+    - desired_posture: (2n,) posture that the null space follows [rad, rad/s].
+    - motion: abstract `PlannedMotion`, the verified motion q(s).
+    - solids_W: abstract `SolidScene`: collision geometry of everything but the robot.
+    - free_space_W (optional): abstract `FreeSpace`; not connected: all space outside the solids.
+    - demonstration (optional): abstract `Demonstration` that the motion imitates.
+    - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0.
+    - desired_joint_state: (2n,) of the arm's joints [rad, rad/s].
+    - desired_joint_acceleration: (n,) [rad/s^2].
+    - speed_scale: (1,) share of full speed for `DmpIntegrator`, in [0, 1].
+    - evasion: (3,) velocity in the world [m/s] by which `DmpIntegrator` displaces its motion to the
+      tool during a maneuver; 0 otherwise.
+    - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
+    - guard_decision: abstract `GuardDecision`.
+    - decision: (2,) time at which the last decision began and its duration [s].
+    - path_state: (2m,) state of the robot with its arm on the verified motion at the present
+      phase, from which `MotionVerifier` predicts [rad, m, rad/s, m/s].
+    - tracking_error: (3,) desired minus actual position of the tool point [m].
+    - orientation_error: (3,) rotation vector from the actual to the desired orientation [rad].
+    - guard_action: (1,) row of `drake_oa.safety.maneuvers.ACTIONS`.
+    - guard_contact: (1,) time of the first contact predicted on the verified motion [s]; inf: none.
+    - guard_claim: (1,) row of `drake_oa.safety.passive_safety.CLAIMS`: the claim that limits the
+      speed.
+
+    While no maneuver is active, the commanded joints have the tool at the desired pose, by a
+    damped Gauss-Newton step each `step`, and their null space follows the posture. Each `period`
+    `drake_oa.safety.maneuvers` compares this motion with slower ones and, if obstacles move, with
+    maneuvers. During a maneuver the phase rests and the desired position follows the tool; the arm
+    returns to the desired orientation and posture there, and the motion continues from there.
+    A decision that is not in force in time leaves the phase, or the arm, to come to rest.
+
+    Contact reaction: where a joint is farther than `contact_error` from its command, the command
+    begins anew at rest at the measured configuration, and for `contact_time` no point of the arm
+    moves faster than `v_unseen`.
+    """
+
+    def __init__(
+        self,
+        arm: GuardedArm,
+        duration: float,
+        q_start: FloatArray,
+        *,
+        alpha_k: float,
+        period: float = 1.0 / 15.0,
+        step: float = 0.008,
+        hold_time: float = 0.25,
+        padding: float = 0.005,
+        parameters: GuardParameters | None = None,
+        supervisor: SupervisorSettings | None = None,
+        thinking: Thinking | None = None,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            arm: the arm.
+            duration: T of the movement primitive [s].
+            q_start: (n,) command before the initialization [rad].
+            alpha_k: decay of its phase.
+            period: time between decisions [s].
+            step: time between steps of the commanded motion [s].
+            hold_time: time in which the phase comes to rest from full speed [s].
+            padding: distance by which moving obstacles may be nearer than observed [m].
+            parameters: of the search and of the contact reaction; None: the defaults.
+            supervisor: of the monitors of observations and torques; None: the defaults.
+            thinking: simulated duration of decisions; None: they act immediately.
+
+        Raises:
+            ValueError: if a duration or period is not positive and finite.
+        """
+        super().__init__()
+        if not 0.0 < duration < math.inf:
+            raise ValueError(f"duration must be finite and positive [s], not {duration}")
+        self._arm, self._duration, self._alpha_k = arm, float(duration), float(alpha_k)
+        self._period, self._step_length = valid_period(period), valid_period(step)
+        self._parameters = parameters or GuardParameters()
+        self._settings, self._thinking = supervisor or SupervisorSettings(), thinking
+        self._search = GuardSearch(
+            arm, step=step, hold_time=hold_time, period=self._period, padding=padding,
+            parameters=self._parameters,
+        )  # fmt: skip
+        reach = float(arm.chain.reach @ self._search.speed)
+        self._slow_share = min(1.0, self._parameters.v_unseen / max(reach, 1e-9))
+        self._n = n = len(arm.joints)
+
+        self._robot = self.DeclareVectorInputPort("robot_state", 2 * arm.size)
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._position = self.DeclareVectorInputPort("desired_position", 3)
+        self._velocity = self.DeclareVectorInputPort("desired_velocity", 3)
+        self._orientation = self.DeclareVectorInputPort("desired_orientation", 4)
+        self._angular = self.DeclareVectorInputPort("desired_angular_velocity", 3)
+        self._posture = self.DeclareVectorInputPort("desired_posture", 2 * n)
+        self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
+        self._solids = self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
+        self._free_space = self.DeclareAbstractInputPort("free_space_W", Value(FreeSpace()))
+        self._shown = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
+        self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
+
+        rest = np.append(q_start, np.zeros(n))
+        self._state = self.DeclareAbstractState(Value(GuardState(x=rest, x_end=rest, path=rest)))
+        stepped = {self.abstract_state_ticket(self._state)}
+        moving = {self.time_ticket(), *stepped}
+        measured = {self._robot.ticket()}
+        tool = {*measured, self._position.ticket(), self._orientation.ticket()}
+        for name, size, calc, of in (
+            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time())[0], moving),
+            ("desired_joint_acceleration", n, lambda c: self._read(c).at(c.get_time())[1], moving),
+            ("speed_scale", 1, self._speed_scale, stepped),
+            ("evasion", 3, lambda c: self._read(c).carry, stepped),
+            ("decision", 2, lambda c: self._read(c).thoughts.last, stepped),
+            ("path_state", 2 * arm.size, self._path_state, stepped | measured),
+            ("tracking_error", 3, lambda c: self._tool_error(c)[0], tool),
+            ("orientation_error", 3, lambda c: self._tool_error(c)[1], tool),
+            ("guard_action", 1, lambda c: [ACTIONS.index(self._read(c).decision.action)], stepped),
+            ("guard_contact", 1, lambda c: [self._read(c).decision.contact], stepped),
+            ("guard_claim", 1, lambda c: [CLAIMS.index(self._read(c).decision.claim)], stepped),
+        ):
+            self.DeclareVectorOutputPort(name, size, _vector(calc), of)
+        self.DeclareAbstractOutputPort(
+            "supervision",
+            lambda: Value(Supervision()),
+            lambda c, output: output.set_value(self._read(c).supervision),
+            stepped,
+        )
+        self.DeclareAbstractOutputPort(
+            "guard_decision",
+            lambda: Value(GuardDecision()),
+            lambda c, output: output.set_value(self._read(c).decision),
+            stepped,
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, self._step)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(
+            self._period, 3.0 * DECISION_OFFSET, self._decide
+        )
+
+    # --- outputs ---------------------------------------------------------------------------
+
+    def _read(self, context: Context) -> GuardState:
+        return context.get_abstract_state(self._state).get_value()
+
+    def _scene(self, context: Context) -> SolidScene:
+        scene = read_value(self, self._solids, context, SolidScene)
+        return scene if scene.is_finite else SolidScene(note="the solids are not finite")
+
+    def _speed_scale(self, context: Context) -> list[float]:
+        state = self._read(context)
+        return [state.supervision.speed_scale if state.decision.follows else 0.0]
+
+    def _path_state(self, context: Context) -> FloatArray:
+        x, state = np.array(self._robot.Eval(context)), self._read(context)
+        if not state.on_path and not state.is_lost:
+            x[self._arm.index] = state.path[: self._n]
+            x[self._arm.size + self._arm.index] = state.path[self._n :]
+        return x
+
+    def _tool_error(self, context: Context) -> tuple[FloatArray, FloatArray]:
+        q, _ = self._arm.split(self._robot.Eval(context))
+        X_WE = tool_poses(self._arm.chain, q[None])[0]
+        R_d = rotation_of(self._orientation.Eval(context))
+        error = rotation_vector(np.ascontiguousarray(R_d @ X_WE[:9].reshape(3, 3).T))
+        return self._position.Eval(context) - X_WE[9:], error
+
+    # --- steps -----------------------------------------------------------------------------
+
+    def _initialize(self, context: Context, state: State) -> EventStatus:
+        held, time = state.get_mutable_abstract_state(self._state), context.get_time()
+        before: GuardState = held.get_value()
+        if before.end > -math.inf:
+            # A motion under way, in a Context that another simulator takes over.
+            return EventStatus.DidNothing()
+        q, _ = self._arm.split(self._robot.Eval(context))
+        rest = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else before.x
+        held.set_value(replace(before, x=rest, x_end=rest, path=rest, begin=time, end=time))
+        return EventStatus.Succeeded()
+
+    def _step(self, context: Context, state: State) -> EventStatus:
+        held = state.get_mutable_abstract_state(self._state)
+        before: GuardState = held.get_value()
+        time = context.get_time()
+        x = self._robot.Eval(context)
+        if not math.isfinite(x.sum()):
+            supervision = before.supervision.broken("the robot state is not finite", time)
+            held.set_value(replace(before, supervision=supervision))
+            return EventStatus.Succeeded()
+        q, _ = self._arm.split(x)
+        made = before.thoughts.made(time)
+        if made is not None:
+            before = self._in_force(before, replace(before, thoughts=before.thoughts.taken()), time)
+        before = self._reacted(before, q, time)
+        before = self._supervised(context, before, time)
+        if time > before.expires and not before.decision.follows:
+            stop = self._search.brake(before.x_end[: self._n], before.x_end[self._n :])
+            before = self._decided(before, stop, math.inf)
+        held.set_value(self._advanced(context, before, time))
+        return EventStatus.Succeeded()
+
+    def _decided(self, state: GuardState, decision: GuardDecision, expires: float) -> GuardState:
+        """Returns the state with a decision in force that was made without a search."""
+        thoughts = replace(state.thoughts.dropped(), in_force=decision)
+        return replace(state, thoughts=thoughts, expires=expires)
+
+    def _in_force(self, before: GuardState, after: GuardState, time: float) -> GuardState:
+        """Returns the state with a new decision in force, and logs its action."""
+        _log_change(before.decision, after.decision, time)
+        late = (
+            math.inf
+            if after.decision.follows and after.decision.scale == 0.0
+            else (time + _LATE * self._period + after.thoughts.cost)
+        )
+        return replace(after, expires=late)
+
+    def _reacted(self, state: GuardState, q: FloatArray, time: float) -> GuardState:
+        """Returns the state after a check for contact: a joint that is far from its command."""
+        n = self._n
+        error = np.abs(q - state.x_end[:n])
+        if error.max() <= self._parameters.contact_error:
+            return state
+        if time > state.slow_until:
+            joint = self._arm.joints[int(error.argmax())]
+            _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, error.max())
+        rest = np.append(q, np.zeros(n))
+        stop = self._search.brake(q, np.zeros(n))
+        state = replace(state, x=rest, x_end=rest, slow_until=time + self._parameters.contact_time)
+        return self._decided(state, stop, math.inf)
+
+    def _supervised(self, context: Context, state: GuardState, time: float) -> GuardState:
+        """Returns the state after the monitors of observations, torques and the guard itself."""
+        parameters, kept = self._settings, state.supervision
+        scene = self._scene(context)
+        policy = read_value(self, self._policy, context, PolicyState)
+        demands: list[Demand] = [watch_observation(scene, time, parameters)]
+        late = state.decision.follows and time > state.expires
+        demands.append(watch_guard(state.decision, time, late=late, moves=scene.moves))
+        if state.decision.follows:
+            n = self._n
+            demands.append(watch_path(float(np.abs(state.path - state.x_end)[:n].max())))
+        if self._saturation.HasValue(context):
+            saturated = bool(self._saturation.Eval(context)[0] > 0.0)
+            kept, demand = watch_torque(kept, saturated, time, self._step_length, parameters)
+            demands.append(demand)
+        waits = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
+        after = supervise(kept, demands, time, self._step_length, parameters, waits=waits)
+        was, now = state.supervision, after
+        if (now.action, now.cause) != (was.action, was.cause):
+            said = (_SAID[now.action], now.reason) if now.reason else ("runs freely again",)
+            _logger.warning("t=%.3f s: supervisor %s", time, ": ".join(said))
+        return replace(state, supervision=after)
+
+    def _advanced(self, context: Context, state: GuardState, time: float) -> GuardState:
+        """Returns the state with the next step of the commanded motion."""
+        n, step, arm = self._n, self._step_length, self._arm
+        X_WE = np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
+        V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
+        posture = np.array(self._posture.Eval(context))
+        q, v = np.array(state.path[:n]), np.zeros(n)
+        if math.isfinite(X_WE.sum() + V_WE.sum() + posture.sum()):
+            q, v, _ = track(arm.chain, q, X_WE, V_WE, posture, step, _RATE)
+        elif not state.supervision.is_broken:
+            supervision = state.supervision.broken("the desired motion is not finite", time)
+            state = replace(state, supervision=supervision)
+        path, ahead, carry = np.append(q, v), np.array(state.x_end), np.zeros(3)
+        lost_since = nearest = math.inf
+        if state.decision.follows:
+            limit = self._parameters.acceleration_limit
+            ahead = approach(ahead, path, np.array(arm.chain.speed), limit, step)
+        else:
+            decision = state.decision
+            leg = 1 if time >= decision.switch else 0
+            target, speed = np.array(decision.target[leg]), np.array(decision.speed[leg])
+            advance_leg(ahead[:n], ahead[n:], target, speed, self._search.acceleration, step)
+            away = float(np.abs(ahead - path)[:n].max())
+            moves = self._scene(context).moves
+            lost_since, nearest = self._lost_since(state, away, time, moves=moves)
+        if state.is_lost and lost_since < math.inf:
+            # The desired position follows the tool, and a motion that begins there is awaited.
+            X_tool = tool_poses(arm.chain, ahead[None, :n])[0]
+            carry = (X_tool[9:] - X_WE[9:]) / _CARRY
+            path = np.append(ahead[:n], np.zeros(n))
+            turn = X_WE[:9].reshape(3, 3) @ X_tool[:9].reshape(3, 3).T
+            error = np.abs(np.append(rotation_vector(np.ascontiguousarray(turn)), carry * _CARRY))
+            if state.speed <= _STILL and error.max() <= _FOUND:
+                lost_since, carry = math.inf, np.zeros(3)
+        if time >= state.trail_time + _TRAIL_PERIOD:
+            trail = np.vstack([state.trail.reshape(-1, n), state.x_end[:n]])[-_TRAIL:]
+            state = replace(state, trail=trail, trail_time=time)
+        return replace(
+            state,
+            begin=time,
+            end=time + step,
+            x=state.x_end,
+            x_end=ahead,
+            path=path,
+            carry=carry,
+            lost_since=lost_since,
+            nearest=nearest,
+        )
+
+    def _lost_since(
+        self, state: GuardState, away: float, time: float, *, moves: bool
+    ) -> tuple[float, float]:
+        """Computes since when the arm comes no nearer to its path, and its least distance to it.
+
+        Args:
+            state: of the guard.
+            away: largest distance of a joint from the path [rad].
+            time: now [s].
+            moves: whether an obstacle moves, for which the arm may still be evading.
+
+        Returns:
+            Time [s], inf if the arm is not stuck, and distance [rad].
+        """
+        if time - state.lost_since > _PATIENCE + _LONGEST_WAIT or away <= ARRIVED:
+            return math.inf, away
+        if state.is_lost:
+            return state.lost_since, state.nearest
+        rests = time > state.slow_until and state.speed <= _STILL
+        if (moves and not rests) or away < state.nearest - _PROGRESS:
+            return time, away
+        return min(state.lost_since, time), state.nearest
+
+    # --- decisions -------------------------------------------------------------------------
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        held = state.get_mutable_abstract_state(self._state)
+        before: GuardState = held.get_value()
+        time = context.get_time()
+        scene = self._scene(context)
+        if before.thoughts.pending is not None or -math.inf in (scene.stamp, before.end):
+            return EventStatus.DidNothing()
+        sight = self._sight(context, before, scene, time)
+        thoughts = before.thoughts.thought(
+            lambda decision: self._search.decide(decision, sight), time, self._thinking
+        )
+        after = replace(before, thoughts=thoughts, number=before.number + 1)
+        if self._thinking is None:
+            after = self._in_force(before, after, time)
+        held.set_value(after)
+        return EventStatus.Succeeded()
+
+    def _sight(
+        self, context: Context, state: GuardState, scene: SolidScene, time: float
+    ) -> GuardSight:
+        """Returns the input of a decision that comes into force after the usual latency."""
+        n, step = self._n, self._step_length
+        policy = read_value(self, self._policy, context, PolicyState)
+        motion = read_value(self, self._motion, context, PlannedMotion)
+        shown = read_optional(self, self._shown, context, Demonstration)
+        duration = self._duration
+        if shown is not None and shown.position is not None:
+            duration = shown.position.duration
+        held = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
+        if held or motion.q.shape[1:] != (n,) or not _belongs(motion, policy):
+            motion = PlannedMotion()
+        latency = 0.0 if self._thinking is None else state.thoughts.cost
+        steps = max(math.ceil((time + latency - state.end) / step), 0)
+        begin = state.end + steps * step
+        x, decision = np.array(state.x_end), state.decision
+        for k in range(steps):
+            if decision.follows:
+                x[:n] += step * x[n:]
+            else:
+                leg = 1 if state.end + k * step >= decision.switch else 0
+                target, speed = np.array(decision.target[leg]), np.array(decision.speed[leg])
+                advance_leg(x[:n], x[n:], target, speed, self._search.acceleration, step)
+        s = max(0.0, normalised_time(policy.phase, self._alpha_k))
+        return GuardSight(
+            begin=begin,
+            q=x[:n],
+            v=x[n:],
+            q_path=x[:n] if decision.follows else state.path[:n],
+            on_path=state.on_path,
+            s=s + policy.speed * (begin - policy.stamp),
+            rate=policy.speed,
+            full_rate=1.0 / (policy.tau * duration),
+            motion=motion,
+            scene=scene,
+            trail=state.trail,
+            speed_share=self._slow_share if time < state.slow_until else 1.0,
+            number=state.number,
+            free_space=read_optional(self, self._free_space, context, FreeSpace),
+        )
+
+
+def _vector(calc):  # type: ignore[no-untyped-def]
+    """Returns the callback of a vector output port that computes its value."""
+
+    def write(context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.asarray(calc(context), dtype=float))
+
+    return write
+
+
+def _belongs(motion: PlannedMotion, policy: PolicyState) -> bool:
+    """Returns whether a planned motion has the start of the motion under way."""
+    return not len(motion.p_WS) or np.array_equal(motion.p_WS, policy.p_WS)
+
+
+def _log_change(before: GuardDecision, after: GuardDecision, time: float) -> None:
+    """Logs when the arm leaves the verified motion, and when it follows it again."""
+    if after.follows == before.follows:
+        return
+    of = f" {after.obstacle}" if after.obstacle else " an obstacle"
+    said = {
+        "follow": "follows the verified motion",
+        "slow": "follows the verified motion slowly",
+        "wait": f"waits for{of}",
+        "evade": f"evades{of}",
+        "brake": f"brakes for{of}",
+    }[after.action]
+    _logger.warning("t=%.3f s: motion guard %s", time, said)

@@ -1,0 +1,141 @@
+"""Passive motion safety: claims that limit how fast the arm may move, by the last observation.
+
+The arm follows a motion for one period and brakes after that. Its points are the centers c_i of
+enclosing spheres of radius r_i, with velocities u_i; the observation has the stamp s, and
+
+    rho_i(t) = r_i + V (t - s)
+
+is the distance from c_i(t) within which anything slower than V that was outside at s may touch the
+point. With d_i the distance of c_i to the obstacles that moved at s, where they were then, a motion
+violates
+
+    (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases by more than 0.02 m/s
+    (B)  if u_i(t) . n > v_unseen for a direction n in which a place within rho_i(t) of c_i(t) was
+         neither seen free at s nor taken by a known solid or by the arm
+
+at some instant until the arm rests. Hence a point that an obstacle slower than V may reach is at
+rest or moves away, and nothing is run into faster than v_unseen in space that no camera has seen. A
+place is seen free if it is nearer than the depth of its pixel in an image; a pixel without depth
+tells nothing. The places are the center of the ball of radius rho_i, and 26 directions at half and
+at full radius.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+
+from drake_oa.common.compiled import compiled
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.directions import DIRECTIONS
+from drake_oa.geometry.solids import Solids, SolidScene, least_distances
+from drake_oa.perception.depth_perception import FreeSpace
+from drake_oa.robot.spheres import sphere_centers
+from drake_oa.safety.guarded_arm import GuardedArm
+
+Claim = Literal["", "A", "B"]
+CLAIMS: tuple[Claim, ...] = get_args(Claim)
+
+_AT_REST = 0.02
+"""Speed of approach at which a point counts as at rest [m/s]."""
+_SKIN = 0.01
+"""Distance up to which a place counts as taken by a solid or by the arm [m]."""
+_PLACES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
+"""(52, 3) places in the unit ball, other than its center."""
+_SHARE = np.linalg.norm(_PLACES, axis=1)
+"""(52,) their distances from it."""
+
+
+class Course(NamedTuple):
+    """Motion of an arm until it rests.
+
+    Attributes:
+        t: (T,) times, increasing [s].
+        q: (T, n) joint positions then [rad].
+    """
+
+    t: FloatArray
+    q: FloatArray
+
+
+def violated_claim(
+    arm: GuardedArm,
+    course: Course,
+    scene: SolidScene,
+    free_space: FreeSpace | None,
+    *,
+    V: float,
+    v_unseen: float,
+) -> Claim:
+    """Finds the first of the claims (A) and (B) that a motion violates; "": it violates none.
+
+    Args:
+        arm: the arm.
+        course: the motion.
+        scene: collision geometry of everything else, as observed.
+        free_space: the space that was seen free; None: all space outside the solids.
+        V: maximum speed of obstacles [m/s]; 0: everything rests, and no motion violates a claim.
+        v_unseen: maximum speed toward space that was not seen [m/s].
+    """
+    if V == 0.0:
+        return ""
+    t, solids = course.t, scene.solids
+    p_WS = sphere_centers(arm.chain, arm.spheres, np.ascontiguousarray(course.q))
+    dt = np.diff(t)[:, None]
+    reach = arm.spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
+    if scene.moves and _is_any_near(
+        p_WS, dt[:, 0], reach, solids.chosen(solids.moving), scene.stamp
+    ):
+        return "A"
+    if free_space is None:
+        return ""
+    v_WS = np.diff(p_WS, axis=0) / dt[..., None]
+    is_fast = (v_WS**2).sum(axis=2) > v_unseen**2
+    centers, rho = p_WS[:-1][is_fast], reach[is_fast]
+    point, place = (v_WS[is_fast] @ _PLACES.T > v_unseen * _SHARE).nonzero()
+    places = np.concatenate([centers, centers[point] + rho[point, None] * _PLACES[place]])
+    unseen = places[~free_space.contains(places)]
+    is_open = _is_any_open(unseen, p_WS[0], arm.spheres.radius, solids, scene.stamp)
+    return "B" if is_open else ""
+
+
+@compiled
+def _is_any_near(
+    p_WS: FloatArray, dt: FloatArray, reach: FloatArray, solids: Solids, stamp: float
+) -> bool:
+    """Checks whether any center p_WS (T, S, 3) approaches the solids within its reach (T-1, S)."""
+    place = np.empty((1, 3))
+    for k in range(len(dt)):
+        for i in range(p_WS.shape[1]):
+            if (p_WS[k, i] == p_WS[k + 1, i]).all():
+                continue
+            far = reach[k, i]
+            place[0] = p_WS[k, i]
+            d = least_distances(solids, place, stamp, far, -1.0)[0]
+            if d < far:
+                place[0] = p_WS[k + 1, i]
+                if d - least_distances(solids, place, stamp, far, -1.0)[0] > _AT_REST * dt[k]:
+                    return True
+    return False
+
+
+@compiled
+def _is_any_open(
+    places: FloatArray, p_WS: FloatArray, radius: FloatArray, solids: Solids, stamp: float
+) -> bool:
+    """Checks whether any place (N, 3) is outside the spheres p_WS (S, 3), (S,) and the solids."""
+    for i in range(len(places)):
+        x, y, z = places[i]
+        is_taken = False
+        for k in range(len(p_WS)):
+            square = (x - p_WS[k, 0]) ** 2 + (y - p_WS[k, 1]) ** 2 + (z - p_WS[k, 2]) ** 2
+            if square < (radius[k] + _SKIN) ** 2:
+                is_taken = True
+                break
+        if (
+            not is_taken
+            and least_distances(solids, places[i : i + 1], stamp, _SKIN, -1.0)[0] >= _SKIN
+        ):
+            return True
+    return False

@@ -1,0 +1,100 @@
+"""A driven box pushes a resting arm whose guard does not see it."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.geometry.shapes import Box
+from drake_oa.geometry.solids import SolidScene
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.runs.simulation import MotionWatcher, simulate
+from drake_oa.safety.config import GuardParameters
+from drake_oa.scenario.end_poses import start_positions
+from drake_oa.scenario.loading import parse_scenario
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.scenario.scenario import Scenario
+
+REST = """
+task: {start: [0.45, -0.05, 0.4], goal: [0.45, 0.0, 0.4], duration: 1.0, clearance: 0.05}
+directives:
+- add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
+perception: !GroundTruth {}
+"""
+PUSH, RETREAT, REACH = 2.5, 0.4, 0.2
+"""Time at which the box meets the link [s], time in which it goes back [s], and its way [m]."""
+
+
+class Blind(LeafSystem):
+    """Solids without any obstacle, as of now."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
+        self.DeclareAbstractOutputPort(
+            "solids_W",
+            lambda: Value(SolidScene()),
+            lambda context, output: output.set_value(SolidScene.of(context.get_time(), [])),
+            {self.time_ticket()},
+        )
+
+
+def pushed(scenario: Scenario, link: str, speed: float) -> Scenario:
+    """The scenario with a box that pushes a link of the arm at its goal along y, and goes back."""
+    robot = make_robot_plant(scenario.robot)
+    context = robot.plant.CreateDefaultContext()
+    robot.plant.SetPositions(context, start_positions(scenario))
+    p_WL = robot.plant.GetBodyByName(link).EvalPoseInWorld(context).translation()
+    away = 0.3
+    begin, end = PUSH - away / speed, PUSH + REACH / speed
+    scenario.obstacles = [
+        Obstacle(
+            name="box",
+            shapes=[Box(size=[0.1, 0.1, 0.1])],
+            translation=(p_WL + [0.0, away, 0.0]).tolist(),
+            waypoints=[
+                [max(begin, 0.0), 0.0, 0.0, 0.0],
+                [end, 0.0, -away - REACH, 0.0],
+                [end + RETREAT, 0.0, 0.0, 0.0],
+            ],
+        )
+    ]
+    return scenario
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [0.3, 0.8])
+@pytest.mark.parametrize("link", ["panda_link3", "panda_link5", "panda_hand"])
+def test_the_command_yields_and_the_arm_returns(link: str, speed: float) -> None:
+    scenario = pushed(parse_scenario(REST), link, speed)
+
+    def blind(wires: Wires) -> None:
+        wires.interpose("solids_W", "blind", Blind())
+
+    diagram = build_avoidance(scenario, customize=blind)
+    guard, commands, times = diagram.GetSubsystemByName("motion_guard"), [], []
+
+    def look(watcher: MotionWatcher, root: Context) -> None:
+        own = guard.GetMyContextFromRoot(root)
+        commands.append(np.array(guard.GetOutputPort("desired_joint_state").Eval(own)))
+        times.append(root.get_time())
+
+    log = simulate(scenario, diagram=diagram, duration=8.0, on_look=look)
+    found = robot_metrics(scenario, log.q, log.q_world)
+    assert found.contacts
+    t, x = np.array(times), np.array(commands)
+    limits = log.velocity_limit[:7]
+    assert (np.abs(x[:, 7:]) <= limits + 1e-6).all()
+    steps = np.diff(t) > 1e-6
+    # The command begins anew at rest at a contact; else its acceleration is bounded.
+    rate = np.abs(np.diff(x[:, 7:], axis=0))[steps] / np.diff(t)[steps, None]
+    begun_anew = np.abs(np.diff(x[:, :7], axis=0))[steps].max(axis=1) > 0.02
+    assert rate[~begun_anew].max() <= 1.01 * GuardParameters().acceleration_limit
+    touching = log.t[found.robot_clearance <= 1e-3]
+    fast = log.t[(np.abs(log.v[:, :7]) > limits).any(axis=1)]
+    assert not len(fast) or fast.max() <= touching.max() + 0.1
+    assert np.abs(log.v[-1]).max() < 0.01
+    assert log.stop_reason == "goal"

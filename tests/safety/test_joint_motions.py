@@ -1,0 +1,124 @@
+"""Joint motions in time: limits, tracking of the tool, and predicted contacts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.geometry.solids import Solid, solids_of, sphere
+from drake_oa.planning.arm_world import ArmWorld, Asked
+from drake_oa.robot.arm import tool_poses
+from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.joint_motions import (
+    Legs,
+    Weights,
+    advance_leg,
+    approach,
+    judge_motions,
+    roll_out_legs,
+    track,
+)
+from tests.planning.arms import ArmAlone
+
+STEP = 0.008
+joints = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
+rates = st.lists(st.floats(-0.9, 0.9), min_size=3, max_size=3).map(np.array)
+
+
+@given(q=joints, v=rates, target=joints, speed=st.floats(1.0, 2.0), limit=st.floats(1.0, 10.0))
+@settings(max_examples=40, deadline=None)
+def test_a_leg_ends_at_rest_at_its_target_within_the_limits(
+    q: np.ndarray, v: np.ndarray, target: np.ndarray, speed: float, limit: float
+) -> None:
+    q, v = q.copy(), v.copy()
+    speeds, limits = np.full(3, speed), np.full(3, limit)
+    for _ in range(1500):
+        before = v.copy()
+        advance_leg(q, v, target, speeds, limits, STEP)
+        assert (np.abs(v) <= speed + 1e-9).all()
+        assert (np.abs(v - before) <= limit * STEP + 1e-9).all()
+    np.testing.assert_allclose(q, target, atol=1e-9)
+    np.testing.assert_array_equal(v, 0.0)
+
+
+@given(q=joints, v=rates, limit=st.floats(3.0, 10.0))
+@settings(max_examples=20, deadline=None)
+def test_joints_converge_to_a_moving_path_within_the_limits(
+    q: np.ndarray, v: np.ndarray, limit: float
+) -> None:
+    x, speed = np.concatenate([q, v]), np.full(3, 2.0)
+    for k in range(1, 700):
+        t = k * STEP
+        path = np.append(0.3 * np.sin(t + np.arange(3)), 0.3 * np.cos(t + np.arange(3)))
+        after = approach(x, path, speed, limit, STEP)
+        assert (np.abs(after[3:] - x[3:]) <= limit * STEP + 1e-9).all()
+        assert (np.abs(after[3:]) <= 2.0 + 1e-9).all()
+        x = after
+    np.testing.assert_allclose(x, path, atol=1e-3)
+
+
+def test_the_tool_is_where_it_is_to_be_after_a_step(panda: ArmAlone, guarded: GuardedArm) -> None:
+    chain, q = guarded.chain, np.array(panda.q)
+    V_WE = np.array([0.1, -0.2, 0.15, 0.1, 0.3, -0.2])
+    X_WE, posture = tool_poses(chain, q[None])[0], np.append(q, np.zeros(7))
+    for _ in range(10):
+        q, v, missed = track(chain, q, X_WE, V_WE, posture, STEP, 20.0)
+        before, X_WE = X_WE, tool_poses(chain, q[None])[0]
+        assert missed < 1e-4
+        np.testing.assert_allclose((X_WE - before)[9:] / STEP, V_WE[3:], atol=2e-2)
+        ahead = tool_poses(chain, (q + 1e-5 * v)[None])[0]
+        np.testing.assert_allclose((ahead - X_WE)[9:] / 1e-5, V_WE[3:], atol=1e-2)
+
+
+def worlds(arm: GuardedArm, solid: Solid) -> tuple[ArmWorld, ArmWorld]:
+    """The arm among one solid, as resting and as moving."""
+    solids = solids_of([solid])
+    groups = len(arm.bodies)
+    moves = bool(solids.ball[0, 4:7].any())
+    nothing, touch = np.full((groups, 1), -np.inf), np.zeros((groups, 1))
+    touch[arm.spheres.group_joint < 0] = -np.inf
+    tool = np.zeros(groups, dtype=bool)
+    return tuple(
+        ArmWorld(arm.chain, arm.spheres, solids, Asked(table, of_self, tool), 0.0)
+        for table, of_self in (
+            (nothing if moves else touch, -1.0),
+            (touch if moves else nothing, -np.inf),
+        )
+    )
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_a_contact_is_predicted_when_a_ball_arrives(
+    panda: ArmAlone, guarded: GuardedArm, speed: float
+) -> None:
+    p_WE = tool_poses(guarded.chain, np.array(panda.q)[None])[0, 9:]
+    ball = replace(
+        sphere(0.05),
+        X_WO=np.block([[np.eye(3), (p_WE + [0.4, 0.0, 0.0])[:, None]], [np.zeros(3), 1.0]]),
+        v_WO=np.array([-speed, 0.0, 0.0]),
+    )
+    still = np.tile(np.array(panda.q), (1, 28, 1))
+    found = judge_motions(*worlds(guarded, ball), still, 0.05, Weights(0.12, 0.03, 0.1, 0.8))
+    if speed:
+        assert 0.4 < found.first[0] < 0.8
+        assert found.contact[0] > 0.0
+        assert found.near_moving[0] > 0.0
+    else:
+        assert found.first[0] == np.inf
+        assert found.contact[0] == found.near_resting[0] == 0.0
+
+
+def test_maneuvers_are_rolled_out_as_they_are_executed(guarded: GuardedArm) -> None:
+    rng, limit = np.random.default_rng(0), np.full(7, 5.0)
+    q, v = rng.normal(size=7) * 0.5, rng.normal(size=7) * 0.3
+    legs = Legs(rng.normal(size=(2, 2, 7)), np.full((2, 2, 7), 1.0), np.array([0.2, np.inf]))
+    found = roll_out_legs(q, v, legs, limit, STEP, 5, 10)
+    for i in range(2):
+        p, w = q.copy(), v.copy()
+        for k in range(50):
+            leg = int(k * STEP >= legs.switch[i])
+            advance_leg(p, w, legs.target[i, leg], legs.speed[i, leg], limit, STEP)
+            if k % 5 == 4:
+                np.testing.assert_array_equal(found[i, k // 5], p)

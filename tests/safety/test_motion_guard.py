@@ -1,0 +1,171 @@
+"""The motion guard alone: it follows, leaves its path for an obstacle, and returns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RotationMatrix
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.common.messages import HoldCause, PlannedMotion, PolicyState
+from drake_oa.geometry.solids import SolidScene, sphere
+from drake_oa.planning.arm_world import group_distances
+from drake_oa.robot.arm import tool_poses
+from drake_oa.safety.config import GuardParameters
+from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.motion_guard import MotionGuard
+from tests.planning.arms import ArmAlone
+
+STEP, FRAME, RADIUS = 0.008, 0.04, 0.05
+LIMIT = GuardParameters().acceleration_limit
+
+
+class Bench:
+    """A guard whose command the robot follows exactly, at rest on its path."""
+
+    def __init__(self, panda: ArmAlone, arm: GuardedArm) -> None:
+        self.arm, self.q, self.size = arm, np.array(panda.q), arm.size
+        self.X_WE = tool_poses(arm.chain, self.q[None])[0]
+        self.system = MotionGuard(arm, 5.0, self.q, alpha_k=0.5, period=FRAME, step=STEP)
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        self.x = np.zeros(2 * arm.size)
+        self.x[arm.index] = self.q
+        quaternion = RotationMatrix(self.X_WE[:9].reshape(3, 3)).ToQuaternion().wxyz()
+        p_WE = self.X_WE[9:]
+        policy = PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE, speed=0.0, phase=0.2)
+        motion = PlannedMotion(np.array([3.0, 4.0]), np.tile(p_WE, (2, 1)), np.tile(self.q, (2, 1)))
+        for name, value in (
+            ("robot_state", self.x),
+            ("desired_position", p_WE),
+            ("desired_velocity", np.zeros(3)),
+            ("desired_orientation", quaternion),
+            ("desired_angular_velocity", np.zeros(3)),
+            ("desired_posture", np.append(self.q, np.zeros(len(self.q)))),
+            ("policy_state", Value(policy)),
+            ("motion", Value(motion)),
+            ("solids_W", Value(SolidScene.of(0.0, []))),
+        ):
+            self.system.GetInputPort(name).FixValue(self.context, value)
+
+    def run(self, duration: float, p_WO: np.ndarray | None, v_WO: np.ndarray) -> dict:
+        """Runs beside a ball at p_WO (3,) that moves at v_WO (3,); None: there is none."""
+        found: dict[str, list] = {"x": [], "scale": [], "action": []}
+        begin = self.context.get_time()
+        for k in range(round(duration / STEP)):
+            time = begin + k * STEP
+            scene = SolidScene.of(time, [])
+            if p_WO is not None:
+                X_WO = np.eye(4)
+                X_WO[:3, 3] = p_WO + (time - begin) * v_WO
+                ball = replace(sphere(RADIUS), X_WO=X_WO, v_WO=v_WO, stamp=time, label="ball")
+                scene = SolidScene.of(time, [ball])
+            self.fix("solids_W", Value(scene))
+            self.simulator.AdvanceTo(time + STEP)
+            x = self.read("desired_joint_state")
+            self.x[self.arm.index], self.x[self.size + self.arm.index] = np.split(x, 2)
+            self.fix("robot_state", self.x)
+            found["x"].append(x)
+            found["scale"].append(self.read("speed_scale")[0])
+            found["action"].append(self.read("guard_action")[0])
+        return {name: np.array(values) for name, values in found.items()}
+
+    def fix(self, name: str, value: object) -> None:
+        self.system.GetInputPort(name).FixValue(self.context, value)
+
+    def read(self, name: str) -> np.ndarray:
+        return np.array(self.system.GetOutputPort(name).Eval(self.context))
+
+    def gaps(self, x: np.ndarray, p_WO: np.ndarray, v_WO: np.ndarray) -> np.ndarray:
+        """(T,) distances of the arm's spheres to the ball along joint states (T, 2n) [m]."""
+        ball = replace(sphere(RADIUS), v_WO=v_WO)
+        ball = replace(ball, X_WO=np.block([[np.eye(3), p_WO[:, None]], [np.zeros(3), 1.0]]))
+        solids = SolidScene.of(0.0, [ball]).solids
+        chain, spheres = self.arm.chain, self.arm.spheres
+        moved = spheres.group_joint >= 0
+        times = STEP * np.arange(1, len(x) + 1)
+        n = len(self.q)
+        return np.array(
+            [
+                group_distances(chain, spheres, solids, row[None, :n].copy(), t, np.inf)[
+                    moved
+                ].min()
+                for row, t in zip(x, times, strict=True)
+            ]
+        )
+
+
+def test_it_stays_on_its_path_while_nothing_moves(panda: ArmAlone, guarded: GuardedArm) -> None:
+    bench = Bench(panda, guarded)
+    found = bench.run(0.6, None, np.zeros(3))
+    np.testing.assert_allclose(found["x"][-1], np.append(bench.q, np.zeros(7)), atol=1e-6)
+    assert found["action"].max() == 0.0
+    assert found["scale"][-1] == 1.0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, guarded: GuardedArm, axis: int) -> None:
+    bench = Bench(panda, guarded)
+    bench.run(0.2, None, np.zeros(3))
+    v_WO = np.zeros(3)
+    v_WO[axis] = -0.5
+    p_WO = bench.X_WE[9:] + [0.0, 0.0, 0.05] - 1.2 * v_WO
+    found = bench.run(3.0, p_WO, v_WO)
+    gaps = bench.gaps(found["x"], p_WO, v_WO)
+    assert gaps.min() > 0.0
+    # Without a maneuver the ball would hit the hand.
+    still = bench.gaps(np.tile(np.append(bench.q, np.zeros(7)), (len(gaps), 1)), p_WO, v_WO)
+    assert still.min() < -0.03
+    assert found["action"].max() >= 3.0
+    assert found["scale"].min() == 0.0
+    changes = np.diff(found["x"][:, 7:], axis=0)
+    assert np.abs(changes).max() <= LIMIT * STEP + 1e-9
+    assert (np.abs(found["x"][:, 7:]) <= guarded.chain.speed + 1e-9).all()
+    after = bench.run(2.0, None, np.zeros(3))
+    np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
+    assert after["action"][-1] == 0.0
+    assert after["scale"][-1] == 1.0
+
+
+def test_a_pushed_arm_is_commanded_from_where_it_is(
+    panda: ArmAlone, guarded: GuardedArm, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench = Bench(panda, guarded)
+    bench.run(0.2, None, np.zeros(3))
+    bench.x[guarded.index[3]] += 0.1
+    bench.fix("robot_state", bench.x)
+    found = bench.run(0.48, None, np.zeros(3))
+    assert found["x"][0][3] == pytest.approx(bench.q[3] + 0.1, abs=1e-3)
+    assert "panda_joint4 is pushed by 0.100 rad" in caplog.text
+    # Slow for a while, then back on its path.
+    point_speed = np.abs(found["x"][:, 7:]) @ guarded.chain.reach
+    assert point_speed.max() <= GuardParameters().v_unseen + 1e-6
+    after = bench.run(2.0, None, np.zeros(3))
+    np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
+
+
+def test_a_state_that_is_not_finite_stops_it(panda: ArmAlone, guarded: GuardedArm) -> None:
+    bench = Bench(panda, guarded)
+    bench.run(0.2, None, np.zeros(3))
+    bench.fix("robot_state", np.full(2 * guarded.size, np.nan))
+    bench.simulator.AdvanceTo(bench.context.get_time() + 2 * STEP)
+    supervision = bench.system.GetOutputPort("supervision").Eval(bench.context)
+    assert (supervision.action, supervision.reason) == ("stop", "the robot state is not finite")
+    assert bench.read("speed_scale")[0] == 0.0
+
+
+def test_a_motion_that_is_being_decided_counts_as_rest(
+    panda: ArmAlone, guarded: GuardedArm
+) -> None:
+    bench = Bench(panda, guarded)
+    policy = PolicyState(p_WE=bench.X_WE[9:], speed=0.0, hold=HoldCause.DECIDING)
+    bench.fix("policy_state", Value(policy))
+    assert bench.run(0.3, None, np.zeros(3))["action"].max() == 0.0
+
+
+@pytest.mark.parametrize("change", [{"duration": 0.0}, {"period": -1.0}, {"step": 0.0}])
+def test_a_wrong_time_is_refused(guarded: GuardedArm, change: dict[str, float]) -> None:
+    given = {"duration": 5.0, "alpha_k": 0.5} | change
+    with pytest.raises(ValueError, match="positive"):
+        MotionGuard(guarded, q_start=np.zeros(7), **given)

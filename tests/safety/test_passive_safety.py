@@ -1,0 +1,95 @@
+"""Claims of passive motion safety along motions of which joint 1 turns and brakes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.solids import SolidScene, sphere
+from drake_oa.perception.depth_perception import FreeSpace
+from drake_oa.robot.arm import tool_poses
+from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.passive_safety import Course, violated_claim
+from tests.planning.arms import ArmAlone
+
+V, V_UNSEEN, BRAKING = 0.8, 0.25, 5.0
+# Of a camera 3 m above the base that looks down.
+X_WC = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
+)
+K = np.array([100.0, 100.0, 159.5, 119.5])
+
+
+def turning(q: FloatArray, rate: float) -> Course:
+    """Joint 1 turns at a rate for 0.1 s, then brakes."""
+    t = np.arange(0.0, 0.6, 0.03)
+    braked = np.clip(t - 0.1, 0.0, abs(rate) / BRAKING)
+    way = rate * np.minimum(t, 0.1) + rate * braked - np.sign(rate) * 0.5 * BRAKING * braked**2
+    course = np.tile(q, (len(t), 1))
+    course[:, 0] += way
+    return Course(t, course)
+
+
+def ahead(panda: ArmAlone, guarded: GuardedArm, way: float) -> FloatArray:
+    """Place (3,) so far from the tool in the direction in which joint 1 turns [m]."""
+    p_WE = tool_poses(guarded.chain, np.array(panda.q)[None])[0, 9:]
+    along = np.array([-p_WE[1], p_WE[0], 0.0]) / np.hypot(*p_WE[:2])
+    return np.asarray(p_WE + way * along)
+
+
+def moving_ball(p_WO: FloatArray, v_WO: tuple[float, float, float] = (0.0, 0.0, 0.3)) -> SolidScene:
+    X_WO = np.eye(4)
+    X_WO[:3, 3] = p_WO
+    return SolidScene.of(0.0, [replace(sphere(0.05), X_WO=X_WO, v_WO=np.array(v_WO))])
+
+
+def seen(depth: float) -> FreeSpace:
+    """Every pixel has this depth [m]."""
+    image = np.full((240, 320), depth, dtype=np.float32)
+    return FreeSpace((View.of(image, K, X_WC),), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("way", "rate", "claim"),
+    [(0.3, 1.0, "A"), (0.3, -1.0, ""), (0.3, 0.02, ""), (0.9, 1.0, "")],
+    ids=["approached", "left", "slow", "far"],
+)
+def test_claim_a(panda: ArmAlone, guarded: GuardedArm, way: float, rate: float, claim: str) -> None:
+    course, scene = turning(panda.q, rate), moving_ball(ahead(panda, guarded, way))
+    assert violated_claim(guarded, course, scene, None, V=V, v_unseen=V_UNSEEN) == claim
+
+
+def test_obstacles_at_rest_violate_no_claim(panda: ArmAlone, guarded: GuardedArm) -> None:
+    scene = moving_ball(ahead(panda, guarded, 0.3), (0.0, 0.0, 0.0))
+    course = turning(panda.q, 1.0)
+    assert violated_claim(guarded, course, scene, None, V=V, v_unseen=V_UNSEEN) == ""
+
+
+@pytest.mark.parametrize(
+    ("depth", "rate", "claim"),
+    [(np.inf, 1.0, ""), (np.nan, 1.0, "B"), (0.0, 1.0, "B"), (2.2, 1.0, "B"), (np.nan, 0.1, "")],
+    ids=["all seen", "no depth", "too near", "hidden", "slow"],
+)
+def test_claim_b(
+    panda: ArmAlone, guarded: GuardedArm, depth: float, rate: float, claim: str
+) -> None:
+    scene, course = SolidScene.of(0.0, []), turning(panda.q, rate)
+    found = violated_claim(guarded, course, scene, seen(depth), V=V, v_unseen=V_UNSEEN)
+    assert found == claim
+
+
+@settings(max_examples=30, deadline=None)
+@given(rate=st.floats(0.1, 2.0), way=st.floats(0.1, 1.0), slower=st.floats(0.1, 1.0))
+def test_a_slower_motion_violates_no_other_claim(
+    panda: ArmAlone, guarded: GuardedArm, rate: float, way: float, slower: float
+) -> None:
+    scene = moving_ball(ahead(panda, guarded, way))
+    claims = [
+        violated_claim(guarded, turning(panda.q, r), scene, None, V=V, v_unseen=V_UNSEEN)
+        for r in (rate, slower * rate)
+    ]
+    assert claims[0] == "A" or claims[1] == ""

@@ -1,0 +1,88 @@
+"""The search among true courses: what it finds touches nothing, by SceneGraph."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from drake_oa.runs.metrics import robot_judge
+from drake_oa.scenario.end_poses import end_positions
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.studies.panda.evaluation import panda_suite, run_and_judge
+from drake_oa.studies.panda.oracle import CLEARANCE, find_motion
+from drake_oa.studies.panda.planner import goal_positions
+from drake_oa.studies.panda.scenes import draw_panda_scene
+from drake_oa.studies.panda.true_world import STEP, make_true_world
+
+
+def _scenario(*movers):
+    return load_scenario(
+        "tabletop_box",
+        ["cameras=[]", "perception=!GroundTruth {}", f"obstacles=[{', '.join(movers)}]"],
+    )
+
+
+def _mover(name, at, waypoints):
+    shape = "!Sphere {radius: 0.1}"
+    return f"{{name: {name}, shapes: [{shape}], translation: {at}, waypoints: {waypoints}}}"
+
+
+def _found(scenario, **more):
+    world, (q_start, q_goal) = make_true_world(scenario, CLEARANCE), end_positions(scenario)
+    index = world.arm.chain.q_index
+    goals = np.array(goal_positions(scenario, q_goal))[:, index]
+    return find_motion(world, q_start[index], goals, **more), index, goals
+
+
+def _check(scenario, motion, index, goals):
+    judge, (q_start, _) = robot_judge(scenario), end_positions(scenario)
+    corners = [np.linspace(*ends, 50) for ends in pairwise(motion.path)]
+    q = np.vstack([motion.q, *corners])
+    path = np.tile(q_start, (len(q), 1))
+    path[:, index] = q
+    found = judge.metrics(path, np.array([judge.positions_at(STEP * k) for k in range(len(q))]))
+    assert found.contacts == found.self_contacts == ()
+    assert found.robot_clearance.min() >= CLEARANCE
+    assert np.abs(goals - q[-1]).max(axis=1).min() < 1e-9
+
+
+@pytest.mark.parametrize("scene", [0, 3])
+def test_motions_in_random_scenes_touch_nothing(scene):
+    scenario = draw_panda_scene(0, scene, kind="moving_hard", perception="truth")
+    (motion, states), index, goals = _found(scenario)
+    assert states < 100_000
+    _check(scenario, motion, index, goals)
+
+
+def test_an_arm_that_cannot_stay_at_the_start_leaves_it():
+    p_WE = load_scenario("tabletop_box").task.start
+    way = [[0, 0, 0, 0], [1.5, 0, 1.2, 0], [2.0, 0, 1.2, 0], [3.5, 0, 0, 0]]
+    scenario = _scenario(_mover("ball", [p_WE[0], p_WE[1] - 1.2, p_WE[2]], way))
+    (motion, states), index, goals = _found(scenario, seed=1)
+    assert np.abs(motion.q - motion.q[0]).max() > 0.1
+    _check(scenario, motion, index, goals)
+    (again, same), *_ = _found(scenario, seed=1)
+    assert same == states
+    assert np.array_equal(again.q, motion.q)
+
+
+def test_a_goal_that_an_obstacle_takes_has_no_motion():
+    goal = load_scenario("tabletop_box").task.goal
+    way = [[0, 0, 0, 0], [1, 0, 1, 0]]
+    scenario = _scenario(_mover("ball", [goal[0], goal[1] - 1.0, goal[2]], way))
+    result = run_and_judge(scenario, "planner", "truth").result
+    assert (result["outcome"], result["reason"]) == ("stopped", "no motion found")
+
+
+def test_the_number_of_configurations_is_limited():
+    """A start in contact has no motion."""
+    scenario = _scenario(
+        _mover("ball", load_scenario("tabletop_box").task.start, [[0, 0, 0, 0], [1, 0, 0, 1.5]])
+    )
+    (motion, states), *_ = _found(scenario, states=2_000)
+    assert motion is None
+    assert 2_000 <= states < 4_000
+
+
+def test_the_planner_is_a_method_among_moving_obstacles():
+    assert panda_suite("moving_hard", 1, 0, ("planner",)).methods == ("planner",)

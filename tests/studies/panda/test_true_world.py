@@ -1,0 +1,99 @@
+"""The true world: motions within the limits, and clear only where SceneGraph finds no contact."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.runs.metrics import robot_judge
+from drake_oa.scenario.end_poses import end_positions
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.studies.panda.scenes import draw_panda_scene
+from drake_oa.studies.panda.true_world import STEP, bang_motions, clear_steps, make_true_world
+
+_MOVER = (
+    "obstacles=[{name: ball, shapes: [!Sphere {radius: 0.1}], translation: [0.5, -1.5, 0.5], "
+    "waypoints: [[0, 0, 0, 0], [2, 0, 3, 0]]}]"
+)
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("tabletop_box", ["cameras=[]", "perception=!GroundTruth {}", _MOVER])
+
+
+@pytest.fixture(scope="module")
+def world(scenario):
+    return make_true_world(scenario)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_bang_motions_keep_the_limits_and_end_at_rest_at_the_target(world, seed):
+    random, chain = np.random.default_rng(seed), world.arm.chain
+    q, v = random.uniform(chain.lower, chain.upper), random.uniform(-1.0, 1.0, 7) * chain.speed
+    legs = random.uniform(chain.lower, chain.upper, (4, 2, 7))
+    switch = random.integers(0, 100, 4)
+    motions = bang_motions(world, q, v, legs, switch, 600)
+    assert np.array_equal(motions[:, 0], np.tile(q, (4, 1)))
+    # Velocities at the steps follow from the mean one of each step.
+    speeds = [np.tile(v, (4, 1))]
+    for mean in np.moveaxis(np.diff(motions, axis=1) / STEP, 1, 0):
+        speeds.append(2.0 * mean - speeds[-1])
+    speeds = np.array(speeds)
+    assert (np.abs(speeds) <= chain.speed + 1e-6).all()
+    assert (np.abs(np.diff(speeds, axis=0)) <= world.acceleration * STEP + 1e-6).all()
+    assert np.abs(motions[:, -1] - legs[:, 1]).max() < 1e-5
+    assert np.abs(motions[:, -1] - motions[:, -2]).max() < 1e-6
+
+
+def test_bang_motions_are_near_the_optimal_time(world):
+    q, target = np.zeros(7), np.full(7, 0.5)
+    motion = bang_motions(
+        world, q, q, np.tile(target, (1, 2, 1)), np.zeros(1, dtype=np.int64), 200
+    )[0]
+    a, v = world.acceleration, world.arm.chain.speed
+    ramp = v**2 / a
+    optimal = np.where(ramp < 0.5, 0.5 / v + v / a, 2.0 * np.sqrt(0.5 / a))
+    arrived = STEP * np.argmax(np.abs(motion - target) < 1e-3, axis=0)
+    assert (arrived <= optimal + 2.0 * STEP).all()
+
+
+def test_a_resting_arm_is_clear_until_the_obstacle_comes(scenario, world):
+    judge, (q, _) = robot_judge(scenario), end_positions(scenario)
+    count = len(world.ball)
+    stay = np.tile(q[world.arm.chain.q_index], (1, count, 1))
+    clear = int(clear_steps(world, stay, np.zeros(1, dtype=np.int64))[0])
+    touched = [
+        row
+        for row in range(count)
+        if judge.touches(q, np.zeros(len(q)), judge.positions_at(STEP * row))[0]
+    ]
+    assert 0 < clear < count
+    # The spheres stick out by 5 mm, which the obstacle goes in 4 ms.
+    assert clear <= touched[0] <= clear + 3
+    later = np.array([touched[0] - 10])
+    assert clear_steps(world, stay, later)[0] == clear - later[0]
+
+
+def test_a_configuration_beyond_a_limit_is_not_clear(world):
+    q = np.tile(world.arm.chain.upper + 0.01, (1, 1, 1))
+    assert clear_steps(world, q, np.array([0]))[0] == 0
+
+
+def test_clear_motions_have_no_contact_by_scene_graph():
+    scenario = draw_panda_scene(0, 2, kind="moving_hard", perception="truth")
+    world, judge = make_true_world(scenario), robot_judge(scenario)
+    q_start, _ = end_positions(scenario)
+    chain, random = world.arm.chain, np.random.default_rng(3)
+    legs = random.uniform(chain.lower, chain.upper, (40, 2, 7))
+    q = q_start[chain.q_index]
+    motions = bang_motions(world, q, 0.0 * q, legs, np.full(40, 60), 150)
+    clear = clear_steps(world, motions, np.full(40, 100))
+    assert 0 < (clear > 150).sum() < 40
+    for motion in motions[clear > 150][:5]:
+        path = np.tile(q_start, (151, 1))
+        path[:, chain.q_index] = motion
+        q_world = np.array([judge.positions_at(STEP * (100 + row)) for row in range(151)])
+        found = judge.metrics(path, q_world)
+        assert found.contacts == found.self_contacts == ()
