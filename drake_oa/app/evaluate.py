@@ -289,9 +289,11 @@ RUNS = Runs()
 def panda(
     *,
     kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = ("tabletop",),
+    levels: Annotated[tuple[str, ...], Parameter(name="--level")] = (),
     methods: Methods = (),
     scenes: int = 100,
     seed: int = 0,
+    read_scenes: Path | None = None,
     perception: Literal["depth", "truth"] = "depth",
     cameras: Literal[1, 2] = 1,
     runs: Runs = RUNS,
@@ -308,8 +310,13 @@ def panda(
       moving_hard  2 to 4 things of 5 to 30 cm at 0.1 to 0.8 m/s enter from outside the
                    image, change speed, turn, stop, come back; up to 2 more stand there;
                    not every scene has a solution
+      moving_high  as moving_hard, and the middle of one thing at least passes 0.6 to 1.0 m up
+      drp          boxes by the parameters of DRPBench, of one level or several (--level):
+                   sudden1 to 3, floating1 and 2, goal_blocked1 and 2, moving_goal_blocked1
+                   to 4 (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6:
+                   floating1 with boxes of this speed [m/s]
 
-    Methods (all by default; planner in elbow and clutter6 only):
+    Methods (all by default; planner in all but tabletop):
 
       preplanned            the planned motion, blind to obstacles
       paper                 the paper's regulation, which nothing checks, without a
@@ -323,19 +330,29 @@ def panda(
       differential_ik_near  the same, asked for 3 cm
       planner               a sampling-based planner that knows the obstacles exactly:
                             RRT-Connect of the package ompl (pip install
-                            'drake_oa[peers]'), the whole robot 25 mm from everything; it
-                            is not simulated, and success means solved; not among moving
-                            things
+                            'drake_oa[peers]'), the whole robot 25 mm from everything;
+                            among moving things a search in time that knows their
+                            courses, 5 mm from everything; it is not simulated, and
+                            success means solved
 
     It prints:
 
       contacts    scenes in which a link, the hand or a finger touched an obstacle, the
                   table or another of the robot's, by SceneGraph, until all was at rest
       success     no contact, and the tool ends within 5 mm of the goal
-      of solved   success in the scenes that planner solves, where it is a method
+      of solved   success in the scenes that planner, where it is a method, or any other
+                  method solves
+      avoidable   contacts among moving things for which at least one of 500 joint motions
+                  from the state 0.2 s before stays clear; by view: and the obstacle's
+                  velocity was observed in time
+      claims A, B     logged instants of all scenes at which a point of the arm approaches
+                  a moving obstacle that could reach it from where it was seen (A), or is
+                  faster than 0.25 m/s toward where sight is lacking (B)
       stopped     the others: ended short of the goal without a contact, and why
       time limit  scenes that ended by it, arrived or not
       self        scenes in which the robot touched itself
+      DRPBench    contacts and success by its rules: no contact with an obstacle or the table
+                  within its episode of 16.7 s, and then within 5 cm and 15 degrees of the goal
       short       scenes in which the tool came more than 1 mm nearer to what stands at
                   rest than start and goal leave of the asked clearance, by how much
       clearance   least over all scenes, of hand and fingers (tool) and of any link
@@ -358,25 +375,38 @@ def panda(
 
         drake-oa evaluate panda --scenes 20 --perception truth --method verified
         drake-oa evaluate panda --suite moving,elbow,clutter6 --jobs 2 --json changing.json
+        drake-oa evaluate panda --suite drp --level floating1 --perception truth --scenes 10
 
     Args:
         kinds: of the scenes; may be repeated, or name several with commas.
+        levels: of drp; may be repeated, or name several with commas.
         methods: a method, see above; may be repeated.
         scenes: how many of each kind.
         seed: of the scenes.
+        read_scenes: run the scenes in this folder, which --write-scenes has written; their digest
+            is that of the drawn ones.
         perception: depth (the camera) or truth (SceneGraph).
-        cameras: 2: another one opposite to the first, about the workspace's middle.
+        cameras: 2: two beside the robot, 2.1 m from the workspace's middle, in place of one.
         runs: how runs are made.
     """
     from drake_oa.studies.panda.evaluation import default_methods, panda_suite
+    from drake_oa.studies.panda.scenes import suite_kinds
     from drake_oa.studies.panda.tables import kinds_figures
 
     if cameras == 2 and perception != "depth":
         raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
     sees = "depth2" if cameras == 2 else perception
     suites = [
-        panda_suite(kind, scenes, seed, methods or default_methods(kind), sees, runs.duration)
-        for kind in _named(kinds)
+        panda_suite(
+            kind,
+            scenes,
+            seed,
+            methods or default_methods(kind),
+            sees,
+            runs.duration,
+            folder=read_scenes,
+        )
+        for kind in suite_kinds(_named(kinds), _named(levels))
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
     return run_suites(runs, suites, heading, lambda _, figures: kinds_figures(figures))
@@ -518,9 +548,10 @@ def run_suites(
     from drake_oa.common.files import software_versions
     from drake_oa.studies.panda.evaluation import PLANNER, evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
+    from drake_oa.studies.panda.scenes import MOVING_KINDS
     from drake_oa.studies.panda.tables import panda_figures, panda_table
 
-    if any(PLANNER in suite.methods for suite in suites):
+    if any(PLANNER in suite.methods for suite in suites if suite.kind not in MOVING_KINDS):
         check_planner()
     check_outputs(runs.json)
     keeping = _keeping(runs, suites)
@@ -579,11 +610,12 @@ def _keeping(runs: Runs, suites: Sequence[PandaSuite]) -> Keeping:
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:
     from drake_oa.scenario.loading import parse_scenario, scenario_text
+    from drake_oa.studies.panda.evaluation import SCENE_SUFFIX
     from drake_oa.studies.panda.scenes import seen_by
 
     for scene, text in results.scenarios.items():
         seen = seen_by(parse_scenario(text), results.suite.perception)
-        file = folder / f"{results.suite.drawings[scene].name}.scenario.yaml"
+        file = folder / f"{results.suite.drawings[scene].name}{SCENE_SUFFIX}"
         replace_text(file, scenario_text(seen))
 
 

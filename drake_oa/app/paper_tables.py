@@ -96,10 +96,8 @@ def table2(
     check_outputs(json)
     choice = Choice(sampling=sampling, distance=distance, reading=level)
     chosen = choices(choice, ablation)
-    drawn: dict[str, Scenes] = {}
-    for of in chosen.values():
-        if of.sampling not in drawn:
-            drawn[of.sampling] = drawn_scenes(of.sampling, scenes, seed)
+    samplings = dict.fromkeys(of.sampling for of in chosen.values())
+    drawn: dict[str, Scenes] = {name: drawn_scenes(name, scenes, seed) for name in samplings}
     versions = software_versions()
     outcomes: dict[str, Outcome] = {}
     with counted(scenes * len(chosen)) as progress:

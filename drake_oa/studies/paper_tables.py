@@ -113,31 +113,23 @@ class Choice:
         return replace(self, **own, reading=replace(self.reading, **others))
 
 
+_VALUES = {
+    "sampling": ("demo", "printed", "narrow", "near"),
+    "distance": ("plane", "space"),
+    "tau": ("semi-axes", "widths", "extreme"),
+    "time": ("until-arrived", "fixed", "tau"),
+    "steps": ("training", "demo"),
+    "chain": ("released", "running"),
+    "scale": ("metres", "baselines"),
+    "law": ("released", "printed"),
+}
+_RUNNING = {"law": "running", "chain": "running"}
 ABLATION: tuple[dict[str, str], ...] = (
-    {"sampling": "demo"},
-    {"sampling": "printed"},
-    {"sampling": "narrow"},
-    {"sampling": "near"},
-    {"distance": "plane"},
-    {"distance": "space"},
-    {"tau": "semi-axes"},
-    {"tau": "widths"},
-    {"tau": "extreme"},
-    {"time": "until-arrived"},
-    {"time": "fixed"},
-    {"time": "tau"},
-    {"steps": "training"},
-    {"steps": "demo"},
-    {"chain": "released"},
-    {"chain": "running"},
-    {"scale": "metres"},
-    {"scale": "baselines"},
-    {"law": "released"},
-    {"law": "printed"},
+    *({name: value} for name, values in _VALUES.items() for value in values),
     {"law": "printed", "tau": "extreme", "time": "tau"},
     {"law": "running"},
-    {"law": "running", "chain": "running"},
-    {"law": "running", "chain": "running", "scale": "baselines"},
+    _RUNNING,
+    {**_RUNNING, "scale": "baselines"},
 )
 """What is varied, one thing at a time but for laws that have a tau, a chain or a unit of their
 own; what the choice has already is left out."""
@@ -277,31 +269,33 @@ def table_two(whole: Mapping[str, Any]) -> list[TextTable]:
     return [*tables, TextTable(columns, summary, _NOTES)]
 
 
-@dataclass(frozen=True)
-class Printed:
-    """A row of the print; None: "fail".
+def _printed(
+    clearance: float | None, goal_error: float | None, contacts: int, short: int
+) -> dict[str, Any]:
+    """Returns a row of Table III; the print has "fail" for None.
 
-    Attributes:
-        title: the row's name there.
+    Args:
         clearance: to the obstacle [m].
         goal_error: convergence to the goal [m].
-        contacts, short: obstacles that were touched, and that were passed nearer than 0.15 m.
+        contacts: number of obstacles that were touched.
+        short: number of those that were passed nearer than 0.15 m.
     """
+    return {
+        "clearance_printed": clearance,
+        "goal_error_printed": goal_error,
+        "contacts_printed": contacts,
+        "short_printed": short,
+    }
 
-    title: str
-    clearance: float | None
-    goal_error: float | None
-    contacts: int
-    short: int
 
-
+_BLIND = _printed(None, None, 1, 1)
 TABLE_THREE = {
-    ("box", "preplanned"): Printed("regular", None, None, 1, 1),
-    ("box", "paper"): Printed("regular", 0.168, 9.58e-3, 0, 0),
-    ("irregular", "preplanned"): Printed("irregular", None, None, 1, 1),
-    ("irregular", "paper"): Printed("irregular", 0.163, 4.17e-3, 0, 0),
-    ("clutter", "preplanned"): Printed("multi-obs", None, None, 2, 5),
-    ("clutter", "paper"): Printed("multi-obs", 0.172, 1.29e-2, 0, 0),
+    ("box", "preplanned"): _BLIND,
+    ("box", "paper"): _printed(0.168, 9.58e-3, 0, 0),
+    ("irregular", "preplanned"): _BLIND,
+    ("irregular", "paper"): _printed(0.163, 4.17e-3, 0, 0),
+    ("clutter", "preplanned"): _printed(None, None, 2, 5),
+    ("clutter", "paper"): _printed(0.172, 1.29e-2, 0, 0),
 }
 """Table III of the paper, by kind and method."""
 
@@ -360,7 +354,9 @@ def trial_suites(
     ]
 
 
-def trial_figures(runs: Mapping[int, Mapping[str, Any]], printed: Printed | None) -> dict[str, Any]:
+def trial_figures(
+    runs: Mapping[int, Mapping[str, Any]], printed: Mapping[str, Any] | None
+) -> dict[str, Any]:
     """The figures of one row, lengths in m; of a row that the paper has, the print beside them.
 
     Args:
@@ -385,14 +381,7 @@ def trial_figures(runs: Mapping[int, Mapping[str, Any]], printed: Printed | None
             "goal_error_max": max(error),
             "duration_median": float(np.median([run["duration"] for run in known])),
         }
-    if printed is not None:
-        found |= {
-            "clearance_printed": printed.clearance,
-            "goal_error_printed": printed.goal_error,
-            "contacts_printed": printed.contacts,
-            "short_printed": printed.short,
-        }
-    return found
+    return found | dict(printed or {})
 
 
 def trials_figures(

@@ -24,7 +24,6 @@ from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.safety.config import SupervisorParameters
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
@@ -116,10 +115,6 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     # Rounded down: the ends themselves keep it.
     asked = math.floor(1e4 * min(CLEARANCE, float(left))) / 1e4
     scenario.task.clearance = max(asked, LEAST_CLEARANCE)
-    supervisor = SupervisorParameters()
-    # A stop further away than that would keep the robot from the goal, or at the start.
-    supervisor.stop_distance = min(supervisor.stop_distance, scenario.task.clearance)
-    scenario.supervisor = supervisor
     return scenario
 
 

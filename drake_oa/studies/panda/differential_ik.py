@@ -1,11 +1,9 @@
 """Drake's differential inverse kinematics on the simulated station, along the pre-planned motion.
 
-    goal -> dmp_integrator [-> orientation_integrator] -> inputs -> differential_ik ->
-    commanded_position (integral), commanded_velocity (held) -> commanded_state
-    commanded_position, positions of the moving obstacles -> inputs
+    goal -> dmp_integrator [-> orientation_integrator] -> commanded_joints
+    commanded_joints -> differential_ik -> commanded_joints -> controller -> plant
 
-    commanded_state -> controller -> actuation -> effort_limits -> plant
-
+It is the layer `safety` of a diagram that perceives nothing (`drake_oa.diagrams.avoidance`).
 The program starts from the commanded positions. At each step of
 `DifferentialInverseKinematicsSystem` a quadratic program finds the joint velocity that brings the
 tool nearest to the asked pose, subject to joint velocity limits and, for every pair (robot link,
@@ -35,48 +33,24 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsSystem
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.planning import DofMask, JointLimits, RobotDiagramBuilder, SceneGraphCollisionChecker
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.controllers import InverseDynamicsController
-from pydrake.systems.framework import (
-    BasicVector,
-    BusValue,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    LeafSystem,
-)
-from pydrake.systems.primitives import (
-    DiscreteTimeIntegrator,
-    MatrixGain,
-    Multiplexer,
-    Saturation,
-    ZeroOrderHold,
-)
+from pydrake.systems.framework import BasicVector, BusValue, Context, DiscreteValues, LeafSystem
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.faults import add_drivers
-from drake_oa.diagrams.motion import (
-    add_orientation,
-    make_dmp,
-    make_dmp_integrator,
-    make_goal,
-    make_orientation_integrator,
-)
-from drake_oa.diagrams.station import make_posture_guide
-from drake_oa.policy.dmp import normalised_time, trajectory
+from drake_oa.diagrams.avoidance import Layers, unmodulated
+from drake_oa.diagrams.control import add_control
+from drake_oa.diagrams.motion import make_dmp
+from drake_oa.diagrams.station import Cell
+from drake_oa.policy.dmp import trajectory
 from drake_oa.robot.grasped_object import part_carried, tool_links
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.simulation import MotionWatcher, run_motion
-from drake_oa.scenario.end_poses import start_positions
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
+from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.world.station import make_station
+from drake_oa.world.obstacles import obstacle_instances
 from drake_oa.world.world_model import add_world
 
 _EDGE_STEP = 0.1
@@ -149,11 +123,7 @@ def make_collision_checker(
     instance = add_world(plant, scenario)
     plant.Finalize()
     part_carried(plant, builder.scene_graph(), scenario.robot)
-    obstacles = [
-        other
-        for other in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if plant.GetModelInstanceName(other).startswith(OBSTACLE_PREFIX)
-    ]
+    obstacles = obstacle_instances(plant)
     if plant.num_positions() != sum(map(plant.num_positions, [instance, *obstacles])):
         raise ScenarioError(
             "directives: something besides the robot and the obstacles that are driven can move; "
@@ -215,40 +185,45 @@ def make_differential_ik(
     )
 
 
-class ProgramInputs(LeafSystem):
-    """Inputs of the program from the planned motion, the commanded positions and the obstacles.
+class CommandedJoints(LeafSystem):
+    """Joint motion that the program commands, and the program's inputs.
 
     .. pydrake_system::
 
-      name: ProgramInputs
+      name: CommandedJoints
       input_ports:
+      - joint_velocity
       - desired_position
       - desired_velocity
       - desired_orientation (optional)
       - desired_angular_velocity (optional)
-      - phase
-      - commanded_position
+      - desired_posture (optional)
       - plant_state
       output_ports:
+      - desired_joint_state
+      - desired_joint_acceleration
       - desired_cartesian_poses
       - position
       - nominal_posture
 
+    - joint_velocity: (n,) solution of the program [rad/s, m/s].
     - desired_position: (3,) p_WE [m].
     - desired_velocity: (3,) v_WE [m/s].
     - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Without it the
       orientation is that of the robot's block.
     - desired_angular_velocity (optional): (3,) w_WE [rad/s].
-    - phase: (1,) phase of the motion.
-    - commanded_position: (n,) positions of the robot [rad, m].
+    - desired_posture (optional): (2m,) posture of the arm's m joints [rad, rad/s]; without it that
+      of the start.
     - plant_state: state of the station's plant, of which the obstacles' positions are used.
+    - desired_joint_state: (2m,) commanded positions [rad] and velocities [rad/s] of the arm.
+    - desired_joint_acceleration: (m,) zeros.
     - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame a moment
       later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
-    - position: positions of the whole world [rad, m].
-    - nominal_posture: positions of the robot at the start, in the world's; led to the joints at
-      the goal where the task gives them [rad, m].
+    - position: positions of the whole world, those of the robot as commanded [rad, m].
+    - nominal_posture: posture of the robot, in the world's positions [rad, m].
 
-    There is no state.
+    The state is the commanded positions and velocities. Each period the velocity becomes the
+    solution, and the position advances by it at once.
     """
 
     def __init__(self, scenario: Scenario, plant: MultibodyPlant, q_start: FloatArray) -> None:
@@ -260,34 +235,63 @@ class ProgramInputs(LeafSystem):
             q_start: (n,) all positions of the robot at the start.
         """
         super().__init__()
-        robot, self._q_start = robot_of(scenario), np.array(q_start)
+        robot, self._q_start, n = robot_of(scenario), np.array(q_start), len(q_start)
         self._R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
         # Making up the share g of an error at each step h, the command follows a steady motion
         # h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so
         # that it is half a step early there.
-        self._look_ahead = scenario.policy.period * (1.0 / GAIN - 0.5)
-        self._guide = make_posture_guide(scenario, q_start[: len(robot.q_seed)])
-        self._plant, self._alpha_k = plant, scenario.policy.alpha_k
+        self._period = scenario.policy.period
+        self._look_ahead = self._period * (1.0 / GAIN - 0.5)
+        self._plant, self._arm = plant, len(robot.q_seed)
         tool_frame = plant.GetFrameByName(TOOL_FRAME)
         self._robot, self._tool = tool_frame.model_instance(), tool_frame.scoped_name().get_full()
         self._inputs = {
             name: self.DeclareVectorInputPort(name, size)
             for name, size in (
+                ("joint_velocity", n),
                 ("desired_position", 3),
                 ("desired_velocity", 3),
                 ("desired_orientation", 4),
                 ("desired_angular_velocity", 3),
-                ("phase", 1),
-                ("commanded_position", len(q_start)),
+                ("desired_posture", 2 * self._arm),
                 ("plant_state", plant.num_multibody_states()),
             )
         }
-        n = plant.num_positions()
+        of = {name: port.ticket() for name, port in self._inputs.items()}
+        self.DeclareDiscreteState(np.append(q_start, np.zeros(n)))
+        self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, self._advance)
+        for name, size, calc, needed in (
+            ("desired_joint_state", 2 * self._arm, self._calc_state, {self.xd_ticket()}),
+            ("desired_joint_acceleration", self._arm, _calc_zeros, {self.nothing_ticket()}),
+            (
+                "position",
+                plant.num_positions(),
+                self._calc_position,
+                {self.xd_ticket(), of["plant_state"]},
+            ),
+            (
+                "nominal_posture",
+                plant.num_positions(),
+                self._calc_posture,
+                {of["desired_posture"]},
+            ),
+        ):
+            self.DeclareVectorOutputPort(name, size, calc, needed)
         self.DeclareAbstractOutputPort(
-            "desired_cartesian_poses", lambda: Value(BusValue()), self._calc_poses
+            "desired_cartesian_poses",
+            lambda: Value(BusValue()),
+            self._calc_poses,
+            {ticket for name, ticket in of.items() if name != "joint_velocity"},
         )
-        self.DeclareVectorOutputPort("position", n, self._calc_position)
-        self.DeclareVectorOutputPort("nominal_posture", n, self._calc_posture)
+
+    def _advance(self, context: Context, values: DiscreteValues) -> None:
+        q, _ = np.split(context.get_discrete_state_vector().value(), 2)
+        v = self._inputs["joint_velocity"].Eval(context)
+        values.set_value(np.append(q + self._period * v, v))
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        parts = np.split(context.get_discrete_state_vector().value(), 2)
+        output.SetFromVector(np.concatenate([part[: self._arm] for part in parts]))
 
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
         p_WE, v_WE = (
@@ -306,117 +310,22 @@ class ProgramInputs(LeafSystem):
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
-        q_robot = self._inputs["commanded_position"].Eval(context)
+        q_robot, _ = np.split(context.get_discrete_state_vector().value(), 2)
         self._plant.SetPositionsInArray(self._robot, q_robot, q)
         output.set_value(q)
 
     def _calc_posture(self, context: Context, output: BasicVector) -> None:
         # No posture is requested of the obstacles.
         posture, q_robot = np.zeros(self._plant.num_positions()), self._q_start.copy()
-        if self._guide is not None:
-            s = normalised_time(self._inputs["phase"].Eval(context)[0], self._alpha_k)
-            (arm,) = self._guide(np.array([s]))
-            q_robot[: len(arm)] = arm
+        if self._inputs["desired_posture"].HasValue(context):
+            desired = self._inputs["desired_posture"].Eval(context)
+            q_robot[: self._arm] = desired[: self._arm]
         self._plant.SetPositionsInArray(self._robot, q_robot, posture)
         output.set_value(posture)
 
 
-def build_differential_ik(
-    scenario: Scenario, q_start: FloatArray, distances: KeptDistances
-) -> Diagram:
-    """Wires the peer on a scenario's station.
-
-    Subsystems by name: plant, scene_graph, goal, dmp_integrator, inputs, differential_ik,
-    mover_<model instance>, commanded_position, commanded_velocity, commanded_state, controller,
-    actuation, effort_limits, log_<signal>; where the tool turns orientation_integrator.
-
-    Args:
-        scenario: with a robot; its perception is not used.
-        q_start: (n,) all positions of the robot at the start, and its posture.
-        distances: that are kept.
-
-    Raises:
-        ScenarioError: naming the field that does not fit.
-    """
-    robot, period, n = robot_of(scenario), scenario.policy.period, len(q_start)
-    builder = DiagramBuilder()
-    station = make_station(builder, scenario, render=False)
-    plant = station.plant
-    plant.SetDefaultPositions(station.robot, q_start)
-    wires = Wires(builder)
-    wires.offer("plant_state", plant.get_state_output_port())
-    wires.offer("robot_state", plant.get_state_output_port(station.robot))
-    wires.take("actuation", plant.get_actuation_input_port(station.robot))
-    add_drivers(wires, scenario, station)
-
-    # The pre-planned motion, and where the tool turns that of its orientation.
-    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
-    wires.add("dmp_integrator", make_dmp_integrator(scenario))
-    orientation = make_orientation_integrator(scenario)
-    if orientation is not None:
-        add_orientation(wires, orientation)
-
-    # From there to the commanded positions and velocities.
-    checker = make_collision_checker(
-        scenario,
-        tool=distances.tool - distances.safety,
-        links=distances.arm - distances.safety,
-        world=distances.arm - distances.safety,
-        own=SELF_DISTANCE - distances.safety,
-    )
-    wires.add("inputs", ProgramInputs(scenario, checker.plant(), q_start))
-    wires.add(
-        "differential_ik",
-        make_differential_ik(scenario, checker, distances),
-        offers={"commanded_velocity": "joint_velocity"},
-    )
-    for name, held in (
-        ("commanded_position", DiscreteTimeIntegrator(n, period)),
-        ("commanded_velocity", ZeroOrderHold(period, n)),
-    ):
-        wires.add(name, held, reads={"u": "joint_velocity"}, offers={"y": name})
-    wires.add(
-        "commanded_state",
-        Multiplexer([n, n]),
-        reads={"u0": "commanded_position", "u1": "commanded_velocity"},
-        offers={"y0": "commanded_state"},
-    )
-
-    # From there to the plant. The arm's dynamics are its own: the controller need not know of
-    # driven obstacles.
-    model = make_robot_plant(robot).plant
-    controller = InverseDynamicsController(
-        model,
-        kp=np.full(n, KP),
-        ki=np.zeros(n),
-        kd=np.full(n, KD),
-        has_reference_acceleration=False,
-    )
-    wires.add(
-        "controller",
-        controller,
-        reads={"estimated_state": "robot_state", "desired_state": "commanded_state"},
-        offers={controller.get_output_port_control().get_name(): "torque"},
-    )
-    wires.add(
-        "actuation",
-        MatrixGain(model.MakeActuationMatrix().T),
-        reads={"u0": "torque"},
-        offers={"y0": "unlimited_actuation"},
-    )
-    effort = model.GetEffortUpperLimits()
-    wires.add(
-        "effort_limits",
-        Saturation(-effort, effort),
-        reads={"u0": "unlimited_actuation"},
-        offers={"y0": "actuation"},
-    )
-    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
-    wires.log("robot_state", "actuation")
-    wires.connect()
-    diagram = builder.Build()
-    diagram.set_name(METHOD)
-    return diagram
+def _calc_zeros(context: Context, output: BasicVector) -> None:
+    output.SetZero()
 
 
 @contextlib.contextmanager
@@ -462,20 +371,36 @@ def simulate_differential_ik(
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
-    q_start = start_positions(scenario)
-    diagram = build_differential_ik(scenario, q_start, distances)
-    simulator = Simulator(diagram)
-    root = simulator.get_mutable_context()
-    integral = diagram.GetSubsystemByName("commanded_position")
-    integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
+    robot = robot_of(scenario)
+    gains = replace(robot.gains, kp_position=KP, kd_position=KD, ki_position=0.0)
+    stiff = replace(scenario, robot=replace(robot, gains=gains))
+
+    def add_program(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+        if cell is None:
+            return
+        checker = make_collision_checker(
+            scenario,
+            tool=distances.tool - distances.safety,
+            links=distances.arm - distances.safety,
+            world=distances.arm - distances.safety,
+            own=SELF_DISTANCE - distances.safety,
+        )
+        commanded = CommandedJoints(scenario, checker.plant(), cell.q_start)
+        program = make_differential_ik(scenario, checker, distances)
+        wires.add("commanded_joints", commanded)
+        wires.add("differential_ik", program, offers={"commanded_velocity": "joint_velocity"})
+
+    layers = replace(
+        unmodulated(Layers()),
+        safety=add_program,
+        control=lambda wires, _, cell: add_control(wires, stiff, cell),
+    )
     with _without_solver_messages():
-        watcher = MotionWatcher(diagram, scenario, duration)
-        log = run_motion(scenario, simulator, watcher, modulated=True)
-    saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
-    log = replace(log, regulation=METHOD, saturated=saturated)
+        log = simulate(scenario, duration=duration, layers=layers)
+    log = replace(log, regulation=METHOD)
     if not len(log.desired_orientation):
         return log
-    poses = make_robot_plant(robot_of(scenario)).tool_poses(log.q)
+    poses = make_robot_plant(robot).tool_poses(log.q)
     actual = Rotation.from_matrix([X_WE.rotation().matrix() for X_WE in poses])
     desired = Rotation.from_quat(log.desired_orientation, scalar_first=True)
     return replace(log, orientation_error=(desired * actual.inv()).as_rotvec())

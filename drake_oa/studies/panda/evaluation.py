@@ -13,9 +13,9 @@ Methods:
                    for the same clearance, as far as start and goal have it
   differential_ik_near
                    the same asked for 3 cm: most of its motions arrive with that
-  planner          a sampling-based planner that knows the obstacles exactly, to tell which
-                   scenes have a solution at all: see `planner`. It is not simulated, and runs
-                   among obstacles at rest alone
+  planner          a sampling-based planner that knows the obstacles and their courses exactly, to
+                   tell which scenes have a solution at all: see `planner`, and where obstacles
+                   move `oracle`. It is not simulated
 
 Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
 been at rest for a second: each link, the hand and the fingers against obstacles, table and each
@@ -25,6 +25,8 @@ A run is a `success` (no contact, and the tool point ends within 5 mm of the goa
 `contact` with the scene or with itself, or else `stopped`: it ended short of the goal without
 a contact. The reason of a stop is what ended the run, with "#" for its numbers; a run that raised
 an exception has that exception for a reason.
+
+Runs of DRPBench's levels are judged by its rules as well, see `drp_outcome`.
 """
 
 from __future__ import annotations
@@ -45,22 +47,32 @@ from pydrake.geometry import Meshcat
 
 from drake_oa.common.files import replace_text
 from drake_oa.regulation.config import Paper, Verified
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import MotionLog, save_logs
 from drake_oa.runs.report import feasible_clearance_of, layer_costs, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
+from drake_oa.scenario.end_poses import end_rotations
 from drake_oa.scenario.loading import parse_scenario, scenario_text
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.obstacles import last_change
+from drake_oa.scenario.scenario import Scenario, robot_of
+from drake_oa.studies.panda.claims import run_violations
+from drake_oa.studies.panda.contacts import contact_events
 from drake_oa.studies.panda.differential_ik import KeptDistances, simulate_differential_ik
+from drake_oa.studies.panda.drp_scenes import EPISODE
+from drake_oa.studies.panda.oracle import run_oracle
 from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
 from drake_oa.studies.panda.scenes import (
+    DRP,
     GENERATOR,
     KINDS,
-    MOVING_KINDS,
     PERCEPTIONS,
     check_choice,
     draw_panda_scene,
+    read_text,
     seen_by,
 )
+from drake_oa.studies.panda.true_world import make_true_world
 from drake_oa.studies.results import Call, Counts, ResultFolder, Tally, Task, content_key, resumed
 
 PLANNER = "planner"
@@ -99,19 +111,23 @@ _KEPT = (
     "ended",
     "settled",
     "decision_cost",
-    "evasion_cost",
+    "guard_cost",
     "events",
+    "beyond_limits",
+    "moving_after",
+    "drp_outcome",
+    "contact_events",
+    "claim_violations",
 )
-"""What of `motion_report` a result holds,"""
-_JUDGED = ("beyond_limits", "moving_after")
-"""and what besides."""
+"""Keys of a result: values of `motion_report` and judgements, the last two of scenes with moving
+obstacles."""
 _MOVING = 0.02
 """Share of its pace at which a motion has begun."""
 
 
 def default_methods(kind: str) -> tuple[str, ...]:
-    """Returns the methods that run where none are named: the planner in elbow and clutter6 only."""
-    return (*DEFAULT_METHODS, PLANNER) if kind in ("elbow", "clutter6") else DEFAULT_METHODS
+    """Returns the methods that run where none are named: the planner in all but tabletop."""
+    return DEFAULT_METHODS if kind == "tabletop" else (*DEFAULT_METHODS, PLANNER)
 
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
@@ -130,6 +146,7 @@ class Criteria:
         planner_asked: whether the planner's robot keeps what the task asks of the tool; else
             `planner.CLEARANCE`.
         planner_states: that the planner may look at.
+        by_drp: whether the rules of DRPBench judge a run as well.
     """
 
     goal_error: float = AT_GOAL
@@ -137,6 +154,7 @@ class Criteria:
     beyond_limits: float = math.inf
     planner_asked: bool = False
     planner_states: int = STATES
+    by_drp: bool = False
 
     def lacks(self, found: Mapping[str, Any]) -> str:
         """Why a run without a contact is no success; "" if it is one."""
@@ -193,7 +211,9 @@ def run_and_judge(
     The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
     the stop reason with "#" for numbers), `failed` (whether it raised), and of `motion_report`
     those of `_KEPT`; besides `moving_after`, `wall_time` [s] and `real_time_factor` of the
-    simulation. Of `planner` see `run_planner`.
+    simulation, and by the criteria `drp_outcome`; and where obstacles move `contact_events`, see
+    there, and `claim_violations`: the number of logged instants, and of those that violate each
+    claim of `claims`. Of `planner` see `run_planner`.
 
     Args:
         scenario: the scene.
@@ -239,7 +259,10 @@ def _simulate(
 def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
     try:
-        found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
+        if _moves(scenario):
+            found = run_oracle(scenario)
+        else:
+            found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
     except Exception as error:
         _logger.info("the planner failed", exc_info=True)
         return _not_run(scenario, error)
@@ -256,6 +279,10 @@ def _judged(
 ) -> dict[str, Any]:
     found = {key: report.get(key) for key in _KEPT}
     found |= {"beyond_limits": _beyond_limits(scenario, log), "moving_after": moving_after(log)}
+    if criteria.by_drp:
+        found["drp_outcome"] = drp_outcome(scenario, log, report["contacts"])
+    if len(log.t) and _moves(scenario):
+        found |= _judged_moving(scenario, log)
     return {
         **_outcome(found, failed, criteria),
         "failed": failed,
@@ -267,6 +294,22 @@ def _judged(
     }
 
 
+def _judged_moving(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
+    """Judges contacts and claims among moving obstacles."""
+    world = make_true_world(scenario)
+    violated = run_violations(scenario, log, world)
+    counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
+    return {
+        "contact_events": contact_events(scenario, log, world),
+        "claim_violations": {"instants": len(log.t), **counts},
+    }
+
+
+def _moves(scenario: Scenario) -> bool:
+    """Checks whether an obstacle ever moves."""
+    return last_change(scenario.obstacles) > 0.0
+
+
 def moving_after(log: MotionLog) -> float | None:
     """When the motion first went at `_MOVING` of the pace that it reached [s]; None: never.
 
@@ -275,6 +318,31 @@ def moving_after(log: MotionLog) -> float | None:
     rate = np.diff(-np.log(log.phase[log.moving])) / np.diff(log.t[log.moving])
     goes = rate > _MOVING * rate.max(initial=0.0)
     return float(log.t[log.moving][goes.argmax()]) if goes.any() else None
+
+
+_DRP_ERROR, _DRP_TURN = 0.05, math.radians(15.0)
+"""Maximum distance and angle of the tool from its goal by the rules of DRPBench [m, rad]."""
+
+
+def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> str:
+    """Judges a run by the rules of DRPBench: until the end of its episode, and there.
+
+    Args:
+        scenario: what was run.
+        log: of the run; it may end before the episode does, at rest.
+        contacts: those of the whole run, by true geometry.
+
+    Returns:
+        "contact" with an obstacle or the table, "success", or "stopped".
+    """
+    rows = log.t <= EPISODE
+    q = log.q[rows]
+    if contacts and robot_metrics(scenario, q, log.q_world[rows]).contacts:
+        return "contact"
+    (X_WE,) = make_robot_plant(robot_of(scenario)).tool_poses(q[-1:])
+    error = math.dist(X_WE.translation(), scenario.task.goal)
+    turn = X_WE.rotation().InvertAndCompose(end_rotations(scenario)[1]).ToAngleAxis().angle()
+    return "success" if error <= _DRP_ERROR and turn <= _DRP_TURN else "stopped"
 
 
 def _beyond_limits(scenario: Scenario, log: MotionLog) -> float:
@@ -302,7 +370,7 @@ def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
 def _no_motion(scenario: Scenario, reason: str) -> dict[str, Any]:
     """Values of a result for a robot that stays at the start."""
     return {
-        **dict.fromkeys((*_KEPT, *_JUDGED)),
+        **dict.fromkeys(_KEPT),
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
@@ -321,6 +389,8 @@ def plain_reason(reason: str) -> str:
 
 
 Draw = Callable[..., tuple[str, Counts]]
+SCENE_SUFFIX = ".scenario.yaml"
+"""Last part of the names of scenes' files."""
 
 
 class Drawing(NamedTuple):
@@ -403,19 +473,31 @@ def panda_suite(
     methods: Sequence[str],
     perception: str = "depth",
     duration: float | None = None,
+    folder: Path | None = None,
 ) -> PandaSuite:
     """Makes a suite of random scenes, of which scene i depends on kind and seed alone.
 
+    Args:
+        kind: one of `KINDS`.
+        scenes: number of scenes.
+        seed: of the scenes.
+        methods: some of `METHODS`.
+        perception: one of `scenes.PERCEPTIONS`.
+        duration: time limit of a run [s]; None: that of `simulate`.
+        folder: of scenario files that are run in place of drawn scenes; None: they are drawn.
+
     Raises:
-        ValueError: as `PandaSuite`, and for an unknown kind or method, or a planner among moving
-            obstacles.
+        OSError: if a file cannot be read.
+        ValueError: as `PandaSuite`, and for an unknown kind or method.
     """
     check_choice("kind of scenes", kind, KINDS)
-    if PLANNER in methods and kind in MOVING_KINDS:
-        raise ValueError(
-            f"--method {PLANNER}: plans among obstacles at rest, those of {kind} move; "
-            "valid kinds: tabletop, elbow, clutter6"
-        )
+    drawings = {}
+    for scene in range(scenes):
+        name = f"{kind}-seed{seed}-scene{scene:04d}"
+        drawings[scene] = Drawing(name, draw_text, (seed, scene, kind))
+        if folder is not None:
+            text = (folder / f"{name}{SCENE_SUFFIX}").read_text()
+            drawings[scene] = Drawing(name, read_text, (text, kind))
     return PandaSuite(
         "panda",
         kind,
@@ -423,10 +505,8 @@ def panda_suite(
         check_methods("panda", methods, METHODS),
         perception,
         duration,
-        {
-            scene: Drawing(f"{kind}-seed{seed}-scene{scene:04d}", draw_text, (seed, scene, kind))
-            for scene in range(scenes)
-        },
+        drawings,
+        Criteria(by_drp=kind.startswith(DRP)),
     )
 
 

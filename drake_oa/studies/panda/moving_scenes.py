@@ -5,8 +5,8 @@ and none to two things besides stand on the table. Motions and courses are drawn
 
 - the first meets the pre-planned motion in time: some link of the robot, followed along the
   straight line as it is planned, goes at least 5 mm into it while its course lasts;
-- nothing moves through the robot's base, above 0.6 m (its middle), or nearer than 2 cm to
-  another thing at any time (spheres round them);
+- nothing moves through the robot's base, above 0.6 m (its middle; in `moving_high` 1.0 m), or
+  nearer than 2 cm to another thing at any time (spheres round them);
 - what rests leaves the robot's start and goal free (5 cm of the whole robot), and what moves
   leaves the start free at time 0;
 - each course ends within 15 s; the thing then rests.
@@ -23,6 +23,8 @@ order: it
 - turns, by 30 to 120 degrees, on an arc of 20 to 50 cm radius, less on a short way;
 - stops for 0.5 to 2 s, and goes on;
 - comes back the way that it went.
+
+`moving_high`: as `moving_hard`, and the middle of one of them at least passes above 0.6 m.
 
 The courses of the others pass anywhere over the table. What a thing is and which of these it does
 is drawn once. Nothing else is asked. A thing may come at the arm where it cannot get away, press it
@@ -86,8 +88,8 @@ _NEAR_TABLE = 0.05
 """Height over its lowest place up to which an obstacle slides on the table [m]."""
 _OFF_TABLE = 2e-3
 """Height of a sliding obstacle over the table [m], so that it does not rub."""
-_HIGHEST = 0.6
-"""Maximum height of the middle of an obstacle [m]."""
+_HIGHEST, HIGHEST = 0.6, 1.0
+"""Maximum height of the middle of an obstacle, and the same in `moving_high` [m]."""
 _SAMPLE = 0.05
 """Time between samples of a course [s]."""
 _COURSES = 60
@@ -112,8 +114,10 @@ _FINE = 0.01
 """Length between samples of a way [m]."""
 
 
-def moving_things(random: np.random.Generator, *, hard: bool) -> DrawThings:
-    """Prepares moving obstacles, and none to two at rest."""
+def moving_things(
+    random: np.random.Generator, *, hard: bool, highest: float = _HIGHEST
+) -> DrawThings:
+    """Prepares moving obstacles up to a height [m], and none to two at rest."""
     fewest, most = _HARD_MOVING if hard else _MOVING
     count, resting = random.integers(fewest, most + 1), int(random.integers(MOST_RESTING + 1))
     smallest, largest = _HARD_SIZE if hard else _SIZE
@@ -131,8 +135,8 @@ def moving_things(random: np.random.Generator, *, hard: bool) -> DrawThings:
         reason = "" if ends_are_free(motion, standing) else ENDS_TAKEN
         for thing, does in things:
             for _ in range(0 if reason else _COURSES):
-                placed = _on_course(random, thing, does, motion, first=not moved)
-                misfit = _course_misfit(placed, does, motion, [*moved, *standing])
+                placed = _on_course(random, thing, does, motion, highest, first=not moved)
+                misfit = _course_misfit(placed, does, motion, [*moved, *standing], highest)
                 if not moved and not misfit and not _is_met(placed, motion):
                     misfit = "the first thing that moves does not touch the planned motion"
                 if tally.takes("courses", misfit):
@@ -140,6 +144,9 @@ def moving_things(random: np.random.Generator, *, hard: bool) -> DrawThings:
                     break
             else:
                 reason = reason or "no course found for one of its things"
+        heights = [placed.translation[2] for placed in moved]
+        if not reason and max(heights) <= _HIGHEST < highest:
+            reason = "nothing passes above 0.6 m"
         return [*moved, *standing] if tally.takes("scenes", reason) else None
 
     return draw
@@ -150,6 +157,7 @@ def _on_course(
     thing: Obstacle,
     does: frozenset[int],
     motion: Motion,
+    highest: float,
     *,
     first: bool,
 ) -> Obstacle:
@@ -163,7 +171,7 @@ def _on_course(
         point = random.choice(arm.centers(motion.q[row : row + 1], _HIT))
         point = point + random.uniform(-_AIMED_ASIDE, _AIMED_ASIDE, 3)
     else:
-        point = np.array([random.uniform(*side) for side in (TABLE_X, TABLE_Y, (0.0, _HIGHEST))])
+        point = np.array([random.uniform(*side) for side in (TABLE_X, TABLE_Y, (0.0, highest))])
     t, along = _draw_speeds(random, does, *(_HARD_SPEED if does else _SPEED))
     if ENTERS not in does:
         t = t + round(max(met - random.uniform(*_BEFORE), 0.0), 2)
@@ -234,14 +242,18 @@ def _draw_way(random: np.random.Generator, along: FloatArray, *, bends: bool) ->
 
 
 def _course_misfit(
-    thing: Obstacle, does: frozenset[int], motion: Motion, others: Sequence[Obstacle]
+    thing: Obstacle,
+    does: frozenset[int],
+    motion: Motion,
+    others: Sequence[Obstacle],
+    highest: float,
 ) -> str:
     """Returns the reason for which a course among others is rejected; "": it is not."""
     end = max(item.last_change for item in [thing, *others])
     if end > LONGEST:
         return "longer than 15 s"
-    if thing.translation[2] > _HIGHEST:
-        return "above 0.6 m"
+    if thing.translation[2] > highest:
+        return f"above {highest:g} m"
     t, arm = np.arange(0.0, end + _SAMPLE, _SAMPLE), scene_arm()
     p, radius = _track(thing, t)
     if np.hypot(p[:, 0], p[:, 1]).min() < radius + BASE_RADIUS:

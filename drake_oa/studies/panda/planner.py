@@ -28,6 +28,7 @@ from drake_oa.robot.arm import inverse_kinematics, make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionEnd
+from drake_oa.runs.report import min_clearance
 from drake_oa.scenario.end_poses import end_positions, end_rotations
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.studies.panda.differential_ik import make_collision_checker
@@ -64,7 +65,7 @@ def _ompl(module: str) -> Any:
         ) from error
 
 
-def _goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
+def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
     """Returns positions (nq,) at the goal: several ones unless the task gives the joints."""
     found = [q_goal]
     if scenario.task.q_goal is not None:
@@ -170,7 +171,7 @@ def run_planner(
 
     try:
         q_start, q_goal = end_positions(scenario)
-        goals = [q for q in _goal_positions(scenario, q_goal) if is_free(q)]
+        goals = [q for q in goal_positions(scenario, q_goal) if is_free(q)]
         reason = f"no path found in {states} states"
         if not is_free(q_start):
             reason = "the start is not free"
@@ -189,15 +190,11 @@ def run_planner(
         return {"stop_reason": reason, "ended": MotionEnd.MISSED, **found}
     metrics = robot_metrics(scenario, path)
     steps = np.abs(np.diff(path[:, :n], axis=0)) / (_SPEED * robot_limits.velocity_limit[:n])
-
-    def least(clearance: FloatArray) -> float | None:
-        return float(clearance.min()) if np.isfinite(clearance).all() else None
-
     return {
         "contacts": list(metrics.contacts),
         "self_contacts": list(metrics.self_contacts),
-        "tool_clearance_min": least(metrics.tool_clearance),
-        "robot_clearance_min": least(metrics.robot_clearance),
+        "tool_clearance_min": min_clearance(metrics.tool_clearance),
+        "robot_clearance_min": min_clearance(metrics.robot_clearance),
         "goal_error": math.dist(metrics.p_WE[-1], scenario.task.goal),
         # Some joint always moves at its fraction of the maximum speed.
         "duration": float(steps.max(axis=1).sum()),

@@ -24,8 +24,9 @@ from drake_oa.geometry.solids import half_space, shape_solids, solids_of
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances
 from drake_oa.planning.search import ToolPaths, roll_out_arm
 from drake_oa.policy.dmp import minimum_jerk_share
-from drake_oa.robot.arm import chain_poses, inverse_kinematics, make_chain
+from drake_oa.robot.arm import inverse_kinematics, make_chain
 from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.robot.spheres import sphere_centers
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
@@ -33,6 +34,8 @@ from drake_oa.scenario.scenario import Scenario, robot_of
 
 LIKE = "tabletop_box"
 """Name of the shipped scenario with the robot, camera and parameters of most scenes."""
+ELBOW_LIKE = "shelf_elbow"
+"""Name of the shipped scenario with the camera of elbow scenes, which looks higher."""
 _CELL = """\
 directives:
 - add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
@@ -68,6 +71,7 @@ class Motion(NamedTuple):
         t: (T,) times [s].
         q: (T, n) joints [rad].
         ends: (3, n) joints at both ends of q, and those that a run at the goal begins with [rad].
+        rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
     """
 
     start: FloatArray
@@ -75,10 +79,11 @@ class Motion(NamedTuple):
     t: FloatArray
     q: FloatArray
     ends: FloatArray
+    rpy_WE: list[float] | None = None
 
 
 class SceneArm:
-    """Arm of the random scenes with the tool pointing down.
+    """Arm of the random scenes, whose tool points down unless another orientation is given.
 
     Attributes:
         tool: (G,) whether each link is of the tool.
@@ -102,7 +107,11 @@ class SceneArm:
         return inverse_kinematics(self._chain, np.append(self._R_WE, p_WE), self._q_home)
 
     def straight_motion(
-        self, start: FloatArray, goal: FloatArray, aside: FloatArray | None = None
+        self,
+        start: FloatArray,
+        goal: FloatArray,
+        aside: FloatArray | None = None,
+        rpy_WE: list[float] | None = None,
     ) -> tuple[Motion | None, str]:
         """Computes the motion along the straight minimum-jerk path of the tool.
 
@@ -111,12 +120,17 @@ class SceneArm:
             goal: (3,) tool point at the goal [m].
             aside: (n,) joints that the null space is led to in the middle and back [rad]; None:
                 it stays at the posture of the start.
+            rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
 
         Returns:
             The motion, or None and the reason for which the arm has none.
         """
         scenario = base_scenario()
         task = replace(scenario.task, start=start.tolist(), goal=goal.tolist())
+        R_WE = self._R_WE
+        if rpy_WE is not None:
+            task.rpy_start = task.rpy_goal = rpy_WE
+            R_WE = RollPitchYaw(rpy_WE).ToRotationMatrix().matrix().ravel()
         try:
             q_ends = np.stack(end_positions(replace(scenario, task=task)))[:, self._chain.q_index]
         except ScenarioError:
@@ -126,7 +140,7 @@ class SceneArm:
         paths = ToolPaths(
             s=s,
             p_WE=(start + minimum_jerk_share(s)[:, None] * (goal - start))[None],
-            R_WE=np.tile(self._R_WE, (1, len(s), 1)),
+            R_WE=np.tile(R_WE, (1, len(s), 1)),
             posture=(q_start + led)[None],
             seconds=np.array([task.duration]),
         )
@@ -141,7 +155,8 @@ class SceneArm:
             return None, NOT_FOLLOWED
         if rolled.least[0] < 0.0:
             return None, TOUCHES_TABLE
-        return Motion(start, goal, task.duration * s, q, np.vstack([q[[0, -1]], q_ends[1:]])), ""
+        ends = np.vstack([q[[0, -1]], q_ends[1:]])
+        return Motion(start, goal, task.duration * s, q, ends, rpy_WE), ""
 
     def distances(
         self, q: FloatArray, obstacles: Iterable[Obstacle], t: ArrayLike = 0.0
@@ -166,7 +181,12 @@ class SceneArm:
         return np.stack(
             [
                 group_distances(
-                    self._chain, self._spheres, placed[row % len(placed)], q[row % len(q)], 0.0
+                    self._chain,
+                    self._spheres,
+                    placed[row % len(placed)],
+                    q[None, row % len(q)],
+                    0.0,
+                    np.inf,
                 )
                 for row in range(max(len(q), len(placed)))
             ]
@@ -175,13 +195,7 @@ class SceneArm:
     def centers(self, q: FloatArray, joints: range) -> FloatArray:
         """Computes centers (N, 3) of the spheres of some joints' links at joints (T, n) [m]."""
         mine = np.isin(self._spheres.joint, joints)
-        joint, p_JS = self._spheres.joint[mine], self._spheres.p_JS[mine]
-        X_WJ = np.empty((len(q), q.shape[1] + 2, 12))
-        for row, joints_now in enumerate(q):
-            chain_poses(joints_now, self._chain.X_PJ, X_WJ[row])
-        X_WJ = X_WJ[:, joint + 1]
-        R_WJ = X_WJ[:, :, :9].reshape(*X_WJ.shape[:2], 3, 3)
-        p_WS = np.einsum("tsij,sj->tsi", R_WJ, p_JS) + X_WJ[:, :, 9:]
+        p_WS = sphere_centers(self._chain, self._spheres, q)[:, mine]
         return np.asarray(p_WS.reshape(-1, 3))
 
 

@@ -8,17 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.cameras import camera_pose
-from drake_oa.studies.panda.scene_arm import LIKE, Motion, base_scenario, scene_arm
+from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, Motion, base_scenario, scene_arm
 from drake_oa.studies.results import Tally
 
 SMALLEST, LARGEST = 0.04, 0.30
@@ -54,6 +52,11 @@ _LOW, _HIGH = (0.10, -0.70, 0.10), (0.80, 0.70, 0.50)
 """Corners of the box that contains start and goal [m]."""
 _ATTEMPTS = 20
 """Attempts to place each requested obstacle."""
+
+_DRAWN_FROM = [1.2473, 0.2902, 1.05]
+"""Position in the world of the camera in whose image scenes are drawn [m], whatever perceives."""
+_ROLL = {LIKE: -135.0, ELBOW_LIKE: -120.0}
+"""Shipped scenario -> roll of that camera [degrees]."""
 
 # Reasons for which candidates are rejected.
 ON_BASE = "at the robot's base"
@@ -213,11 +216,10 @@ def view_margin(p_WQ: FloatArray, like: str = LIKE) -> FloatArray:
     return np.asarray(np.min([*sides, z - camera.z_near, camera.z_far - z], axis=0))
 
 
-@lru_cache(maxsize=4)
 def _camera(like: str) -> tuple[CameraConfig, RigidTransform]:
-    """Returns the camera of a shipped scenario, and its pose in the world."""
-    scenario = base_scenario(like)
-    return scenario.cameras[0], camera_pose(scenario, scenario.cameras[0])
+    """Returns the camera in whose image scenes like a shipped scenario are drawn, and its pose."""
+    rpy = RollPitchYaw(np.radians([_ROLL[like], 0.0, 110.0]))
+    return base_scenario(like).cameras[0], RigidTransform(rpy, _DRAWN_FROM)
 
 
 def draw_motion(random: np.random.Generator, tally: Tally) -> Motion | None:

@@ -1,11 +1,11 @@
 """Random scenes for the whole Panda; each is a scenario.
 
 The motion is 0.5 to 1.0 m long, along a straight line that the arm can follow, tool down, within
-its joint limits. In all kinds but moving_hard the camera has the obstacles' middles in view, and
-the whole robot keeps 5 cm to every obstacle at start and goal. The robot is the spheres that
-enclose its links (`scene_arm`). How many obstacles there are is drawn once; motions and obstacles
-are drawn until the conditions of the kind hold. Scene i of a seed depends on nothing else, and not
-on perception or method. Kinds:
+its joint limits. In all kinds but moving_hard the camera at the table, by whose image scenes are
+drawn whatever perceives them, has the obstacles' middles in view, and the whole robot keeps 5 cm to
+every obstacle at start and goal. The robot is the spheres that enclose its links (`scene_arm`). How
+many obstacles there are is drawn once; motions and obstacles are drawn until the conditions of the
+kind hold. Scene i of a seed depends on nothing else, and not on perception or method. Kinds:
 
 `tabletop`: 1 to 6 things on the table.
 
@@ -28,14 +28,17 @@ a box on a stand. On the straight motion in the posture of the start,
   tool on the same way, the whole robot keeps 2.5 cm.
 
 `moving`: 1 or 2 things cross the way, one of them into the planned motion; `moving_hard`: 2 to 4
-larger and faster things enter, change speed, turn, stop and come back: see `moving_scenes`.
+larger and faster things enter, change speed, turn, stop and come back; `moving_high`: the same, up
+to 1.0 m: see `moving_scenes`.
+
+`drp_LEVEL`: boxes move or appear by the parameters of a level of DRPBench: see `drp_scenes`.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -44,11 +47,13 @@ from scipy.spatial import cKDTree
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder
 from drake_oa.perception.config import GroundTruth
+from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.cameras import with_opposite
-from drake_oa.studies.panda.moving_scenes import moving_things
-from drake_oa.studies.panda.scene_arm import LIKE, Motion, base_scenario, scene_arm
+from drake_oa.studies.cameras import ONE, TWO, seen_from
+from drake_oa.studies.panda.drp_scenes import LEVELS, SPEED_LEVELS, drp_things
+from drake_oa.studies.panda.moving_scenes import HIGHEST, moving_things
+from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, Motion, base_scenario, scene_arm
 from drake_oa.studies.panda.scene_parts import (
     ENDS_TAKEN,
     TOUCH,
@@ -60,7 +65,7 @@ from drake_oa.studies.panda.scene_parts import (
     make_obstacle,
     misfit,
 )
-from drake_oa.studies.results import Tally
+from drake_oa.studies.results import Counts, Tally
 
 MOST_OBSTACLES = 6
 NEAR, NEAR_OBSTACLES = 0.25, 3
@@ -96,8 +101,6 @@ SWUNG_FREE = 0.025
 """Minimum clearance of the whole robot on the motion with its elbow aside [m]."""
 WRIST_FREE = 0.03
 """Minimum clearance of links 6 and 7 [m]: the tool fixes their motion, whatever the elbow does."""
-ELBOW_LIKE = "shelf_elbow"
-"""Shipped scenario whose camera the scenes have: it looks higher than the table-top ones'."""
 MOST_ELBOW_THINGS = 2
 
 _ELBOW, _WRIST = range(1, 5), range(5, 7)
@@ -199,10 +202,10 @@ def _elbow_misfit(thing: Obstacle, motion: Motion, swung: Motion, *, first: bool
     return ""
 
 
-GENERATOR = 2
-"""To be raised when the same seed draws another scene."""
+GENERATOR = 3
+"""To be raised when the same seed draws another scene, or one that is seen from elsewhere."""
 PERCEPTIONS = ("depth", "depth2", "truth")
-"""The depth camera of the scene, a second one opposite to it as well, or SceneGraph."""
+"""The depth camera of the scene, two cameras beside the robot, or SceneGraph."""
 
 
 @dataclass(frozen=True)
@@ -214,24 +217,57 @@ class _Kind:
         title: of the kind.
         stream: its own random numbers.
         like: the shipped scenario whose camera, robot and constants they have.
+        motion: draws the planned motion.
     """
 
     things: Callable[[np.random.Generator], DrawThings]
     title: str
     stream: tuple[int, ...]
     like: str = LIKE
+    motion: Callable[..., Motion | None] = draw_motion
 
 
+V = 0.8
+"""Speed of obstacles for which moving scenes claim passive motion safety [m/s]."""
+DRP = "drp"
+"""Suite of all levels of DRPBench."""
 _KINDS = {
     "tabletop": _Kind(partial(table_things, cluttered=False), "table-top", ()),
     "moving": _Kind(partial(moving_things, hard=False), "moving", (1,)),
     "elbow": _Kind(elbow_things, "elbow", (2,), ELBOW_LIKE),
     "clutter6": _Kind(partial(table_things, cluttered=True), "clutter", (3,)),
     "moving_hard": _Kind(partial(moving_things, hard=True), "hard moving", (4,)),
+    "moving_high": _Kind(partial(moving_things, hard=True, highest=HIGHEST), "high moving", (5,)),
+    # Levels that differ in speed alone have the same random numbers, thus the same scenes.
+    **{
+        f"{DRP}_{name}": _Kind(
+            partial(drp_things, level=level),
+            f"DRPBench {name}",
+            (6, *name.partition("_at_")[0].encode()),
+            motion=level.draw_motion,
+        )
+        for name, level in (LEVELS | SPEED_LEVELS).items()
+    },
 }
 KINDS = tuple(_KINDS)
-MOVING_KINDS = ("moving", "moving_hard")
+MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
 """Kinds of scenes with moving obstacles."""
+
+
+def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
+    """Returns the kinds of scenes of suites, with levels of DRPBench in place of `drp`.
+
+    Args:
+        suites: kinds of scenes, or `drp`.
+        levels: names of levels; none: those that are its authors'.
+
+    Raises:
+        ValueError: for levels without the suite `drp`.
+    """
+    if levels and DRP not in suites:
+        raise ValueError(f"--level needs --suite {DRP}, not {', '.join(suites)}")
+    of_drp = [f"{DRP}_{level}" for level in levels or LEVELS]
+    return [kind for suite in suites for kind in (of_drp if suite == DRP else [suite])]
 
 
 def draw_panda_scene(
@@ -248,8 +284,8 @@ def draw_panda_scene(
         seed: of the evaluation, >= 0.
         index: of the scene, >= 0.
         kind: one of `KINDS`.
-        perception: "depth", the camera as the shipped scenarios have it, "depth2", a second one
-            opposite to it too, or "truth".
+        perception: "depth", one camera: among obstacles at rest that of the shipped scenarios,
+            among moving ones `cameras.ONE`; "depth2", the pair `cameras.TWO`; or "truth".
         tally: counts the candidates, and why they were dropped; None: nobody asks.
 
     Raises:
@@ -258,12 +294,12 @@ def draw_panda_scene(
     """
     check_choice("kind of scenes", kind, KINDS)
     of_kind = _KINDS[kind]
-    scenario = copy.deepcopy(base_scenario(of_kind.like))
+    scenario = _empty_scene(kind)
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
     scenario.seed = int(random.integers(2**31))
     draw_things, tally = of_kind.things(random), tally or Tally()
     for _ in range(_MOST_MOTIONS):
-        motion = draw_motion(random, tally)
+        motion = of_kind.motion(random, tally)
         obstacles = None if motion is None else draw_things(motion, tally)
         if motion is not None and obstacles is not None:
             break
@@ -271,15 +307,38 @@ def draw_panda_scene(
         raise RuntimeError(f"no {of_kind.title} scene found in {_MOST_MOTIONS} attempts")
     scenario.obstacles = obstacles
     scenario.task.start, scenario.task.goal = motion.start.tolist(), motion.goal.tolist()
+    scenario.task.rpy_start = scenario.task.rpy_goal = motion.rpy_WE
     scenario.description = f"random {of_kind.title} scene {index} of seed {seed}"
     return seen_by(scenario, perception)
+
+
+def _empty_scene(kind: str) -> Scenario:
+    """Returns the scenario of a kind without obstacles, seen by one camera."""
+    scenario = copy.deepcopy(base_scenario(_KINDS[kind].like))
+    if kind not in MOVING_KINDS:
+        return scenario
+    scenario.guard = replace(scenario.guard, obstacle_speed=V)
+    return seen_from(scenario, ONE)
+
+
+def read_text(text: str, kind: str) -> tuple[str, Counts]:
+    """Returns the text of a scene of a file as it was drawn, and no counts.
+
+    Args:
+        text: scenario's text, of which description, seed, task and obstacles are used.
+        kind: one of `KINDS`.
+    """
+    scenario, read = _empty_scene(kind), parse_scenario(text)
+    for name in ("description", "seed", "task", "obstacles"):
+        setattr(scenario, name, getattr(read, name))
+    return scenario_text(scenario), {}
 
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:
     """A scenario as drawn with "depth", seen by that or by something else of `PERCEPTIONS`."""
     check_choice("perception", perception, PERCEPTIONS)
     if perception == "depth2":
-        return with_opposite(scenario)
+        return seen_from(scenario, TWO)
     scenario = copy.deepcopy(scenario)
     if perception == "truth":
         scenario.perception = GroundTruth()

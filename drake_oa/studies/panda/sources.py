@@ -10,6 +10,7 @@ import numpy as np
 from drake_oa.common.console import Column, TextTable
 from drake_oa.planning.search import SOURCES
 from drake_oa.studies.panda.evaluation import PandaResults
+from drake_oa.studies.scenes.evaluation import over
 
 _COLUMNS = (
     Column("suite"),
@@ -60,18 +61,13 @@ def sources_figures(
                     "scenes": len(of),
                     "success": sum(run["outcome"] == "success" for run in of.values()),
                     "contacts": sum(bool(run["contacts"]) for run in of.values()),
-                    "clearance": _median(clearances),
-                    "length": _median(lengths),
+                    "clearance": over(np.median, clearances),
+                    "length": over(np.median, lengths),
                     "executed": executed,
                     "sources": ", ".join(f"{name} {n}" for name, n in executed.items() if n),
                 }
             )
     return {"suites": list(figures), "rows": rows}
-
-
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
 
 
 def sources_table(figures: Mapping[str, Any]) -> TextTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from hashlib import sha256
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from drake_oa.common.console import Column, TextTable
 from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import TOLD, cost_figures
+from drake_oa.scenario.loading import parse_scenario
 from drake_oa.studies.panda.evaluation import PLANNER, PandaResults
 from drake_oa.studies.results import drawn_figures, drawn_lines
 from drake_oa.studies.scenes.evaluation import over
@@ -28,8 +30,14 @@ _COLUMNS = (
     Column("stopped"),
     Column("time_limits", "time limit"),
     Column("self_contacts", "self"),
+    Column("drp_contacts", "DRPBench contacts"),
+    Column("drp_success", "DRPBench success"),
     Column("success_rate", "success [%]", "{:.1f}", 1e2),
     Column("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
+    Column("avoidable_by_physics", "avoidable"),
+    Column("avoidable_by_view", "by view"),
+    Column("claim_A", "claim A"),
+    Column("claim_B", "claim B"),
     Column("short_of_feasible", "short"),
     Column("short_of_feasible_max", "by [mm]", "{:.1f}", 1e3),
     Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
@@ -51,15 +59,17 @@ _COLUMNS = (
 def panda_figures(
     results: PandaResults, versions: Sequence[str], jobs: int | None = 1
 ) -> dict[str, Any]:
-    """{"suite", "seed", "kind", "perception", "jobs", "versions", "drawn", "solved", "methods"}.
+    """Returns the figures of a suite.
 
-    `methods` is {name: figures}.
+    They are {"suite", "seed", "kind", "perception", "jobs", "versions", "scenes_digest", "drawn",
+    "solved", "methods"}; `methods` is {name: figures}, `scenes_digest` the SHA-256
+    of the scenes' seeds, tasks and obstacles, whatever perceives them.
 
     `drawn` tells of what was looked at when the scenes were drawn, how much and what share of
     it was dropped for which reason.
 
-    `solved` is how many scenes the planner solves, None where it has not run on all; the
-    methods' `success_rate_solved` is their share of successes in those.
+    `solved` is how many scenes the planner or another method solves, None where the planner has not
+    run on all; the methods' `success_rate_solved` is their share of successes in those.
 
     Args:
         results: of the runs.
@@ -67,7 +77,8 @@ def panda_figures(
         jobs: how many runs shared the machine, which real-time factors tell; None: a
             cluster's.
     """
-    suite = results.suite
+    suite, drawn = results.suite, map(parse_scenario, results.scenarios.values())
+    scenes = [(scenario.seed, scenario.task, scenario.obstacles) for scenario in drawn]
     complete = {name: results.complete(name) for name in results.runs}
     figures = methods_figures(results.runs, complete)
     for name, runs in results.runs.items():
@@ -86,6 +97,7 @@ def panda_figures(
         "duration": suite.duration,
         "jobs": jobs,
         "versions": dict(item.split(" ", 1) for item in versions),
+        "scenes_digest": sha256(repr(scenes).encode()).hexdigest(),
         "drawn": drawn_figures(results.tallies.values()),
         **figures,
     }
@@ -102,7 +114,12 @@ def methods_figures(
     """
     solved = None
     if complete.get(PLANNER):
-        solved = {scene for scene, run in runs[PLANNER].items() if run["outcome"] == "success"}
+        solved = {
+            scene
+            for of in runs.values()
+            for scene, run in of.items()
+            if run["outcome"] == "success"
+        }
     known = solved or ()
     return {
         "solved": None if solved is None else len(solved),
@@ -132,20 +149,28 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     Keys: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see `evaluation`);
     `success_rate`; `stop_reasons`, what the stopped ones were stopped by, and how often;
     `contact_pairs`, in how many scenes which link met what; `self_contacts`, in how many the
-    robot met itself; `time_limits`, how many ended by their time limit, arrived or not; `failed`,
-    runs that raised; `short_of_feasible`, in how many the tool came more than 1 mm nearer to what
-    rests than start and goal leave of the asked clearance, `short_of_feasible_max` by how much,
-    and `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of
-    the motions, to where they arrived or were stopped [s]; `moving_after_median` and `_p95`, from
+    robot met itself; `avoidable_by_physics` and `avoidable_by_view`, contacts among moving
+    obstacles that were (see `contact_events`); `claim_A` and `claim_B`, instants of all runs that
+    violate each (see `claims`), None where no obstacle moves; `time_limits`, how many ended by
+    their time limit, arrived or not; `failed`, runs that raised;
+    `short_of_feasible`, in how many the tool came more than 1 mm nearer to what rests than start
+    and goal leave of the asked clearance, `short_of_feasible_max` by how much, and
+    `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of the
+    motions, to where they arrived or were stopped [s]; `moving_after_median` and `_p95`, from
     when the goal was asked for until the motion began [s]; `decision_cost`, what the
     regulation's decisions of all scenes cost (see `cost_figures`; None where they cost no time);
     `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
     the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
     `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
-    `real_time_factor_min`, the least; `seconds`, the wall time of all simulations together.
+    `real_time_factor_min`, the least; `seconds`, the wall time of all simulations together. Of
+    the levels of DRPBench also `drp_contacts` and `drp_success`, the outcomes by its rules.
     """
     outcome = Counter(run["outcome"] for run in runs)
+    events = [event for run in runs for event in run["contact_events"] or ()]
+    claims = [run["claim_violations"] for run in runs if run["claim_violations"]]
     arrived = [run["goal_error"] for run in runs if run["outcome"] != "stopped"]
+    by_drp = Counter(run.get("drp_outcome") for run in runs)
+    drp = {"drp_contacts": by_drp["contact"], "drp_success": by_drp["success"]}
 
     def of(statistic: Callable[..., Any], key: str) -> float | None:
         return over(statistic, (run[key] for run in runs))
@@ -161,6 +186,10 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             pair for run in runs for pair in (*_pairs(run["contacts"]), *set(run["self_contacts"]))
         ),
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
+        "avoidable_by_physics": sum(event["avoidable_by_physics"] for event in events),
+        "avoidable_by_view": sum(event["avoidable_by_view"] for event in events),
+        "claim_A": over(sum, (found["A"] for found in claims)),
+        "claim_B": over(sum, (found["B"] for found in claims)),
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
         "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
         "short_of_feasible_max": of(max, "short_of_feasible"),
@@ -179,6 +208,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "real_time_factor": of(np.median, "real_time_factor"),
         "real_time_factor_min": of(min, "real_time_factor"),
         "seconds": float(sum(run["wall_time"] for run in runs)),
+        **(drp if set(by_drp) - {None} else {}),
     }
 
 
@@ -227,7 +257,11 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
             for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
                 for reason, count in method[key].items():
                     lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
+        if of.get("solved") is not None:
+            lines.append(f"{of['kind']}: scenes that a method solves: {of['solved']}")
         lines += [f"{of['kind']}: {line}" for line in drawn_lines(of.get("drawn", {}))]
+        if "scenes_digest" in of:
+            lines.append(f"{of['kind']}: digest of the scenes: {of['scenes_digest'][:12]}")
     jobs = figures[0]["jobs"]
     if jobs != 1:
         shared = "on a cluster" if jobs is None else f"with {jobs} at once"
