@@ -224,20 +224,28 @@ def test_nothing_is_lost_and_no_table_taken(kind):
     assert count["table pixels"] < 30
 
 
+KNOWN_OFF = {("room", 6)}
+"""Scenes with another plane than the table: of 100 rooms this one, by this realisation of the noise
+alone."""
+
+
 @pytest.mark.slow
 def test_table_of_all_kinds():
     print("\n\n| kind |", " | ".join(_COUNTS), "| recall |")
     total: Counter = Counter()
+    found_off = set()
     for kind in KINDS:
         count: Counter = Counter()
         for seed in range(20):
             scene = make_scene(kind, seed)
-            count.update(judged(scene, segment_depth(scene.depth, K, None)))
+            result = judged(scene, segment_depth(scene.depth, K, None))
+            count.update(result)
+            if result["plane off"]:
+                found_off.add((kind, seed))
         total.update(count)
         recall = count["recall"] / max(count["objects"], 1)
         print(f"| {kind} |", " | ".join(str(count[name]) for name in _COUNTS), f"| {recall:.3f} |")
     print("| all |", " | ".join(str(total[name]) for name in _COUNTS), "|")
     assert total["lost"] <= 0.01 * total["objects"]
-    # One of 320 scenes, of the kind "room", by this noise; none by other noise of equal statistics.
     assert total["no plane"] == 0
-    assert total["plane off"] <= 1
+    assert found_off <= KNOWN_OFF

@@ -80,13 +80,15 @@ CASES = {
     "goal blocked": Case((blocked_goal(1.0),), told="at its goal the arm would touch"),
     "goal blocked, near it": Case((blocked_goal(3.5),), told="at its goal the arm would touch"),
     "start in contact": Case((PLATE,)),
-    "start in contact, seen": Case((PLATE, GROUND_TRUTH)),
+    "start in contact, seen": Case((PLATE, GROUND_TRUTH), told="the arm touches obstacle"),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_each_fault_ends_as_it_should_without_a_contact(name: str) -> None:
+def test_each_fault_ends_as_it_should_without_a_contact(
+    name: str, caplog: pytest.LogCaptureFixture
+) -> None:
     case = CASES[name]
     scenario = load_scenario("tabletop_box", list(case.overrides))
     if case.customize is not None:
@@ -100,7 +102,7 @@ def test_each_fault_ends_as_it_should_without_a_contact(name: str) -> None:
     assert report["goal_error"] <= 1e-3
     if PLATE not in case.overrides:
         assert report["contacts"] == []
-    assert case.told in "; ".join((*log.supervision_reason, *log.event))
+    assert case.told in "; ".join((*log.supervision_reason, *log.event, caplog.text))
 
 
 @pytest.mark.slow
