@@ -17,7 +17,6 @@ from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.perception.config import GroundTruth
 from drake_oa.posture.posture_follower import PostureFollower
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
-from drake_oa.safety.config import SupervisorParameters, SupervisorSettings, settings
 from drake_oa.safety.motion_guard import MotionGuard
 from drake_oa.scenario.end_poses import end_rotations
 from drake_oa.scenario.faults import ModelError
@@ -134,8 +133,6 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
         return
     policy, period = scenario.policy, perception_period(scenario)
     exact = isinstance(scenario.perception, GroundTruth)
-    supervisor = scenario.supervisor or SupervisorParameters()
-    observed = settings(supervisor, frame_period=period, max_age=policy.max_observation_age)
     # The requested clearance of the tool is a margin of the whole arm beside moving obstacles.
     margin = max(scenario.guard.margin_moving, scenario.task.clearance)
     guard = MotionGuard(
@@ -147,8 +144,9 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
         step=policy.period,
         hold_time=policy.hold_time,
         padding=0.0 if exact else padding(scenario.perception),
+        max_age=policy.max_observation_age,
+        turn_limit=scenario.task.turn_limit,
         parameters=replace(scenario.guard, margin_moving=margin),
-        supervisor=SupervisorSettings(**observed),
         thinking=scenario.thinking,
     )
     wires.add("motion_guard", guard, offers={"decision": "decision_guard"})

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from drake_oa.app.scenarios import quiet, scenario_name
-from drake_oa.common.console import show
+from drake_oa.app.scenarios import scenario_name
+from drake_oa.common.console import quiet, show
 from drake_oa.common.files import check_outputs, replace_json
 
 

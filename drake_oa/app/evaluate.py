@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
-from drake_oa.common.files import check_outputs, check_plot_file, replace_json, replace_text
+from drake_oa.common.files import check_outputs, replace_json, replace_text
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ def synthetic(
     scenes_file: Path | None = None,
     write_scenes: Path | None = None,
     json: Path | None = None,
-    plot: Path | None = None,
 ) -> int:
     """Compare methods on scenes of ellipsoids.
 
@@ -96,7 +95,7 @@ def synthetic(
 
     For example:
 
-        drake-oa evaluate novel --json novel.json --plot novel.png
+        drake-oa evaluate novel --json novel.json
         drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
         drake-oa evaluate clutter --scenes-file mine.npz --method verified
 
@@ -108,16 +107,13 @@ def synthetic(
         scenes_file: run these scenes.
         write_scenes: write the scenes in the same form.
         json: write the figures.
-        plot: write a plot: .png, .svg or .pdf.
     """
-    from drake_oa.studies.plots import plot_evaluation
     from drake_oa.studies.scenes.evaluation import evaluation_tables
     from drake_oa.studies.scenes.scenes import save_scenes
 
     found_suite = _suite(suite)
     chosen = load_methods(methods or found_suite.methods)
-    check_plot_file("--plot", plot)
-    check_outputs(json, plot, write_scenes, read=[scenes_file] if scenes_file else [])
+    check_outputs(json, write_scenes, read=[scenes_file] if scenes_file else [])
     drawn = drawn_scenes(suite, scenes, seed, scenes_file)
     if write_scenes is not None:
         save_scenes(write_scenes, drawn)
@@ -125,8 +121,6 @@ def synthetic(
     evaluation, figures = evaluated(suite, of_seed, drawn, found_suite.cases, chosen, json)
     print(_heading(suite, drawn))
     show(*evaluation_tables(figures))
-    if plot is not None:
-        plot_evaluation(plot, suite, found_suite.cases, evaluation.outcomes)
     return evaluation_status(evaluation)
 
 
@@ -318,22 +312,19 @@ def panda(
 
     Methods (all by default; planner in all but tabletop):
 
-      preplanned            the planned motion, blind to obstacles
-      paper                 the paper's regulation, which nothing checks, without a
-                            supervisor
-      verified              motions of the whole arm that roll-outs among the true shapes have
-                            checked; a plan that the primitives imitate where none clears
-      differential_ik       Drake's differential inverse kinematics with collision
-                            constraints, on the same planned motion; it knows the
-                            obstacles exactly, and its tool keeps the asked clearance as
-                            far as start and goal have it
-      differential_ik_near  the same, asked for 3 cm
-      planner               a sampling-based planner that knows the obstacles exactly:
-                            RRT-Connect of the package ompl (pip install
-                            'drake_oa[peers]'), the whole robot 25 mm from everything;
-                            among moving things a search in time that knows their
-                            courses, 5 mm from everything; it is not simulated, and
-                            success means solved
+      preplanned       the planned motion, blind to obstacles
+      paper            the paper's method alone, which nothing checks
+      verified         motions of the whole arm, verified by roll-outs among the obstacles, or a
+                       planned path that the primitives imitate; among moving obstacles
+                       maneuvers of the whole arm
+      differential_ik  Drake's differential inverse kinematics with collision constraints, on
+                       the same planned motion; it knows the obstacles exactly, and its tool
+                       keeps the requested clearance as far as start and goal have it
+      planner          a sampling-based planner that knows the obstacles exactly: RRT-Connect
+                       of the package ompl (pip install 'drake_oa[peers]'), the whole robot
+                       25 mm from everything; among moving obstacles a search in time that
+                       knows their courses, 5 mm from everything. It is not simulated, and
+                       success means solved
 
     It prints:
 
@@ -349,22 +340,14 @@ def panda(
                   a moving obstacle that could reach it from where it was seen (A), or is
                   faster than 0.25 m/s toward where sight is lacking (B)
       stopped     the others: ended short of the goal without a contact, and why
-      time limit  scenes that ended by it, arrived or not
-      self        scenes in which the robot touched itself
       DRPBench    contacts and success by its rules: no contact with an obstacle or the table
                   within its episode of 16.7 s, and then within 5 cm and 15 degrees of the goal
-      short       scenes in which the tool came more than 1 mm nearer to what stands at
-                  rest than start and goal leave of the asked clearance, by how much
-      clearance   least over all scenes, of hand and fingers (tool) and of any link
-      duration    of the motion, median and longest scene
-      goal error  largest of the scenes that were not stopped
-      asked to moving      from when the goal is asked for until the motion begins, what is
-                  decided at its cost: median, and 95 % of the scenes
-      decision    what the regulation's decisions cost in simulated time: 99 % of them,
-                  the longest, and the share that took longer than a frame
-      real-time factor     simulated over real time, median and least scene
+      clearance   minimum over all scenes, of hand and fingers
+      duration    of the motion, median
+      decision    simulated duration of the decisions, 99th percentile
 
-    Below it: why runs were stopped, what was touched, and of what was looked at when the
+    --json writes more figures, and the result of each scene. Below the table: why runs were
+    stopped, what was touched, and of what was looked at when the
     scenes were drawn, what share was dropped for which reason.
 
     Every scene is on disk as soon as it is done (--results), and the same command

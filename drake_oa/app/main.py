@@ -41,9 +41,6 @@ _COMPILATION = {
 }
 """Functions that compute -> about how long their kernels take to compile, where that is known."""
 
-_KERNELS = 97
-"""Number of kernels that `drake-oa run tabletop_box` compiles in a fresh installation."""
-
 _HELP = """\
 Reactive obstacle avoidance for a manipulator, as Drake systems.
 
@@ -206,8 +203,7 @@ def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
 
     logging.getLogger("drake").setLevel(level)
     # Many small matrices: more BLAS threads only wait for each other.
-    count = _KERNELS if name in ("run", "play") else 0
-    with threadpool_limits(limits=1), announced_compilation(_COMPILATION[name], count):
+    with threadpool_limits(limits=1), announced_compilation(_COMPILATION[name]):
         yield
 
 

@@ -171,7 +171,7 @@ def figure_familiar(
         json: write the figures.
         plot: write the figure: .png, .svg or .pdf.
     """
-    from drake_oa.studies.plots import plot_evaluation
+    from drake_oa.studies.plots import plot_familiar
     from drake_oa.studies.scenes.evaluation import familiar_tables
     from drake_oa.studies.scenes.paper_method import paper_chain, run
     from drake_oa.studies.scenes.suites import find_suite
@@ -188,7 +188,7 @@ def figure_familiar(
     print(f"figure_familiar: {len(drawn)} ellipses in {len(cases)} settings\n")
     show(*familiar_tables(figures))
     if plot is not None:
-        plot_evaluation(plot, suite, cases, evaluation.outcomes)
+        plot_familiar(plot, cases, evaluation.outcomes)
     return evaluation_status(evaluation)
 
 

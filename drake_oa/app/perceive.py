@@ -6,7 +6,6 @@ given in the orientation of W; all results are in C.
 
 from __future__ import annotations
 
-import itertools
 import statistics
 import time
 import timeit
@@ -15,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from drake_oa.common.console import BAD_INPUT, FAILED, Column, TextTable, complain, show, write_all
 from drake_oa.common.files import check_outputs, replace_json, saved_figure
@@ -43,9 +42,7 @@ def perceive(
     intrinsics: tuple[float, float, float, float] | None = None,
     depth_scale: float | None = None,
     pose: tuple[float, float, float, float, float, float] | None = None,
-    tool: str = "panda",
-    near: float | None = None,
-    far: float | None = None,
+    tool: Literal["panda", "none"] = "panda",
 ) -> int:
     """Find table, clusters and ellipsoids in depth images and clouds.
 
@@ -103,22 +100,15 @@ def perceive(
         depth_scale: meters a unit of .png images (default 0.001).
         pose: X_WC of files that hold none, x, y, z [m], roll, pitch, yaw [rad]; all zero: clouds
             in the world frame, z up.
-        tool: panda: the hand, pointing down; none: a point; LX,LY,LZ: a box [m] in the
-            orientation of W.
-        near: least depth [m] (default 0.3).
-        far: largest depth [m] (default 2.5).
+        tool: panda: the hand, pointing down; none: a point.
     """
     from pydrake.math import RigidTransform, RollPitchYaw
 
-    from drake_oa.common.config import validate
     from drake_oa.common.files import software_versions
     from drake_oa.perception.config import SegmentationConfig
     from drake_oa.perception.recordings import checked_intrinsics, read_frame
 
-    tool_W, limits = _tool_corners(tool), {"near": near, "far": far}
-    config: SegmentationConfig = validate(
-        SegmentationConfig, {name: limit for name, limit in limits.items() if limit is not None}
-    )
+    tool_W, config = _tool_corners(tool), SegmentationConfig()
     K = None if intrinsics is None else checked_intrinsics(intrinsics, "--intrinsics")
     X_WC = None
     if pose is not None:
@@ -319,18 +309,10 @@ def _tool_corners(text: str) -> FloatArray:
 
     if text == "none":
         return np.zeros((1, 3))
-    if text == "panda":
-        from drake_oa.robot.config import Robot
-        from drake_oa.robot.plant import tool_corners
+    from drake_oa.robot.config import Robot
+    from drake_oa.robot.plant import tool_corners
 
-        return tool_corners(Robot())
-    try:
-        size = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        size = np.zeros(0)
-    if size.shape != (3,) or not np.isfinite(size).all() or (size < 0.0).any():
-        raise ValueError(f"--tool must be panda, none or LX,LY,LZ [m], not '{text}'")
-    return 0.5 * size * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    return tool_corners(Robot())
 
 
 def plot_frame(perceived: PerceivedFrame, path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 import re
 import sys
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from drake_oa.common.console import FAILED, Column, TextTable, complain, show
+from drake_oa.common.console import FAILED, Column, TextTable, complain, quiet, show
 from drake_oa.common.files import check_outputs, replace_json, replace_text
 from drake_oa.scenario.shipped import shipped_scenarios
 
@@ -70,17 +69,6 @@ def build_errors() -> Iterator[None]:
 def scenario_name(name_or_file: str) -> str:
     """What a scenario is called: its shipped name, or its file's."""
     return Path(name_or_file).name.removesuffix(".scenario.yaml")
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Holds back what is logged, where the same is logged again or runs over and over."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(before)
 
 
 def scenarios(*, files: bool = False) -> None:

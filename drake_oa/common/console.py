@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import math
 import sys
 import textwrap
@@ -212,3 +213,14 @@ def progress_bar(total: float) -> Iterator[Callable[[str, float], None]]:
             progress.update(task, description=words, completed=done)
 
         yield update
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Suppresses log messages up to warnings, where others tell the same."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)

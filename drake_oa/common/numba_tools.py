@@ -173,15 +173,13 @@ def is_writable(folder: Path) -> bool:
 
 
 @contextmanager
-def announced_compilation(estimate: str | None = None, count: int = 0) -> Iterator[None]:
+def announced_compilation(estimate: str | None = None) -> Iterator[None]:
     """Says on stderr when kernels are compiled in here rather than read from the cache, and which.
 
     That is so in a fresh installation, and after an update of the package or of numba.
 
     Args:
         estimate: about how long all the kernels that are used take; None: not known.
-        count: about how many kernels are compiled then in this process, to tell the time that is
-            left; 0: not known.
     """
     # Not at the top: see provide_kernel_cache.
     import time
@@ -189,7 +187,7 @@ def announced_compilation(estimate: str | None = None, count: int = 0) -> Iterat
     from numba.core import event
 
     class Announcement(event.Listener):
-        depth, begun, total, done = 0, 0.0, 0.0, 0
+        depth, begun, total = 0, 0.0, 0.0
 
         def on_start(self, event: event.Event) -> None:
             if self.total == self.depth == 0:
@@ -203,8 +201,6 @@ def announced_compilation(estimate: str | None = None, count: int = 0) -> Iterat
         def on_end(self, event: event.Event) -> None:
             self.depth -= 1
             kernel = event.data["dispatcher"].py_func
-            # Numba's own functions that kernels call are no kernels.
-            self.done += kernel.__module__.startswith("drake_oa.")
             if self.depth:
                 # One that another needs counts with that one.
                 return
@@ -212,11 +208,7 @@ def announced_compilation(estimate: str | None = None, count: int = 0) -> Iterat
             self.total += took
             if took >= _WORTH_TELLING:
                 where = kernel.__module__.removeprefix("drake_oa.")
-                left = ""
-                if self.done < count:
-                    seconds = self.total / self.done * (count - self.done)
-                    left = f"; {self.done} of about {count} kernels, about {seconds:.0f} s left"
-                print(f"  {where}.{kernel.__name__}: {took:.0f} s{left}", file=sys.stderr)
+                print(f"  {where}.{kernel.__name__}: {took:.0f} s", file=sys.stderr)
 
     announcement = Announcement()
     with event.install_listener("numba:compile", announcement):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from pydrake.math import RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
@@ -12,7 +14,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.control.joint_inverse_dynamics import InverseDynamics
 from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.geometry.rotation import rotation_of, rotation_vector
-from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.01
 """Error of the tool position above which the integral rests: another cause is likely then [m]."""
@@ -95,32 +96,21 @@ class CartesianInverseDynamics(InverseDynamics):
         *,
         R_WE_desired: RotationMatrix,
         q_posture: FloatArray,
-        tool_frame: str,
-        gains: Gains | None = None,
-        finger_opening: float = 0.04,
-        period: float = 0.008,
+        **options: Any,
     ) -> None:
         """Declares ports and state.
 
         Args:
-            plant: finalized plant of the robot alone, its base welded to the world,
-                every joint of one degree of freedom and actuated. It must outlive
-                the system.
+            plant: as of `InverseDynamics`, like all other arguments.
             R_WE_desired: orientation of the tool, held where no other is asked for.
             q_posture: posture that the null space is drawn to, where no other is asked for:
                 the arm's joints, or all positions of the plant [rad].
-            tool_frame: name of the frame E.
-            gains: of the law; None: the defaults.
-            finger_opening: set point of each joint that does not move the tool [m].
-            period: of the integral [s].
 
         Raises:
             ValueError: if the plant is not such a robot, has no such frame, or the
                 posture has the wrong size.
         """
-        super().__init__(
-            plant, tool_frame=tool_frame, gains=gains, finger_opening=finger_opening, period=period
-        )
+        super().__init__(plant, **options)
         q = np.array(q_posture, dtype=float)
         if q.shape not in ((self._n,), (self._m,)) or not np.isfinite(q).all():
             raise ValueError(

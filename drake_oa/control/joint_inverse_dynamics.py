@@ -80,9 +80,9 @@ class InverseDynamics(LeafSystem):
         plant: MultibodyPlant,
         *,
         tool_frame: str,
-        gains: Gains | None,
-        finger_opening: float,
-        period: float,
+        gains: Gains | None = None,
+        finger_opening: float = 0.04,
+        period: float = 0.008,
     ) -> None:
         """Declares the shared ports, the cache entries and the update of the integral.
 
@@ -224,31 +224,9 @@ class JointInverseDynamics(InverseDynamics):
 
     max_correction = LARGEST_ACCELERATION
 
-    def __init__(
-        self,
-        plant: MultibodyPlant,
-        *,
-        tool_frame: str,
-        gains: Gains | None = None,
-        finger_opening: float = 0.04,
-        period: float = 0.008,
-    ) -> None:
-        """Declares ports and state.
-
-        Args:
-            plant: finalized plant of the robot alone, its base welded to the world, every joint of
-                one degree of freedom and actuated. It must outlive the system.
-            tool_frame: name of the frame E, which the arm's joints move.
-            gains: of the controller; None: the defaults.
-            finger_opening: set point of each joint that does not move the tool [m].
-            period: of the integral [s].
-
-        Raises:
-            ValueError: if the plant is not such a robot or has no such frame.
-        """
-        super().__init__(
-            plant, tool_frame=tool_frame, gains=gains, finger_opening=finger_opening, period=period
-        )
+    def __init__(self, plant: MultibodyPlant, **options: Any) -> None:
+        """Declares ports and state; the arguments are those of `InverseDynamics`."""
+        super().__init__(plant, **options)
         self._desired = self.DeclareVectorInputPort("desired_joint_state", 2 * self._n)
         self._acceleration = self.DeclareVectorInputPort("desired_joint_acceleration", self._n)
         self.DeclareDiscreteState(self._n)

@@ -66,7 +66,7 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Sc
     Args:
         scenario: whose `!DepthCamera` becomes an `!LcmCamera`.
         lcm_url: of the bus.
-        late: how late images are known to be; the supervisor misses none for it [s].
+        late: known delay of the images, for which the motion does not slow down [s].
 
     Raises:
         ScenarioError: naming the field that is of the simulated world.
@@ -83,13 +83,10 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Sc
     if type(source) is DepthCamera:
         own = {item.name: getattr(source, item.name) for item in fields(DepthCamera)}
         source = LcmCamera(**own | {"noise": None, "lcm_url": lcm_url})
-    supervisor = scenario.supervisor
-    if supervisor is not None:
-        frames = supervisor.stale_frames + late / perception_period(scenario)
-        supervisor = replace(supervisor, stale_frames=frames)
+    frames = scenario.guard.stale_frames + late / perception_period(scenario)
     return replace(
         scenario,
-        supervisor=supervisor,
+        guard=replace(scenario.guard, stale_frames=frames),
         directives=_without_obstacles(scenario.directives),
         obstacles=[],
         perception=source,

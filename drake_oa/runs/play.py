@@ -19,16 +19,15 @@ from pydrake.common.schema import Transform
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.shapes import Sphere
 from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
-from drake_oa.robot.plant import base_pose, make_robot_plant
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_judge
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
@@ -36,11 +35,8 @@ from drake_oa.runs.simulation import AT_THE_GOAL, Ending, MotionWatcher, collect
 from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.scenario.sources import camera_configs
-from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.panel import LivePage
-from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.station import release_cameras
 from drake_oa.world.world_model import flat_directives
 
@@ -65,8 +61,6 @@ THROWN = Obstacle(
 _LATEST = 0.1
 """A picture that is later than this is not caught up with [s]."""
 _LINE = "/drake_oa/deciding_distance"
-_INSET_TICKS = 6
-"""Ticks between two pictures of what the camera sees."""
 _REGULATIONS = ("verified", "paper", "preplanned")
 _NEXT = "next method (verified, paper, nominal)"
 
@@ -239,9 +233,7 @@ class PlaySession:
         self._resets = self._steps = self._thrown = 0
         self._refused = ""
         self.logs: dict[str, MotionLog] = {}
-        self._leg = self._ticks = 0
-        floor = scenario.table_height or 0.0
-        self._inset = CameraInset(meshcat, base_pose(scenario.robot), floor)
+        self._leg = 0
         self.stopped = False
         self.kept = math.inf
         self._simulator: Simulator | None = None
@@ -326,8 +318,6 @@ class PlaySession:
         self._panel = LivePanel(self.page, scenario, modulated)
         simulator.Initialize()
         simulator.set_monitor(watcher)
-        if not choice.seen:
-            self._inset.hide()
 
     def _contacts(self) -> frozenset[str]:
         """Pairs that touch now, in the motion there is."""
@@ -385,25 +375,7 @@ class PlaySession:
             self._meshcat.SetLineSegments(_LINE, *ends, 3.0, Rgba(*DISTANCE))
         else:
             self._meshcat.Delete(_LINE)
-        self._ticks += 1
-        if self._simulator and self._playing.seen and self._ticks % _INSET_TICKS == 0:
-            self._show_image(self._simulator.get_system(), root)
         self._panel(self._watcher, root, self.status(paused))
-
-    def _show_image(self, diagram: Diagram, root: Context) -> None:
-        """Draws the image of perception's first camera, and the obstacles found in it."""
-        source = self._played.perception
-        if not isinstance(source, CameraSource) or not diagram.HasSubsystemNamed("perception"):
-            return
-        perception = diagram.GetSubsystemByName("perception")
-        context = perception.GetMyContextFromRoot(root)
-        image, X_WC = (
-            perception.GetInputPort(source.signal(signal, source.names[0])).Eval(context)
-            for signal in ("depth_image", "camera_pose")
-        )
-        K = np.array(pinhole(depth_intrinsics(camera_configs(self._played, source)[0])))
-        view = View.of(image.data[:, :, 0], K, X_WC.GetAsMatrix4())
-        self._inset.show(view, perception.GetOutputPort("obstacles_W").Eval(context))
 
     def status(self, paused: bool = False) -> str:
         """Says what was refused, else what holds or has ended the motion, or that it runs."""

@@ -18,7 +18,6 @@ class GuardedArm(Frozen):
 
     Attributes:
         chain, spheres: see `drake_oa.planning.arm_world.ArmWorld`.
-        bodies: (G,) names of the groups.
         joints: (n,) names of the joints.
         index: (n,) where they are in the robot's positions.
         size: how many positions the robot has, and velocities.
@@ -27,7 +26,6 @@ class GuardedArm(Frozen):
 
     chain: Chain
     spheres: Spheres
-    bodies: tuple[str, ...]
     joints: tuple[str, ...]
     index: IntArray
     size: int
@@ -58,7 +56,6 @@ def make_guarded_arm(robot: RobotPlant, chain: Chain, covered: ArmSpheres) -> Gu
     return GuardedArm(
         chain=chain,
         spheres=covered.arrays,
-        bodies=covered.bodies,
         joints=tuple(joint.name() for joint in joints_to(plant, robot.tool_frame)),
         index=chain.q_index,
         size=plant.num_positions(),

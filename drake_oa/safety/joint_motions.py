@@ -165,19 +165,12 @@ def roll_out_legs(
     return found
 
 
-class Weights(NamedTuple):
-    """Scales of the cost of a motion.
-
-    Attributes:
-        margin_moving, margin_resting: distances below which nearness costs [m].
-        growth: rate at which the margin of moving obstacles grows [m/s].
-        decay: time after which a contact costs 1 / e as much [s].
-    """
-
-    margin_moving: float
-    margin_resting: float
-    growth: float
-    decay: float
+_MARGIN_RESTING = 0.03
+"""Distance to resting obstacles below which nearness costs a maneuver [m]."""
+_GROWTH = 0.1
+"""Rate at which the margin of moving obstacles grows with the time ahead [m/s]."""
+_DECAY = 0.8
+"""Time ahead after which a contact costs 1 / e as much [s]."""
 
 
 class Judged(NamedTuple):
@@ -196,7 +189,7 @@ class Judged(NamedTuple):
 
 
 def judge_motions(
-    resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float, weights: Weights
+    resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float, margin: float
 ) -> Judged:
     """Computes the costs of N motions among resting and moving solids.
 
@@ -206,11 +199,11 @@ def judge_motions(
         moving: the same of moving solids.
         q: (N, T, n) configurations, the first one a step after `moving.now` [rad].
         step: time between two of them [s].
-        weights: of the cost.
+        margin: distance to moving obstacles below which nearness costs [m].
     """
     table = np.zeros((len(q), 5))
     threads = min(CORES, len(q) // _EACH + 1)
-    on_cores(_judge_some, threads, resting, moving, q, step, weights, table)
+    on_cores(_judge_some, threads, resting, moving, q, step, margin, table)
     count(configurations=int(table[:, 4].sum()))
     return Judged(*np.ascontiguousarray(table[:, :4].T))
 
@@ -218,7 +211,7 @@ def judge_motions(
 @parted
 def _judge_some(
     part: int, parts: int, resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float,
-    weights: Weights, out: FloatArray,
+    margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
     """Judges motions part, part + parts, ...; out (N, 5): `Judged` and configurations."""
     chain, spheres = resting.chain, resting.spheres
@@ -229,23 +222,23 @@ def _judge_some(
         first, looked = np.inf, 0
         for k in range(T):
             since = (k + 1) * step
-            t, weight = moving.now + since, math.exp(-since / weights.decay)
+            t, weight = moving.now + since, math.exp(-since / _DECAY)
             chain_poses(q[i, k], chain.X_PJ, X)
-            grown = weights.growth * since
-            near[:] = weights.margin_moving + grown
+            most = margin + _GROWTH * since
+            near[:] = most
             lower_excess(X, t, spheres, moving.solids, moving.asked, center, near, -np.inf)
-            least[:] = weights.margin_resting
+            least[:] = _MARGIN_RESTING
             lower_excess(X, t, spheres, resting.solids, resting.asked, center, least, -np.inf)
             looked += 1
             free = min(near[TOOL], near[LINKS])
             rest = min(least[TOOL], least[LINKS])
-            lack = weights.margin_moving + grown - free
+            lack = most - free
             if lack > 0.0:
-                share = lack / (weights.margin_moving + grown)
+                share = lack / most
                 out[i, 1] += weight * step * share * share
-            lack = weights.margin_resting - rest
+            lack = _MARGIN_RESTING - rest
             if lack > 0.0:
-                share = lack / weights.margin_resting
+                share = lack / _MARGIN_RESTING
                 out[i, 2] += step * share * share
             within = min(rest, least[SELF])
             if free < 0.0:
@@ -256,6 +249,6 @@ def _judge_some(
                     within = min(within, -_DEPTH)
             if within < 0.0:
                 first = since
-                out[i, 0] = weights.decay * weight * (1.0 + min(-within / _DEPTH, 3.0))
+                out[i, 0] = _DECAY * weight * (1.0 + min(-within / _DEPTH, 3.0))
                 break
         out[i, 3], out[i, 4] = first, looked

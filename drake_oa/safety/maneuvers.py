@@ -4,12 +4,13 @@ Each decision compares joint motions over a horizon of 1.4 s: the verified motio
 of its speed (follow, slow, wait), and maneuvers of two legs that leave it: brake, retrace,
 refuges, via points, and refinements of the best of them. The one with the least cost
 
-    J = w_c contact + w_m near_moving + w_r near_resting + lost
+    J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + lost
 
-is selected, `lost` being the time by which the arm arrives later on the verified motion, with
-hysteresis for the motion in use. Obstacles move at constant velocity; the margin to them grows with
-time. Every motion ends at rest: the phase of a followed motion stops within `hold_time`, and
-each leg of a maneuver ends at its target.
+is selected, with hysteresis for the motion in use: `turn` is the integral of the angle by which the
+tool is turned away from the verified motion, `lost` the time by which the arm arrives later on it.
+Obstacles move at constant velocity; the margin to them grows with time. Every motion ends at rest:
+the phase of a followed motion stops within `hold_time`, and each leg of a maneuver ends at its
+target.
 """
 
 from __future__ import annotations
@@ -26,9 +27,16 @@ from drake_oa.common.thinking import count
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_distance
+from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import Judged, Legs, Weights, judge_motions, roll_out_legs
+from drake_oa.safety.joint_motions import (
+    Judged,
+    Legs,
+    advance_leg,
+    judge_motions,
+    roll_out_legs,
+)
 from drake_oa.safety.passive_safety import Claim, Course, violated_claim
 
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
@@ -36,8 +44,17 @@ ACTIONS: tuple[Action, ...] = get_args(Action)
 
 _SCALES = (1.0, 0.6, 0.3, 0.15, 0.0)
 """Shares of full speed at which the verified motion is tried."""
-_SAMPLES = 28
-"""Configurations of each motion that are judged."""
+HORIZON, _SAMPLES = 1.4, 28
+"""Time over which motions are predicted [s], and configurations of each that are judged."""
+_CONTACT, _NEAR_MOVING, _NEAR_RESTING = 60.0, 6.0, 2.0
+"""Weights w_c, w_m and w_r of the cost."""
+_TURN, _TURN_EVERY = 0.1, 4
+"""Weight w_o [1/rad], and number of samples from one tool pose to the next."""
+_HYSTERESIS = 0.1
+"""Delay by which another maneuver must be better than the one in use [s]."""
+_TOUCH_MOVING, _TOUCH_RESTING = 0.012, 0.004
+"""Distances to moving and resting obstacles below which a motion counts as contact, unless the
+verified motion keeps less [m]."""
 _SLACK = 2e-3
 """Distance by which the arm may come nearer to anything than it is or would be on its path [m]."""
 _KEPT = 5e-3
@@ -140,6 +157,7 @@ class GuardSearch:
         hold_time: float,
         period: float,
         padding: float,
+        turn_limit: float | None,
         parameters: GuardParameters,
     ) -> None:
         """Keeps the constants.
@@ -150,11 +168,13 @@ class GuardSearch:
             hold_time: time in which the phase comes to rest from full speed [s].
             period: time between decisions [s].
             padding: distance by which moving obstacles may be nearer than observed [m].
+            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
             parameters: of the search.
         """
+        self._turn_limit = math.pi if turn_limit is None else turn_limit
         self._arm, self._step, self._hold_time = arm, step, hold_time
         self._padding, self._parameters = padding, parameters
-        self._every = max(round(parameters.horizon / _SAMPLES / step), 1)
+        self._every = max(round(HORIZON / _SAMPLES / step), 1)
         self._interval = self._every * step
         self._times = self._interval * np.arange(1, _SAMPLES + 1)
         self._until_next = math.ceil(period / self._interval)
@@ -177,13 +197,14 @@ class GuardSearch:
             before: motion in use.
             sight: input.
         """
-        look = _Look(self._arm, sight, self._padding, self._parameters, self._own(sight.motion))
+        look = _Look(self._arm, sight, self._padding, self._own(sight.motion))
         moves = sight.scene.moves
         followed = GuardDecision()
         if sight.on_path:
             ahead = self._followed(sight, 1.0)
             free = self._judge(look, ahead[None])
-            followed = self._reported(followed, look, free, 0)
+            contact = sight.begin + float(free.first[0])
+            followed = replace(followed, contact=contact, obstacle=look.nearest)
             clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
             if clear and not self._violated(ahead, sight):
                 return followed
@@ -198,7 +219,7 @@ class GuardSearch:
             # The first maneuver is the one in use.
             row = len(_SCALES) * sight.on_path
             back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
-            cost[row] -= self._parameters.hysteresis * min(1.0, 2.0 * back)
+            cost[row] -= _HYSTERESIS * min(1.0, 2.0 * back)
         if moves or not sight.on_path:
             better = self._refined(options, cost, sight)
             q_better = self._rolled(better, sight)
@@ -206,8 +227,7 @@ class GuardSearch:
             judged_better = self._judge(look, q_better)
             cost = np.append(cost, self._cost(judged_better, better, q_better, sight))
             options += better
-            judged = Judged(*map(np.append, judged, judged_better))
-        chosen = self._selected(look, options, q, judged, cost)
+        chosen = self._selected(look, options, q, cost)
         return replace(chosen, contact=followed.contact)
 
     def _selected(
@@ -215,7 +235,6 @@ class GuardSearch:
         look: _Look,
         options: list[GuardDecision],
         q: FloatArray,
-        judged: Judged,
         cost: FloatArray,
     ) -> GuardDecision:
         """Returns the motion of least cost, that of violated claims included.
@@ -224,12 +243,11 @@ class GuardSearch:
             look: the arm among the solids.
             options: N motions.
             q: (N, T, n) configurations along them [rad].
-            judged: their predicted contacts.
             cost: (N,) without claims [s].
         """
         sight, least = look.sight, math.inf
         claim: Claim = ""
-        chosen = replace(self.brake(sight.q, sight.v), obstacle=look.nearest)
+        chosen = self.brake(sight.q, sight.v)
         brakes = [row for row, option in enumerate(options) if option.action == "brake"]
         for row in [*cost.argsort()[:_TRIES].tolist(), *brakes]:
             if cost[row] >= least:
@@ -238,8 +256,8 @@ class GuardSearch:
             claim = claim or violated
             if cost[row] + _VIOLATION[violated] < least:
                 least = cost[row] + _VIOLATION[violated]
-                chosen = self._reported(options[row], look, judged, row)
-        return replace(chosen, claim=claim)
+                chosen = options[row]
+        return replace(chosen, claim=claim, obstacle=look.nearest)
 
     def _violated(self, q: FloatArray, sight: GuardSight) -> Claim:
         """Returns the claim that a motion q (T, n) violates that is braked after one period."""
@@ -264,29 +282,19 @@ class GuardSearch:
             v_unseen=p.v_unseen,
         )  # fmt: skip
 
-    def _reported(
-        self, decision: GuardDecision, look: _Look, judged: Judged, row: int
-    ) -> GuardDecision:
-        """Returns a decision with its predicted contact."""
-        return replace(
-            decision,
-            contact=look.sight.begin + float(judged.first[row]),
-            obstacle=look.nearest,
-        )
-
     def _judge(self, look: _Look, q: FloatArray) -> Judged:
-        p = self._parameters
-        weights = Weights(p.margin_moving, p.margin_resting, p.growth, p.decay)
-        return judge_motions(look.resting, look.moving, q, self._interval, weights)
+        margin = self._parameters.margin_moving
+        return judge_motions(look.resting, look.moving, q, self._interval, margin)
 
     def _cost(
         self, judged: Judged, options: list[GuardDecision], q: FloatArray, sight: GuardSight
     ) -> FloatArray:
         """Returns the costs (N,) of motions q (N, T, n) [s]."""
-        p, horizon = self._parameters, self._times[-1]
-        cost = p.contact_weight * judged.contact + p.moving_weight * judged.near_moving
-        cost = cost + p.resting_weight * judged.near_resting
+        horizon = self._times[-1]
+        cost = _CONTACT * judged.contact + _NEAR_MOVING * judged.near_moving
+        cost = cost + _NEAR_RESTING * judged.near_resting
         away = np.abs(q - sight.q_path) / self.speed
+        turn = self._turns(q, sight)
         for row, option in enumerate(options):
             if option.follows:
                 rates = self._rates(sight, option.scale)
@@ -295,7 +303,23 @@ class GuardSearch:
                 back = away[row].max(axis=1)
                 left = back[-1] + 0.3 * away[row, -1].mean()
                 cost[row] += horizon + left + float(back.sum()) * self._interval
+                cost[row] += _TURN * horizon * turn[row].mean()
+                if turn[row, 1:].max() > max(self._turn_limit, turn[row, 0]) + _SLACK:
+                    cost[row] = math.inf
         return np.asarray(cost)
+
+    def _turns(self, q: FloatArray, sight: GuardSight) -> FloatArray:
+        """Returns angles (N, 1 + T / 4) of the tool to its orientation on the verified motion.
+
+        The first is that of `sight.q`, the others those along motions q (N, T, n) [rad].
+        """
+        n = q.shape[2]
+        some = np.insert(q[:, _TURN_EVERY - 1 :: _TURN_EVERY], 0, sight.q, axis=1)
+        postures = np.vstack([some.reshape(-1, n), sight.q_path])
+        R_WE = tool_poses(self._arm.chain, postures)[:, :9]
+        count(steps=len(postures))
+        cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(len(q), -1))
 
     # --- candidates ------------------------------------------------------------------------
 
@@ -340,6 +364,19 @@ class GuardSearch:
         """Returns the configuration (n,) in which full braking ends [rad]."""
         rest = q + np.sign(v) * v**2 / (2.0 * self.acceleration)
         return np.asarray(np.clip(rest, self._lower, self._upper))
+
+    def advance(self, maneuver: GuardDecision, x: FloatArray, time: float) -> None:
+        """Moves joints x (2n,) by a step of a maneuver, in place.
+
+        Args:
+            maneuver: with its two legs.
+            x: positions [rad] and velocities [rad/s].
+            time: beginning of the step [s].
+        """
+        q, v = np.split(x, 2)
+        leg = int(time >= maneuver.switch)
+        target, speed = np.array(maneuver.target[leg]), np.array(maneuver.speed[leg])
+        advance_leg(q, v, target, speed, self.acceleration, self._step)
 
     def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
         """Returns the maneuver that brings the arm to rest from a joint state (n,), (n,)."""
@@ -442,15 +479,14 @@ class _Look:
         arm: GuardedArm,
         sight: GuardSight,
         padding: float,
-        parameters: GuardParameters,
         least_own: float,
     ) -> None:
         """Computes the required clearances.
 
-        Of group g and resting solid k: the least of `touch_resting`, the present distance less
+        Of group g and resting solid k: the least of `_TOUCH_RESTING`, the present distance less
         a slack, and what the verified motion keeps less a slack, or the depth by which the
         spheres stick out if that is less; likewise of the arm to itself, `least_own` being what the
-        verified motion keeps. Of moving solids: `padding + touch_moving`, or the
+        verified motion keeps. Of moving solids: `padding + _TOUCH_MOVING`, or the
         present distance less a slack.
         """
         self.sight = sight
@@ -460,14 +496,14 @@ class _Look:
             chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
         )
         fixed = spheres.group_joint < 0
-        rest = np.minimum(parameters.touch_resting, self._now - _SLACK)
+        rest = np.minimum(_TOUCH_RESTING, self._now - _SLACK)
         path = _samples(sight.motion).reshape(-1, len(sight.q))
         path = np.ascontiguousarray(np.vstack([sight.q_path[None], path]))
-        most = parameters.touch_resting + 0.1
+        most = _TOUCH_RESTING + 0.1
         kept = group_distances(chain, spheres, solids, path, sight.begin, most)
         rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
         rest[:, moves] = -np.inf
-        near = np.minimum(padding + parameters.touch_moving, self._now - _SLACK)
+        near = np.minimum(padding + _TOUCH_MOVING, self._now - _SLACK)
         near[:, ~moves] = -np.inf
         rest[fixed] = near[fixed] = -np.inf
         own = [float(self_distance(chain, spheres, np.array(q))) for q in (sight.q, sight.q_path)]

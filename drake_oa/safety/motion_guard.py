@@ -25,9 +25,9 @@ from drake_oa.geometry.solids import SolidScene
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.policy.dmp import Demonstration, normalised_time
 from drake_oa.robot.arm import tool_poses
-from drake_oa.safety.config import GuardParameters, SupervisorSettings
+from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import advance_leg, approach, track
+from drake_oa.safety.joint_motions import approach, track
 from drake_oa.safety.maneuvers import (
     ACTIONS,
     ARRIVED,
@@ -176,7 +176,6 @@ class MotionGuard(LeafSystem):
       - guard_contact
       - guard_claim
       - supervision
-      - guard_decision
 
     - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
     - policy_state: abstract `PolicyState` of the movement primitive.
@@ -195,7 +194,6 @@ class MotionGuard(LeafSystem):
     - evasion: (3,) velocity in the world [m/s] by which `DmpIntegrator` displaces its motion to the
       tool during a maneuver; 0 otherwise.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
-    - guard_decision: abstract `GuardDecision`.
     - decision: (2,) time at which the last decision began and its duration [s].
     - path_state: (2m,) state of the robot with its arm on the verified motion at the present
       phase, from which `MotionVerifier` predicts [rad, m, rad/s, m/s].
@@ -209,9 +207,10 @@ class MotionGuard(LeafSystem):
     While no maneuver is active, the commanded joints have the tool at the desired pose, by a
     damped Gauss-Newton step each `step`, and their null space follows the posture. Each `period`
     `drake_oa.safety.maneuvers` compares this motion with slower ones and, if obstacles move, with
-    maneuvers. During a maneuver the phase rests and the desired position follows the tool; the arm
-    returns to the desired orientation and posture there, and the motion continues from there.
-    A decision that is not in force in time leaves the phase, or the arm, to come to rest.
+    maneuvers. During a maneuver the phase rests; then the arm returns to the motion. If it comes no
+    nearer to it for 1 s, the arm stops, the desired position follows the tool, and a motion that
+    begins there is awaited. Where no newer decision comes into force in time, the phase or the arm
+    comes to rest.
 
     Contact reaction: where a joint is farther than `contact_error` from its command, the command
     begins anew at rest at the measured configuration, and for `contact_time` no point of the arm
@@ -229,8 +228,9 @@ class MotionGuard(LeafSystem):
         step: float = 0.008,
         hold_time: float = 0.25,
         padding: float = 0.005,
+        max_age: float = 0.5,
+        turn_limit: float | None = None,
         parameters: GuardParameters | None = None,
-        supervisor: SupervisorSettings | None = None,
         thinking: Thinking | None = None,
     ) -> None:
         """Declares the ports.
@@ -244,8 +244,9 @@ class MotionGuard(LeafSystem):
             step: time between steps of the commanded motion [s].
             hold_time: time in which the phase comes to rest from full speed [s].
             padding: distance by which moving obstacles may be nearer than observed [m].
-            parameters: of the search and of the contact reaction; None: the defaults.
-            supervisor: of the monitors of observations and torques; None: the defaults.
+            max_age: age of an observation beyond which the phase is held [s].
+            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
+            parameters: of the search, the contact reaction and the monitors; None: the defaults.
             thinking: simulated duration of decisions; None: they act immediately.
 
         Raises:
@@ -257,10 +258,11 @@ class MotionGuard(LeafSystem):
         self._arm, self._duration, self._alpha_k = arm, float(duration), float(alpha_k)
         self._period, self._step_length = valid_period(period), valid_period(step)
         self._parameters = parameters or GuardParameters()
-        self._settings, self._thinking = supervisor or SupervisorSettings(), thinking
+        self._thinking, self._max_age = thinking, max_age
+        self._fresh = min(self._parameters.stale_frames * self._period, 0.9 * max_age)
         self._search = GuardSearch(
             arm, step=step, hold_time=hold_time, period=self._period, padding=padding,
-            parameters=self._parameters,
+            turn_limit=turn_limit, parameters=self._parameters,
         )  # fmt: skip
         reach = float(arm.chain.reach @ self._search.speed)
         self._slow_share = min(1.0, self._parameters.v_unseen / max(reach, 1e-9))
@@ -303,12 +305,6 @@ class MotionGuard(LeafSystem):
             "supervision",
             lambda: Value(Supervision()),
             lambda c, output: output.set_value(self._read(c).supervision),
-            stepped,
-        )
-        self.DeclareAbstractOutputPort(
-            "guard_decision",
-            lambda: Value(GuardDecision()),
-            lambda c, output: output.set_value(self._read(c).decision),
             stepped,
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
@@ -367,9 +363,8 @@ class MotionGuard(LeafSystem):
             held.set_value(replace(before, supervision=supervision))
             return EventStatus.Succeeded()
         q, _ = self._arm.split(x)
-        made = before.thoughts.made(time)
-        if made is not None:
-            before = self._in_force(before, replace(before, thoughts=before.thoughts.taken()), time)
+        if before.thoughts.made(time) is not None:
+            before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
         before = self._reacted(before, q, time)
         before = self._supervised(context, before, time)
         if time > before.expires and not before.decision.follows:
@@ -383,9 +378,8 @@ class MotionGuard(LeafSystem):
         thoughts = replace(state.thoughts.dropped(), in_force=decision)
         return replace(state, thoughts=thoughts, expires=expires)
 
-    def _in_force(self, before: GuardState, after: GuardState, time: float) -> GuardState:
-        """Returns the state with a new decision in force, and logs its action."""
-        _log_change(before.decision, after.decision, time)
+    def _in_force(self, after: GuardState, time: float) -> GuardState:
+        """Returns the state with a new decision in force."""
         late = (
             math.inf
             if after.decision.follows and after.decision.scale == 0.0
@@ -409,10 +403,10 @@ class MotionGuard(LeafSystem):
 
     def _supervised(self, context: Context, state: GuardState, time: float) -> GuardState:
         """Returns the state after the monitors of observations, torques and the guard itself."""
-        parameters, kept = self._settings, state.supervision
+        kept = state.supervision
         scene = self._scene(context)
         policy = read_value(self, self._policy, context, PolicyState)
-        demands: list[Demand] = [watch_observation(scene, time, parameters)]
+        demands: list[Demand] = [watch_observation(scene, time, self._fresh, self._max_age)]
         late = state.decision.follows and time > state.expires
         demands.append(watch_guard(state.decision, time, late=late, moves=scene.moves))
         if state.decision.follows:
@@ -420,10 +414,10 @@ class MotionGuard(LeafSystem):
             demands.append(watch_path(float(np.abs(state.path - state.x_end)[:n].max())))
         if self._saturation.HasValue(context):
             saturated = bool(self._saturation.Eval(context)[0] > 0.0)
-            kept, demand = watch_torque(kept, saturated, time, self._step_length, parameters)
+            kept, demand = watch_torque(kept, saturated, time, self._step_length)
             demands.append(demand)
         waits = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
-        after = supervise(kept, demands, time, self._step_length, parameters, waits=waits)
+        after = supervise(kept, demands, time, self._step_length, waits=waits)
         was, now = state.supervision, after
         if (now.action, now.cause) != (was.action, was.cause):
             said = (_SAID[now.action], now.reason) if now.reason else ("runs freely again",)
@@ -448,10 +442,7 @@ class MotionGuard(LeafSystem):
             limit = self._parameters.acceleration_limit
             ahead = approach(ahead, path, np.array(arm.chain.speed), limit, step)
         else:
-            decision = state.decision
-            leg = 1 if time >= decision.switch else 0
-            target, speed = np.array(decision.target[leg]), np.array(decision.speed[leg])
-            advance_leg(ahead[:n], ahead[n:], target, speed, self._search.acceleration, step)
+            self._search.advance(state.decision, ahead, time)
             away = float(np.abs(ahead - path)[:n].max())
             moves = self._scene(context).moves
             lost_since, nearest = self._lost_since(state, away, time, moves=moves)
@@ -517,7 +508,7 @@ class MotionGuard(LeafSystem):
         )
         after = replace(before, thoughts=thoughts, number=before.number + 1)
         if self._thinking is None:
-            after = self._in_force(before, after, time)
+            after = self._in_force(after, time)
         held.set_value(after)
         return EventStatus.Succeeded()
 
@@ -543,9 +534,7 @@ class MotionGuard(LeafSystem):
             if decision.follows:
                 x[:n] += step * x[n:]
             else:
-                leg = 1 if state.end + k * step >= decision.switch else 0
-                target, speed = np.array(decision.target[leg]), np.array(decision.speed[leg])
-                advance_leg(x[:n], x[n:], target, speed, self._search.acceleration, step)
+                self._search.advance(decision, x, state.end + k * step)
         s = max(0.0, normalised_time(policy.phase, self._alpha_k))
         return GuardSight(
             begin=begin,
@@ -577,18 +566,3 @@ def _vector(calc):  # type: ignore[no-untyped-def]
 def _belongs(motion: PlannedMotion, policy: PolicyState) -> bool:
     """Returns whether a planned motion has the start of the motion under way."""
     return not len(motion.p_WS) or np.array_equal(motion.p_WS, policy.p_WS)
-
-
-def _log_change(before: GuardDecision, after: GuardDecision, time: float) -> None:
-    """Logs when the arm leaves the verified motion, and when it follows it again."""
-    if after.follows == before.follows:
-        return
-    of = f" {after.obstacle}" if after.obstacle else " an obstacle"
-    said = {
-        "follow": "follows the verified motion",
-        "slow": "follows the verified motion slowly",
-        "wait": f"waits for{of}",
-        "evade": f"evades{of}",
-        "brake": f"brakes for{of}",
-    }[after.action]
-    _logger.warning("t=%.3f s: motion guard %s", time, said)

@@ -75,11 +75,9 @@ def violated_claim(
         course: the motion.
         scene: collision geometry of everything else, as observed.
         free_space: the space that was seen free; None: all space outside the solids.
-        V: maximum speed of obstacles [m/s]; 0: everything rests, and no motion violates a claim.
+        V: maximum speed of obstacles [m/s].
         v_unseen: maximum speed toward space that was not seen [m/s].
     """
-    if V == 0.0:
-        return ""
     t, solids = course.t, scene.solids
     p_WS = sphere_centers(arm.chain, arm.spheres, np.ascontiguousarray(course.q))
     dt = np.diff(t)[:, None]

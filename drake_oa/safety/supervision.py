@@ -13,11 +13,22 @@ from typing import Literal
 
 from drake_oa.common.messages import Frozen
 from drake_oa.geometry.solids import SolidScene
-from drake_oa.safety.config import SupervisorSettings
 from drake_oa.safety.maneuvers import GuardDecision
 
 Action = Literal["run", "slow", "hold", "stop"]
 
+_SATURATION_TIME, _BACK_OFF = 0.1, 0.7
+"""Duration of torque saturation after which the motion slows down [s], and by which factor."""
+_SLOWEST = 0.1
+"""Minimum share of full speed to which old observations and torque saturation slow the motion."""
+RECOVERY_TIME = 0.3
+"""Time in which the speed rises from rest to full speed [s]."""
+_HOLD_BELOW, _RESUME_ABOVE = 0.05, 0.3
+"""Shares of full speed below which a motion is held, and above which it resumes."""
+_PATIENCE = 3.0
+"""Duration after which a hold that cannot end by itself becomes a stop [s]."""
+_DWELL = 0.5
+"""Minimum time between two logged events of the same action [s]."""
 _RUNNING, _SLOW = 0.99, 0.95
 """Shares of full speed above which a slow motion runs again, and below which a motion is slow."""
 
@@ -82,38 +93,36 @@ def supervise(
     demands: list[Demand],
     time: float,
     elapsed: float,
-    parameters: SupervisorSettings,
     *,
     waits: bool = False,
 ) -> Supervision:
     """Computes action and speed from the demands of all monitors.
 
     The speed falls at once, as the motion primitive ramps it, and rises at a bounded rate. A demand
-    below `hold_below` holds the motion until all are above `resume_above`; held for a lasting
-    cause for `patience`, it is stopped until then.
+    below `_HOLD_BELOW` holds the motion until all are above `_RESUME_ABOVE`; held for a lasting
+    cause for `_PATIENCE`, it is stopped until then.
 
     Args:
         before: result of the step before.
         demands: at least one.
         time: now [s].
         elapsed: time since the step before [s].
-        parameters: limits and times.
         waits: whether the motion primitive is held for another reason, so that no patience is lost.
     """
-    p, tightest = parameters, min(demands, key=lambda demand: demand.scale)
+    tightest = min(demands, key=lambda demand: demand.scale)
     held = before.action in ("hold", "stop")
-    holds = tightest.scale < (p.resume_above if held else p.hold_below)
+    holds = tightest.scale < (_RESUME_ABOVE if held else _HOLD_BELOW)
     if before.is_broken or (holds and before.action == "stop"):
         return before
-    lasts = any(demand.lasting and demand.scale < p.resume_above for demand in demands)
+    lasts = any(demand.lasting and demand.scale < _RESUME_ABOVE for demand in demands)
     blocked_since = min(before.blocked_since, time) if holds and lasts and not waits else math.inf
     target = 0.0 if holds else tightest.scale
-    scale = min(target, before.speed_scale + elapsed / p.recovery_time)
-    early = time - before.since < p.dwell
+    scale = min(target, before.speed_scale + elapsed / RECOVERY_TIME)
+    early = time - before.since < _DWELL
     slows = scale < (_SLOW if before.action == "run" else _RUNNING)
     action: Action = "run"
     if holds:
-        action = "stop" if time - blocked_since >= p.patience else "hold"
+        action = "stop" if time - blocked_since >= _PATIENCE else "hold"
     elif slows or (before.action != "run" and (held or early)):
         action = "slow"
     cause, reason = tightest.cause, tightest.reason
@@ -133,20 +142,26 @@ def supervise(
     )  # fmt: skip
 
 
-def watch_observation(scene: SolidScene, time: float, parameters: SupervisorSettings) -> Demand:
-    """Slows by the age of the last good observation, and holds beyond `max_age`; time [s]."""
+def watch_observation(scene: SolidScene, time: float, fresh: float, max_age: float) -> Demand:
+    """Slows by the age of the last good observation.
+
+    Args:
+        scene: the observation.
+        time: now [s].
+        fresh: age up to which it does not slow [s].
+        max_age: age beyond which the motion is held [s].
+    """
     why = f" ({scene.note})" if scene.note else ""
     if scene.stamp == -math.inf:
         return Demand(0.0, "unobserved", f"no observation{why}")
     age = time - scene.stamp
-    fresh = min(parameters.stale_frames * parameters.frame_period, 0.9 * parameters.max_age)
     if age <= fresh:
         return NO_DEMAND
     reason = f"obstacles not seen since t = {scene.stamp:.2f} s{why}"
-    if age > parameters.max_age:
+    if age > max_age:
         return Demand(0.0, "unseen", reason)
     # The hold itself begins at that age, where the policy's own does.
-    scale = max(parameters.slowest, 1.0 - (age - fresh) / (parameters.max_age - fresh))
+    scale = max(_SLOWEST, 1.0 - (age - fresh) / (max_age - fresh))
     return Demand(scale, "unseen", reason)
 
 
@@ -189,7 +204,6 @@ def watch_torque(
     saturated: bool,
     time: float,
     elapsed: float,
-    parameters: SupervisorSettings,
 ) -> tuple[Supervision, Demand]:
     """Slows while torques are saturated: by a factor each time, then linearly back.
 
@@ -198,15 +212,14 @@ def watch_torque(
         saturated: whether a joint is asked for more than its effort limit.
         time: now [s].
         elapsed: time since the step before [s].
-        parameters: what is kept.
     """
     since, scale = state.saturated_since, state.torque_scale
     if not saturated:
-        since, scale = math.inf, min(1.0, scale + elapsed / parameters.recovery_time)
+        since, scale = math.inf, min(1.0, scale + elapsed / RECOVERY_TIME)
     elif since == math.inf:
         since = time
-    elif time - since >= parameters.saturation_time - 1e-9:
-        since, scale = time, max(parameters.slowest, parameters.back_off * scale)
+    elif time - since >= _SATURATION_TIME - 1e-9:
+        since, scale = time, max(_SLOWEST, _BACK_OFF * scale)
     if since != state.saturated_since or scale != state.torque_scale:
         state = replace(state, saturated_since=since, torque_scale=scale)
     if scale >= 1.0:

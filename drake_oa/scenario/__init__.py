@@ -9,7 +9,7 @@ once, when it is read. An error names the field and what would be valid.
     robot          model, tool, gains, posture                      `robot.config.Robot`
     perception     tagged: where obstacles come from    `perception.config`, `perception`
     regulation     tagged: !Verified or !Paper                  `regulation.config`
-    supervisor, guard                                               `safety.config`
+    guard                                                           `safety.config`
     cameras, directives                                             Drake's own
     obstacles, faults                                               `obstacles`, `faults`
 

@@ -25,7 +25,7 @@ from drake_oa.perception.config import (
 from drake_oa.policy.config import Policy
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.config import Robot
-from drake_oa.safety.config import GuardParameters, SupervisorParameters
+from drake_oa.safety.config import GuardParameters
 from drake_oa.scenario.faults import Fault
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
@@ -77,10 +77,8 @@ class Scenario:
     """Source of the obstacles."""
     regulation: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
     """Source of the coupling parameters."""
-    supervisor: SupervisorParameters | None = Field(default_factory=SupervisorParameters)
-    """Monitors of observations and torques; null: the defaults."""
     guard: GuardParameters = Field(default_factory=GuardParameters)
-    """Maneuvers away from moving obstacles, and reaction to contact."""
+    """Maneuvers away from moving obstacles, reaction to contact, and monitors."""
     thinking: Thinking | None = Field(default_factory=Thinking)
     """Simulated duration of decisions; null: decisions act immediately."""
     table_height: float | None = 0.0

@@ -33,6 +33,9 @@ class Task:
     clearance: float = Field(default=0.15, gt=0.0, le=2.0)
     """Requested clearance Delta between the tool and the obstacles [m]. Raising it makes the detour
     around obstacles wider."""
+    turn_limit: float | None = Field(default=None, ge=0.0, le=math.pi)
+    """Maximum angle by which a maneuver away from an obstacle turns the tool [rad]; null: any.
+    Raising it allows more maneuvers."""
     rpy_start: Angles | None = None
     """Roll, pitch and yaw of the tool frame E in the world at the start [rad]; null: those of the
     demonstration, or `robot.rpy_WE`."""

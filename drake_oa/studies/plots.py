@@ -1,4 +1,4 @@
-"""Figures of an evaluation: the paper's box plots, its dead-zone figure, and histograms."""
+"""Figures of the paper: box plots of familiar scenes, and the dead zone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from drake_oa.common.files import saved_figure
@@ -14,7 +13,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
 from drake_oa.runs.plots import add_legend
 from drake_oa.studies.scenes.evaluation import Comparison, Outcome, matched_term
-from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.paper_method import BETA, GAMMA
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import FAMILIAR_CLEARANCES, Case
@@ -23,17 +21,15 @@ _MIN_ERROR = 1e-6
 """Lower bound of drawn goal errors [m]; zero has no logarithm."""
 
 
-def plot_evaluation(
+def plot_familiar(
     path: Path,
-    suite: str,
     cases: Sequence[Case],
     outcomes: Mapping[str, Outcome],
 ) -> None:
-    """Draws a suite: the paper's boxes of several cases, histograms of one case.
+    """Draws the paper's boxes of clearance and convergence of every case, one row per method.
 
     Args:
         path: the file of the figure.
-        suite: name of the suite.
         cases: the cases that were run.
         outcomes: name of a method -> its outcome; a method without judged motions is omitted.
 
@@ -41,53 +37,27 @@ def plot_evaluation(
         OutputError: if the file cannot be written.
     """
     outcomes = {name: outcome for name, outcome in outcomes.items() if len(outcome.of())}
-    with saved_figure(path, 12.0, 8.0, suite) as figure:
-        if len(cases) == 1:
-            _draw_histograms(figure, {name: outcome.of() for name, outcome in outcomes.items()})
-        elif outcomes:
-            _draw_boxes(figure, cases, outcomes)
-
-
-def _draw_boxes(figure: Figure, cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> None:
-    """Draws clearance and convergence of every case: two boxes per model, one row per method."""
-    axes = figure.subplots(len(outcomes), 2, squeeze=False)
     models = list(dict.fromkeys(case.label.partition(", tau")[0] for case in cases))
     at = np.arange(len(models))
-    for (name, outcome), (left, right) in zip(outcomes.items(), axes, strict=True):
-        for scaled, shift, color in ((True, -0.18, "black"), (False, 0.18, "C1")):
-            judged = [outcome.of(case.label) for case in cases if case.setting.scale_time == scaled]
-            for ax, values in (
-                (left, [of.kept_clearance for of in judged]),
-                (right, [np.maximum(of.goal_error, _MIN_ERROR) for of in judged]),
-            ):
-                style = {"boxprops": {"color": color}, "medianprops": {"color": color}}
-                ax.boxplot(values, positions=at + shift, widths=0.3, **style)
-                ax.set_xticks(at, models, rotation=20.0)
-            left.plot([], color=color, label="tau scaled" if scaled else "tau = 1")
-        left.plot(at[1:], FAMILIAR_CLEARANCES, "C0_", markersize=30.0, label="asked")
-        left.set(title=f"{name}: clearance", ylabel="least distance to the obstacle [m]")
-        right.set(title=f"{name}: convergence", ylabel="distance to the goal [m]", yscale="log")
-        add_legend(left, loc="upper left", markerscale=0.5)
-
-
-def _draw_histograms(figure: Figure, judged: Mapping[str, Judgement]) -> None:
-    """Draws the distributions over the scenes with obstacles."""
-    finite = [j.rows(np.isfinite(j.kept_clearance)) for j in judged.values()]
-    panels = {
-        "clearance [m]": [j.kept_clearance for j in finite],
-        "clearance - min(Δ, distance of start, of goal) [m]": [
-            j.kept_clearance - j.feasible for j in finite
-        ],
-        "log10 of the distance to the goal at the end [m]": [
-            np.log10(np.maximum(j.goal_error, _MIN_ERROR)) for j in finite
-        ],
-        "path length / baseline": [j.path_ratio for j in finite],
-    }
-    for number, (label, samples) in enumerate(panels.items(), start=1):
-        ax = figure.add_subplot(2, 2, number, xlabel=label, ylabel="scenes", yscale="log")
-        if samples:
-            ax.hist(samples, 80, histtype="step", label=list(judged))
-        add_legend(ax)
+    with saved_figure(path, 12.0, 8.0, "familiar") as figure:
+        axes = figure.subplots(max(len(outcomes), 1), 2, squeeze=False)
+        for (name, outcome), (left, right) in zip(outcomes.items(), axes, strict=False):
+            for scaled, shift, color in ((True, -0.18, "black"), (False, 0.18, "C1")):
+                judged = [
+                    outcome.of(case.label) for case in cases if case.setting.scale_time == scaled
+                ]
+                for ax, values in (
+                    (left, [of.kept_clearance for of in judged]),
+                    (right, [np.maximum(of.goal_error, _MIN_ERROR) for of in judged]),
+                ):
+                    style = {"boxprops": {"color": color}, "medianprops": {"color": color}}
+                    ax.boxplot(values, positions=at + shift, widths=0.3, **style)
+                    ax.set_xticks(at, models, rotation=20.0)
+                left.plot([], color=color, label="tau scaled" if scaled else "tau = 1")
+            left.plot(at[1:], FAMILIAR_CLEARANCES, "C0_", markersize=30.0, label="asked")
+            left.set(title=f"{name}: clearance", ylabel="least distance to the obstacle [m]")
+            right.set(title=f"{name}: convergence", ylabel="distance to the goal [m]", yscale="log")
+            add_legend(left, loc="upper left", markerscale=0.5)
 
 
 def plot_dead_zone(

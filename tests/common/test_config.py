@@ -12,9 +12,9 @@ import pytest
 from pydantic import ValidationError
 
 from drake_oa.common.config import ScenarioError, json_schema, read_yaml, validate
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inertias import Inertia
-from drake_oa.safety.config import SupervisorSettings
 from drake_oa.scenario.loading import parse_scenario, scenario_schema
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file, shipped_scenarios
@@ -30,7 +30,7 @@ def blocks_in(kind: Any) -> set[Any]:
     return set().union(*map(blocks_in, typing.get_args(kind)))
 
 
-OTHERS = {Inertia, SupervisorSettings}
+OTHERS = {Inertia}
 BLOCKS = sorted(blocks_in(Scenario) | OTHERS, key=lambda block: block.__name__)
 
 
@@ -83,8 +83,8 @@ def test_values_are_checked_in_python_too() -> None:
         dc.replace(robot, carried_mass=-1.0)
     with pytest.raises(ValidationError, match="p_HE"):
         robot.p_HE = [0.0, 0.0]
-    with pytest.raises(ValidationError, match="must be greater than hold_below"):
-        SupervisorSettings(hold_below=0.4)
+    with pytest.raises(ValidationError, match="must be greater than near"):
+        SegmentationConfig(near=2.0, far=1.0)
 
 
 def test_one_error_lists_every_wrong_field() -> None:

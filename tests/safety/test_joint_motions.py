@@ -13,7 +13,6 @@ from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.joint_motions import (
     Legs,
-    Weights,
     advance_leg,
     approach,
     judge_motions,
@@ -75,7 +74,7 @@ def test_the_tool_is_where_it_is_to_be_after_a_step(panda: ArmAlone, guarded: Gu
 def worlds(arm: GuardedArm, solid: Solid) -> tuple[ArmWorld, ArmWorld]:
     """The arm among one solid, as resting and as moving."""
     solids = solids_of([solid])
-    groups = len(arm.bodies)
+    groups = len(arm.spheres.group_joint)
     moves = bool(solids.ball[0, 4:7].any())
     nothing, touch = np.full((groups, 1), -np.inf), np.zeros((groups, 1))
     touch[arm.spheres.group_joint < 0] = -np.inf
@@ -100,7 +99,7 @@ def test_a_contact_is_predicted_when_a_ball_arrives(
         v_WO=np.array([-speed, 0.0, 0.0]),
     )
     still = np.tile(np.array(panda.q), (1, 28, 1))
-    found = judge_motions(*worlds(guarded, ball), still, 0.05, Weights(0.12, 0.03, 0.1, 0.8))
+    found = judge_motions(*worlds(guarded, ball), still, 0.05, 0.12)
     if speed:
         assert 0.4 < found.first[0] < 0.8
         assert found.contact[0] > 0.0

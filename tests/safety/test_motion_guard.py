@@ -24,10 +24,12 @@ LIMIT = GuardParameters().acceleration_limit
 class Bench:
     """A guard whose command the robot follows exactly, at rest on its path."""
 
-    def __init__(self, panda: ArmAlone, arm: GuardedArm) -> None:
+    def __init__(self, panda: ArmAlone, arm: GuardedArm, turn_limit: float | None = None) -> None:
         self.arm, self.q, self.size = arm, np.array(panda.q), arm.size
         self.X_WE = tool_poses(arm.chain, self.q[None])[0]
-        self.system = MotionGuard(arm, 5.0, self.q, alpha_k=0.5, period=FRAME, step=STEP)
+        self.system = MotionGuard(
+            arm, 5.0, self.q, alpha_k=0.5, period=FRAME, step=STEP, turn_limit=turn_limit
+        )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.x = np.zeros(2 * arm.size)
@@ -126,6 +128,20 @@ def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, guarded: GuardedArm, 
     np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
     assert after["action"][-1] == 0.0
     assert after["scale"][-1] == 1.0
+
+
+@pytest.mark.parametrize("limit", [0.1, None])
+def test_a_maneuver_turns_the_tool_no_farther_than_the_task_allows(
+    panda: ArmAlone, guarded: GuardedArm, limit: float | None
+) -> None:
+    bench = Bench(panda, guarded, limit)
+    bench.run(0.2, None, np.zeros(3))
+    v_WO = np.array([-0.3, 0.0, 0.0])
+    found = bench.run(3.0, bench.X_WE[9:] + [0.0, 0.0, 0.05] - 1.6 * v_WO, v_WO)
+    assert found["action"].max() >= 3.0
+    R_WE = tool_poses(guarded.chain, np.ascontiguousarray(found["x"][:, :7]))[:, :9]
+    turn = np.arccos(np.clip(0.5 * (R_WE @ bench.X_WE[:9] - 1.0), -1.0, 1.0))
+    assert (turn.max() <= 0.12) == (limit is not None)
 
 
 def test_a_pushed_arm_is_commanded_from_where_it_is(

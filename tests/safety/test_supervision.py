@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from drake_oa.geometry.solids import SolidScene
-from drake_oa.safety.config import SupervisorSettings
 from drake_oa.safety.maneuvers import GuardDecision
 from drake_oa.safety.supervision import (
+    RECOVERY_TIME,
     Demand,
     Supervision,
     supervise,
@@ -16,7 +16,6 @@ from drake_oa.safety.supervision import (
     watch_torque,
 )
 
-PARAMETERS = SupervisorSettings()
 STEP = 0.008
 
 
@@ -49,27 +48,27 @@ def test_the_distance_from_the_path_slows(distance: float, scale: float) -> None
     [(0.0, 1.0), (2.4 / 15.0, 1.0), ((2.5 / 15.0 + 0.5) / 2.0, 0.5), (0.5, 0.1), (0.51, 0.0)],
 )
 def test_an_old_observation_slows(age: float, scale: float) -> None:
-    demand = watch_observation(SolidScene(1.0), 1.0 + age, PARAMETERS)
+    demand = watch_observation(SolidScene(1.0), 1.0 + age, 2.5 / 15.0, 0.5)
     assert demand.scale == pytest.approx(scale, abs=1e-9)
     assert not demand.lasting
 
 
 def test_nothing_moves_before_the_first_observation() -> None:
-    assert watch_observation(SolidScene(), 0.0, PARAMETERS).scale == 0.0
+    assert watch_observation(SolidScene(), 0.0, 0.1, 0.5).scale == 0.0
 
 
 def test_lasting_saturation_slows_and_is_forgiven() -> None:
     state, scales = Supervision(), []
     for step in range(60):
         time = step * STEP
-        state, demand = watch_torque(state, step < 40, time, STEP, PARAMETERS)
+        state, demand = watch_torque(state, step < 40, time, STEP)
         scales.append(demand.scale)
     assert scales[12] == 1.0
     assert scales[14] == pytest.approx(0.7)
     assert min(scales) == pytest.approx(0.7**3)
-    assert scales[-1] == pytest.approx(0.7**3 + 20 * STEP / PARAMETERS.recovery_time)
+    assert scales[-1] == pytest.approx(0.7**3 + 20 * STEP / RECOVERY_TIME)
     for step in range(1000):
-        state, demand = watch_torque(state, True, step * STEP, STEP, PARAMETERS)
+        state, demand = watch_torque(state, True, step * STEP, STEP)
     assert demand.scale == pytest.approx(0.1)
 
 
@@ -79,7 +78,7 @@ def test_lasting_saturation_slows_and_is_forgiven() -> None:
 def run(demands: list[Demand], count: int, state: Supervision, begin: float = 0.0) -> list:
     found = []
     for step in range(count):
-        state = supervise(state, demands, begin + step * STEP, STEP, PARAMETERS)
+        state = supervise(state, demands, begin + step * STEP, STEP)
         found.append(state)
     return found
 
@@ -90,7 +89,7 @@ def test_speed_falls_at_once_and_rises_slowly() -> None:
     assert (held.speed_scale, held.reason) == (0.0, "why, 3 m")
     back = run([Demand()], 200, held, 1.0)
     scales = [state.speed_scale for state in back]
-    np.testing.assert_allclose(np.diff(scales[:30]), STEP / PARAMETERS.recovery_time)
+    np.testing.assert_allclose(np.diff(scales[:30]), STEP / RECOVERY_TIME)
     actions = [state.action for state in back]
     assert actions == sorted(actions, reverse=True)
     assert set(actions) == {"slow", "run"}
@@ -110,7 +109,7 @@ def test_a_demand_that_flickers_is_told_once() -> None:
     state, told = Supervision(), []
     for step in range(125):
         demand = Demand(0.9, "near", "near") if step % 2 else Demand()
-        after = supervise(state, [demand], step * STEP, STEP, PARAMETERS)
+        after = supervise(state, [demand], step * STEP, STEP)
         if (after.action, after.cause) != (state.action, state.cause):
             told.append(after.action)
         state = after
@@ -149,7 +148,6 @@ def test_patience_is_not_lost_while_the_policy_waits() -> None:
             [Demand(0.0, "why", "why", lasting=True)],
             step * STEP,
             STEP,
-            PARAMETERS,
             waits=True,
         )
     assert state.action == "hold"

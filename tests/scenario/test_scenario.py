@@ -65,8 +65,8 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
         ("task: {goal_moves: [[3, 0.45, -0.45, 0.3]]}", ["goal_moves[0]", "is the start"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
         (
-            "supervisor: {hold_below: 0.4}",
-            ["supervisor.resume_above", "greater than hold_below"],
+            "perception: !DepthCamera {segmentation: {near: 3, far: 2}}",
+            ["perception.segmentation.far", "greater than near"],
         ),
         (
             f"{{{TWO_CAMERAS} {{camera: a, noise: {{near: 3, far: 2}}}}}}",

@@ -11,8 +11,6 @@ Methods:
   differential_ik  Drake's differential inverse kinematics with collision constraints, which
                    knows the obstacles exactly, on the same planned motion; its tool is asked
                    for the same clearance, as far as start and goal have it
-  differential_ik_near
-                   the same asked for 3 cm: most of its motions arrive with that
   planner          a sampling-based planner that knows the obstacles and their courses exactly, to
                    tell which scenes have a solution at all: see `planner`, and where obstacles
                    move `oracle`. It is not simulated
@@ -31,12 +29,11 @@ Runs of DRPBench's levels are judged by its rules as well, see `drp_outcome`.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import logging
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -45,6 +42,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.geometry import Meshcat
 
+from drake_oa.common.console import quiet
 from drake_oa.common.files import replace_text
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
@@ -77,8 +75,8 @@ from drake_oa.studies.results import Call, Counts, ResultFolder, Tally, Task, co
 
 PLANNER = "planner"
 """The method that plans, needs OMPL, and is not simulated."""
-DIFFERENTIAL_IK = frozenset({"differential_ik", "differential_ik_near"})
-DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
+DIFFERENTIAL_IK = "differential_ik"
+DEFAULT_METHODS = ("preplanned", "paper", "verified", DIFFERENTIAL_IK)
 WITHOUT: dict[str, dict[str, Any]] = {
     "without_chain": {"chain": None},
     "without_sides": {"proposals": None},
@@ -87,7 +85,7 @@ WITHOUT: dict[str, dict[str, Any]] = {
 }
 """Methods that are `verified` without one source of motions -> fields of its block."""
 METHODS = (*DEFAULT_METHODS, PLANNER, *WITHOUT)
-TRUTH_ONLY = DIFFERENTIAL_IK | {PLANNER}
+TRUTH_ONLY = frozenset({DIFFERENTIAL_IK, PLANNER})
 """Methods that know the obstacles exactly, whatever the perception."""
 
 
@@ -189,7 +187,6 @@ def with_method(scenario: Scenario, method: str) -> Scenario:
     if method == "paper":
         scenario.regulation = Paper()
         scenario.policy.fade = 0.0
-        scenario.supervisor = None
     elif method == "verified" and not isinstance(scenario.regulation, Verified):
         scenario.regulation = Verified()
     elif method in WITHOUT:
@@ -226,11 +223,9 @@ def run_and_judge(
     scenario = with_method(seen_by(scenario, perception), method)
     if method == PLANNER:
         return PandaRun(_plan(scenario, criteria), None)
-    feasible, failed = None, False
+    failed = False
     try:
-        if method == "differential_ik":
-            feasible = feasible_clearance_of(scenario)
-        log = _simulate(scenario, method, duration, feasible)
+        log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
@@ -240,16 +235,15 @@ def run_and_judge(
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
         return PandaRun(_not_run(scenario, error), None)
-    report = motion_report(scenario, log, feasible)
+    report = motion_report(scenario, log)
     return PandaRun(_judged(scenario, log, report, failed, criteria), log)
 
 
-def _simulate(
-    scenario: Scenario, method: str, duration: float | None, feasible: float | None
-) -> MotionLog:
-    if method in DIFFERENTIAL_IK:
-        # No arm starts where it would have to keep more than it has.
+def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
+    if method == DIFFERENTIAL_IK:
         kept = KeptDistances()
+        # No arm starts where it would have to keep more than it has.
+        feasible = feasible_clearance_of(scenario)
         tool = kept.tool if feasible is None else feasible
         kept = KeptDistances(tool, min(kept.arm, scenario.task.clearance))
         return simulate_differential_ik(scenario, duration=duration, distances=kept)
@@ -696,18 +690,7 @@ def run_text(
     criteria: Criteria,
 ) -> tuple[dict[str, Any], MotionLog | None]:
     """Runs a scenario's text; the result, and the log if it is wanted."""
-    with _quiet():
+    with quiet():
         scenario: Scenario = parse_scenario(text)
         run = run_and_judge(scenario, method, perception, duration=duration, criteria=criteria)
     return run.result, run.log if wants_log else None
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppresses the notes of a run, which are in its result."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(before)

@@ -28,31 +28,16 @@ _COLUMNS = (
     Column("contacts"),
     Column("success"),
     Column("stopped"),
-    Column("time_limits", "time limit"),
-    Column("self_contacts", "self"),
     Column("drp_contacts", "DRPBench contacts"),
     Column("drp_success", "DRPBench success"),
-    Column("success_rate", "success [%]", "{:.1f}", 1e2),
     Column("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
     Column("avoidable_by_physics", "avoidable"),
     Column("avoidable_by_view", "by view"),
     Column("claim_A", "claim A"),
     Column("claim_B", "claim B"),
-    Column("short_of_feasible", "short"),
-    Column("short_of_feasible_max", "by [mm]", "{:.1f}", 1e3),
     Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
-    Column("tool_clearance_median", "median", "{:.3f}"),
-    Column("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
-    Column("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
     Column("duration_median", "duration [s]", "{:.1f}"),
-    Column("duration_max", "most", "{:.1f}"),
-    Column("moving_after_median", "asked to moving [ms]", "{:.0f}", 1e3),
-    Column("moving_after_p95", "95 %", "{:.0f}", 1e3),
     Column("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
-    Column("decision_max", "most", "{:.0f}", 1e3),
-    Column("decision_share_over_period", "over a frame [%]", "{:.1f}", 1e2),
-    Column("real_time_factor", "real-time factor", "{:.2f}"),
-    Column("real_time_factor_min", "least", "{:.2f}"),
 )
 
 
@@ -146,24 +131,20 @@ def kinds_figures(figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Figures of a method's runs; None where there is nothing to take them over.
 
-    Keys: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see `evaluation`);
-    `success_rate`; `stop_reasons`, what the stopped ones were stopped by, and how often;
-    `contact_pairs`, in how many scenes which link met what; `self_contacts`, in how many the
-    robot met itself; `avoidable_by_physics` and `avoidable_by_view`, contacts among moving
-    obstacles that were (see `contact_events`); `claim_A` and `claim_B`, instants of all runs that
-    violate each (see `claims`), None where no obstacle moves; `time_limits`, how many ended by
-    their time limit, arrived or not; `failed`, runs that raised;
-    `short_of_feasible`, in how many the tool came more than 1 mm nearer to what rests than start
-    and goal leave of the asked clearance, `short_of_feasible_max` by how much, and
-    `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of the
-    motions, to where they arrived or were stopped [s]; `moving_after_median` and `_p95`, from
-    when the goal was asked for until the motion began [s]; `decision_cost`, what the
-    regulation's decisions of all scenes cost (see `cost_figures`; None where they cost no time);
-    `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
-    the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
-    `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
-    `real_time_factor_min`, the least; `seconds`, the wall time of all simulations together. Of
-    the levels of DRPBench also `drp_contacts` and `drp_success`, the outcomes by its rules.
+    Counts of scenes: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see
+    `evaluation`); `self_contacts`, the robot touched itself; `time_limits`, ended by the time
+    limit; `failed`, raised an exception; `short_of_feasible`, the tool came more than 1 mm nearer
+    to resting obstacles than start and goal leave of the requested clearance;
+    `stop_reasons` and `contact_pairs`: reason or pair -> count. Of contacts: `avoidable_by_physics`
+    and `avoidable_by_view` (see `contact_events`). Of logged instants: `claim_A` and `claim_B`,
+    violations (see `claims`), None where no obstacle moves. For levels of DRPBench
+    `drp_contacts` and `drp_success`, by its rules.
+
+    Others: `success_rate`; `short_of_feasible_max`; `duration_median`, `duration_max` of the
+    motions [s]; `moving_after_median`, `moving_after_p95`, from the request of the goal to the
+    beginning of the motion [s]; `decision_cost` (see `cost_figures`), None where decisions take no
+    time; `tool_clearance_min`, `robot_clearance_min` [m]; `goal_error_max` of the scenes that were
+    not stopped [m]; `real_time_factor`, the median, and `real_time_factor_min`.
     """
     outcome = Counter(run["outcome"] for run in runs)
     events = [event for run in runs for event in run["contact_events"] or ()]
@@ -193,7 +174,6 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
         "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
         "short_of_feasible_max": of(max, "short_of_feasible"),
-        "feasible_clearance_median": of(np.median, "feasible_clearance"),
         "duration_median": of(np.median, "duration"),
         "duration_max": of(max, "duration"),
         "moving_after_median": of(np.median, "moving_after"),
@@ -201,13 +181,10 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "decision_cost": pooled_costs(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
-        "tool_clearance_median": of(np.median, "tool_clearance_min"),
         "robot_clearance_min": of(min, "robot_clearance_min"),
         "goal_error_max": over(max, arrived),
-        "goal_error_max_all": of(max, "goal_error"),
         "real_time_factor": of(np.median, "real_time_factor"),
         "real_time_factor_min": of(min, "real_time_factor"),
-        "seconds": float(sum(run["wall_time"] for run in runs)),
         **(drp if set(by_drp) - {None} else {}),
     }
 
@@ -262,8 +239,4 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
         lines += [f"{of['kind']}: {line}" for line in drawn_lines(of.get("drawn", {}))]
         if "scenes_digest" in of:
             lines.append(f"{of['kind']}: digest of the scenes: {of['scenes_digest'][:12]}")
-    jobs = figures[0]["jobs"]
-    if jobs != 1:
-        shared = "on a cluster" if jobs is None else f"with {jobs} at once"
-        lines.append(f"real-time factors: of runs {shared}; lower than that of one alone")
     return TextTable(_COLUMNS, rows, lines)

@@ -213,7 +213,6 @@ def test_figures_count_outcomes_reasons_and_pairs():
         "short_of_feasible": 1,
         "short_of_feasible_max": 0.02,
         "goal_error_max": 2e-3,
-        "goal_error_max_all": 0.5,
         "robot_clearance_min": -0.01,
         "real_time_factor": 1.0,
     }
