@@ -261,8 +261,6 @@ class Runs:
         results: folder of the results, scene by scene (default: beside --json as STEM.scenes,
             or drake_oa_runs/evaluate-panda).
         logs: keep each run's log (.npz) in this folder.
-        html_dir: write a page to play in a browser for each run of verified (or, without it, of
-            each method) to this folder.
         write_scenes: write the scenes as scenario files for `drake-oa run` to this folder.
     """
 
@@ -272,7 +270,6 @@ class Runs:
     json: Path | None = None
     results: Path | None = None
     logs: Path | None = None
-    html_dir: Path | None = None
     write_scenes: Path | None = None
 
 
@@ -537,7 +534,7 @@ def run_suites(
     if any(PLANNER in suite.methods for suite in suites if suite.kind not in MOVING_KINDS):
         check_planner()
     check_outputs(runs.json)
-    keeping = _keeping(runs, suites)
+    keeping = _keeping(runs)
     jobs = 1 if runs.scheduler is not None else runs.jobs or cpu_count()
     results: list[PandaResults] = []
     with counted(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
@@ -572,7 +569,7 @@ def run_suites(
     return _runs_status(results, keeping)
 
 
-def _keeping(runs: Runs, suites: Sequence[PandaSuite]) -> Keeping:
+def _keeping(runs: Runs) -> Keeping:
     from drake_oa.studies.panda.evaluation import Keeping
     from drake_oa.studies.results import ResultFolder
 
@@ -582,13 +579,11 @@ def _keeping(runs: Runs, suites: Sequence[PandaSuite]) -> Keeping:
         # A device, as /dev/stdout, has no place beside it.
         beside = file is not None and (file.is_file() or not file.exists())
         folder = file.with_name(f"{file.stem}.scenes") if file is not None and beside else RESULTS
-    for other in (runs.logs, runs.html_dir, runs.write_scenes):
+    for other in (runs.logs, runs.write_scenes):
         if other is not None:
             # Told apart from a file, and made, before anything is computed.
             ResultFolder(other)
-    methods = frozenset(method for suite in suites for method in suite.methods)
-    shown = frozenset({"verified"} & methods or methods)
-    return Keeping(ResultFolder(folder), runs.logs, runs.html_dir, shown)
+    return Keeping(ResultFolder(folder), runs.logs)
 
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:

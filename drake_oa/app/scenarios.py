@@ -203,7 +203,6 @@ def graph(
     /,
     *,
     overrides: Overrides = (),
-    depth: int = 1,
     dot: bool = False,
     signals: bool = False,
 ) -> None:
@@ -219,7 +218,6 @@ def graph(
     Args:
         scenario: a shipped name (see `drake-oa scenarios`) or a file.
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
-        depth: levels of nested diagrams in the dot source.
         dot: print the source of a graph of all systems, for Graphviz.
         signals: print each output port with the inputs that read it, loggers left out.
     """
@@ -228,8 +226,6 @@ def graph(
     from drake_oa.scenario.loading import load_scenario
     from drake_oa.viewing.layer_figure import layer_figure
 
-    if depth < 0:
-        raise ValueError(f"--depth must be at least 0, not {depth}")
     chosen = load_scenario(scenario, overrides)
     with build_errors():
         diagram = build_avoidance(chosen)
@@ -241,5 +237,5 @@ def graph(
         rows = [{"output": of, "read by": ", ".join(names)} for of, names in readers.items()]
         show(TextTable([Column(key, side="left") for key in ("output", "read by")], rows))
         return
-    figure = diagram.GetGraphvizString(max_depth=depth) if dot else layer_figure(diagram)
+    figure = diagram.GetGraphvizString(max_depth=1) if dot else layer_figure(diagram)
     sys.stdout.write(figure)

@@ -63,6 +63,9 @@ _STILL = 0.01
 """Joint speed below which the arm waits [rad/s]."""
 _FOUND = 0.03
 """Error of the tool below which a desired pose is that of the arm at rest [m, rad]."""
+_DAMPING, _FEEDBACK = 0.1, 0.6
+"""Damping over stiffness of the joint controller [s], and share of `contact_error` above which the
+error by the controller's feedback torque counts as contact."""
 _LATE = 3.0
 """Number of periods after which the arm brakes because no newer decision is in force."""
 _SAID = {"slow": "slows", "hold": "holds", "stop": "stops"}
@@ -212,9 +215,11 @@ class MotionGuard(LeafSystem):
     begins there is awaited. Where no newer decision comes into force in time, the phase or the arm
     comes to rest.
 
-    Contact reaction: where a joint is farther than `contact_error` from its command, the command
-    begins anew at rest at the measured configuration, and for `contact_time` no point of the arm
-    moves faster than `v_unseen`.
+    Contact reaction: where the error e of a joint exceeds `contact_error`, or e + (kd / kp) de/dt
+    0.6 times as much, the command begins anew at rest at the measured configuration, and for
+    `contact_time` no point of the arm moves faster than `v_unseen`. The second sum is the torque of
+    the controller's feedback over kp M, a residual torque: at most 0.003 rad without contact, and
+    0.01 rad with a wrong model of the arm.
     """
 
     def __init__(
@@ -362,10 +367,10 @@ class MotionGuard(LeafSystem):
             supervision = before.supervision.broken("the robot state is not finite", time)
             held.set_value(replace(before, supervision=supervision))
             return EventStatus.Succeeded()
-        q, _ = self._arm.split(x)
+        q, v = self._arm.split(x)
         if before.thoughts.made(time) is not None:
             before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
-        before = self._reacted(before, q, time)
+        before = self._reacted(before, q, v, time)
         before = self._supervised(context, before, time)
         if time > before.expires and not before.decision.follows:
             stop = self._search.brake(before.x_end[: self._n], before.x_end[self._n :])
@@ -387,11 +392,13 @@ class MotionGuard(LeafSystem):
         )
         return replace(after, expires=late)
 
-    def _reacted(self, state: GuardState, q: FloatArray, time: float) -> GuardState:
-        """Returns the state after a check for contact: a joint that is far from its command."""
+    def _reacted(self, state: GuardState, q: FloatArray, v: FloatArray, time: float) -> GuardState:
+        """Returns the state after a check for contact by the joint state (n,), (n,)."""
         n = self._n
-        error = np.abs(q - state.x_end[:n])
-        if error.max() <= self._parameters.contact_error:
+        error = q - state.x_end[:n]
+        ahead = np.abs(error + _DAMPING * (v - state.x_end[n:])).max()
+        error = np.abs(error)
+        if max(error.max(), ahead / _FEEDBACK) <= self._parameters.contact_error:
             return state
         if time > state.slow_until:
             joint = self._arm.joints[int(error.argmax())]

@@ -69,7 +69,7 @@ def test_results_table_and_pictures_of_a_folder(depth, tmp_path, capsys):
     np.savez(folder / "scan.npz", depth=depth, K=K)
     values = np.nan_to_num(depth / 0.0002).astype(np.uint16)
     open3d.io.write_image(str(folder / "image.png"), open3d.geometry.Image(values))
-    options = ["--intrinsics", *map(str, K), "--depth-scale", "0.0002", "--tool", "0.1,0.1,0.2"]
+    options = ["--intrinsics", *map(str, K), "--depth-scale", "0.0002", "--tool", "panda"]
     outputs = ["--json", str(results), "--plot", str(pictures)]
     pose = ["--pose", "1", "2", "0.8", str(-0.5 * np.pi - 0.8), "0", str(-np.pi / 2)]
     assert main(["perceive", str(folder), *options, *pose, *outputs]) == 0

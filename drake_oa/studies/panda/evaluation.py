@@ -35,15 +35,13 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.geometry import Meshcat
 
 from drake_oa.common.console import quiet
-from drake_oa.common.files import replace_text
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
@@ -536,23 +534,16 @@ class Keeping:
     Attributes:
         folder: for the results, which an evaluation resumes from.
         logs: for the log of each run (.npz).
-        pages: for a page of each run of `page_methods` to play in a browser (.html).
-        page_methods: names of methods.
     """
 
     folder: ResultFolder | None = None
     logs: Path | None = None
-    pages: Path | None = None
-    page_methods: frozenset[str] = frozenset()
 
     def files(self, name: str, method: str) -> list[Path]:
         """The files that a run is to leave besides its result; the planner has no run."""
-        if method == PLANNER:
+        if method == PLANNER or self.logs is None:
             return []
-        found = [] if self.logs is None else [self.logs / f"{name}.npz"]
-        if self.pages is not None and method in self.page_methods:
-            found.append(self.pages / f"{name}.html")
-        return found
+        return [self.logs / f"{name}.npz"]
 
 
 def evaluate_panda(
@@ -566,8 +557,8 @@ def evaluate_panda(
     """Draws the scenes and runs each method on each.
 
     A result on disk whose key is that of the scene, the method and the present source is
-    taken; all others are made, and written as soon as each is done. Where a log or a page
-    is asked for and is not there, the run is made anew.
+    taken; all others are made, and written as soon as each is done. Where a log is requested
+    and is not there, the run is made anew.
 
     Args:
         suite: what to evaluate.
@@ -597,7 +588,8 @@ def evaluate_panda(
             results.runs[method][scene] = result
             results.resumed += known
             if log is not None:
-                _write_files(tasks[place].files, log)
+                motion = "modulated" if log.modulated else "preplanned"
+                save_logs(*tasks[place].files, {motion: log})
             on_progress(method, 1)
     except KeyboardInterrupt:
         results.interrupted = True
@@ -635,37 +627,6 @@ def _run_tasks(results: PandaResults, keeping: Keeping) -> dict[tuple[int, str],
             call = (text, method, sees, suite.duration, bool(files), suite.criteria)
             tasks[scene, method] = Task(name, key, call, files)
     return tasks
-
-
-def _write_files(files: Sequence[Path], log: MotionLog) -> None:
-    """Writes a run's log and page; a log without an instant has no page."""
-    for file in files:
-        if file.suffix == ".npz":
-            save_logs(file, {"modulated" if log.modulated else "preplanned": log})
-        elif len(log.t):
-            _write_page(file, log)
-
-
-def _write_page(path: Path, log: MotionLog) -> None:
-    """Replays a log into a page to play and pause in a browser."""
-    from pydrake.systems.analysis import Simulator
-
-    from drake_oa.runs.replay import build_replay
-    from drake_oa.viewing.viewer import recording
-
-    meshcat = _viewer()
-    meshcat.Delete()
-    diagram = build_replay(parse_scenario(log.scenario), log, meshcat)
-    with recording(meshcat):
-        Simulator(diagram).AdvanceTo(log.simulated_time)
-    replace_text(path, meshcat.StaticHtml())
-
-
-@cache
-def _viewer() -> Meshcat:
-    from drake_oa.viewing.viewer import start_viewer
-
-    return start_viewer(browser=False)
 
 
 def _compile_kernels(calls: Sequence[Call]) -> None:
