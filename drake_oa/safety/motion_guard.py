@@ -52,8 +52,9 @@ _RATE = 20.0
 """Rate at which the null space converges to the desired posture [1/s]."""
 _TRAIL, _TRAIL_PERIOD = 15, 0.1
 """Number of past configurations that are kept, and time between them [s]."""
-_CARRY = 0.1
-"""Time constant with which the desired position follows the tool during a maneuver [s]."""
+_CARRY, _CARRIED = 0.1, 5e-4
+"""Time constant with which the desired position follows the tool [s], and distance at which it
+rests, so that the motion to be planned keeps its start [m]."""
 _PATIENCE, _PROGRESS = 1.0, 0.02
 """Time in which the arm comes no nearer to the verified motion by so much, after which it stops
 and a new one is planned from there [s, rad]."""
@@ -456,10 +457,11 @@ class MotionGuard(LeafSystem):
         if state.is_lost and lost_since < math.inf:
             # The desired position follows the tool, and a motion that begins there is awaited.
             X_tool = tool_poses(arm.chain, ahead[None, :n])[0]
-            carry = (X_tool[9:] - X_WE[9:]) / _CARRY
+            way = X_tool[9:] - X_WE[9:]
+            carry = way / _CARRY if np.abs(way).max() > _CARRIED else carry
             path = np.append(ahead[:n], np.zeros(n))
             turn = X_WE[:9].reshape(3, 3) @ X_tool[:9].reshape(3, 3).T
-            error = np.abs(np.append(rotation_vector(np.ascontiguousarray(turn)), carry * _CARRY))
+            error = np.abs(np.append(rotation_vector(np.ascontiguousarray(turn)), way))
             if state.speed <= _STILL and error.max() <= _FOUND:
                 lost_since, carry = math.inf, np.zeros(3)
         if time >= state.trail_time + _TRAIL_PERIOD:
