@@ -27,6 +27,7 @@ class Bench:
     def __init__(self, panda: ArmAlone, arm: GuardedArm, turn_limit: float | None = None) -> None:
         self.arm, self.q, self.size = arm, np.array(panda.q), arm.size
         self.X_WE = tool_poses(arm.chain, self.q[None])[0]
+        self.p_WE = self.X_WE[9:]
         self.system = MotionGuard(
             arm, 5.0, self.q, alpha_k=0.5, period=FRAME, step=STEP, turn_limit=turn_limit
         )
@@ -68,6 +69,8 @@ class Bench:
             x = self.read("desired_joint_state")
             self.x[self.arm.index], self.x[self.size + self.arm.index] = np.split(x, 2)
             self.fix("robot_state", self.x)
+            self.p_WE = self.p_WE + STEP * self.read("evasion")
+            self.fix("desired_position", self.p_WE)
             found["x"].append(x)
             found["scale"].append(self.read("speed_scale")[0])
             found["action"].append(self.read("guard_action")[0])
@@ -128,6 +131,21 @@ def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, guarded: GuardedArm, 
     np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
     assert after["action"][-1] == 0.0
     assert after["scale"][-1] == 1.0
+
+
+def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(
+    panda: ArmAlone, guarded: GuardedArm
+) -> None:
+    bench = Bench(panda, guarded)
+    bench.run(0.2, None, np.zeros(3))
+    v_WO, p_WO = np.array([-0.5, 0.0, 0.0]), bench.X_WE[9:] + [0.0, 0.0, 0.05]
+    bench.run(1.2, p_WO - 1.2 * v_WO, v_WO)
+    # The ball stays where the arm was.
+    found = bench.run(5.0, p_WO, np.zeros(3))
+    p_WE = tool_poses(guarded.chain, found["x"][-1:, :7].copy())[0, 9:]
+    assert np.linalg.norm(p_WE - bench.X_WE[9:]) > 0.03
+    np.testing.assert_allclose(bench.p_WE, p_WE, atol=1e-3)
+    np.testing.assert_array_equal(bench.read("evasion"), 0.0)
 
 
 @pytest.mark.parametrize("limit", [0.1, None])
