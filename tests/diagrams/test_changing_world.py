@@ -157,7 +157,7 @@ def test_what_is_faster_than_the_arm_is_told_and_its_contacts_count(
         )
     ]
     log = simulate(scenario)
-    assert "motion guard evades obstacle 0" in caplog.text
+    assert "supervisor holds: evades obstacle 0" in caplog.text
     assert "contact: panda_joint" in caplog.text
     # The run goes on past the prediction, until the ball has arrived and all is at rest.
     assert log.simulated_time > 1.0 + time + REST_TIME
