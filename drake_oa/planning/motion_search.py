@@ -80,6 +80,7 @@ from drake_oa.robot.arm import (
     Spheres,
     inverse_kinematics,
     nearest_free_place,
+    tool_poses,
 )
 
 _LED = 201
@@ -90,8 +91,9 @@ _SELF_CLEARANCE, _LEAST_KEPT = 0.005, 1e-3
 """Requested distance of the arm to itself, and least distance to anything [m]."""
 _SEEK_PERIOD = 0.5
 """Time between searches for a path in the joints while no motion will do [s]."""
-_LEFT = 0.04
-"""Distance of a joint from the motion in use above which the arm has left it [rad]."""
+_LEFT, _NEAR_TOOL = 0.015, 2e-3
+"""Distance of a joint from the motion in use above which the arm has left it [rad], and distance of
+the desired position from the tool below which it has been displaced there [m]."""
 _SHARES, _GOAL_SEEDS = (0.5, 0.2), 128
 """Shares of the requested clearances that are tried in turn, and random seeds of goal postures."""
 
@@ -270,13 +272,18 @@ class MotionSearch:
         return found.changed(command={"note": note})
 
     def _is_left(self, here: SelectedMotion, sight: Sight) -> bool:
-        """Returns whether the arm rests away from the motion in use, after a maneuver."""
+        """Returns whether the arm rests away from the motion in use, with its tool where this is.
+
+        After a maneuver of `MotionGuard` the desired position goes to the tool.
+        """
         motion, policy = here.prediction.motion, sight.policy
         if policy.speed > 0.0 or not len(motion.q):
             return False
         s = normalised_time(policy.phase, self._dmp.alpha_k)
         on_path = np.array([np.interp(s, motion.s, q) for q in motion.q.T])
-        return bool(np.abs(on_path - sight.q).max() > _LEFT)
+        p_WE = tool_poses(self._chain, sight.q[None])[0, 9:]
+        is_near = math.dist(p_WE, policy.p_WE) < _NEAR_TOOL
+        return is_near and bool(np.abs(on_path - sight.q).max() > _LEFT)
 
     def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
         """Returns whether a motion still achieves its predicted clearance from now on.

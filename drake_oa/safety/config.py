@@ -27,7 +27,8 @@ class GuardParameters:
     away."""
     contact_error: float = Field(default=0.05, gt=0.0, le=1.0)
     """Tracking error of a joint at which the arm counts as pushed, and the desired motion begins
-    anew from the measured configuration [rad]. Raising it tolerates larger errors."""
+    anew from the measured configuration [rad]; a feedback torque as of 0.6 times this error does
+    so, too. Raising it tolerates larger errors."""
     contact_time: float = Field(default=0.5, ge=0.0, le=60.0)
     """Time after a contact in which the arm moves slowly [s]. Raising it waits longer."""
     obstacle_speed: float = Field(default=0.0, ge=0.0, le=10.0)

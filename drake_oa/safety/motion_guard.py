@@ -397,13 +397,12 @@ class MotionGuard(LeafSystem):
         """Returns the state after a check for contact by the joint state (n,), (n,)."""
         n = self._n
         error = q - state.x_end[:n]
-        ahead = np.abs(error + _DAMPING * (v - state.x_end[n:])).max()
-        error = np.abs(error)
-        if max(error.max(), ahead / _FEEDBACK) <= self._parameters.contact_error:
+        ahead = np.abs(error + _DAMPING * (v - state.x_end[n:]))
+        if max(np.abs(error).max(), ahead.max() / _FEEDBACK) <= self._parameters.contact_error:
             return state
         if time > state.slow_until:
-            joint = self._arm.joints[int(error.argmax())]
-            _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, error.max())
+            joint = self._arm.joints[int(ahead.argmax())]
+            _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, ahead.max())
         rest = np.append(q, np.zeros(n))
         stop = self._search.brake(q, np.zeros(n))
         state = replace(state, x=rest, x_end=rest, slow_until=time + self._parameters.contact_time)
