@@ -589,7 +589,8 @@ def evaluate_panda(
             results.resumed += known
             if log is not None:
                 motion = "modulated" if log.modulated else "preplanned"
-                save_logs(*tasks[place].files, {motion: log})
+                (file,) = tasks[place].files
+                save_logs(file, {motion: log})
             on_progress(method, 1)
     except KeyboardInterrupt:
         results.interrupted = True
