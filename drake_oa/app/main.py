@@ -25,8 +25,8 @@ except KeyboardInterrupt:
     sys.exit(130)
 
 _COMPILATION = {
-    "run": "2 to 4 minutes",
-    "play": "2 to 4 minutes",
+    "run": "a minute",
+    "play": "a minute",
     "station": None,
     "replay": None,
     "plot": None,

@@ -203,6 +203,10 @@ class PlannedMotion(Frozen):
     def __len__(self) -> int:
         return len(self.s)
 
+    def joints(self, s: float | FloatArray) -> FloatArray:
+        """Interpolates positions of the joints (..., n) at normalised times (...) [rad]."""
+        return np.stack([np.interp(s, self.s, joint) for joint in self.q.T], axis=-1)
+
 
 @dataclass(frozen=True, eq=False)
 class Route(Frozen):

@@ -280,10 +280,9 @@ class MotionSearch:
         if policy.speed > 0.0 or not len(motion.q):
             return False
         s = normalised_time(policy.phase, self._dmp.alpha_k)
-        on_path = np.array([np.interp(s, motion.s, q) for q in motion.q.T])
         p_WE = tool_poses(self._chain, sight.q[None])[0, 9:]
         is_near = math.dist(p_WE, policy.p_WE) < _NEAR_TOOL
-        return is_near and bool(np.abs(on_path - sight.q).max() > _LEFT)
+        return is_near and bool(np.abs(motion.joints(s) - sight.q).max() > _LEFT)
 
     def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
         """Returns whether a motion still achieves its predicted clearance from now on.

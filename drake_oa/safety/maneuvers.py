@@ -56,7 +56,8 @@ _TOUCH_MOVING, _TOUCH_RESTING = 0.012, 0.004
 """Distances to moving and resting obstacles below which a motion counts as contact, unless the
 verified motion keeps less [m]."""
 _SLACK = 2e-3
-"""Distance by which the arm may come nearer to anything than it is or would be on its path [m]."""
+"""Distance by which the arm may come nearer to anything than it is or would be on its path [m], and
+angle by which the tool may turn farther than its limit or than it is turned [rad]."""
 _KEPT = 5e-3
 """Distance by which the verified motion may come nearer than it was verified to [m]."""
 _SELF = 5e-3
@@ -335,10 +336,8 @@ class GuardSearch:
         if not len(motion.q):
             return np.tile(sight.q, (_SAMPLES, 1))
         s = sight.s + self._interval * np.cumsum(self._rates(sight, scale))
-        columns = motion.q.T
-        q = np.stack([np.interp(s, motion.s, column) for column in columns], axis=1)
-        now = np.array([np.interp(sight.s, motion.s, column) for column in columns])
-        return np.asarray(q + np.exp(-_SETTLED * self._times)[:, None] * (sight.q - now))
+        away = sight.q - motion.joints(sight.s)
+        return np.asarray(motion.joints(s) + np.exp(-_SETTLED * self._times)[:, None] * away)
 
     def _followed_options(self, sight: GuardSight) -> tuple[list[GuardDecision], FloatArray]:
         if not sight.on_path:

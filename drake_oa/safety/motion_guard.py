@@ -372,17 +372,18 @@ class MotionGuard(LeafSystem):
         if before.thoughts.made(time) is not None:
             before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
         before = self._reacted(before, q, v, time)
-        before = self._supervised(context, before, time)
+        scene = self._scene(context)
+        before = self._supervised(context, before, scene, time)
         if time > before.expires and not before.decision.follows:
             stop = self._search.brake(before.x_end[: self._n], before.x_end[self._n :])
-            before = self._decided(before, stop, math.inf)
-        held.set_value(self._advanced(context, before, time))
+            before = self._decided(before, stop)
+        held.set_value(self._advanced(context, before, time, moves=scene.moves))
         return EventStatus.Succeeded()
 
-    def _decided(self, state: GuardState, decision: GuardDecision, expires: float) -> GuardState:
+    def _decided(self, state: GuardState, decision: GuardDecision) -> GuardState:
         """Returns the state with a decision in force that was made without a search."""
         thoughts = replace(state.thoughts.dropped(), in_force=decision)
-        return replace(state, thoughts=thoughts, expires=expires)
+        return replace(state, thoughts=thoughts, expires=math.inf)
 
     def _in_force(self, after: GuardState, time: float) -> GuardState:
         """Returns the state with a new decision in force."""
@@ -406,12 +407,13 @@ class MotionGuard(LeafSystem):
         rest = np.append(q, np.zeros(n))
         stop = self._search.brake(q, np.zeros(n))
         state = replace(state, x=rest, x_end=rest, slow_until=time + self._parameters.contact_time)
-        return self._decided(state, stop, math.inf)
+        return self._decided(state, stop)
 
-    def _supervised(self, context: Context, state: GuardState, time: float) -> GuardState:
+    def _supervised(
+        self, context: Context, state: GuardState, scene: SolidScene, time: float
+    ) -> GuardState:
         """Returns the state after the monitors of observations, torques and the guard itself."""
         kept = state.supervision
-        scene = self._scene(context)
         policy = read_value(self, self._policy, context, PolicyState)
         demands: list[Demand] = [watch_observation(scene, time, self._fresh, self._max_age)]
         late = state.decision.follows and time > state.expires
@@ -431,8 +433,17 @@ class MotionGuard(LeafSystem):
             _logger.warning("t=%.3f s: supervisor %s", time, ": ".join(said))
         return replace(state, supervision=after)
 
-    def _advanced(self, context: Context, state: GuardState, time: float) -> GuardState:
-        """Returns the state with the next step of the commanded motion."""
+    def _advanced(
+        self, context: Context, state: GuardState, time: float, *, moves: bool
+    ) -> GuardState:
+        """Returns the state with the next step of the commanded motion.
+
+        Args:
+            context: of the system.
+            state: of the guard.
+            time: now [s].
+            moves: whether an obstacle moves.
+        """
         n, step, arm = self._n, self._step_length, self._arm
         X_WE = np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
         V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
@@ -451,7 +462,6 @@ class MotionGuard(LeafSystem):
         else:
             self._search.advance(state.decision, ahead, time)
             away = float(np.abs(ahead - path)[:n].max())
-            moves = self._scene(context).moves
             lost_since, nearest = self._lost_since(state, away, time, moves=moves)
         if state.is_lost and lost_since < math.inf:
             # The desired position follows the tool, and a motion that begins there is awaited.
