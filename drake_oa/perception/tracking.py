@@ -41,8 +41,10 @@ from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
 from drake_oa.perception.velocity import (
     DEPTH_MARGIN,
     START,
+    Reference,
     Tracks,
     changed,
+    depth_deviation,
     measured_tracks,
     new_tracks,
     predicted_tracks,
@@ -155,7 +157,7 @@ class ObstacleMemory(Frozen):
         tracks: the obstacles.
         points: their points.
         held: id -> its cloud as it was handed on last.
-        shown: id -> (N, 3) what the last frame showed of it, in the world [m].
+        references: id -> surface in an earlier frame, for its velocity.
         taken: time of the last frame [s].
         told: (n,) times of the last image of each camera that told something [s].
     """
@@ -165,7 +167,7 @@ class ObstacleMemory(Frozen):
     tracks: Tracks = field(default_factory=Tracks)
     points: Points = field(default_factory=Points)
     held: dict[int, HeldCloud] = field(default_factory=dict)
-    shown: dict[int, FloatArray] = field(default_factory=dict)
+    references: dict[int, Reference] = field(default_factory=dict)
     taken: float = -np.inf
     told: FloatArray = zeros(0)
 
@@ -365,6 +367,7 @@ def fuse(
         config or SegmentationConfig(),
         robot,
         first,
+        stamp,
     )
     return step.run(stamp)
 
@@ -400,6 +403,7 @@ class _Step:
         config: SegmentationConfig,
         robot: Solids | None,
         first: bool,
+        stamp: float,
     ) -> None:
         self.previous, self.frame, self.complete, self.dt = previous, frame, complete, dt
         self.config, self.robot, self.first = config, robot, first
@@ -408,6 +412,7 @@ class _Step:
         self.seen = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
         self.cluster = np.repeat(np.arange(len(lengths)), lengths)
         self.next_id = previous.next_id
+        self.stamp = stamp
 
     def run(self, stamp: float) -> ObstacleMemory:
         """The memory after the frame."""
@@ -516,11 +521,17 @@ class _Step:
         seen = seen_sides(self.frame, rows, tracks.area, self.config.voxel)
         beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SIDE_SLACK)
         seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
-        row_of, before = association.point_row, self.previous.shown
-        shift, spread = registered_tracks(tracks, before, self.seen, row_of, self.cluster, self.dt)
-        self.tracks = measured_tracks(tracks, seen, shift, spread, self.dt)
-        shown = {name: self.seen[row_of == row] for row, name in enumerate(tracks.ids.tolist())}
-        self._shown = {name: points for name, points in shown.items() if len(points)}
+        deviation = depth_deviation(tracks.estimate.p_W, self.frame.views)
+        v_W, spread, self._references = registered_tracks(
+            tracks,
+            self.previous.references,
+            self.seen,
+            association.point_row,
+            self.cluster,
+            deviation,
+            self.stamp,
+        )
+        self.tracks = measured_tracks(tracks, seen, deviation, v_W, spread, self.dt)
 
     def _weigh(
         self, association: Association, look: _Look, behind: BoolArray
@@ -691,7 +702,14 @@ class _Step:
             np.where(moving[:, None], tracks.estimate.v_W, 0.0)[listed],
         )
         return ObstacleMemory(
-            obstacles, self.next_id, tracks, points, held, self._shown, stamp, self.previous.told
+            obstacles,
+            self.next_id,
+            tracks,
+            points,
+            held,
+            self._references,
+            stamp,
+            self.previous.told,
         )
 
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, Ta
 from drake_oa.geometry.pinhole import View
 from drake_oa.perception.segmentation import Segmentation
 
+SIDE_DEVIATION = 0.0015
+"""Standard deviation of the measured place of a side, or of a surface point [m]."""
 _ACCELERATION = 0.01
 """Spectral density of the acceleration of an obstacle at rest, each axis [m^2/s^3]."""
 _MANEUVER = 0.05
@@ -322,7 +324,8 @@ def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
 def measured_tracks(
     tracks: Tracks,
     seen: SeenSides,
-    shift: FloatArray,
+    deviation: FloatArray,
+    v_W: FloatArray,
     spread: FloatArray,
     dt: float,
 ) -> Tracks:
@@ -331,14 +334,15 @@ def measured_tracks(
     Args:
         tracks: as predicted.
         seen: their sides in it.
-        shift: (M, 3) how far their surfaces have gone since [m]; NaN where nothing tells.
-        spread: (M, 3) its variances [m^2].
+        deviation: (M,) from `depth_deviation` [m].
+        v_W: (M, 3) measured velocities of their surfaces [m/s]; NaN where nothing tells.
+        spread: (M, 3) their variances [m^2/s^2].
         dt: see there.
     """
-    p_W, variance = measured_position(seen, tracks.sides, tracks.area)
-    estimate, registered = tracks.estimate, np.isfinite(shift)
+    p_W, variance = measured_position(seen, tracks.sides, tracks.area, deviation)
+    estimate, registered = tracks.estimate, np.isfinite(v_W)
     if registered.any():
-        estimate = exchanged(corrected(exchanged(estimate), shift / dt, spread / dt**2))
+        estimate = exchanged(corrected(exchanged(estimate), v_W, spread))
     off = is_outlier(estimate, p_W, variance)
     again = off & (tracks.odd > 0)
     if again.any():
@@ -432,6 +436,24 @@ _TOGETHER = 12.0
 """Points that have the same noise: it is smooth over pixels."""
 _GATE = 0.02
 """Distance between points of two frames beyond which they are not the same [m]."""
+_SPEED_STEP = 0.1
+"""Speed at which an obstacle crosses a depth step within the age of its reference [m/s]."""
+_NEAR = 1.2
+"""Depth from which the deviation of a point grows with the square of its depth [m]."""
+_LONGEST_AGE = 0.19
+"""Age above which a reference is used though it resolves less [s]."""
+
+
+class Reference(NamedTuple):
+    """Surface of an obstacle in an earlier frame.
+
+    Attributes:
+        stamp: time of that frame [s].
+        p_WQ: (N, 3) points of the surface [m].
+    """
+
+    stamp: float
+    p_WQ: FloatArray
 
 
 def registered(
@@ -439,13 +461,15 @@ def registered(
     now: FloatArray,
     guess: FloatArray,
     prior: float,
+    deviation: float = SIDE_DEVIATION,
 ) -> tuple[FloatArray, FloatArray]:
-    """The shift from one frame's points (N, 3) to the next one's (M, 3).
+    """The shift from one frame's points (N, 3) to those of a later one (M, 3).
 
     Args:
         before, now: surfaces in the world [m]; a few points at least.
         guess: (3,) the shift that is expected [m].
         prior: how far off the guess may be, a standard deviation [m].
+        deviation: standard deviation of a point [m].
 
     Returns:
         (3,) the shift [m], and its variances (3,) [m^2]; those of the prior where nothing tells.
@@ -458,7 +482,7 @@ def registered(
     moving = before[own.query(moving, k=_NEIGHBOURS)[1]].mean(axis=1)
     shift, weak = np.array(guess, dtype=float), np.eye(3) / prior**2
     information = weak
-    for reach in np.geomspace(2.0 * _GATE, _GATE, _ROUNDS):
+    for reach in np.geomspace(2.0 * max(_GATE, prior), max(_GATE, 2.0 * deviation), _ROUNDS):
         distance, rows = tree.query(moving + shift, k=_NEIGHBOURS, distance_upper_bound=reach)
         # Where a whole neighbourhood is there.
         there = np.isfinite(distance).all(axis=1)
@@ -473,60 +497,89 @@ def registered(
         off = np.abs(left - normal @ shift)
         # Edges have no normal, and outliers no say.
         weight = (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-12)) ** 2
-        weight = (
-            weight / (1.0 + (off / (3.0 * SIDE_DEVIATION)) ** 2) / (_TOGETHER * SIDE_DEVIATION**2)
-        )
+        weight = weight / (1.0 + (off / (3.0 * deviation)) ** 2) / (_TOGETHER * deviation**2)
         told = np.einsum("n,ni,nj->ij", weight, normal, normal)
         pull = np.einsum("n,ni,n->i", weight, normal, left) + weak @ guess
         shift = np.linalg.solve(told + weak, pull)
         # A normal that noise has tilted seems to tell of what is along its surface.
-        rough = np.minimum(spread[:, 0] / (_NEIGHBOURS - 3), SIDE_DEVIATION**2)
-        tilted = weight @ (rough / np.maximum(spread[:, 1], SIDE_DEVIATION**2))
+        rough = np.minimum(spread[:, 0] / (_NEIGHBOURS - 3), deviation**2)
+        tilted = weight @ (rough / np.maximum(spread[:, 1], deviation**2))
         size, along = np.linalg.eigh(told - tilted * np.eye(3))
         information = (along * np.maximum(size, 0.0)) @ along.T + weak
     return shift, np.diag(np.linalg.inv(information)).copy()
 
 
+def depth_deviation(p_W: FloatArray, views: Sequence[View]) -> FloatArray:
+    """Standard deviations (M,) of the depth at places p_W (M, 3), as the nearest camera has it [m].
+
+    Beyond `_NEAR` it grows with the square of the depth; a step of the depth is twice as large.
+    """
+    depths = [(p_W - view.X_WC[:3, 3]) @ view.X_WC[:3, 2] for view in views]
+    nearest = np.min(depths, axis=0) if depths else np.ones(len(p_W))
+    return np.asarray(SIDE_DEVIATION * np.maximum(1.0, nearest / _NEAR) ** 2)
+
+
 def registered_tracks(
     tracks: Tracks,
-    before: dict[int, FloatArray],
+    references: dict[int, Reference],
     seen: FloatArray,
     point_row: IntArray,
     cluster: IntArray,
-    dt: float,
-) -> tuple[FloatArray, FloatArray]:
-    """How far the obstacles that may move have gone since dt [s] ago, and how well it is known.
+    deviation: FloatArray,
+    stamp: float,
+) -> tuple[FloatArray, FloatArray, dict[int, Reference]]:
+    """Velocities of obstacles by the shifts of their surfaces since their reference frames.
+
+    The depth of a structured-light camera comes in steps that grow with its square. From one frame
+    to the next a distant obstacle seems to rest while its depth stays within a step. A
+    reference is therefore kept until a step is less than `_SPEED_STEP` times its age, and used
+    once, so that no displacement is counted twice.
 
     Args:
         tracks: the M obstacles, as predicted.
-        before: what the frame before showed of them, by name.
+        references: earlier surfaces, by name.
         seen: (Q, 3) points of this frame [m].
         point_row: (Q,) their obstacles.
         cluster: (Q,) their clusters: what an obstacle has become one cluster with may show its
             surface too.
-        dt: see there.
+        deviation: (M,) from `depth_deviation` [m].
+        stamp: time of the frame [s].
 
     Returns:
-        (M, 3) shifts [m], NaN where nothing tells, and their variances (M, 3) [m^2].
+        (M, 3) velocities [m/s], NaN where nothing tells, their variances (M, 3) [m^2/s^2], and
+        the references of the next frame.
     """
-    shift, spread = np.full((len(tracks), 3), np.nan), np.ones((len(tracks), 3))
-    unknown = dt * INITIAL_SPEED
+    v_W, variance = np.full((len(tracks), 3), np.nan), np.ones((len(tracks), 3))
+    kept = {}
     for row, name in enumerate(tracks.ids.tolist()):
         mine = point_row == row
-        if not mine.any() or name not in before or not 0.0 < dt <= LONGEST_GAP:
+        if not mine.any():
             continue
-        then = before[name]
-        moved = np.abs(seen[mine].mean(axis=0) - then.mean(axis=0)).max() > _MOVED
+        now = seen[mine]
+        middle = now.mean(axis=0)
+        then = references.get(name)
+        dt = np.inf if then is None else stamp - then.stamp
+        if then is None or dt > LONGEST_GAP:
+            kept[name] = Reference(stamp, now)
+            continue
+        if 2.0 * deviation[row] > _SPEED_STEP * dt and dt < _LONGEST_AGE:
+            kept[name] = then
+            continue
+        kept[name] = Reference(stamp, now)
+        moved = np.abs(middle - then.p_WQ.mean(axis=0)).max() > _MOVED
         if not (moved or tracks.moving[row] or tracks.doubt[row] > _DOUBTED):
             continue
-        shift[row], spread[row] = registered(
-            then,
+        unknown = dt * INITIAL_SPEED
+        shift, spread = registered(
+            then.p_WQ,
             seen[np.isin(cluster, cluster[mine])],
             dt * tracks.estimate.v_W[row],
             unknown,
+            deviation[row],
         )
-        shift[row, spread[row] > (_TELLS * unknown) ** 2] = np.nan
-    return shift, spread
+        tells = spread <= (_TELLS * unknown) ** 2
+        v_W[row, tells], variance[row] = shift[tells] / dt, spread / dt**2
+    return v_W, variance, kept
 
 
 _BINS = 256
@@ -703,8 +756,6 @@ def open_sides(
 _PIXELS = 800  # about how many pixels of a cluster are looked at
 DEPTH_MARGIN = 0.03
 """Depth difference that tells what is before or behind a surface from what is on it [m]."""
-SIDE_DEVIATION = 0.0015
-"""Standard deviation of the measured place of a side, or of a surface point [m]."""
 _SIDE_TAIL = 0.02
 """Share of an obstacle's area that lies beyond its side."""
 _OPEN_SHARE = 0.7
@@ -794,7 +845,7 @@ def seen_sides(
 
 
 def measured_position(
-    seen: SeenSides, sides: FloatArray, known_area: FloatArray
+    seen: SeenSides, sides: FloatArray, known_area: FloatArray, deviation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Positions (M, 3) of obstacles by their sides [m], and their variances [m^2].
 
@@ -802,6 +853,7 @@ def measured_position(
         seen: the sides in this frame.
         sides: (M, 3, 2) where they were, from the position [m]; NaN: unknown.
         known_area: (M,) largest area seen of each before [m^2].
+        deviation: (M,) from `depth_deviation` [m].
 
     Returns:
         The positions, NaN along an axis of which no known side is seen.
@@ -813,7 +865,7 @@ def measured_position(
     count = usable.sum(axis=2)
     total = np.where(usable, position, 0.0).sum(axis=2)
     hidden = np.clip(1.0 - share, 0.0, 1.0)[:, None]
-    wide = np.hypot(SIDE_DEVIATION, _SIDE_GRAIN * seen.grain)[:, None]
+    wide = np.hypot(deviation, _SIDE_GRAIN * seen.grain)[:, None]
     wide = wide * (1.0 + _HIDDEN_FACTOR * hidden)
     wide = np.where((share > _WIDENED)[:, None], _WIDENED_FACTOR * wide, wide)
     variance = wide**2 / np.maximum(count, 1)

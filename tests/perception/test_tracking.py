@@ -21,6 +21,7 @@ from drake_oa.perception.segmentation import (
 )
 from drake_oa.perception.tracking import ObstacleMemory, fuse
 from drake_oa.perception.velocity import seen_sides
+from drake_oa.world.depth_noise import add_depth_noise
 from tests.reference.depth_images import look_at, rays_of
 
 SHAPE = (240, 320)
@@ -47,19 +48,19 @@ def arm(center, size=(0.06, 0.06, 0.6)) -> tuple[tuple, Solids]:
 
 
 @cache
-def seen_table(pose: bytes) -> tuple[np.ndarray, np.ndarray]:
+def seen_table(pose: bytes, focal: float) -> tuple[np.ndarray, np.ndarray]:
     """Depth of the table, and the rays of unit depth in the world (one reciprocal each)."""
     X_WC = np.frombuffer(pose).reshape(4, 4)
-    rays = rays_of(X_WC, K, SHAPE)
+    rays = rays_of(X_WC, [focal, focal, *K[2:]], SHAPE)
     depth = -X_WC[2, 3] / rays[..., 2]
     hit = X_WC[:3, 3] + depth[..., None] * rays
     on_table = (depth > 0.0) & (np.abs(hit[..., :2]) < 0.6).all(axis=-1)
     return np.where(on_table, depth, np.inf), rays
 
 
-def render(*things, X_WC=X_WC) -> np.ndarray:
+def render(*things, K=K, X_WC=X_WC) -> np.ndarray:
     """Depth of the table z = 0, |x| and |y| below 0.6 m, and of things on it."""
-    table, rays = seen_table(X_WC.tobytes())
+    table, rays = seen_table(X_WC.tobytes(), K[0])
     depth, start = table.copy(), X_WC[:3, 3]
     for kind, center, size in things:
         # Only the pixels in the cone round it.
@@ -340,6 +341,22 @@ def test_what_moves_slowly_is_seen_to_move(speed, seed):
         elif k > 40:
             np.testing.assert_allclose(now.v_WO[row], speed * direction, atol=0.035)
         assert not np.delete(now.v_WO, row, axis=0).any()
+
+
+def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
+    # At 2.8 m a step of the depth is as far as the obstacle goes in a frame.
+    far, config = look_at([2.6, 0.4, 1.2], [0.0, 0.0, 0.2]), replace(CONFIG, far=4.0)
+    sharp, memory = np.array([580.0, 580.0, 159.5, 119.5]), ObstacleMemory()
+    for k in range(40):
+        p_WO = np.array([-0.2 + 0.6 * FRAME * max(k - 12, 0), 0.0, 0.3])
+        depth = render(box(p_WO, [0.2, 0.2, 0.2]), K=sharp, X_WC=far)
+        depth = add_depth_noise(depth, sharp, seed=3, frame=k)
+        memory = step(memory, depth, k * FRAME, config=config, K=sharp, X_WC=far)
+        (v_WO,) = memory.obstacles.v_WO
+        if k <= 12:
+            assert not v_WO.any()
+        elif k > 12 + 12:
+            np.testing.assert_allclose(v_WO, [0.6, 0.0, 0.0], atol=0.12)
 
 
 LEVEL = look_at([1.25, 0.1, 0.6], [0.0, 0.0, 0.45])  # sees over the table
