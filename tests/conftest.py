@@ -12,7 +12,7 @@ from hypothesis import settings
 from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
-from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting
@@ -103,17 +103,9 @@ def straight_log() -> Callable[..., MotionLog]:
             speed_scale=np.ones(count),
             tracking_error=np.full(count, np.nan),
             q_world=none,
-            observation_time=np.zeros(0),
-            **pack_ellipsoids([]),
-            out_of_range=np.zeros(0, dtype=np.int64),
+            goal=np.tile([1.0, 0.0, 0.0], (count, 1)),
             regulation="Verified",
             shortfall=np.zeros(count),
-            event_time=np.zeros(0),
-            event=(),
-            event_hold=(),
-            supervision_time=np.zeros(0),
-            supervision_action=(),
-            supervision_reason=(),
             **vars(RobotLimits()),
             stop_reason="goal",
             ended="goal",

@@ -1,92 +1,65 @@
-"""What `drake-oa benchmark` times, and that timing changes nothing."""
+"""Figures of `drake-oa benchmark`, and that timing changes nothing."""
 
 import json
 import math
+import time
 
 import pytest
-from pydrake.systems.framework import LeafSystem
+from pydrake.common.value import Value
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from drake_oa import benchmark
-from drake_oa.benchmark import REST, Stopwatch, benchmark_table, run_benchmark
+from drake_oa.benchmark import REST, benchmark_table, run_benchmark, timed_systems
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 
-@pytest.fixture(scope="module")
-def box():
-    return load_scenario("tabletop_box")
-
-
-@pytest.fixture(scope="module")
-def figures(box):
-    scenarios = {"tabletop_box": box, "free_space": load_scenario("free_space")}
-    said = []
-    found = run_benchmark(scenarios, seconds=0.1, on_scenario=said.append)
-    assert said == list(scenarios)
-    return found
-
-
-def test_runs_are_timed_with_their_systems(figures):
+def test_runs_are_timed_with_their_systems():
+    scenarios = {name: load_scenario(name) for name in ("tabletop_box", "free_space")}
+    figures = run_benchmark(scenarios, seconds=0.1)
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
-    assert {"cpu", "cores", "load"} <= set(figures["machine"])
     assert {"drake", "drake_oa", "numpy"} <= set(figures["versions"])
     for found in figures["scenarios"].values():
         assert found["run"]["real_time_factor"] > 0.0
-        assert all(0.0 < seconds < math.inf for seconds in found["run"]["layers"].values())
+        assert all(0.0 <= seconds < math.inf for seconds in found["run"]["layers"].values())
     layers = figures["scenarios"]["tabletop_box"]["run"]["layers"]
     assert {REST, "perception", "motion_verifier", "dmp_integrator", "controller"} <= set(layers)
     table = str(benchmark_table(figures))
-    assert table.splitlines()[0].split() == ["tabletop_box", "free_space"]
+    assert table.splitlines()[0].split() == list(scenarios)
     assert all(name in table for name in (*layers, figures["machine"]["cpu"]))
 
 
-def test_a_time_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match="must be positive"):
-        run_benchmark({}, seconds=0.0)
-
-
-def test_a_watched_run_is_the_same_motion(box):
-    def places():
-        return simulate(box, duration=0.1).q.tolist()
-
-    with benchmark._watched_systems(Stopwatch()):
-        watched = places()
-    assert watched == places()
-
-
-def test_drake_is_left_as_it_was_also_after_an_error(box, monkeypatch):
-    before = dict(vars(LeafSystem))
-    monkeypatch.setattr(benchmark, "simulate", lambda *_, **__: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        benchmark.time_layers(box, 0.05)
+def test_a_timed_run_is_the_same_motion_and_drake_is_left_as_it_was():
+    box, before = load_scenario("tabletop_box"), dict(vars(LeafSystem))
+    with timed_systems():
+        timed = simulate(box, duration=0.1).q.tolist()
+    assert timed == simulate(box, duration=0.1).q.tolist()
+    with pytest.raises(ZeroDivisionError), timed_systems():
+        raise ZeroDivisionError
     assert dict(vars(LeafSystem)) == before
 
 
-class Clock:
-    """Time that passes as told."""
+class Slow(LeafSystem):
+    """Takes a time to compute its output, after its input if that is connected."""
 
-    now = 0.0
+    def __init__(self, seconds):
+        super().__init__()
+        port = self.DeclareAbstractInputPort("before", Value(0))
 
-    def perf_counter(self) -> float:
-        return self.now
+        def calc(context, output):
+            if port.HasValue(context):
+                port.Eval(context)
+            time.sleep(seconds)
+
+        self.DeclareAbstractOutputPort("after", lambda: Value(0), calc)
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr("drake_oa.benchmark.time", clock)
-    return clock
-
-
-def test_each_moment_is_that_of_the_innermost_section(clock):
-    watch = Stopwatch()
-    clock.now += 1.0
-    with watch.section("outer"):
-        clock.now += 2.0
-        with watch.section("inner"):
-            clock.now += 4.0
-        with watch.section("outer"):
-            clock.now += 8.0
-        clock.now += 16.0
-    watch.stop()
-    assert watch.spent == {REST: 1.0, "outer": 26.0, "inner": 4.0}
+def test_each_moment_is_that_of_the_innermost_system():
+    builder = DiagramBuilder()
+    with timed_systems() as spent:
+        one, other = (builder.AddNamedSystem(f"{s}", Slow(s)) for s in (0.1, 0.02))
+    builder.Connect(one.get_output_port(), other.get_input_port())
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    other.get_output_port().Eval(other.GetMyContextFromRoot(context))
+    assert spent["0.1"] == pytest.approx(0.1, abs=0.05)
+    assert spent["0.02"] == pytest.approx(0.02, abs=0.02)

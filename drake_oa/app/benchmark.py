@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from drake_oa.app.scenarios import scenario_name
+from drake_oa.app.scenarios import Positive, scenario_name
 from drake_oa.common.console import quiet, show
 from drake_oa.common.files import check_outputs, replace_json
 
@@ -19,7 +18,7 @@ def benchmark(
         "tabletop_box",
         "moving_obstacle",
     ),
-    seconds: float = 3.0,
+    seconds: Positive = 3.0,
     json: Path | None = None,
 ) -> None:
     """Time runs: the real-time factor, and the wall time of each system in a simulated second.
@@ -40,10 +39,6 @@ def benchmark(
     chosen = {scenario_name(name): load_scenario(name) for name in scenarios}
     check_outputs(json)
     with quiet():
-        figures = run_benchmark(
-            chosen,
-            seconds=seconds,
-            on_scenario=lambda name: print(f"timing {name} ...", file=sys.stderr),
-        )
+        figures = run_benchmark(chosen, seconds=seconds)
     show(benchmark_table(figures))
     replace_json(json, figures)

@@ -170,14 +170,10 @@ def evaluated(
 
 
 def _suite(name: str) -> Suite:
-    from drake_oa.studies.scenes.suites import FIGURES, SUITES, find_suite
+    from drake_oa.studies.scenes.suites import SUITES, find_suite
 
-    if name in FIGURES:
-        raise ValueError(f"{name} is a figure of the paper: drake-oa evaluate {FIGURES[name]}")
-    if name in evaluate:
-        raise ValueError(f"the suite comes first: drake-oa evaluate {name} ...")
     if name not in SUITES:
-        known = ", ".join([*SUITES, "panda", "mbm"])
+        known = ", ".join([*SUITES, *(command for command in evaluate if command[0] != "-")])
         raise ValueError(f"unknown suite {name!r}; valid: {known}")
     return find_suite(name)
 
@@ -232,14 +228,14 @@ def evaluation_status(evaluation: Evaluation) -> int:
 
 @contextmanager
 def counted(total: int) -> Iterator[Callable[[str, int], None]]:
-    """A progress bar that is told how many more were done, and of what."""
-    done = 0
+    """Shows a progress bar; yields a function of a name and an additional count."""
     with progress_bar(total) as update:
+        count = 0
 
-        def advance(name: str, count: int) -> None:
-            nonlocal done
-            done += count
-            update(f"{name} {done}/{total}", done)
+        def advance(name: str, more: int) -> None:
+            nonlocal count
+            count += more
+            update(f"{name} {count}/{total}", count)
 
         yield advance
 
@@ -573,17 +569,13 @@ def _keeping(runs: Runs) -> Keeping:
     from drake_oa.studies.panda.evaluation import Keeping
     from drake_oa.studies.results import ResultFolder
 
-    folder = runs.results
-    if folder is None:
-        file = runs.json
-        # A device, as /dev/stdout, has no place beside it.
-        beside = file is not None and (file.is_file() or not file.exists())
-        folder = file.with_name(f"{file.stem}.scenes") if file is not None and beside else RESULTS
+    beside = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
+    folder = ResultFolder(runs.results or beside)
     for other in (runs.logs, runs.write_scenes):
         if other is not None:
-            # Told apart from a file, and made, before anything is computed.
+            # Made before anything is computed.
             ResultFolder(other)
-    return Keeping(ResultFolder(folder), runs.logs)
+    return Keeping(folder, runs.logs)
 
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:

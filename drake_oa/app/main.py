@@ -2,44 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import logging
 import os
-import signal
 import sys
-import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, Any
 
-try:
-    import contextlib
-    import logging
-    from collections.abc import Callable, Iterator, Sequence
-    from typing import Annotated, Any, TextIO
+from cyclopts import App, CycloptsError, Group, Parameter
+from rich.console import Console
 
-    from cyclopts import App, CycloptsError, Group, Parameter
-    from rich.console import Console
-
-    from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
-    from drake_oa.common.files import OutputError
-except KeyboardInterrupt:
-    # `main` cannot report it yet.
-    print("drake-oa: error: interrupted", file=sys.stderr)
-    sys.exit(130)
-
-_COMPILATION = {
-    "run": "a minute",
-    "play": "a minute",
-    "station": None,
-    "replay": None,
-    "plot": None,
-    "graph": None,
-    "check": None,
-    "perceive": "half a minute",
-    "benchmark": "2 minutes",
-    "synthetic": "2 to 4 minutes",
-    "panda": "2 to 4 minutes",
-    "mbm": "2 to 4 minutes",
-    "train": "half a minute",
-}
-"""Functions that compute -> about how long their kernels take to compile, where that is known."""
+from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
+from drake_oa.common.files import OutputError
 
 _HELP = """\
 Reactive obstacle avoidance for a manipulator, as Drake systems.
@@ -89,7 +64,7 @@ def _versions() -> str:
 
 
 def _app() -> App:
-    """The commands; the module of one is imported when it is asked for."""
+    """Creates the commands; the module of each is imported when it is used."""
     app = App(
         name="drake-oa",
         help=_HELP,
@@ -112,12 +87,6 @@ def _app() -> App:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
     tokens = sys.argv[1:] if arguments is None else list(arguments)
-    # A stream is None if it was closed before the start.
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-    if sys.stdout is None:
-        complain("standard output is closed; redirect it to a file or to /dev/null")
-        return FAILED
     try:
         status = _run(tokens)
         sys.stdout.flush()
@@ -172,9 +141,10 @@ def _run(tokens: Sequence[str]) -> int:
             verbose: more messages, and a traceback with an error.
         """
         level = logging.INFO if verbose else logging.WARNING
-        logging.basicConfig(
-            format="%(levelname)s: %(message)s", level=level, handlers=[_StderrHandler()]
-        )
+        # Writes to the present stderr: a progress display may stand in for it.
+        handler = logging.lastResort or logging.StreamHandler()
+        handler.setLevel(level)
+        logging.basicConfig(format="%(levelname)s: %(message)s", level=level, handlers=[handler])
         command, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
         with _computing(command, level):
             return command(*bound.args, **bound.kwargs) or 0
@@ -189,54 +159,20 @@ def _run(tokens: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
-    """Round a command that computes: one BLAS thread, and a word when kernels are compiled."""
-    name = command.__name__
-    if name not in _COMPILATION:
+    """Limits a command that computes to one BLAS thread, and announces compilation."""
+    if command.__name__ in ("scenarios", "new"):
         yield
         return
-    with _exit_on_interrupt():
-        # Loads pydrake, which sets the level of its log anew, and the libraries to be limited.
-        from threadpoolctl import threadpool_limits
+    # Loads pydrake, which sets the level of its log, and the libraries to be limited.
+    from threadpoolctl import threadpool_limits
 
-        import drake_oa.scenario.loading  # noqa: F401
-        from drake_oa.common.numba_tools import announced_compilation
+    import drake_oa.scenario.loading  # noqa: F401
+    from drake_oa.common.numba_tools import announced_compilation
 
     logging.getLogger("drake").setLevel(level)
     # Many small matrices: more BLAS threads only wait for each other.
-    with threadpool_limits(limits=1), announced_compilation(_COMPILATION[name]):
+    with threadpool_limits(limits=1), announced_compilation():
         yield
-
-
-@contextlib.contextmanager
-def _exit_on_interrupt() -> Iterator[None]:
-    """Makes Ctrl-C end the process at once: compiled modules cannot be imported in part."""
-    before = signal.getsignal(signal.SIGINT)
-    is_ours = before is signal.default_int_handler
-    if not is_ours or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def end(*_: object) -> None:
-        complain("interrupted")
-        os._exit(INTERRUPTED)
-
-    signal.signal(signal.SIGINT, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-class _StderrHandler(logging.StreamHandler[TextIO]):
-    """Writes to what stderr is by then: a progress display may stand in for it."""
-
-    @property
-    def stream(self) -> TextIO:
-        return sys.stderr
-
-    @stream.setter
-    def stream(self, value: TextIO) -> None:
-        pass
 
 
 if __name__ == "__main__":

@@ -26,8 +26,7 @@ def play(
 
     The arm goes to the goal and back, at real time. The controls are at the upper right:
 
-      pause, step, reset, stop
-      throw it in        a ball comes into the way, and leaves again
+      pause, reset, stop
       next ...           method: verified (the default), the paper's chain, or nominal
       camera or ...      obstacles as the camera sees them, or their true shapes
       speed              1 is real time

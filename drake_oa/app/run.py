@@ -7,9 +7,9 @@ import logging
 import math
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -31,12 +31,7 @@ from drake_oa.common.console import (
     show,
     write_all,
 )
-from drake_oa.common.files import (
-    check_space,
-    replace_json,
-    replace_text,
-    reserve_file,
-)
+from drake_oa.common.files import replace_json, replace_text, reserve_file
 
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -48,14 +43,9 @@ if TYPE_CHECKING:
     from drake_oa.scenario.scenario import Scenario
 
 LOG_FOLDER = Path("drake_oa_runs")
-"""Where logs go that nobody named, relative to the current folder."""
-
-_LOG_SPACE = 32 * 2**20
-"""Space that a log may need [byte]; one of two motions of 20 s takes some 4 MB."""
-
-
+"""Folder of logs without --log, relative to the current folder."""
 LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
-"""Of a bus that stays on this machine, with room for images."""
+"""Bus that stays on this machine, with room for images."""
 
 
 @dataclass
@@ -71,10 +61,10 @@ class _Run:
         json: file of the report, or None.
         log_file: file of the log, or None.
         duration: simulated time after which each motion is stopped [s]; None: at its end.
-        raise_if_asked: raises KeyboardInterrupt once somebody has asked for the end.
+        raise_if_asked: raises KeyboardInterrupt once the end was requested.
         logs: log of each motion.
         failure: exception that cut the last motion short.
-        log_error: reason why the log could not be written.
+        is_written: whether all outputs could be written so far.
     """
 
     name: str
@@ -88,7 +78,7 @@ class _Run:
     raise_if_asked: Callable[[], None]
     logs: dict[str, MotionLog] = field(default_factory=dict)
     failure: BaseException | None = None
-    log_error: str | None = None
+    is_written: bool = True
 
 
 def run(
@@ -156,8 +146,6 @@ def run(
         lcm_url: with --hardware, of the bus.
         rate: with --hardware, simulated seconds in one of the wall clock, at most 1.
     """
-    from drake_oa.runs.first_run import compiled_beside
-
     chosen = open_scenario(scenario, overrides, html, json, log)
     if hardware:
         _open_bus(lcm_url)
@@ -183,14 +171,10 @@ def run(
                 complain(str(error))
                 return FAILED
         else:
-            with compiled_beside(chosen):
-                _simulate_both(this)
+            _simulate_both(this)
         status = _report(this)
-        if log_file is not None and this.log_error is None:
+        if log_file is not None:
             print(f"log: {log_file}", file=sys.stderr)
-    if this.log_error is not None:
-        complain(this.log_error)
-        status = FAILED
     if isinstance(this.failure, KeyboardInterrupt):
         complain(str(this.failure) or "interrupted")
         return TERMINATED if isinstance(this.failure, Terminated) else INTERRUPTED
@@ -305,28 +289,16 @@ def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Pa
     """Provides the file of the log: the one of --log, or a new one; None with --no-log."""
     if named is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
-    if no_log:
-        yield None
-    elif named is not None:
-        check_space(named, _LOG_SPACE)
-        if named.is_file() and named.stat().st_size:
-            print(f"{named} will be replaced by this run's log", file=sys.stderr)
+    if named is not None or no_log:
         yield named
-    else:
-        file = None
-        try:
-            try:
-                # Two runs may start within one second: the second one takes another name.
-                file = reserve_file(LOG_FOLDER, scenario, ".npz")
-                check_space(file, _LOG_SPACE)
-            except ValueError as error:
-                raise ValueError(
-                    f"{error}; --log names another file, --no-log writes none"
-                ) from None
-            yield file
-        finally:
-            if file is not None and file.stat().st_size == 0:
-                file.unlink()
+        return
+    # Two runs may start within one second: the second one takes another name.
+    file = reserve_file(LOG_FOLDER, scenario, ".npz")
+    try:
+        yield file
+    finally:
+        if file.stat().st_size == 0:
+            file.unlink()
 
 
 def _simulate_both(this: _Run) -> None:
@@ -400,11 +372,7 @@ def _add_motion(
         logging.getLogger(__name__).info("where it happened", exc_info=True)
     if this.log_file is not None:
         # After each motion, so that nothing is lost by what comes next.
-        try:
-            save_logs(this.log_file, this.logs)
-        except OSError as error:
-            # A disk that is full by now must not cost the report as well.
-            this.log_error = str(error)
+        this.is_written &= write_all(partial(save_logs, this.log_file, this.logs))
 
 
 def _report(this: _Run) -> int:
@@ -420,37 +388,26 @@ def _report(this: _Run) -> int:
 
     logs, html, json = this.logs, this.html, this.json
     report = run_report(this.name, this.scenario, logs)
-    # Printed after all files are written: standard error may be a pipe that its reader closed.
-    lines: list[str] = []
 
     def write_page() -> None:
-        if html and this.meshcat and "modulated" in logs:
+        if this.meshcat is not None and html is not None and "modulated" in logs:
             page = this.meshcat.StaticHtml()
             replace_text(html, label_page(page, this.name, this.scenario, logs["modulated"]))
-            lines.append(f"page: {html}")
-
-    def write_report() -> None:
-        if json:
-            replace_json(json, report)
-            lines.append(f"report: {json}")
 
     contact = contact_error(report)
     try:
         show(report_table(report))
     finally:
-        written = write_all(write_page, write_report)
-        for line in lines:
-            print(line, file=sys.stderr)
+        written = write_all(write_page, lambda: replace_json(json, report))
+        for output in filter(None, (html, json) if written else ()):
+            print(f"written: {output}", file=sys.stderr)
+        this.is_written &= written
         if contact:
             complain(contact)
-    if contact or not written:
-        return FAILED
-    enough = {MotionEnd.GOAL}
-    if this.duration is not None:
-        enough.add(MotionEnd.TIME_LIMIT)
     # The pre-planned motion may end at an obstacle.
     last = logs.get("modulated") or next(iter(logs.values()))
-    return 0 if last.ended in enough else FAILED
+    enough = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
+    return 0 if this.is_written and not contact and last.ended in enough else FAILED
 
 
 def _open_panel(this: _Run) -> LivePanel | None:
@@ -470,18 +427,14 @@ def _progress(this: _Run, motion: str) -> Iterator[Callable[[float, float], None
     """Shows a bar over the motion on a terminal; nothing when piped."""
     from drake_oa.policy.dmp import normalised_time
 
-    percent = 0
-    with progress_bar(100.0) as update:
+    with progress_bar(1.0) as update:
 
         def advance(time: float, phase: float) -> None:
-            nonlocal percent
             this.raise_if_asked()
             share = normalised_time(phase, this.scenario.policy.alpha_k)
             if this.duration is not None:
                 share = max(share, time / this.duration)
-            if min(100, int(100.0 * share)) > percent:
-                percent = min(100, int(100.0 * share))
-                update(f"{motion:>10} {time:6.2f} s", percent)
+            update(f"{motion:>10} {time:6.2f} s", share)
 
         yield advance
 
@@ -514,19 +467,16 @@ def stop_between_steps() -> Iterator[Callable[[], None]]:
         if asked:
             raise asked[0]
 
-    # What somebody else handles, or ignores as nohup does, stays theirs.
-    default = (signal.default_int_handler, signal.SIG_DFL)
     before = {
         number: signal.getsignal(number)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
-    ours = [number for number, handler in before.items() if handler in default]
-    if threading.current_thread() is not threading.main_thread():
-        ours = []
-    for number in ours:
-        signal.signal(number, ask)
+    for number, handler in before.items():
+        # nohup ignores SIGHUP.
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, ask)
     try:
         yield raise_if_asked
     finally:
-        for number in ours:
-            signal.signal(number, before[number])
+        for number, handler in before.items():
+            signal.signal(number, handler)

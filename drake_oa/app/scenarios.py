@@ -147,9 +147,8 @@ def check(
 
     Where its fields are right the cell is built, and a table says what start and goal leave
     the arm. A line says how much of the space near the arm its cameras do not see, at the start
-    and on the way, and suggests a place for one that sees more if it is much. The picture,
-    NAME.check.png unless --plot names another file, shows the cell with
-    the arm at the start, and what each camera sees; green is the start, red the goal.
+    and on the way. The picture, NAME.check.png unless --plot names another file, shows the cell
+    with the arm at the start, and what each camera sees; green is the start, red the goal.
 
     Exit status: 0 when nothing is wrong, 1 when something is, 2 for a file that cannot be read.
 

@@ -9,7 +9,6 @@ import itertools
 import json
 import os
 import platform
-import shutil
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -86,24 +85,6 @@ def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
             raise ValueError(f"cannot write {path}: {why}") from None
         if not known:
             path.unlink()
-
-
-def check_space(path: Path, size: int) -> None:
-    """Refuses a file whose disk is about full.
-
-    Args:
-        path: the file; its folder exists.
-        size: space that must be free [byte].
-
-    Raises:
-        ValueError: if less is free; says how much there is.
-    """
-    free = shutil.disk_usage(path.parent).free
-    if free < size:
-        raise ValueError(
-            f"cannot write {path}: {free / 2**20:.1f} MiB are free on its disk; "
-            f"{size / 2**20:.0f} MiB are needed"
-        )
 
 
 def reserve_file(folder: Path, stem: str, suffix: str) -> Path:

@@ -1,18 +1,14 @@
-"""Places of a scenario's cameras: the space near the arm that they miss, and better places."""
+"""Space near the arm that a scenario's cameras do not see."""
 
 from __future__ import annotations
 
-import math
-from itertools import product
-
 import numpy as np
 from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import GetScopedFrameByName
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraSource
@@ -23,16 +19,9 @@ from drake_oa.robot.spheres import sphere_centers
 from drake_oa.scenario.end_poses import end_positions, posture_guide
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.viewing.viewer import looking_pose
 from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.world_model import add_world
 
-AWAY = 2.1
-"""Distance of a well placed camera from the middle of the space that it sees [m]."""
-LARGE_SHARE = 0.15
-"""Unseen share above which another place is suggested."""
-_AZIMUTHS = tuple(math.radians(degrees) for degrees in range(0, 360, 45))
-_ELEVATIONS = tuple(math.radians(degrees) for degrees in (20, 35, 50))
 _CONFIGURATIONS = 5
 """Number of configurations between start and goal."""
 
@@ -51,22 +40,19 @@ def near_space(scenario: Scenario) -> NearSpace:
 def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
     """Computes the volumes in which the cameras of perception measure."""
     limits = source.segmentation
-    return [
-        _view_volume(camera, camera_pose(scenario, camera), limits.near, limits.far)
-        for camera in camera_configs(scenario, source)
-    ]
-
-
-def _view_volume(camera: CameraConfig, X_WC: RigidTransform, near: float, far: float) -> ViewVolume:
-    """Computes the volume of a camera at a pose, within limits of the depth [m]."""
-    seen = depth_intrinsics(camera)
-    return ViewVolume(
-        X_WC.GetAsMatrix4(),
-        np.array(pinhole(seen)),
-        (seen.height(), seen.width()),
-        max(camera.z_near, near),
-        min(camera.z_far, far),
-    )
+    volumes = []
+    for camera in camera_configs(scenario, source):
+        seen = depth_intrinsics(camera)
+        volumes.append(
+            ViewVolume(
+                camera_pose(scenario, camera).GetAsMatrix4(),
+                np.array(pinhole(seen)),
+                (seen.height(), seen.width()),
+                max(camera.z_near, limits.near),
+                min(camera.z_far, limits.far),
+            )
+        )
+    return volumes
 
 
 def camera_pose(scenario: Scenario, camera: CameraConfig) -> RigidTransform:
@@ -80,47 +66,10 @@ def camera_pose(scenario: Scenario, camera: CameraConfig) -> RigidTransform:
     return X_WP @ camera.X_PB.GetDeterministicValue()
 
 
-def placed_around(
-    middle: FloatArray, azimuth: float, elevation: float, away: float = AWAY
-) -> RigidTransform:
-    """Computes the pose X_WC of a camera that looks at a point from a distance, x axis level.
-
-    Args:
-        middle: (3,) the point in the world [m].
-        azimuth: angle of the way to the camera about the vertical, from the world's x axis [rad].
-        elevation: angle of that way above the horizontal [rad].
-        away: its length [m].
-    """
-    level = math.cos(elevation)
-    way = [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
-    return looking_pose(RigidTransform(), middle + away * np.array(way), middle)
-
-
 def view_note(scenario: Scenario) -> str:
-    """Returns one line about the unseen share of the space near the arm; "" without cameras.
-
-    Where the share is large, it suggests the best of the places around the middle of that space.
-    """
+    """Returns one line about the unseen share of the space near the arm; "" without cameras."""
     source = scenario.perception
     if not isinstance(source, CameraSource):
         return ""
-    space = near_space(scenario)
-    share = space.unseen_share(view_volumes(scenario, source))
-    note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unseen"
-    if share <= LARGE_SHARE:
-        return note
-    camera = camera_configs(scenario, source)[0]
-    least, X_WC = share, RigidTransform()
-    for azimuth, elevation in product(_AZIMUTHS, _ELEVATIONS):
-        X_WP = placed_around(space.middle, azimuth, elevation)
-        view = _view_volume(camera, X_WP, source.segmentation.near, camera.z_far)
-        if (found := space.unseen_share([view])) < least:
-            least, X_WC = found, X_WP
-    if least == share:
-        return f"{note}; no single camera in a distance of {AWAY:g} m sees more"
-    place = np.round(X_WC.translation(), 2).tolist()
-    angles = (np.round(np.degrees(RollPitchYaw(X_WC.rotation()).vector()), 1) + 0.0).tolist()
-    return (
-        f"{note}; {least:.0%} with '{camera.name}' at X_PB: {{translation: {place}, "
-        f"rotation: !Rpy {{deg: {angles}}}}} and segmentation: {{far: {camera.z_far:g}}}"
-    )
+    share = near_space(scenario).unseen_share(view_volumes(scenario, source))
+    return f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unseen"

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import (
@@ -19,12 +18,11 @@ from pydrake.geometry import (
     PenetrationAsPointPair,
     QueryObject,
     SceneGraphInspector,
-    SignedDistancePair,
 )
 from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from drake_oa.common.messages import OUT_OF_WORLD, BoolArray, EllipsoidSet, FloatArray
+from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.geometry.solids import Solids, read_solid, solids_of
 from drake_oa.robot.grasped_object import tool_links
@@ -37,7 +35,7 @@ from drake_oa.world.station import make_station
 
 @dataclass(frozen=True, eq=False)
 class MotionMetrics:
-    """What a motion kept and what it touched.
+    """Clearances and contacts of a motion.
 
     Attributes:
         contacts: "link - object" of every pair that touched, each once, in order of
@@ -78,12 +76,12 @@ Hits = dict[str, PenetrationAsPointPair]
 
 
 def path_length(path: FloatArray) -> float:
-    """Length of a polyline (T, D) [m]."""
+    """Computes the length of a polyline (T, D) [m]."""
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetrics:
-    """Metrics of a free point among ellipsoids; p_WE is (T, 3) [m]."""
+    """Computes the metrics of a free point (T, 3) [m] among ellipsoids."""
     if len(ellipsoids) == 0:
         clearance = np.full((len(p_WE), 0), np.inf)
     else:
@@ -138,16 +136,8 @@ def _greatest(instants: Iterable[Contacts]) -> Contacts:
     return found
 
 
-class Nearest(NamedTuple):
-    """The two nearest points of a robot and an obstacle, in the world, and how far apart [m]."""
-
-    distance: float
-    p_WA: FloatArray
-    p_WB: FloatArray
-
-
 class RobotJudge:
-    """Asks SceneGraph about one configuration of a scenario's robot after another."""
+    """Measurement of distances and contacts of a scenario's robot by SceneGraph."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Builds the station, which takes as long as judging many configurations.
@@ -196,7 +186,7 @@ class RobotJudge:
         return self._body[geometry].model_instance() == self._station.robot
 
     def metrics(self, q: FloatArray, q_world: FloatArray | None = None) -> MotionMetrics:
-        """Metrics of a motion.
+        """Computes the metrics of a motion.
 
         Args:
             q: (T, nq) positions of the robot, in the plant's order.
@@ -234,21 +224,6 @@ class RobotJudge:
         self._plant.SetPositions(self._plant_context, q_world)
         self._plant.SetPositions(self._plant_context, self._station.robot, q)
         return self._query_port.Eval(self._graph_context)
-
-    def nearest(self, q: FloatArray, q_world: FloatArray) -> Nearest | None:
-        """The robot's and an obstacle's nearest points; None while there is no obstacle.
-
-        Args:
-            q: (nq,) positions of the robot, in the plant's order.
-            q_world: (n,) all positions of the station's plant.
-        """
-        query = self._query_at(q, q_world)
-        bounds = self._bounds()
-        found = self._closest(query, bounds, np.ones(bounds.shape, dtype=bool))
-        if found is None:
-            return None
-        p_WA = query.GetPoseInWorld(found.id_A) @ found.p_ACa
-        return Nearest(found.distance, p_WA, query.GetPoseInWorld(found.id_B) @ found.p_BCb)
 
     def positions_at(self, time: float) -> FloatArray:
         """Computes (n,) positions of the station's plant with the obstacles on their courses.
@@ -321,43 +296,28 @@ class RobotJudge:
                 known[pair] = hit
         return found, own
 
-    def _bounds(self) -> FloatArray:
-        """Returns lower bounds (I, J) of the robot's distances to the obstacles [m].
+    def _clearances(self, query: QueryObject) -> list[float]:
+        """Returns minimum distances to the obstacles that are there [m].
 
-        No pair of geometries is nearer than the balls around both.
+        Of the robot, of the tool, and of the tool to what never moves. No pair of geometries is
+        nearer than the balls around both: the nearest balls come first.
         """
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
-        return np.asarray(np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius)
-
-    def _closest(
-        self, query: QueryObject, bounds: FloatArray, counts: BoolArray
-    ) -> SignedDistancePair | None:
-        """Returns the closest of the pairs (I, J) that count; None if all are out of the world."""
-        found, least = None, OUT_OF_WORLD
-        for pair in np.argsort(bounds, axis=None):
-            i, j = divmod(int(pair), bounds.shape[1])
-            if bounds[i, j] >= least:
-                break
-            if counts[i, j]:
-                hit = query.ComputeSignedDistancePairClosestPoints(
-                    self._robot_balls.geometries[i], self._obstacle_balls.geometries[j]
+        bounds = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
+        order, tool, found = np.argsort(bounds, axis=None), self._tool[:, None], []
+        for counted in (np.True_, tool, tool & self._rests):
+            chosen = order[np.broadcast_to(counted, bounds.shape).ravel()[order]]
+            least = OUT_OF_WORLD
+            for i, j in zip(*np.unravel_index(chosen, bounds.shape), strict=True):
+                if bounds[i, j] >= least:
+                    break
+                pair = query.ComputeSignedDistancePairClosestPoints(
+                    ours.geometries[i], others.geometries[j]
                 )
-                if hit.distance < least:
-                    found, least = hit, hit.distance
+                least = min(least, pair.distance)
+            found.append(least if least < OUT_OF_WORLD else math.inf)
         return found
-
-    def _clearances(self, query: QueryObject) -> list[float]:
-        """Returns least distances to the obstacles that are there [m].
-
-        Of the robot, of the tool, and of the tool to what never moves.
-        """
-        bounds, tool = self._bounds(), self._tool[:, None]
-        found = [
-            self._closest(query, bounds, np.broadcast_to(counts, bounds.shape))
-            for counts in (np.True_, tool, tool & self._rests)
-        ]
-        return [math.inf if pair is None else pair.distance for pair in found]
 
 
 class _Balls:

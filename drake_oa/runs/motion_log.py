@@ -59,8 +59,7 @@ modulated              ()             bool     whether the motion was bent round
 scenario               ()             text     the scenario as YAML, defaults included
 seed                   ()             1        the scenario's seed
 versions               (P,)           text     packages, date, source digest: "name value"
-goal                   (T, 3)         m        where the goal was; (0, 3) where a file of before
-                                               it was logged has none
+goal                   (T, 3)         m        where the goal was
 desired_orientation    (T, 4)         1        quaternion w, x, y, z of R_WE asked of the
                                                controller; (0, 4) where it stays
 orientation_error      (T, 3)         rad      rotation vector from the actual to the desired
@@ -171,21 +170,21 @@ class MotionLog:
     speed_scale: FloatArray
     tracking_error: FloatArray
     q_world: FloatArray
-    observation_time: FloatArray
-    observation_stamp: FloatArray
-    p_WO: FloatArray
-    R_WO: FloatArray
-    semi_axes: FloatArray
-    v_WO: FloatArray
-    obstacle_id: IntArray
-    out_of_range: IntArray
+    observation_time: FloatArray = _empty(0)
+    observation_stamp: FloatArray = _empty(0)
+    p_WO: FloatArray = _empty(0, 0, 3)
+    R_WO: FloatArray = _empty(0, 0, 3, 3)
+    semi_axes: FloatArray = _empty(0, 0, 3)
+    v_WO: FloatArray = _empty(0, 0, 3)
+    obstacle_id: IntArray = _empty(0, 0)
+    out_of_range: IntArray = _empty(0)
     regulation: str
     shortfall: FloatArray
-    event_time: FloatArray
-    event: tuple[str, ...]
-    supervision_time: FloatArray
-    supervision_action: tuple[str, ...]
-    supervision_reason: tuple[str, ...]
+    event_time: FloatArray = _empty(0)
+    event: tuple[str, ...] = ()
+    supervision_time: FloatArray = _empty(0)
+    supervision_action: tuple[str, ...] = ()
+    supervision_reason: tuple[str, ...] = ()
     position_name: tuple[str, ...]
     position_lower: FloatArray
     position_upper: FloatArray
@@ -198,7 +197,7 @@ class MotionLog:
     scenario: str
     seed: int
     versions: tuple[str, ...]
-    goal: FloatArray = _empty(0, 3)
+    goal: FloatArray
     desired_orientation: FloatArray = _empty(0, 4)
     orientation_error: FloatArray = _empty(0, 3)
     desired_posture: FloatArray = _empty(0, 0)
@@ -212,17 +211,17 @@ class MotionLog:
     decision_time: FloatArray = _empty(0)
     decision_cost: FloatArray = _empty(0)
     decision_layer: tuple[str, ...] = ()
-    event_hold: tuple[str, ...]
+    event_hold: tuple[str, ...] = ()
     ended: str
 
     @property
     def simulated_time(self) -> float:
-        """Until all was at rest, or the run was ended [s]."""
+        """Time until all was at rest, or the run was ended [s]."""
         return float(self.t[-1]) if len(self.t) else 0.0
 
     @property
     def duration(self) -> float:
-        """Of the motion, to its end [s]."""
+        """Duration of the motion, to its end [s]."""
         return self.simulated_time if math.isnan(self.motion_end) else self.motion_end
 
     @property
@@ -238,7 +237,7 @@ class MotionLog:
         }
 
     def observation(self, row: int) -> EllipsoidSet:
-        """What was seen in one of the F observations."""
+        """Returns the ellipsoids of one of the F observations."""
         there = np.isfinite(self.p_WO[row]).all(axis=1)
         return EllipsoidSet(
             stamp=float(self.observation_stamp[row]),

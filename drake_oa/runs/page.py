@@ -79,13 +79,12 @@ class PanelReadings:
         return Reading(now, "\n".join([*lines, state]), alert)
 
 
-def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[Reading]:
+def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
     """Lists what the panel of a logged motion shows, one reading at least.
 
     Args:
         scenario: what the log was made from.
         log: the motion.
-        speed: times as fast as it was shown.
     """
     if not len(log.t):
         return [Reading(0.0, "")]
@@ -100,8 +99,7 @@ def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[
         now, first = float(log.t[last]), last + 1
         source = float(log.motion_source[last]) if len(log.motion_source) else -1.0
         state = _logged_state(log, now)
-        reading = panel.at(now, state, q[rows], log.q_world[rows], source)
-        found.append(reading._replace(time=round(now / speed, 3)))
+        found.append(panel.at(round(now, 3), state, q[rows], log.q_world[rows], source))
     return found
 
 
@@ -112,9 +110,7 @@ def _logged_state(log: MotionLog, now: float) -> str:
     return motion_state(said, log.event[row] if row >= 0 else "")
 
 
-def label_page(
-    page: str, name: str, scenario: Scenario, log: MotionLog, *, speed: float = 1.0
-) -> str:
+def label_page(page: str, name: str, scenario: Scenario, log: MotionLog) -> str:
     """Adds the panel to the page of a recording.
 
     Args:
@@ -122,11 +118,9 @@ def label_page(
         name: of the scenario.
         scenario: what the log was made from.
         log: the motion that the page shows.
-        speed: times as fast as it was shown.
     """
     title = f"{name}: {motion_name(log.modulated)}"
-    rows = readings(scenario, log, speed=speed)
-    return panel_page(page, title, scenario.description, rows)
+    return panel_page(page, title, scenario.description, readings(scenario, log))
 
 
 class LivePanel:

@@ -1,8 +1,8 @@
-"""A scenario to play with: its motion goes to and fro while clearance, goal and things are changed.
+"""Interactive run of a scenario: clearance, goal and obstacles change while the arm moves.
 
-Whatever is changed is taken over after a moment, in a diagram that is built anew: the motion
-begins again, from rest, where the arm is. Between changes it is the very diagram that
-`drake-oa run` runs, in the same steps.
+A change takes effect after a moment, in a diagram that is built again: the motion starts from
+rest where the arm is. Between changes it is the diagram that `drake-oa run` runs, in the same
+steps.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import copy
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pydrake.common.schema import Transform
-from pydrake.geometry import Meshcat, Rgba
+from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
@@ -24,7 +24,6 @@ from pydrake.systems.framework import Context
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.geometry.shapes import Sphere
 from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
@@ -33,9 +32,8 @@ from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
 from drake_oa.runs.simulation import AT_THE_GOAL, Ending, MotionWatcher, collect_log
 from drake_oa.scenario.end_poses import follow_joints
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.panel import LivePage
 from drake_oa.world.station import release_cameras
 from drake_oa.world.world_model import flat_directives
@@ -43,26 +41,14 @@ from drake_oa.world.world_model import flat_directives
 TICK = 1.0 / 30.0
 """Simulated time between two looks at the controls [s]."""
 SETTLED = 0.3
-"""A control that is being moved is taken over so long after it rests [s]."""
-MOST_LEGS = 20
-"""Motions that the log keeps: the newest ones."""
-THROWN = Obstacle(
-    name="thrown_in",
-    shapes=[Sphere(radius=0.06)],
-    color=[0.29, 0.46, 0.66, 1.0],
-    waypoints=[
-        [0.0, 0.7, 0.0, 0.2],
-        [1.2, 0.0, 0.0, 0.0],
-        [5.0, 0.0, 0.0, 0.0],
-        [6.2, 0.7, 0.0, 0.2],
-    ],
-)
-"""What is thrown in: it comes to the middle of the way that is left, and leaves again."""
+"""Time for which the controls must rest before a change takes effect [s]."""
+_MAX_LEGS = 20
+"""Maximum number of motions in the log: the newest ones."""
 _LATEST = 0.1
-"""A picture that is later than this is not caught up with [s]."""
-_LINE = "/drake_oa/deciding_distance"
+"""Lateness of a picture above which it is not caught up with [s]."""
 _REGULATIONS = ("verified", "paper", "preplanned")
 _NEXT = "next method (verified, paper, nominal)"
+_SOURCE = "camera or ground truth"
 
 
 @dataclass
@@ -111,112 +97,40 @@ def movables(scenario: Scenario) -> list[Movable]:
 
 
 @dataclass
-class Choice:
+class Settings:
     """State of the controls.
 
     Attributes:
         values: name of a slider -> its value [m, rad].
         regulation: "verified", "paper" or "preplanned".
-        seen: whether obstacles are seen by the scenario's camera, rather than known.
-        thrown: how often something was thrown in.
+        is_seen: whether the scenario's camera sees the obstacles, which are known otherwise.
     """
 
     values: dict[str, float]
     regulation: str
-    seen: bool
-    thrown: int
-
-
-@dataclass
-class Controls:
-    """Sliders and buttons in Meshcat's panel; their state is a `Choice`.
-
-    The page folds "NAME: x [m]" into the folder of an obstacle.
-
-    Attributes:
-        meshcat: the viewer.
-        scenario: their state at the beginning.
-        things: the obstacles that have sliders.
-    """
-
-    meshcat: Meshcat
-    scenario: Scenario
-    things: list[Movable]
-
-    def __post_init__(self) -> None:
-        for name, key in (
-            ("pause", "Space"),
-            ("step", "KeyN"),
-            ("reset", "KeyR"),
-            ("throw it in", "KeyT"),
-            (_NEXT, "KeyV"),
-            ("camera or ground truth", "KeyC"),
-            ("stop", "Escape"),
-        ):
-            self.meshcat.AddButton(name, key)
-        self.meshcat.AddSlider("speed", 0.1, 1.0, 0.1, 1.0)
-        task = self.scenario.task
-        sliders = [("clearance [m]", 0.02, 0.30, 0.005, task.clearance)]
-        for axis, at, low, high in zip(
-            "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
-        ):
-            sliders.append((f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at))
-        for thing in self.things:
-            x, y, yaw = thing.p_WO[0], thing.p_WO[1], thing.rpy[2]
-            sliders += [
-                (f"{thing.name}: x [m]", x - 0.4, x + 0.4, 0.01, x),
-                (f"{thing.name}: y [m]", y - 0.6, y + 0.6, 0.01, y),
-                (f"{thing.name}: yaw [rad]", -3.14, 3.14, 0.02, yaw),
-            ]
-        for slider in sliders:
-            self.meshcat.AddSlider(*slider)
-        self._sliders = [name for name, *_ in sliders]
-
-    def clicks(self, name: str) -> int:
-        """Returns how often a button was pressed."""
-        return int(self.meshcat.GetButtonClicks(name))
-
-    def choice(self) -> Choice:
-        """Reads their state."""
-        first = _REGULATIONS.index("paper" if _is_paper(self.scenario) else "verified")
-        turn = first + self.clicks(_NEXT)
-        can_see = isinstance(self.scenario.perception, CameraSource)
-        return Choice(
-            {name: self.meshcat.GetSliderValue(name) for name in self._sliders},
-            regulation=_REGULATIONS[turn % len(_REGULATIONS)],
-            seen=can_see and self.clicks("camera or ground truth") % 2 == 0,
-            thrown=self.clicks("throw it in"),
-        )
-
-    def put_back(self, choice: Choice) -> None:
-        """Sets the sliders to an earlier choice."""
-        for name, value in choice.values.items():
-            self.meshcat.SetSliderValue(name, value)
-
-
-def _is_paper(scenario: Scenario) -> bool:
-    return isinstance(scenario.regulation, Paper)
+    is_seen: bool
 
 
 class PlaySession:
-    """One scenario, played: `tick` after `tick`, until `stopped`.
+    """Interactive run of one scenario: `tick` after `tick`, until `stopped`.
+
+    The page folds a slider "NAME: x [m]" into the folder of an obstacle.
 
     Attributes:
-        controls: what may be changed.
-        page: whose panel shows it.
+        meshcat: the viewer, with sliders and buttons.
+        page: page that shows it with the panel.
         logs: "leg_1" and so on, the motions that have ended; see `finish`.
         stopped: whether the button was pressed.
-        kept: distance of the arm to the nearest obstacle now [m].
-        homeward: whether it goes back to where it began.
+        homeward: whether it returns to where it began.
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat, page: LivePage) -> None:
         """Builds the scenario and begins its motion.
 
         Args:
-            scenario: what is played.
+            scenario: the scenario.
             meshcat: the viewer.
-            page: whose panel shows it.
+            page: page that shows it with the panel.
 
         Raises:
             ScenarioError: without a robot, or for a field that does not fit.
@@ -224,31 +138,70 @@ class PlaySession:
         self._limits = make_robot_plant(robot_of(scenario)).limits
         self._scenario = copy.deepcopy(scenario)
         self._scenario.directives = flat_directives(self._scenario.directives)
-        self.controls = Controls(meshcat, self._scenario, movables(self._scenario))
-        self._meshcat, self.page = meshcat, page
-        self._taken = self._wanted = self._playing = self.controls.choice()
+        self.meshcat, self.page = meshcat, page
+        self._movables = movables(self._scenario)
+        self._sliders = self._add_controls()
+        self._active = self._taken = self._wanted = self._settings()
         self._rested = 0.0
         self._home = tuple(self._scenario.task.start)
-        self.homeward = False
-        self._resets = self._steps = self._thrown = 0
+        self.homeward = self.stopped = False
+        self._resets = 0
         self._refused = ""
         self.logs: dict[str, MotionLog] = {}
         self._leg = 0
-        self.stopped = False
-        self.kept = math.inf
         self._simulator: Simulator | None = None
         self._begin(None)
 
+    def _add_controls(self) -> list[str]:
+        """Adds buttons and sliders; returns the names of the sliders of `Settings`."""
+        for name, key in (
+            ("pause", "Space"),
+            ("reset", "KeyR"),
+            (_NEXT, "KeyV"),
+            (_SOURCE, "KeyC"),
+            ("stop", "Escape"),
+        ):
+            self.meshcat.AddButton(name, key)
+        self.meshcat.AddSlider("speed", 0.1, 1.0, 0.1, 1.0)
+        task = self._scenario.task
+        sliders = [("clearance [m]", 0.02, 0.30, 0.005, task.clearance)]
+        for axis, at, low, high in zip(
+            "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
+        ):
+            sliders.append((f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at))
+        for item in self._movables:
+            x, y, yaw = item.p_WO[0], item.p_WO[1], item.rpy[2]
+            sliders += [
+                (f"{item.name}: x [m]", x - 0.4, x + 0.4, 0.01, x),
+                (f"{item.name}: y [m]", y - 0.6, y + 0.6, 0.01, y),
+                (f"{item.name}: yaw [rad]", -3.14, 3.14, 0.02, yaw),
+            ]
+        for slider in sliders:
+            self.meshcat.AddSlider(*slider)
+        return [name for name, *_ in sliders]
+
+    def _clicks(self, name: str) -> int:
+        return int(self.meshcat.GetButtonClicks(name))
+
+    def _settings(self) -> Settings:
+        """Reads the controls."""
+        turn = self._clicks(_NEXT) + _is_paper(self._scenario)
+        can_see = isinstance(self._scenario.perception, CameraSource)
+        return Settings(
+            {name: self.meshcat.GetSliderValue(name) for name in self._sliders},
+            regulation=_REGULATIONS[turn % len(_REGULATIONS)],
+            is_seen=can_see and self._clicks(_SOURCE) % 2 == 0,
+        )
+
     def tick(self) -> None:
-        """Takes over what was changed, goes on by `TICK` unless paused, and says how it is."""
-        controls = self.controls
-        self.stopped = controls.clicks("stop") > 0
-        choice = controls.choice()
-        if choice != self._wanted:
-            self._wanted, self._rested = choice, 0.0
+        """Applies changes, advances by `TICK` unless paused, and shows the state."""
+        self.stopped = self._clicks("stop") > 0
+        settings = self._settings()
+        if settings != self._wanted:
+            self._wanted, self._rested = settings, 0.0
         self._rested += TICK
-        if controls.clicks("reset") > self._resets:
-            self._resets = controls.clicks("reset")
+        if self._clicks("reset") > self._resets:
+            self._resets = self._clicks("reset")
             self.homeward = False
             self._begin(None)
         elif self._wanted != self._taken and self._rested >= SETTLED:
@@ -256,16 +209,13 @@ class PlaySession:
         elif self._watcher.settled and self._watcher.ending == AT_THE_GOAL:
             self.homeward = not self.homeward
             self._begin(self._positions())
-        paused = controls.clicks("pause") % 2 == 1
-        stepping = controls.clicks("step") > self._steps
-        self._steps = controls.clicks("step")
-        now = self._root().get_time()
-        if self._simulator and not self._watcher.settled and (not paused or stepping):
-            self._simulator.AdvanceTo(now + TICK)
-        self._say(paused)
+        paused = self._clicks("pause") % 2 == 1
+        if self._simulator and not self._watcher.settled and not paused:
+            self._simulator.AdvanceTo(self._root().get_time() + TICK)
+        self._panel(self._watcher, self._root(), self.status(paused))
 
     def run(self, each_tick: Callable[[], None] = lambda: None) -> None:
-        """Ticks at the speed that is asked for, until the button is pressed.
+        """Ticks at the selected speed, until the button is pressed.
 
         Args:
             each_tick: called before each; what it raises ends it.
@@ -274,7 +224,7 @@ class PlaySession:
         while not self.stopped:
             each_tick()
             self.tick()
-            due += TICK / self._meshcat.GetSliderValue("speed")
+            due += TICK / self.meshcat.GetSliderValue("speed")
             wait = due - time.monotonic()
             if wait > 0.0:
                 time.sleep(wait)
@@ -282,52 +232,48 @@ class PlaySession:
                 due = time.monotonic()
 
     def finish(self) -> dict[str, MotionLog]:
-        """The motions until now, the present one too; what takes images is given back."""
+        """Ends the present motion, and returns the logs."""
         self._end_leg()
         return self.logs
 
     def _begin(self, q: FloatArray | None) -> None:
-        """Builds what is wanted, from these joints or the scenario's start.
+        """Builds the wanted scenario, from these joints or the scenario's start.
 
-        What cannot be is refused: the sliders go back, and the motion there is goes on.
+        Impossible settings are refused: the sliders return, and the present motion goes on.
         """
-        choice = self._wanted
-        self._taken = choice
-        modulated = choice.regulation != "preplanned"
+        settings = self._taken = self._wanted
+        modulated = settings.regulation != "preplanned"
         try:
-            scenario = self._chosen(choice, q)
-            diagram = build_avoidance(scenario, modulated=modulated, meshcat=self._meshcat)
+            scenario = self._changed(settings, q)
+            diagram = build_avoidance(scenario, modulated=modulated, meshcat=self.meshcat)
             judge = robot_judge(scenario)
             simulator = Simulator(diagram)
             watcher = MotionWatcher(diagram, scenario, math.inf)
             touched = judge.metrics(*watcher.positions(simulator.get_context())).contacts
-            if self._simulator is not None and not self._contacts().issuperset(touched):
-                raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
+            if self._simulator is not None:
+                now = self._judge.metrics(*self._watcher.positions(self._root())).contacts
+                if not set(now).issuperset(touched):
+                    raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
         except (ScenarioError, ValueError, RuntimeError) as error:
             self._refused = str(error)
             if self._simulator is None:
                 raise
-            self.controls.put_back(self._playing)
-            self._taken = self._wanted = self.controls.choice()
+            for name, value in self._active.values.items():
+                self.meshcat.SetSliderValue(name, value)
+            self._taken = self._wanted = self._settings()
             return
         self._end_leg()
         self._refused = ""
-        self._thrown = choice.thrown
-        self._playing, self._played, self._judge = choice, scenario, judge
+        self._active, self._played, self._judge = settings, scenario, judge
         self._simulator, self._watcher = simulator, watcher
         self._panel = LivePanel(self.page, scenario, modulated)
         simulator.Initialize()
         simulator.set_monitor(watcher)
 
-    def _contacts(self) -> frozenset[str]:
-        """Pairs that touch now, in the motion there is."""
-        return frozenset(self._judge.metrics(*self._watcher.positions(self._root())).contacts)
-
-    def _chosen(self, choice: Choice, q: FloatArray | None) -> Scenario:
-        """The scenario that is asked for, its motion from where the arm is."""
+    def _changed(self, settings: Settings, q: FloatArray | None) -> Scenario:
+        """Returns the scenario with the settings, its motion from where the arm is."""
         scenario = copy.deepcopy(self._scenario)
-        task = scenario.task
-        values = choice.values
+        task, values = scenario.task, settings.values
         task.clearance = values["clearance [m]"]
         task.goal = [values[f"goal {axis} [m]"] for axis in "xyz"]
         if self.homeward:
@@ -336,26 +282,23 @@ class PlaySession:
             task.q_start, task.q_goal = q[: len(robot_of(scenario).q_seed)].tolist(), None
             task.goal_moves, task.demonstration = [], []
             follow_joints(scenario)
-        if choice.regulation == "paper" and not _is_paper(scenario):
+        if settings.regulation == "paper" and not _is_paper(scenario):
             scenario.regulation = Paper()
-        elif choice.regulation == "verified" and _is_paper(scenario):
+        elif settings.regulation == "verified" and _is_paper(scenario):
             scenario.regulation = Verified()
-        if not choice.seen and isinstance(scenario.perception, CameraSource):
+        if not settings.is_seen and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
-        for thing in self.controls.things:
-            x, y, yaw = (values[f"{thing.name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
-            thing.put(scenario, np.array([x, y, thing.p_WO[2]]), np.array([*thing.rpy[:2], yaw]))
-        if choice.thrown > self._thrown:
-            middle = 0.5 * (np.array(task.start) + np.array(task.goal))
-            scenario.obstacles.append(replace(THROWN, translation=middle.tolist()))
+        for item in self._movables:
+            x, y, yaw = (values[f"{item.name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
+            item.put(scenario, np.array([x, y, item.p_WO[2]]), np.array([*item.rpy[:2], yaw]))
         return scenario
 
     def tool_point(self) -> FloatArray:
-        """(3,) where the tool point is now [m]."""
+        """Returns the tool point (3,) now [m]."""
         return self._watcher.tool_point(self._root())
 
     def _positions(self) -> FloatArray:
-        """(nq,) of the robot now, within its joints' limits."""
+        """Returns positions (nq,) of the robot now, within its joints' limits."""
         q = self._watcher.positions(self._root())[0][0]
         lower, upper = self._limits.position_lower, self._limits.position_upper
         return np.clip(q, lower + 1e-6, upper - 1e-6)
@@ -365,20 +308,8 @@ class PlaySession:
             raise RuntimeError("nothing runs")
         return self._simulator.get_context()
 
-    def _say(self, paused: bool) -> None:
-        root = self._root()
-        q, q_world = self._watcher.positions(root)
-        near = self._judge.nearest(q[0], q_world[0])
-        self.kept = near.distance if near else math.inf
-        if near:
-            ends = near.p_WA.reshape(3, 1), near.p_WB.reshape(3, 1)
-            self._meshcat.SetLineSegments(_LINE, *ends, 3.0, Rgba(*DISTANCE))
-        else:
-            self._meshcat.Delete(_LINE)
-        self._panel(self._watcher, root, self.status(paused))
-
     def status(self, paused: bool = False) -> str:
-        """Says what was refused, else what holds or has ended the motion, or that it runs."""
+        """Returns the refusal of a change, else what holds or has ended the motion."""
         if self._refused:
             return f"refused: {self._refused}"
         return "paused" if paused else self._watcher.state
@@ -388,13 +319,17 @@ class PlaySession:
             return
         self._simulator.clear_monitor()
         self._leg += 1
-        modulated = self._playing.regulation != "preplanned"
+        modulated = self._active.regulation != "preplanned"
         self._watcher.finish(self._root())
-        if math.isnan(self._watcher.motion_end) or self._watcher.motion_end == math.inf:
-            self._watcher.ending = Ending(MotionEnd.CUT_SHORT, "begun anew")
+        if not math.isfinite(self._watcher.motion_end):
+            self._watcher.ending = Ending(MotionEnd.CUT_SHORT, "restarted")
         log = collect_log(self._played, self._simulator, self._watcher, modulated, math.nan)
         self.logs[f"leg_{self._leg}"] = log
-        for name in list(self.logs)[:-MOST_LEGS]:
+        for name in list(self.logs)[:-_MAX_LEGS]:
             del self.logs[name]
         release_cameras(self._simulator.get_system())
         self._simulator = None
+
+
+def _is_paper(scenario: Scenario) -> bool:
+    return isinstance(scenario.regulation, Paper)

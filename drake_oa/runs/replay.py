@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -18,9 +15,8 @@ from pydrake.geometry import (
     Role,
     SceneGraph,
 )
-from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -32,13 +28,12 @@ from pydrake.systems.framework import (
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import EllipsoidSet, FloatArray, HoldCause, PolicyState
+from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.policy.dmp import local_frame
 from drake_oa.robot.plant import base_pose
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task import goal_at
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
 from drake_oa.viewing.panel import LivePage, Reading
 from drake_oa.viewing.viewer import dress_scene
@@ -46,10 +41,14 @@ from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9
 """What was logged up to this much later [s] counts as logged: times are rounded."""
+_MAX_POINTS = 200
+"""Maximum number of points of a planned path."""
+FRAME_PERIOD = 1.0 / 30.0
+"""Time between two pictures of the world [s]."""
 
 
 def logged_scenario(path: Path, log: MotionLog) -> Scenario:
-    """The scenario that a log was made with.
+    """Reads the scenario that a log was made with.
 
     Args:
         path: the log's file, for errors.
@@ -67,12 +66,12 @@ def logged_scenario(path: Path, log: MotionLog) -> Scenario:
 
 
 def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> str:
-    """The motion to show: the one asked for, else the modulated one if it was started.
+    """Chooses the motion to show: the requested one, else the modulated one if it was started.
 
     Args:
         path: the log's file, for errors.
         logs: the motions in it.
-        name: the motion asked for, or None.
+        name: the requested motion, or None.
 
     Raises:
         ValueError: if there is no such motion, or nothing was logged of it.
@@ -89,7 +88,7 @@ def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> s
 
 
 def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: MotionLog) -> FloatArray:
-    """(T, n) positions of a scenario's world at the instants of a log [rad, m].
+    """Returns (T, n) positions of a scenario's world at the instants of a log [rad, m].
 
     Args:
         plant: the finalized plant of the world.
@@ -114,38 +113,19 @@ def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: Motio
     return world
 
 
-_MOST_POINTS = 200
-"""Greatest number of points of a planned path."""
-
-
 def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
-    """The planned path as the pre-planned motion was asked to go; None: a straight line.
+    """Returns (N, 3) points of the planned path [m], as the pre-planned motion had to follow it.
 
-    Args:
-        scenario: the scenario of the logs.
-        logs: the motions of a run.
-
-    Returns:
-        (N, 3) points [m], or None where the line from start to goal was planned, or the
-        demonstrated path is not in the log whole.
+    None: a straight line was planned, or the demonstrated path is not in the log whole.
     """
     log = logs.get("preplanned")
     if not scenario.task.demonstration or log is None or log.ended != MotionEnd.GOAL:
         return None
-    step = math.ceil(len(log.t) / _MOST_POINTS)
-    return log.desired_position[::step]
-
-
-FRAME_PERIOD = 1.0 / 30.0
+    return log.desired_position[:: 1 + len(log.t) // _MAX_POINTS]
 
 
 def build_replay(
-    scenario: Scenario,
-    log: MotionLog,
-    meshcat: Meshcat,
-    *,
-    planned_W: FloatArray | None = None,
-    speed: float = 1.0,
+    scenario: Scenario, log: MotionLog, meshcat: Meshcat, *, planned_W: FloatArray | None = None
 ) -> Diagram:
     """Wires a log to the viewer.
 
@@ -154,15 +134,14 @@ def build_replay(
         log: the motion.
         meshcat: the viewer.
         planned_W: (N, 3) the planned path [m]; None: the line from start to goal.
-        speed: logged seconds that pass in one simulated second.
 
     Raises:
         ScenarioError: if the world cannot be built.
-        ValueError: if the log is empty or not of this world.
+        ValueError: if the log is not of this world.
     """
     builder = DiagramBuilder()
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
-    positions = np.zeros((len(log.t), 0))
+    positions, poses = np.zeros((len(log.t), 0)), None
     if scenario.robot is not None:
         scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
         plant = MultibodyPlant(time_step=scenario.plant_step)
@@ -177,14 +156,11 @@ def build_replay(
             role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
         )
         MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, shown)
-    player = LogPlayer(scenario, log, positions, speed=speed)
-    builder.AddNamedSystem("log_player", player)
-    if scenario.robot is not None:
+    player = builder.AddNamedSystem("log_player", LogPlayer(scenario, log, positions))
+    if poses is not None:
         builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())
-    overlay = builder.AddNamedSystem(
-        "overlay", MeshcatOverlay(meshcat, planned_W=planned_W, body_index=BodyIndex(0))
-    )
-    for name in ("ellipsoids_W", "policy_state", "body_poses"):
+    overlay = builder.AddNamedSystem("overlay", MeshcatOverlay(meshcat, planned_W=planned_W))
+    for name in ("ellipsoids_W", "policy_state"):
         builder.Connect(player.GetOutputPort(name), overlay.GetInputPort(name))
     diagram = builder.Build()
     diagram.set_name("replay")
@@ -208,10 +184,6 @@ def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], Ev
     return show
 
 
-def _output(look_up: Callable[[Context], Any], context: Context, output: AbstractValue) -> None:
-    output.set_value(look_up(context))
-
-
 class LogPlayer(LeafSystem):
     """Plays a logged motion: at each instant the newest values that were logged.
 
@@ -222,79 +194,55 @@ class LogPlayer(LeafSystem):
       - positions
       - ellipsoids_W
       - policy_state
-      - body_poses
 
     - positions: (n,) positions of the world's plant, in its order [rad, m].
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the observation that had
       arrived last; empty before the first.
-    - policy_state: abstract `PolicyState`; its z_W is the desired velocity [m/s]: the log knows
-      the direction alone, not the scale tau T.
-    - body_poses: list of one `RigidTransform`, whose origin is the actual tool point E;
-      its axes are the world's.
+    - policy_state: abstract `PolicyState`; its p_WE is the actual tool point, and its z_W the
+      desired velocity [m/s]: the log knows the direction alone, not the scale tau T.
 
     There is no state: the outputs depend on time alone.
     """
 
-    def __init__(
-        self, scenario: Scenario, log: MotionLog, positions: FloatArray, *, speed: float = 1.0
-    ) -> None:
+    def __init__(self, scenario: Scenario, log: MotionLog, positions: FloatArray) -> None:
         """Declares the ports.
 
         Args:
-            scenario: of the log.
-            log: the motion.
+            scenario: scenario of the log.
+            log: the motion, of one instant at least.
             positions: (T, n) positions of the world's plant at its instants [rad, m].
-            speed: logged seconds that pass in one simulated second.
-
-        Raises:
-            ValueError: if the log has no instant.
         """
         super().__init__()
-        if not len(log.t):
-            raise ValueError(f"the log has no instant: {log.stop_reason}")
-        self._task, self._log, self._world, self._speed = scenario.task, log, positions, speed
-        self._seen = [log.observation(row) for row in range(len(log.observation_time))]
+        self._p_WS = np.asarray(scenario.task.start, dtype=float)
+        self._log, self._world = log, positions
         now = {self.time_ticket()}
         self.DeclareVectorOutputPort("positions", positions.shape[1], self._calc_positions, now)
-        for name, model, look_up in (
-            ("ellipsoids_W", Value(EllipsoidSet()), self._ellipsoids),
-            ("policy_state", Value(PolicyState()), self._policy_state),
-            ("body_poses", Value[list[RigidTransform]](), self._body_poses),
+        for name, model, calc in (
+            ("ellipsoids_W", Value(EllipsoidSet()), self._calc_ellipsoids),
+            ("policy_state", Value(PolicyState()), self._calc_policy_state),
         ):
-            self.DeclareAbstractOutputPort(name, model.Clone, partial(_output, look_up), now)
+            self.DeclareAbstractOutputPort(name, model.Clone, calc, now)
 
     def _newest(self, times: FloatArray, context: Context) -> int:
         """Finds the row of the last of the times that is not later than now; -1: none."""
-        now = self._speed * context.get_time() + _EARLY
-        return int(np.searchsorted(times, now, side="right")) - 1
-
-    def _row(self, context: Context) -> int:
-        """Finds the row of the newest instant; the first one before it."""
-        return max(0, self._newest(self._log.t, context))
-
-    def _body_poses(self, context: Context) -> list[RigidTransform]:
-        return [RigidTransform(self._log.p_WE[self._row(context)])]
+        return int(np.searchsorted(times, context.get_time() + _EARLY, side="right")) - 1
 
     def _calc_positions(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._world[self._row(context)])
+        output.SetFromVector(self._world[max(0, self._newest(self._log.t, context))])
 
-    def _ellipsoids(self, context: Context) -> EllipsoidSet:
+    def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:
         row = self._newest(self._log.observation_time, context)
-        return self._seen[row] if row >= 0 else EllipsoidSet()
+        output.set_value(self._log.observation(row) if row >= 0 else EllipsoidSet())
 
-    def _policy_state(self, context: Context) -> PolicyState:
-        log, row = self._log, self._row(context)
-        p_WS = np.asarray(self._task.start, dtype=float)
-        p_WG = goal_at(self._task, float(log.t[row]))
-        event = self._newest(log.event_time, context)
-        return PolicyState(
-            p_WE=log.desired_position[row],
+    def _calc_policy_state(self, context: Context, output: AbstractValue) -> None:
+        log, row = self._log, max(0, self._newest(self._log.t, context))
+        state = PolicyState(
+            p_WE=log.p_WE[row],
             z_W=log.desired_velocity[row],
             phase=float(log.phase[row]),
-            p_WS=p_WS,
-            p_WG=p_WG,
-            R_WL=local_frame(p_WS, p_WG),
+            p_WS=self._p_WS,
+            p_WG=log.goal[row],
+            R_WL=local_frame(self._p_WS, log.goal[row]),
             stamp=float(log.t[row]),
-            hold=HoldCause(log.event_hold[event]) if event >= 0 else HoldCause.NONE,
-            note=log.event[event] if event >= 0 else "",
         )
+        output.set_value(state)

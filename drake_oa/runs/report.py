@@ -28,7 +28,7 @@ from drake_oa.scenario.task import goal_at
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "made_contacts", "self_contacts")
-_COST_KEYS = {"regulation": "decision_cost", "guard": "guard_cost", "turn": "turn_cost"}
+_COST_KEYS = {"regulation": "decision_cost", "guard": "guard_cost"}
 """Layer -> key of the costs of its decisions in the report."""
 
 
@@ -90,9 +90,8 @@ def motion_report(
     lowered the asked clearance at most; None unless verified), `sources` (source of the motion ->
     fraction of the moving time; None unless verified), `guard_actions` and `guard_claims` (action
     of the motion guard, and claim of passive motion safety that limits the speed -> fraction of the
-    moving time), `decision_cost`, `guard_cost` and
-    `turn_cost` (`cost_figures` of the decisions of the regulation, the guard and the turn of the
-    tool; None without decisions that cost time), `stop_reason`,
+    moving time), `decision_cost` and `guard_cost` (`cost_figures` of the decisions of the
+    regulation and of the guard; None without decisions that cost time), `stop_reason`,
     `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
     the policy, and its notes), `supervision` (actions of the motion guard, with reasons).
 

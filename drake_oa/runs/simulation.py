@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -524,55 +524,46 @@ def log_of(
             events and supervision there were none.
     """
     count = len(t)
-    empty, still = np.zeros((count, 0)), np.zeros((count, 3))
-
-    q, v = np.hsplit(signals.get("robot_state", empty), 2)
-    limits = RobotLimits()
-    p_WE = signals.get("desired_position", still)
+    none, still = np.zeros((count, 0)), np.zeros((count, 3))
+    zero = np.zeros((count, 1))
+    q, v = np.hsplit(signals.get("robot_state", none), 2)
+    limits, p_WE = RobotLimits(), signals.get("desired_position", still)
     if scenario.robot is not None:
         robot_plant = make_robot_plant(scenario.robot)
         p_WE, limits = robot_plant.tool_path(q), robot_plant.limits
-    vectors = {
+    series = {
         "desired_position": p_WE,
         "desired_velocity": still,
         "desired_acceleration": still,
         "goal": np.tile(np.asarray(scenario.task.goal), (count, 1)),
-        "desired_orientation": np.zeros((0, 4)),
-        "orientation_error": np.zeros((0, 3)),
-        "desired_posture": empty,
+        "desired_posture": none,
+        "phase": zero,
+        "speed_scale": zero + 1.0,
+        "shortfall": zero,
+        "lowered": zero,
+        "motion_source": zero - 1.0,
+        "actuation": none,
+        "torque_saturation": zero,
+        "tracking_error": zero + math.nan,
+        **signals,
     }
-    nothing, unknown = np.zeros((count, 1)), np.full((count, 1), math.nan)
-    scalars = {
-        "phase": nothing,
-        "speed_scale": np.ones((count, 1)),
-        "shortfall": nothing,
-        "lowered": nothing,
-        "motion_source": nothing - 1.0,
-        "guard_action": np.zeros((0, 1)),
-        "guard_contact": np.zeros((0, 1)),
-        "guard_claim": np.zeros((0, 1)),
-    }
-    series: dict[str, Any] = {name: signals.get(name, of) for name, of in vectors.items()}
-    series |= {name: signals.get(name, of)[:, 0] for name, of in scalars.items()}
-    none: dict[str, Any] = {
-        "observation_time": np.zeros(0),
-        **pack_ellipsoids([]),
-        "out_of_range": np.zeros(0, dtype=np.int64),
-        **columns_of([], EVENT),
-        **columns_of([], _SUPERVISION),
-    }
+    known = {item.name for item in fields(MotionLog)}
     return MotionLog(
         t=t,
         q=q,
         v=v,
-        torque=signals.get("actuation", empty),
-        saturated=signals.get("torque_saturation", nothing)[:, 0],
         p_WE=p_WE,
-        tracking_error=np.linalg.norm(signals.get("tracking_error", unknown), axis=1),
-        **series,
+        torque=series.pop("actuation"),
+        saturated=series.pop("torque_saturation")[:, 0],
+        tracking_error=np.linalg.norm(series.pop("tracking_error"), axis=1),
         scenario=scenario_text(scenario),
         seed=scenario.seed,
         versions=software_versions(),
         **vars(limits),
-        **(none | facts),
+        **facts,
+        **{
+            name: values[:, 0] if values.shape[1] == 1 else values
+            for name, values in series.items()
+            if name in known
+        },
     )

@@ -25,9 +25,9 @@ from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import Solids, least_distances, shape_solids, solids_of
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
-from drake_oa.runs.camera_placement import placed_around
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.viewing.viewer import looking_pose
 
 MIDDLE = np.array([0.4, 0.0, 0.3])
 """Point that the cameras of `seen_from` look at [m]."""
@@ -38,6 +38,8 @@ TWO = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
 FAR, BESIDE = 3.5, 0.6
 """Maximum depth, and distance from the table up to which obstacles count [m]."""
 _STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
+_SEEN_FROM = 2.1
+"""From a camera of `seen_from` to the middle [m]."""
 AWAY = 1.2
 """From a camera to the middle of what it looks at [m]."""
 ASIDE = math.radians(60.0)
@@ -47,6 +49,22 @@ ELEVATIONS = tuple(math.radians(degrees) for degrees in (35.0, 50.0, 65.0, 80.0,
 APART = 0.15
 """What a camera, and its first 0.8 m of sight to the middle, keep to things [m]."""
 _NEAREST = 0.8
+
+
+def placed_around(
+    middle: FloatArray, azimuth: float, elevation: float, away: float
+) -> RigidTransform:
+    """Computes the pose X_WC of a camera that looks at a point from a distance, x axis level.
+
+    Args:
+        middle: (3,) the point in the world [m].
+        azimuth: angle of the way to the camera about the vertical, from the world's x axis [rad].
+        elevation: angle of that way above the horizontal [rad].
+        away: its length [m].
+    """
+    level = math.cos(elevation)
+    way = [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
+    return looking_pose(RigidTransform(), middle + away * np.array(way), middle)
 
 
 def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:
@@ -77,7 +95,7 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(name, placed_around(MIDDLE, *map(math.radians, place)))
+        xtion(name, placed_around(MIDDLE, *map(math.radians, place), _SEEN_FROM))
         for name, place in places.items()
     ]
     scenario.perception = replace(

@@ -1,4 +1,4 @@
-"""Geometry of the pictures in the viewer: cost rings, sections and frustums.
+"""Geometry of the pictures in the viewer: cost rings and frustums.
 
 Everything here is a function of arrays; `drake_oa.viewing.meshcat_overlay` sends
 the results to Meshcat.
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.geometry.pinhole import pinhole
 
 Color = tuple[float, float, float]
@@ -21,11 +20,9 @@ Color = tuple[float, float, float]
 PLANNED: Color = (0.0, 128 / 255, 1.0)
 EXECUTED: Color = (0.90, 0.07, 0.09)
 ELLIPSOID: Color = (0.93, 0.36, 0.52)
-SECTION: Color = (0.78, 0.02, 0.10)
 CHOSEN: Color = (0.86, 0.0, 0.78)
 CLOUD: Color = (0.0, 0.42, 0.45)
 FRUSTUM: Color = (0.42, 0.50, 0.60)
-DISTANCE: Color = (0.85, 0.10, 0.45)
 COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80, 0.10, 0.12))
 """Colors of costs 0, 0.5 and 1 on a ring."""
 
@@ -87,43 +84,3 @@ def frustum_edges(camera: CameraInfo, near: float, far: float) -> FloatArray:
     rays = np.column_stack([(pixels - (cx, cy)) / (fx, fy), np.ones(4)])
     sides = np.stack([rays, np.roll(rays, -1, axis=0)], axis=1)
     return np.concatenate([np.stack([0.0 * rays, far * rays], axis=1), near * sides, far * sides])
-
-
-def section_frames(
-    R_WO: ArrayLike, semi_axes: ArrayLike, planes_W: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Computes frames of ellipsoids' sections by planes through their centers.
-
-    Args:
-        R_WO: (M, 3, 3) rotations, principal axes in the columns.
-        semi_axes: (M, 3) semi-axes [m].
-        planes_W: (M, 2, 3) orthonormal vectors that span the planes, one a row.
-
-    Returns:
-        (M, 3, 3) rotations with the section's principal axes and the normal in their columns,
-        and (M, 3) scales that stretch the unit disc in the xy plane to the section: its
-        semi-axes, and their mean [m].
-    """
-    lengths, axes = plane_section(R_WO, semi_axes, planes_W[:, 0], planes_W[:, 1])
-    first, second = axes[:, 0], axes[:, 1]
-    scale = np.column_stack([lengths, lengths.mean(axis=1)])
-    return np.stack([first, second, np.cross(first, second)], axis=2), scale
-
-
-def assign_slots(slots: tuple[int, ...], ids: ArrayLike) -> tuple[int, ...]:
-    """Keeps each obstacle in its place of a fixed pool.
-
-    Args:
-        slots: ID of the obstacle in each place, -1 where there is none.
-        ids: IDs of the present obstacles, none of them negative.
-
-    Returns:
-        The new IDs in the places: an obstacle that was there keeps its place, new ones take the
-        first free places, and when the pool is full the rest are left out.
-    """
-    present = [int(i) for i in np.asarray(ids).ravel()]
-    kept = [name if name in present else -1 for name in slots]
-    for name in present:
-        if name not in kept and -1 in kept:
-            kept[kept.index(-1)] = name
-    return tuple(kept)

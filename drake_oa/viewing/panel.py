@@ -46,8 +46,6 @@ _LEGEND = (
         "decision/.*/rings/.*/.*",
     ),
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
-    (_css(drawing.SECTION), "its section by the plane of motion", "descriptor/.*/section"),
-    (_css(drawing.DISTANCE), "shortest distance to an obstacle", "deciding_distance"),
     (_css(drawing.FRUSTUM), "view of a camera", "perception/camera.*"),
     ("#777", "points that a camera sees", "perception/cloud"),
 )

@@ -63,7 +63,7 @@ def looking_pose(
 
 
 def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
-    """Prepares the view for presentation: background, lights, shadows, camera.
+    """Prepares the view for presentation: background and camera.
 
     Hides grid, axes and what Drake's visualizer draws of collision geometry, inertia
     and contact forces (all still in the scene tree). Call it once, before or after
@@ -79,19 +79,6 @@ def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
     meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
     for path in ("/Grid", "/Axes", "/drake/proximity", "/drake/inertia", "/drake/contact_forces"):
         meshcat.SetProperty(path, "visible", False)
-    spot = "/Lights/SpotLight"
-    meshcat.SetProperty(spot, "visible", True)
-    meshcat.SetProperty(f"{spot}/<object>", "position", [1.0, -1.2, 2.6])
-    meshcat.SetProperty(f"{spot}/<object>", "castShadow", True)
-    meshcat.SetTransform(spot, X_WF)
-    for name, intensity in (
-        ("SpotLight", 13.0),
-        ("AmbientLight", 1.25),
-        ("PointLightNegativeX", 0.6),
-        ("PointLightPositiveX", 0.6),
-        ("FillLight", 0.6),
-    ):
-        meshcat.SetProperty(f"/Lights/{name}/<object>", "intensity", intensity)
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=32.0, aspect=1.6, near=0.01, far=100.0))
     meshcat.SetCameraPose(X_WF @ np.array(_EYE_F), X_WF @ np.array(_TARGET_F))
 

@@ -176,14 +176,13 @@ def test_ctrl_c_in_a_command_is_one_line(
     assert capsys.readouterr().err == "drake-oa: error: interrupted\n"
 
 
-@pytest.mark.parametrize("module", ["cyclopts", "pydrake.common.yaml"])
-def test_ctrl_c_while_modules_are_imported_is_one_line(module: str) -> None:
+def test_ctrl_c_while_modules_are_imported_is_one_line() -> None:
     source = (
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Interrupt:\n"
         "    def find_spec(name, *_):\n"
-        f"        if name == '{module}': os.kill(os.getpid(), signal.SIGINT)\n"
+        "        if name == 'pydrake.common.yaml': os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Interrupt)\n"
         "from drake_oa.app.main import main\n"
         "sys.exit(main(['graph', 'free_space', '--dot']))"
@@ -194,15 +193,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(module: str) -> None:
     assert (ended.returncode, ended.stderr) == (130, "drake-oa: error: interrupted\n")
 
 
-@pytest.mark.parametrize(
-    ("shell", "message"),
-    [
-        ("scenarios >&-", "drake-oa: error: standard output is closed"),
-        ("graph free_space --dot | head -c 1", ""),
-    ],
-)
-def test_a_closed_stream_is_one_line_or_none(shell: str, message: str) -> None:
-    command = f'"{sys.executable}" -m drake_oa.app.main {shell}'
+def test_a_closed_pipe_is_no_error() -> None:
+    command = f'"{sys.executable}" -m drake_oa.app.main graph free_space --dot | head -c 1'
     ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert ended.stderr.startswith(message)
-    assert len(ended.stderr.splitlines()) == bool(message)
+    assert ended.stderr == ""

@@ -53,23 +53,7 @@ def test_a_run_leaves_a_log_of_its_own(tmp_path: Path, capsys: pytest.CaptureFix
         assert any(item.startswith("drake_oa ") for item in log.versions)
     assert run("run", "free_space", "--set", "regulation.weights=none.npz") == 2
     assert len(list((tmp_path / "drake_oa_runs").iterdir())) == 2
-    assert run("run", "free_space", "--duration", "0.1", "--log", second) == 0
-    assert f"{second} will be replaced" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("arguments", [(), ("--log", "run.npz")])
-def test_a_full_disk_is_reported_before_the_run(
-    arguments: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    assert run("run", "free_space", "--duration", "0.1", *arguments) == 2
-    assert "0.0 MiB are free" in capsys.readouterr().err
-    assert not list(tmp_path.rglob("*.npz"))
-    shutil.rmtree("drake_oa_runs", ignore_errors=True)
+    shutil.rmtree("drake_oa_runs")
     Path("drake_oa_runs").write_text("in the way")
     assert run("run", "free_space", "--duration", "0.1") == 2
     assert "cannot write to the folder drake_oa_runs" in capsys.readouterr().err
@@ -139,35 +123,10 @@ def test_a_replay_is_one_page_and_can_be_repeated(
 ) -> None:
     pages = [Path(name) for name in ("a.html", "b.html")]
     for page in pages:
-        assert run("replay", box_log, "--html", page, "--speed", "0.5") == 0
+        assert run("replay", box_log, "--html", page) == 0
         assert capsys.readouterr().out == "modulated: 0.25 s, ended by time limit of 0.25 s\n"
     assert "set_animation" in pages[0].read_text()
     assert pages[0].read_bytes() == pages[1].read_bytes()
-
-
-def test_demonstrations_of_a_scenario_are_drawn_before_it_is_run(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    Path("mine.csv").write_text("x,y,z\n0,0,0\n0.5,0.2,0\n1,0,0\n")
-    mine = ("--set", "task.demonstration=mine.csv", "--out", "taught.svg")
-    assert run("plot", "free_space", *mine) == 0
-    assert Path("taught.svg").read_text().startswith("<?xml")
-    assert run("plot", "free_space", "--set", "task.demonstration=no.csv") == 2
-    assert "task.demonstration: '" in capsys.readouterr().err
-
-
-def test_a_log_is_drawn_though_its_demonstrations_are_gone(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    Path("mine.csv").write_text("x,y,z\n0,0,0\n0.5,0.2,0\n1,0,0\n")
-    mine = ("--set", "task.demonstration=mine.csv", "--log", "mine.npz", "--duration", "0.1")
-    assert run("run", "free_space", *mine) == 0
-    assert run("plot", "mine.npz", "--out", "with.png") == 0
-    Path("mine.csv").unlink()
-    assert run("plot", "mine.npz", "--out", "without.png") == 0
-    assert Path("with.png").read_bytes() != Path("without.png").read_bytes()
-    (record,) = caplog.records
-    assert "drawn without the demonstrations: task.demonstration: '" in record.getMessage()
 
 
 def test_a_run_cut_short_in_its_first_motion_can_be_shown(point_log: Path) -> None:

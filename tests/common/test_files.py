@@ -10,7 +10,6 @@ import pytest
 from drake_oa.common.files import (
     OutputError,
     check_outputs,
-    check_space,
     replace_file,
     replace_text,
     reserve_file,
@@ -74,12 +73,6 @@ def test_a_reserved_file_is_nobody_elses(tmp_path: Path) -> None:
     files = [reserve_file(tmp_path / "runs", "box", ".npz") for _ in range(3)]
     assert len(set(files)) == 3
     assert all(file.is_file() and file.name.startswith("box-") for file in files)
-
-
-def test_a_disk_without_the_needed_space_is_refused(tmp_path: Path) -> None:
-    check_space(tmp_path / "x", 0)
-    with pytest.raises(ValueError, match=r"cannot write .*x: .* MiB are free on its disk"):
-        check_space(tmp_path / "x", 2**62)
 
 
 def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -> None:

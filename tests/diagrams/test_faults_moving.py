@@ -69,15 +69,10 @@ def approach_at_contacts(scenario: Scenario, log: MotionLog) -> list[float]:
     where they were, in the log's interval before each contact.
     """
     judge = robot_judge(scenario)
-    touches = judge.metrics(log.q, log.q_world).robot_clearance <= 0.0
-    found = []
-    for row in np.flatnonzero(touches[1:] & ~touches[:-1]):
-        before = judge.nearest(log.q[row], log.q_world[row])
-        after = judge.nearest(log.q[row + 1], log.q_world[row])
-        assert before is not None
-        assert after is not None
-        found.append((before.distance - after.distance) / (log.t[row + 1] - log.t[row]))
-    return found
+    distance = judge.metrics(log.q, log.q_world).robot_clearance
+    rows = np.flatnonzero((distance[1:] <= 0.0) & (distance[:-1] > 0.0))
+    moved = judge.metrics(log.q[rows + 1], log.q_world[rows]).robot_clearance
+    return ((distance[rows] - moved) / (log.t[rows + 1] - log.t[rows])).tolist()
 
 
 def assert_safe(

@@ -86,7 +86,7 @@ def last_nan(array: np.ndarray) -> np.ndarray:
         ("torque", lambda old: old[:2], r"modulated/torque must have a row .* 4 of t.*\(2, 0\)"),
         ("p_WO", lambda old: old[:1], "modulated/p_WO must have a row .* 2 of observation_time"),
         ("event", lambda old: old[:1], "modulated/event must have a row .* 2 of event_time"),
-        ("goal", lambda old: np.zeros((4, 2)), "modulated/goal must hold x, y, z"),
+        ("goal", lambda old: old[:, :2], "modulated/goal must hold x, y, z"),
         ("t", np.negative, "modulated/t must not fall"),
     ],
 )
@@ -137,9 +137,9 @@ def test_optional_keys_may_be_missing_and_unknown_keys_are_ignored(
     save_logs(file, {"modulated": log})
     with np.load(file) as archive:
         arrays = dict(archive) | {"modulated/confidence": np.full((2, 1), 0.3)}
-    del arrays["modulated/goal"]
+    del arrays["modulated/guard_claim"]
     np.savez(file, **arrays)
-    assert load_logs(file)["modulated"].goal.shape == (0, 3)
+    assert load_logs(file)["modulated"].guard_claim.shape == (0,)
 
 
 def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer(log: MotionLog) -> None:
@@ -157,11 +157,11 @@ def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer(log: MotionLo
 
 def test_decisions_are_packed_in_order_of_their_beginning() -> None:
     ports = {
-        "decision_turn": np.array([[np.nan, 0.0], [0.1, 0.02], [0.1, 0.02]]),
+        "decision_guard": np.array([[np.nan, 0.0], [0.1, 0.02], [0.1, 0.02]]),
         "decision_regulation": np.array([[0.0, 0.05], [0.0, 0.05], [0.2, 0.001]]),
         "goal": np.zeros((3, 3)),
     }
     found = pack_decisions(ports)
     assert found["decision_time"].tolist() == [0.0, 0.1, 0.2]
     assert found["decision_cost"].tolist() == [0.05, 0.02, 0.001]
-    assert found["decision_layer"] == ("regulation", "turn", "regulation")
+    assert found["decision_layer"] == ("regulation", "guard", "regulation")

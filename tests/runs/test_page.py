@@ -66,14 +66,14 @@ def test_live_pages_and_recordings_have_one_panel(
     shown: tuple[MotionLog, str], page: LivePage
 ) -> None:
     log, live = shown
-    recorded = label_page(PAGE, "mine", SCENARIO, log, speed=2.0)
+    recorded = label_page(PAGE, "mine", SCENARIO, log)
     for text in (recorded, get(page, "/")):
         assert "<title>mine: avoiding motion</title>" in text
         assert "A ball &lt; a box" in text
         assert text.index("<body>") < text.index("planned path") < text.index("</body>")
     assert recorded.index("<p>scene</p>") < recorded.index("planned path")
-    rows = readings(SCENARIO, log, speed=2.0)
-    assert [row.time for row in rows[:2]] == [0.0, 0.05]
+    rows = readings(SCENARIO, log)
+    assert [row.time for row in rows[:2]] == [0.0, 0.1]
     for text in (rows[-1].text, live):
         assert re.match(CLEARANCE, text)
     held = replace(

@@ -1,7 +1,6 @@
 """A log as a function of time."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,36 +19,22 @@ from drake_oa.runs.replay import (
     planned_path,
     world_positions,
 )
-from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.world.world_model import add_world
 from tests.builders import balls
 
+LogOf = Callable[..., MotionLog]
+
 FREE = load_scenario("free_space")
 PERIOD = 0.004
+FILE = Path("run.npz")
 
 
 @pytest.fixture(scope="module")
-def log_of(straight_log: Callable[..., MotionLog]) -> Callable[..., MotionLog]:
-    """The same with what was seen and said, 4 ms a step."""
-
-    def make(count: int = 51, **changes: object) -> MotionLog:
-        log = straight_log(
-            count,
-            t=PERIOD * np.arange(count),
-            observation_time=np.array([0.01, 0.1]),
-            event_time=np.array([0.05, 0.15]),
-            event=("blocked", ""),
-            event_hold=("obstacles", "none"),
-            **pack_ellipsoids([balls((x, 0, 0), stamp=t) for t, x in ((0.0, 0.5), (0.09, 0.6))]),
-        )
-        return replace(log, **changes)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def player(log_of: Callable[..., MotionLog]) -> LogPlayer:
-    return LogPlayer(FREE, log_of(), np.arange(51.0)[:, None])
+def player(straight_log: LogOf) -> LogPlayer:
+    seen = pack_ellipsoids([balls((x, 0, 0), stamp=t) for t, x in ((0.0, 0.5), (0.09, 0.6))])
+    log = straight_log(t=PERIOD * np.arange(51), observation_time=np.array([0.01, 0.1]), **seen)
+    return LogPlayer(FREE, log, np.arange(51.0)[:, None])
 
 
 def read(player: LogPlayer, port: str, time: float) -> Any:
@@ -62,7 +47,11 @@ def read(player: LogPlayer, port: str, time: float) -> Any:
 def test_the_last_logged_instant_is_found_despite_rounding(
     player: LogPlayer, row: int, late: float
 ) -> None:
-    assert read(player, "positions", max(PERIOD * row + late, 0.0)).tolist() == [min(row, 50)]
+    time = max(PERIOD * row + late, 0.0)
+    assert read(player, "positions", time).tolist() == [min(row, 50)]
+    state = read(player, "policy_state", time)
+    np.testing.assert_allclose(state.p_WE, [min(row, 50) / 50.0, 0.0, 0.0])
+    np.testing.assert_array_equal(state.p_WG, FREE.task.goal)
 
 
 def test_obstacles_are_those_that_had_arrived(player: LogPlayer) -> None:
@@ -70,66 +59,43 @@ def test_obstacles_are_those_that_had_arrived(player: LogPlayer) -> None:
         assert read(player, "ellipsoids_W", time).p_WO[:, 0].tolist() == seen
 
 
-@pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_the_policy_is_where_it_was_and_says_what_it_said(
-    log_of: Callable[..., MotionLog], speed: float
-) -> None:
-    player = LogPlayer(FREE, log_of(), np.zeros((51, 0)), speed=speed)
-    assert player.CreateDefaultContext().num_total_states() == 0
-    state = read(player, "policy_state", 0.1 / speed)
-    np.testing.assert_allclose(state.p_WE, [0.5, 0.0, 0.0])
-    np.testing.assert_array_equal(state.p_WG, FREE.task.goal)
-    assert state.stamp == pytest.approx(0.1)
-    (pose,) = read(player, "body_poses", 0.1 / speed)
-    np.testing.assert_allclose(pose.translation(), [0.5, 0.0, 0.0])
-    notes = [read(player, "policy_state", t / speed).note for t in (0.0, 0.1, 0.2)]
-    assert notes == ["", "blocked", ""]
-
-
-def test_a_log_without_an_instant_is_refused(log_of: Callable[..., MotionLog]) -> None:
-    with pytest.raises(ValueError, match="no instant: KeyboardInterrupt"):
-        LogPlayer(FREE, log_of(0, stop_reason="KeyboardInterrupt"), np.zeros((0, 0)))
-
-
-def test_the_motion_is_the_modulated_one_unless_asked(log_of: Callable[..., MotionLog]) -> None:
-    file, logs = Path("run.npz"), {"preplanned": log_of(), "modulated": log_of()}
-    assert choose_motion(file, logs, None) == "modulated"
-    assert choose_motion(file, {"preplanned": log_of()}, None) == "preplanned"
-    assert choose_motion(file, logs, "preplanned") == "preplanned"
+def test_the_motion_is_the_modulated_one_unless_requested(straight_log: LogOf) -> None:
+    logs = {"preplanned": straight_log(), "modulated": straight_log()}
+    assert choose_motion(FILE, logs, None) == "modulated"
+    assert choose_motion(FILE, {"preplanned": straight_log()}, None) == "preplanned"
+    assert choose_motion(FILE, logs, "preplanned") == "preplanned"
     with pytest.raises(ValueError, match=r"run.npz has no motion 'x'; it has preplanned, modul"):
-        choose_motion(file, logs, "x")
+        choose_motion(FILE, logs, "x")
+    with pytest.raises(ValueError, match="ended before its first instant: interrupted"):
+        choose_motion(FILE, {"modulated": straight_log(0, stop_reason="interrupted")}, None)
 
 
-def test_a_demonstrated_path_is_that_of_the_preplanned_motion(
-    log_of: Callable[..., MotionLog],
-) -> None:
-    shown = parse_scenario(f"{scenario_text(FREE)}")
-    assert planned_path(shown, {"preplanned": log_of()}) is None
+def test_a_demonstrated_path_is_that_of_the_preplanned_motion(straight_log: LogOf) -> None:
+    shown = load_scenario("free_space")
+    assert planned_path(shown, {"preplanned": straight_log()}) is None
     shown.task.demonstration = ["path.npz"]
-    path = planned_path(shown, {"preplanned": log_of(450)})
+    path = planned_path(shown, {"preplanned": straight_log(450)})
     assert path is not None
     assert 100 < len(path) <= 200
-    assert planned_path(shown, {"preplanned": log_of(ended="cut short")}) is None
-    assert planned_path(shown, {"modulated": log_of()}) is None
+    assert planned_path(shown, {"preplanned": straight_log(ended="cut short")}) is None
 
 
-def test_the_world_is_posed_by_what_the_log_has(log_of: Callable[..., MotionLog]) -> None:
+def test_the_world_is_posed_by_what_the_log_has(straight_log: LogOf) -> None:
     plant = MultibodyPlant(0.001)
     robot = add_world(plant, load_scenario("tabletop_box"))
     plant.Finalize()
     rng, n = np.random.default_rng(0), plant.num_positions()
     q, whole = rng.normal(size=(4, 9)), rng.normal(size=(4, n))
-    found = world_positions(plant, robot, log_of(4, q=q))
+    found = world_positions(plant, robot, straight_log(4, q=q))
     np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, found[2]), q[2])
-    found = world_positions(plant, robot, log_of(4, q=q, q_world=whole))
+    found = world_positions(plant, robot, straight_log(4, q=q, q_world=whole))
     np.testing.assert_array_equal(found, whole)
-    for changes in ({"q": q[:, :7]}, {"q": q, "q_world": np.zeros((4, n + 7))}):
-        with pytest.raises(ValueError, match="was the robot's model changed"):
-            world_positions(plant, robot, log_of(4, **changes))
+    with pytest.raises(ValueError, match="was the robot's model changed"):
+        world_positions(plant, robot, straight_log(4, q=q[:, :7]))
 
 
-def test_the_scenario_of_a_log_is_that_of_the_run(log_of: Callable[..., MotionLog]) -> None:
-    log = log_of(scenario=scenario_text(load_scenario("tabletop_box", ["table_height=null"])))
-    assert scenario_text(logged_scenario(Path("run.npz"), log)) == log.scenario
+def test_the_scenario_of_a_log_is_that_of_the_run(straight_log: LogOf) -> None:
+    log = straight_log(scenario=scenario_text(load_scenario("tabletop_box", ["table_height=null"])))
+    assert scenario_text(logged_scenario(FILE, log)) == log.scenario
     with pytest.raises(ScenarioError, match=r"the scenario in run.npz \(made with drake_oa 0.1.0"):
-        logged_scenario(Path("run.npz"), log_of(scenario="sead: 3"))
+        logged_scenario(FILE, straight_log(scenario="sead: 3"))

@@ -128,7 +128,6 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         "count": 3,
     }
     assert found["guard_cost"]["max"] == 0.004
-    assert found["turn_cost"] is None
     table = str(report_table({"modulated": found}))
     assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table
     assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None
