@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import inspect
 import os
+import platform
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from llvmlite.binding import get_host_cpu_name
 from pydrake.systems.framework import LeafSystem
 
 from drake_oa.common.console import Column, TextTable
@@ -49,11 +49,13 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
         with timed_systems() as spent:
             timed = simulate(scenario, duration=seconds)
         spent[REST] = max(0.0, timed.wall_time - sum(spent.values()))
-        layers = {of: time / timed.simulated_time for of, time in spent.most_common()}
+        layers = {
+            of: spent[of] / timed.simulated_time for of in sorted(spent, key=spent.__getitem__)
+        }
         factor = log.simulated_time / log.wall_time
         found[name] = {"run": {"real_time_factor": factor, "layers": layers}}
     return {
-        "machine": {"cpu": get_host_cpu_name(), "cores": os.cpu_count()},
+        "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
         "versions": dict(item.split(" ", 1) for item in software_versions()),
         "scenarios": found,
     }
@@ -76,9 +78,9 @@ def benchmark_table(figures: Mapping[str, Any]) -> TextTable:
 
 
 @contextmanager
-def timed_systems() -> Iterator[Counter[str]]:
+def timed_systems() -> Iterator[dict[str, float]]:
     """Measures the wall time of each Python system that is created inside [s]."""
-    spent: Counter[str] = Counter()
+    spent: dict[str, float] = defaultdict(float)
     inner = [0.0]
     originals = {
         name: declare

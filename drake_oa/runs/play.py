@@ -250,10 +250,8 @@ class PlaySession:
             simulator = Simulator(diagram)
             watcher = MotionWatcher(diagram, scenario, math.inf)
             touched = judge.metrics(*watcher.positions(simulator.get_context())).contacts
-            if self._simulator is not None:
-                now = self._judge.metrics(*self._watcher.positions(self._root())).contacts
-                if not set(now).issuperset(touched):
-                    raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
+            if self._simulator is not None and not self._contacts().issuperset(touched):
+                raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
         except (ScenarioError, ValueError, RuntimeError) as error:
             self._refused = str(error)
             if self._simulator is None:
@@ -269,6 +267,10 @@ class PlaySession:
         self._panel = LivePanel(self.page, scenario, modulated)
         simulator.Initialize()
         simulator.set_monitor(watcher)
+
+    def _contacts(self) -> frozenset[str]:
+        """Returns the pairs in contact now."""
+        return frozenset(self._judge.metrics(*self._watcher.positions(self._root())).contacts)
 
     def _changed(self, settings: Settings, q: FloatArray | None) -> Scenario:
         """Returns the scenario with the settings, its motion from where the arm is."""
@@ -309,7 +311,7 @@ class PlaySession:
         return self._simulator.get_context()
 
     def status(self, paused: bool = False) -> str:
-        """Returns the refusal of a change, else what holds or has ended the motion."""
+        """Returns the refusal of a change, else the state of the motion."""
         if self._refused:
             return f"refused: {self._refused}"
         return "paused" if paused else self._watcher.state

@@ -531,7 +531,7 @@ def log_of(
     if scenario.robot is not None:
         robot_plant = make_robot_plant(scenario.robot)
         p_WE, limits = robot_plant.tool_path(q), robot_plant.limits
-    series = {
+    series: dict[str, Any] = {
         "desired_position": p_WE,
         "desired_velocity": still,
         "desired_acceleration": still,

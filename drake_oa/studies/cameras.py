@@ -95,7 +95,9 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(name, placed_around(MIDDLE, *map(math.radians, place), _SEEN_FROM))
+        xtion(
+            name, placed_around(MIDDLE, math.radians(place[0]), math.radians(place[1]), _SEEN_FROM)
+        )
         for name, place in places.items()
     ]
     scenario.perception = replace(

@@ -199,9 +199,9 @@ class MeshcatOverlay(LeafSystem):
             ball = f"{_ROOT}/motion/planned/{name}"
             meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.PLANNED))
             meshcat.SetTransform(ball, RigidTransform(p_WQ))
-        for path, edges_C, _ in self._connected_cameras(context):
+        for camera, edges_C, _ in self._connected_cameras(context):
             start, end = edges_C[:, 0].T, edges_C[:, 1].T
-            meshcat.SetLineSegments(f"{path}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
+            meshcat.SetLineSegments(f"{camera}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
         meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         self._draw_frame(context)
 
