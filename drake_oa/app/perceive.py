@@ -160,15 +160,15 @@ def perceive_frame(
     import numpy as np
 
     from drake_oa.geometry.ellipsoid import enclosing_ellipsoid
-    from drake_oa.perception.depth_image import back_projected
+    from drake_oa.geometry.pinhole import pixel_rays
     from drake_oa.perception.recorded_perception import segment_frame
 
     def work() -> tuple[Any, ...]:
         found = segment_frame(frame, X_WC, config)
         points = np.asarray(frame.points, dtype=float)
         if frame.depth is not None and frame.K is not None:
-            z = np.require(frame.depth, np.float32, ["C", "W"])
-            points = back_projected(z, np.arange(z.size), frame.K)
+            rays = pixel_rays(frame.depth.shape, *frame.K.tolist())
+            points = (rays * frame.depth.reshape(-1, 1)).astype(float)
         tool_C = tool_W @ found.X_WC[:3, :3]
         return points, found, [enclosing_ellipsoid(points[i], tool=tool_C) for i in found.pixels]
 

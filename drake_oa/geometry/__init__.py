@@ -12,7 +12,7 @@ world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float
   at a time: exact shapes, hulls and fields, each with a velocity; points on their surfaces.
   `distance_field`: a cloud as such a field, what it hides filled.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, the blocks of a scenario.
-- `voxels`: cells of a grid: thinning, means, clusters (union of near points), gaps in the image.
+- `voxels`: mean points by voxel, and clusters of near points.
 - `pinhole`: the camera's projection, and a `View`: image, intrinsics and pose together.
 - `rotation`, `directions`: rotation vectors, quaternions, turns about an axis; 26 directions.
 

@@ -5,6 +5,7 @@ Column u = fx x / z + cx and row v = fy y / z + cy of a point (x, y, z).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +45,16 @@ class View(NamedTuple):
 def pinhole(camera: CameraInfo) -> list[float]:
     """[fx, fy, cx, cy] of a camera [pixel]."""
     return [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
+
+
+@lru_cache(maxsize=8)
+def pixel_rays(
+    shape: tuple[int, int], fx: float, fy: float, cx: float, cy: float
+) -> NDArray[np.float32]:
+    """Rays (H W, 3) of unit depth through the pixels of an image, in the camera frame."""
+    row, column = np.indices(shape)
+    ray = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones(shape)], axis=-1)
+    return ray.reshape(-1, 3).astype(np.float32)
 
 
 def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray:

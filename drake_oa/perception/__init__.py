@@ -14,7 +14,7 @@ Sources, one in place of the other (block `perception` of a scenario):
 A frame, of the images that all cameras took at one instant, goes through
 
 1. `segmentation`: the supporting plane by consensus with a prior on gravity and range (`table`;
-   Fischler and Bolles 1981), pixels above it (`depth_image`; without a table all of them), voxels
+   Fischler and Bolles 1981), pixels above it (without a table all of them), voxels
    and clusters;
 2. `tracking`: clusters are given to obstacles by common points, else by the least total distance
    (Hungarian method); positions are measured by the obstacles' sides, so that what hides

@@ -1,70 +1,66 @@
 """From depth images of one instant, or a cloud, to one cluster of points for each obstacle.
 
-The order keeps a 640x480 frame cheap: the supporting plane from a subsample,
-the height of every pixel above it (one linear map on the image), then points,
-voxels and clusters of only those pixels that stand on the plane. Without a table every pixel
-that is not the robot's counts. Up to the points each image goes its own way; voxels and clusters
-are of the points of all.
+1. `table`: the supporting plane, fitted to a subsample of each image.
+2. Points above the plane, of each image: depth times a linear map of the pixel. Without a table
+   every point counts.
+3. `voxels`: their mean points by voxel, of all images together, without the robot and the
+   surroundings of the table.
+4. Clusters of the voxels, merged across gaps that no image sees through.
 
 Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4)
-homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
+homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` returns them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane, zeros
-from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.pinhole import View, pixel_at, pixel_rays
 from drake_oa.geometry.solids import Solids, least_distances
-from drake_oa.geometry.voxels import (
-    connected_clusters,
-    filed,
-    joined_across_unseen,
-    points_of_groups,
-    voxel_means,
-)
+from drake_oa.geometry.voxels import connected_clusters, voxel_means
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.depth_image import (
-    back_projected,
-    cropped_to_world,
-    pixels_between,
-    sampled,
-)
 from drake_oa.perception.table import (
     DEPTH_NOISE,
     HEIGHT_TOLERANCE,
     LEAST_SHARE,
     PlaneFit,
-    beyond_extent,
+    distance_beyond,
     find_table,
-    plane_axes,
-    seen_extent,
+    table_extent,
 )
 
 _DEVIATIONS = 6.0
-"""Standard deviations of depth that may look like a height."""
+"""Standard deviations of depth that are not distinguished from a height."""
 _WARP_START = 1.1
 """Depth from which structured-light cameras bend a plane (docs/results/real_scans.md) [m]."""
 _WARP = 0.15
 """Height that the bend adds to a plane, by the square of the depth beyond `_WARP_START` [1/m]."""
 _LARGEST_WARP = 0.04
-"""Largest height that the bend adds to a plane [m]."""
+"""Maximum height that the bend adds to a plane [m]."""
 _HIGHER_SHARE = 0.1
-"""Share of the voxels of a cluster that must be higher than noise and bend."""
+"""Minimum fraction of the voxels of a cluster that are higher than noise and bend [1]."""
 UNSEEN_GAP = 0.06
-"""Distance up to which clusters are one where nothing shows through the gap between them [m]."""
+"""Maximum gap between two clusters that are merged when nothing is visible through it [m]."""
+_BRIDGES = 16
+"""Number of the shortest connections between two clusters that are tested."""
+_BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
+"""Tested places along a connection, as fractions of its length [1]."""
+_CLOUD_SAMPLES = 20_000
+"""Approximate number of points of a cloud used to fit the table."""
+_NO_TABLE = "no supporting plane found"
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """What stands on the table in one frame; without a table, all that is not the robot.
+    """Table and obstacles of one frame; without a table, everything but the robot.
 
     Attributes:
         clouds_W: one (N_i, 3) array an obstacle: the mean point of each voxel, in
@@ -73,15 +69,16 @@ class Segmentation:
             image counted on from the one before, or of its input points when the frame was a
             cloud.
         table: the supporting plane in the world frame, or None.
-        points_W: (N, 3) every single point over the table (without one, all), the robot's
-            included, in the world frame [m]: for viewing.
+        points_W: (N, 3) every single point above the table (without one, all), including the
+            robot's, in the world frame [m]: for viewing.
         plane_rms: rms distance of the plane's points from it [m]; NaN without plane.
-        X_WC: (4, 4) the pose of the first camera; when it was not given, the pose that makes
+        X_WC: (4, 4) pose of the first camera; when it was not given, the pose that makes
             the table the plane z = 0 (see `segment_depth`).
-        usable: whether the table was found, or none is there: else it tells nothing of obstacles.
-        note: empty, or why it was not, in words.
-        views: the images that tell of obstacles; none of a cloud.
-        blind: number of each image that does not, and why.
+        usable: whether the table was found, or none exists; otherwise the frame carries no
+            information about obstacles.
+        note: empty, or the reason why the frame is not usable.
+        views: the images that show obstacles; none of a cloud.
+        blind: index of each image that is not usable, and the reason.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -96,16 +93,66 @@ class Segmentation:
     blind: dict[int, str] = field(default_factory=dict)
 
     def pixels_in(self, image: int) -> tuple[IntArray, ...]:
-        """For each cluster its ascending pixels in one of `views`, counted in that image."""
-        if len(self.views) == 1:
-            return self.pixels
+        """Pixels of each cluster in one of `views`, ascending, counted in that image."""
         begin = sum(view.z.size for view in self.views[:image])
         ends = begin, begin + self.views[image].z.size
         return tuple(part[slice(*np.searchsorted(part, ends))] - begin for part in self.pixels)
 
 
-def _unusable(X_WC: FloatArray | None, note: str) -> Segmentation:
-    return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, usable=False, note=note)
+class _Frame(NamedTuple):
+    """One image or cloud: points p_CQ = depth ray.
+
+    Attributes:
+        ray: (N, 3) float32; z = 1 in an image, unit vectors in a cloud.
+        depth: (N,) float32 [m].
+        depth_range: minimum and maximum depth that is used [m].
+        X_WC: (4, 4) pose; None: unknown.
+        view: the image; None: a cloud.
+    """
+
+    ray: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    depth_range: tuple[float, float]
+    X_WC: FloatArray | None
+    view: View | None = None
+
+    def is_valid(self, index: IntArray) -> BoolArray:
+        """Checks for some indices (M,) whether their depth is in range."""
+        low, high = self.depth_range
+        depth = self.depth[index]
+        return np.asarray((depth >= low) & (depth <= high))
+
+    def points(self, index: IntArray) -> FloatArray:
+        """Points (M, 3) of some indices (M,) in the frame C [m]."""
+        return (np.take(self.ray, index, axis=0) * self.depth[index, None]).astype(float)
+
+
+class _Support(NamedTuple):
+    """The table in one frame: its fit and points (E, 3) that span it in C, the pose of the frame,
+    and its plane in the world."""
+
+    fit: PlaneFit
+    extent_C: FloatArray
+    X_WC: FloatArray
+    table_W: TablePlane
+
+
+class _Part(NamedTuple):
+    """Points of one frame above the table.
+
+    Attributes:
+        p_WQ: (N, 3) points [m].
+        number: (N,) their ascending indices in the frame.
+        is_higher: (N,) whether each is higher than noise and bend of the camera.
+        extent_W: (E, 3) points that span the table in this frame [m].
+        view: the image; None: a cloud.
+    """
+
+    p_WQ: FloatArray
+    number: IntArray
+    is_higher: BoolArray
+    extent_W: FloatArray
+    view: View | None
 
 
 def segment_depth(
@@ -130,12 +177,11 @@ def segment_depth(
         robot: the robot's solids at the time of the image, or None.
 
     Returns:
-        The segmentation. A frame that shows no table is no error: it has no clouds
+        The segmentation. A frame without a table is no error: it has no clouds
         and a note.
 
     Raises:
-        ValueError: for an array of the wrong shape or type, an invalid K or X_WC, or none where
-            `config.table` says that there is no table.
+        ValueError: without X_WC where `config.table` excludes a table.
     """
     return segment_views([(depth, K, X_WC)], config, robot)
 
@@ -147,13 +193,12 @@ def segment_views(
 ) -> Segmentation:
     """Segments depth images of one instant together; otherwise as `segment_depth`.
 
-    An image in which no table is found, or another one than in the image that shows most of it, is
-    taken to show that of the others. One that shows
-    hardly anything is left out, and named in `blind`; if that is so of all of them, the frame is
-    not usable.
+    In an image without a table, or with another one than in the image with the largest table, the
+    table of that image is used. An image with hardly any depth is ignored, and listed in `blind`;
+    if all are, the frame is not usable.
 
     Args:
-        views: one or more depth images: depth, K and X_WC of each, as `segment_depth` has them.
+        views: one or more depth images: depth, K and X_WC of each, as in `segment_depth`.
         config: the parameters; None for the defaults.
         robot: the robot's solids at the time of the images, or None.
 
@@ -161,25 +206,14 @@ def segment_views(
         ValueError: as `segment_depth` does.
     """
     config = config or SegmentationConfig()
-    seen = [_looked_at(depth, K, X_WC, config) for depth, K, X_WC in views]
-    # The table of the image that shows most of it.
-    supports = [image.support for image in seen if image.support is not None]
-    most = max(supports, key=lambda support: support.plane.inliers.sum(), default=None)
-    table = None if most is None else most.table_W
-    # Of an image without the table the others' will do, if it shows anything.
-    blind = {
-        number: image.note
-        for number, image in enumerate(seen)
-        if image.note and (table is None or image.note != _NO_TABLE)
-    }
-    if len(blind) == len(seen):
-        return replace(_unusable(seen[0].X_WC, seen[0].note), blind=blind)
-    standing = [
-        _standing_in(image, table, config)
-        for number, image in enumerate(seen)
-        if number not in blind
-    ]
-    return replace(_cluster(standing, table, config, robot), blind=blind)
+    frames = []
+    for depth, K, X_WC in views:
+        z = np.require(depth, np.float32, ["C", "W"])
+        pose = None if X_WC is None else np.require(X_WC, np.float64, ["C", "W"])
+        view = View(z, np.require(K, np.float64, ["C", "W"]), np.eye(4) if pose is None else pose)
+        ray = pixel_rays(z.shape, *view.K.tolist())
+        frames.append(_Frame(ray, z.ravel(), (config.near, config.far), pose, view))
+    return _segment(frames, config, robot)
 
 
 def segment_points(
@@ -193,360 +227,263 @@ def segment_points(
     Args:
         points: (N, 3) points [m] in the frame C that X_WC places: the camera's, or
             the world itself with the identity. Rows that are not finite, or all
-            zero, are ignored; there is no crop by depth.
+            zero, are ignored.
         X_WC: (4, 4) pose of that frame, or None when unknown.
-        config: the parameters; None for the defaults.
+        config: the parameters; `near` and `far` have no effect. None for the defaults.
         robot: the robot's solids at the time of the cloud, or None.
-
-    Raises:
-        ValueError: for an array of the wrong shape or type or an invalid X_WC.
     """
-    config = config or SegmentationConfig()
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.issubdtype(points.dtype, np.floating):
-        raise ValueError(
-            f"points must be an (N, 3) array of floats, not {points.dtype} {points.shape}"
-        )
-    X_WC = _valid_pose(X_WC)
-    index = np.flatnonzero(np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1))
-    if not len(index):
-        return _unusable(X_WC, "no valid point")
-    p_CQ = np.require(points[index], np.float64, ["C", "W"])
-    if not config.table:
-        return _cluster([_Standing(p_CQ, index, None, _pose_known(X_WC))], None, config, robot)
-    distance = np.linalg.norm(p_CQ, axis=1)
-    step = max(1, len(index) // 20_000)
-    sample = p_CQ[::step]
-    plane = find_table(sample, distance[::step], X_WC, config.table_height)
-    if plane is None:
-        return _unusable(X_WC, _NO_TABLE)
-    height = p_CQ @ plane.normal - plane.offset
-    low = config.min_height + _height_noise(plane.offset) * distance
-    above = np.flatnonzero((height > low) & (height < config.max_height))
-    X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
-    support = _Support(plane, sample[plane.inliers], _table_W(plane, X_WC))
-    standing = _Standing(p_CQ[above], index[above], support, X_WC)
-    return _cluster([standing], support.table_W, config, robot)
+    points = np.asarray(points, dtype=np.float32)
+    distance = np.linalg.norm(points, axis=1)
+    with np.errstate(invalid="ignore"):
+        ray = points / distance[:, None]
+    frame = _Frame(ray, distance, (1e-9, 1e9), X_WC)
+    return _segment([frame], config or SegmentationConfig(), robot)
 
 
-_NO_TABLE = "no supporting plane found"
-
-
-def _height_noise(offset: float) -> float:
-    """What noise may look like a height, per metre of depth.
-
-    The depth's deviation is ``DEPTH_NOISE z**2``; of a plane's point, at the ray z r
-    with z n . r = offset, the height's is that times abs(n . r) = abs(offset) / z.
-    """
-    return _DEVIATIONS * DEPTH_NOISE * abs(offset)
-
-
-class _Support(NamedTuple):
-    """The table that obstacles stand on, as it is seen: its plane and points (M, 3) of it in C,
-    and its plane in the world."""
-
-    plane: PlaneFit
-    extent_C: FloatArray
-    table_W: TablePlane
-
-
-class _Image(NamedTuple):
-    """A depth image: z (H, W) [m], K (4,), X_WC (4, 4), the table in it, or why there is none."""
-
-    z: NDArray[np.float32]
-    K: FloatArray
-    X_WC: FloatArray | None
-    support: _Support | None
-    note: str
-
-
-class _Standing(NamedTuple):
-    """What one image, or a cloud, shows over the table.
-
-    Points p_CQ (N, 3) in its frame C and their numbers (N,), ascending; the table in it, None:
-    not seen; X_WC (4, 4); the image, None: it is a cloud.
-    """
-
-    p_CQ: FloatArray
-    number: IntArray
-    support: _Support | None
-    X_WC: FloatArray
-    view: View | None = None
-
-
-def _looked_at(
-    depth: NDArray[np.floating], K: FloatArray, X_WC: FloatArray | None, config: SegmentationConfig
-) -> _Image:
-    """A checked image, with the table in it; its pose by the table where it was not known."""
-    depth = np.asarray(depth)
-    K = _valid_intrinsics(depth, K)
-    X_WC = _valid_pose(X_WC)
-    z = np.require(depth, np.float32, ["C", "W"])
-    if not config.table:
-        # What is too far is told too; what is missing, or too near, is not.
-        if np.count_nonzero(z > 0.0) < LEAST_SHARE * z.size:
-            return _Image(z, K, X_WC, None, "hardly any pixel tells of something")
-        return _Image(z, K, _pose_known(X_WC), None, "")
-    step = config.stride
-    on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
-    if not len(on_grid):
-        return _Image(z, K, X_WC, None, "no valid pixel")
-    sample = back_projected(z, pixels, K)
-    plane = find_table(sample, sample[:, 2], X_WC, config.table_height)
-    if plane is None:
-        return _Image(z, K, X_WC, None, _NO_TABLE)
-    extent = seen_extent(
-        (-(-z.shape[0] // step), -(-z.shape[1] // step)),
-        on_grid,
-        plane.inliers,
-        sample,
-        plane,
-        (step / K[0], step / K[1]),
+def _segment(
+    frames: Sequence[_Frame], config: SegmentationConfig, robot: Solids | None
+) -> Segmentation:
+    supports: list[_Support | None] = []
+    blind = {}
+    for number, frame in enumerate(frames):
+        support, note = _supported(frame, config) if config.table else (None, _visibility(frame))
+        supports.append(support)
+        if note:
+            blind[number] = note
+    found = [support for support in supports if support is not None]
+    # The table of the image that shows most of it also holds for images without one.
+    largest = max(found, key=lambda support: np.count_nonzero(support.fit.inliers), default=None)
+    if largest is not None:
+        blind = {number: note for number, note in blind.items() if note != _NO_TABLE}
+    if len(blind) == len(frames):
+        X_WC = np.eye(4) if frames[0].X_WC is None else frames[0].X_WC
+        return Segmentation(X_WC=X_WC, usable=False, note=blind[0], blind=blind)
+    table = None if largest is None else largest.table_W
+    parts = [
+        _above(frame, support, table, config)
+        for number, (frame, support) in enumerate(zip(frames, supports, strict=True))
+        if number not in blind
+    ]
+    return replace(
+        _cluster(parts, table, config, robot),
+        plane_rms=np.nan if largest is None else largest.fit.rms,
+        X_WC=_pose(frames[0], supports[0]),
+        blind=blind,
     )
-    X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
-    return _Image(z, K, X_WC, _Support(plane, extent, _table_W(plane, X_WC)), "")
 
 
-def _table_W(plane: PlaneFit, X_WC: FloatArray) -> TablePlane:
-    normal_W = X_WC[:3, :3] @ plane.normal
-    return TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
+def _visibility(frame: _Frame) -> str:
+    """Reason why a frame without a table is not usable, or nothing."""
+    # Infinite depth counts as visible, missing depth does not.
+    is_seen = np.count_nonzero(frame.depth > 0.0) >= max(1.0, LEAST_SHARE * frame.depth.size)
+    return "" if is_seen else "hardly any pixel has a depth"
 
 
-def _standing_in(image: _Image, table: TablePlane | None, config: SegmentationConfig) -> _Standing:
-    z, K, X_WC = image.z, image.K, _pose_known(image.X_WC)
-    support = image.support
-    # It may be missing, or something else taken for it.
-    if support is not None and table is not None:
-        apart = abs(support.table_W.offset - table.offset)
-        apart += float(np.linalg.norm(support.table_W.normal_W - table.normal_W))
-        support = support if apart <= HEIGHT_TOLERANCE else None
-    if table is None:
-        _, index = sampled(z, 1, float(config.near), float(config.far))
-    elif support is not None:
-        index = _pixels_above(z, K, support.plane, config)
+def _pose(frame: _Frame, support: _Support | None) -> FloatArray:
+    if support is not None:
+        return support.X_WC
+    if frame.X_WC is None:
+        raise ValueError("X_WC must be given where no table defines it")
+    return frame.X_WC
+
+
+def _supported(frame: _Frame, config: SegmentationConfig) -> tuple[_Support | None, str]:
+    """Finds the table in a frame; without one, returns the reason."""
+    grid = np.arange(frame.depth.size)
+    if frame.view is None:
+        grid = grid[:: max(1, grid.size // _CLOUD_SAMPLES)]
     else:
-        offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
+        grid = grid.reshape(frame.view.z.shape)[:: config.stride, :: config.stride]
+    pixel = np.flatnonzero(frame.is_valid(grid.ravel()))
+    if not len(pixel):
+        return None, "no valid pixel" if frame.view else "no valid point"
+    index = grid.ravel()[pixel]
+    points = frame.points(index)
+    fit = find_table(points, frame.depth[index].astype(float), frame.X_WC, config.table_height)
+    if fit is None:
+        return None, _NO_TABLE
+    extent = points[fit.inliers]
+    if frame.view is not None:
+        extent = table_extent(fit, points, pixel, grid)
+    X_WC = _pose_from_plane(fit) if frame.X_WC is None else frame.X_WC
+    normal_W = X_WC[:3, :3] @ fit.normal
+    table = TablePlane(normal_W, float(fit.offset + normal_W @ X_WC[:3, 3]))
+    return _Support(fit, extent, X_WC, table), ""
+
+
+def _above(
+    frame: _Frame, support: _Support | None, table: TablePlane | None, config: SegmentationConfig
+) -> _Part:
+    """Finds the points of a frame above the table; without a table, all."""
+    X_WC, depth = _pose(frame, support), frame.depth
+    extent_W = np.zeros((0, 3))
+    normal, offset = np.zeros(3), 0.0
+    if table is not None:
         normal = X_WC[:3, :3].T @ table.normal_W
-        plane = PlaneFit(normal, offset, np.nan, np.zeros(0, dtype=bool))
-        index = _pixels_above(z, K, plane, config)
-    p_CQ = back_projected(z, index, K)
-    return _Standing(p_CQ, index, support, X_WC, View(z, K, X_WC))
-
-
-def _pose_known(X_WC: FloatArray | None) -> FloatArray:
-    if X_WC is None:
-        raise ValueError("X_WC must be given where there is no table to find it by")
-    return X_WC
-
-
-def _in_world(part: _Standing, config: SegmentationConfig) -> tuple[FloatArray, IntArray]:
-    """Points (N, 3) in the world [m], those far beyond the table left out; their numbers (N,)."""
-    axes, reach = np.eye(2, 3), np.array([[-np.inf, np.inf]] * 2)
-    if part.support is not None:
-        # A rectangle around the table is a quick crop; its convex extent comes later.
-        axes = plane_axes(part.support.plane.normal)
-        along = axes @ part.support.extent_C.T
-        low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
-        beyond = config.table_margin + config.overhang
-        reach = np.column_stack([low - beyond, high + beyond])
-    return cropped_to_world(part.p_CQ, part.number, axes, reach, part.X_WC)
+        offset = float(table.offset - table.normal_W @ X_WC[:3, 3])
+        # A table that differs belongs to another object.
+        if support is not None:
+            apart = abs(support.table_W.offset - table.offset)
+            apart += float(np.linalg.norm(support.table_W.normal_W - table.normal_W))
+            if apart <= HEIGHT_TOLERANCE:
+                normal, offset = support.fit.normal, support.fit.offset
+                extent_W = support.extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
+    # The deviation of depth is DEPTH_NOISE z^2; the height of a point z r of a plane with
+    # n . z r = offset deviates by that times |n . r| = |offset| / z.
+    noise = np.float32(_DEVIATIONS * DEPTH_NOISE * abs(offset))
+    slope = frame.ray @ normal.astype(np.float32) - noise
+    low, high = offset + config.min_height, offset + config.max_height
+    if table is None:
+        number = np.arange(depth.size)
+        is_used = frame.is_valid(number)
+    else:
+        with np.errstate(invalid="ignore"):
+            number = np.flatnonzero(depth * slope > np.float32(low))
+        is_used = frame.is_valid(number) & (depth[number] * (slope[number] + noise) < high)
+    number = number[is_used]
+    z = depth[number]
+    bend = np.minimum(_WARP * np.maximum(z - _WARP_START, 0.0) ** 2, _LARGEST_WARP)
+    is_higher = z * slope[number] > low + bend
+    p_WQ = frame.points(number) @ X_WC[:3, :3].T + X_WC[:3, 3]
+    view = None if frame.view is None else frame.view._replace(X_WC=X_WC)
+    return _Part(p_WQ, number, is_higher, extent_W, view)
 
 
 def _cluster(
-    parts: Sequence[_Standing],
+    parts: Sequence[_Part],
     table: TablePlane | None,
     config: SegmentationConfig,
     robot: Solids | None,
 ) -> Segmentation:
-    """What stands on the table, of all that images of one instant, or a cloud, show over it.
-
-    Without a table all of it counts.
-    """
+    """Clusters the points of all frames above the table."""
     views = tuple(part.view for part in parts if part.view is not None)
-    placed = [_in_world(part, config) for part in parts]
-    X_WC = parts[0].X_WC
-    rms = np.nan if parts[0].support is None else parts[0].support.plane.rms
-    p_WQ = np.concatenate([points for points, _ in placed])
+    p_WQ = np.concatenate([part.p_WQ for part in parts])
     if not len(p_WQ):
-        return Segmentation((), (), table, p_WQ, rms, X_WC, views=views)
-
+        return Segmentation(table=table, views=views)
     means, voxel_of, count = voxel_means(p_WQ, config.voxel)
-    kept = np.flatnonzero(count >= config.min_occupancy)
+    is_kept = count >= config.min_occupancy
     if robot is not None:
         margin = config.robot_margin
-        kept = kept[least_distances(robot, means[kept], 0.0, margin, margin) >= margin]
-    if table is None:
-        found = connected_clusters(means[kept], config.cluster_tolerance)
-    else:
-        extent_W = np.concatenate(
-            [
-                part.support.extent_C @ part.X_WC[:3, :3].T + part.X_WC[:3, 3]
-                for part in parts
-                if part.support is not None
-            ]
-        )
-        beyond = config.table_margin + config.overhang
-        outside = beyond_extent(means[kept], extent_W, table.normal_W)
-        kept, outside = kept[outside <= beyond], outside[outside <= beyond]
-        standing, found = _standing(
-            means[kept],
-            outside <= config.table_margin,
-            outside <= beyond - 2.0 * config.voxel,
-            config,
-        )
-        kept = kept[standing]
-    points = means[kept]
-    label = np.full(len(means), -1)
-    ends = np.cumsum([0, *(len(index) for _, index in placed)]).tolist()
-    voxels_of = [voxel_of[slice(*pair)] for pair in pairwise(ends)]
-    if views:
-        label[kept] = found
-        found = joined_across_unseen(
-            points,
-            found,
-            [
-                (index, label[own], view)
-                for (_, index), own, view in zip(placed, voxels_of, views, strict=True)
-            ],
-            UNSEEN_GAP,
-            float(config.voxel),
-            config.min_cluster_voxels,
-        )
-    sizes = np.bincount(found, minlength=1)
-    large = sizes >= config.min_cluster_voxels
+        distance = least_distances(robot, means[is_kept], 0.0, margin, margin)
+        is_kept[is_kept] = distance >= margin
     if table is not None:
-        low = np.full(len(points), -np.inf)
-        for part, own in zip(parts, voxels_of, strict=True):
-            shown = np.zeros(len(means), dtype=bool)
-            shown[own] = True
-            at = np.flatnonzero(shown[kept])
-            low[at] = np.maximum(low[at], _least_height(points[at], table, part, config))
-        higher = points @ table.normal_W - table.offset > low
-        least = np.maximum(_HIGHER_SHARE * sizes, 3)
-        large &= np.bincount(found, weights=higher, minlength=1) >= least
-    names = np.flatnonzero(large)
-    names = names[np.argsort(-sizes[names], kind="stable")]
-    place = np.full(len(sizes), -1)
-    place[names] = np.arange(len(names))
-    label[kept] = place[found]
-    first = np.cumsum([0, *(view.z.size for view in views)]).tolist()
-    index = np.concatenate([own + begin for (_, own), begin in zip(placed, first, strict=False)])
-    pixels, begin = points_of_groups(label, voxel_of, index, len(names))
+        extent_W = np.concatenate([part.extent_W for part in parts])
+        outside = distance_beyond(means[is_kept], extent_W, table.normal_W)
+        is_kept[is_kept] = _on_table(means[is_kept], outside, config)
+    label = np.full(len(means), -1)
+    label[is_kept] = connected_clusters(means[is_kept], config.cluster_tolerance)
+    label = _merged(means, label, voxel_of, parts, config)
+    sizes = np.bincount(label + 1, minlength=1)[1:]
+    is_large = sizes >= config.min_cluster_voxels
+    if table is not None:
+        is_higher = np.bincount(voxel_of, np.concatenate([part.is_higher for part in parts]))
+        higher = np.bincount(label + 1, is_higher >= 0.5 * count, minlength=1)[1:]
+        is_large &= higher >= np.maximum(_HIGHER_SHARE * sizes, 3.0)
+    largest_first = np.argsort(-sizes, kind="stable")
+    chosen = largest_first[is_large[largest_first]]
+    row = np.full(len(sizes) + 1, -1)
+    row[chosen] = np.arange(len(chosen))
+    label = row[label]
+    begin = np.cumsum([0, *(view.z.size for view in views)])
+    number = np.concatenate([part.number + at for part, at in zip(parts, begin, strict=False)])
+    of_point = label[voxel_of].astype(np.int16)
+    order = np.argsort(of_point, kind="stable")
+    ends = np.searchsorted(of_point[order], np.arange(len(chosen) + 1))
     return Segmentation(
-        tuple(points[found == name] for name in names),
-        tuple(pixels[slice(*pair)] for pair in pairwise(begin.tolist())),
+        tuple(means[label == cluster] for cluster in range(len(chosen))),
+        tuple(np.split(number[order], ends)[1:-1]),
         table,
         p_WQ,
-        rms,
-        X_WC,
         views=views,
     )
 
 
-def _least_height(
-    p_WQ: FloatArray, table: TablePlane, part: _Standing, config: SegmentationConfig
-) -> FloatArray:
-    """(N,) height from which points (N, 3) are over the table, however the camera bends it [m]."""
-    p_CQ = (p_WQ - part.X_WC[:3, 3]) @ part.X_WC[:3, :3]
-    distance = p_CQ[:, 2] if part.view is not None else np.linalg.norm(p_CQ, axis=1)
-    offset = table.offset - float(table.normal_W @ part.X_WC[:3, 3])
-    bend = _WARP * np.maximum(distance - _WARP_START, 0.0) ** 2
-    low = config.min_height + _height_noise(offset) * distance
-    return np.asarray(low + np.minimum(bend, _LARGEST_WARP))
+def _on_table(points: FloatArray, outside: FloatArray, config: SegmentationConfig) -> BoolArray:
+    """Finds points of objects above the table: above it, or overhanging parts.
 
-
-def _standing(
-    points: FloatArray, inside: BoolArray, inner: BoolArray, config: SegmentationConfig
-) -> tuple[BoolArray, IntArray]:
-    """Which points belong to what stands over the table: inside, or jutting out from there.
-
-    A wall behind the table, which mostly is outside and goes on beyond all that is looked
-    at, does not jut out from an object that it touches; nor does what touches several.
+    A wall behind the table, most of which is outside, and which continues beyond the overhang,
+    is no part of an object that it touches.
 
     Args:
         points: (N, 3) [m].
-        inside: (N,) whether each is over the table.
-        inner: (N,) whether it is not at the limit of what is looked at.
-        config: `cluster_tolerance` and `over_table` count.
-
-    Returns:
-        (N,) whether each stands there, and (S,) the clusters of those that do.
+        outside: (N,) their distances beyond the table [m].
+        config: `table_margin`, `overhang`, `cluster_tolerance` and `over_table` are used.
     """
-    whole = connected_clusters(points, config.cluster_tolerance)
-    if inside.all():
-        return inside, whole
-    core = connected_clusters(points[inside], config.cluster_tolerance)
-    count = int(whole.max()) + 1
-    total = np.bincount(whole, minlength=count)
-    within = np.bincount(whole[inside], minlength=count)
-    whole_of_core = np.zeros(core.max(initial=-1) + 1, dtype=np.int64)
-    whole_of_core[core] = whole[inside]
-    objects = np.bincount(whole_of_core, minlength=count)
-    goes_on = np.bincount(whole[~inner], minlength=count) > 0
-    taken = (objects == 1) & (within >= np.where(goes_on, 0.5, config.over_table) * total)
-    taken_points = taken[whole]
-    cluster = np.where(taken_points, whole, -1)
-    cluster[inside] = np.where(taken_points[inside], whole[inside], count + core)
-    standing = inside | taken_points
-    return standing, filed(cluster[standing])[1]
+    beyond = config.table_margin + config.overhang
+    inside, near = outside <= config.table_margin, outside <= beyond
+    if (inside == near).all():
+        return inside
+    label = connected_clusters(points[near], config.cluster_tolerance)
+    continues = np.bincount(label, outside[near] > beyond - 2.0 * config.voxel) > 0.0
+    share = np.bincount(label, inside[near]) / np.bincount(label)
+    overhangs = share >= np.where(continues, 0.5, config.over_table)
+    inside[near] |= overhangs[label]
+    return inside
 
 
-def _pixels_above(
-    z: NDArray[np.float32], K: FloatArray, plane: PlaneFit, config: SegmentationConfig
+def _merged(
+    means: FloatArray,
+    label: IntArray,
+    voxel_of: IntArray,
+    parts: Sequence[_Part],
+    config: SegmentationConfig,
 ) -> IntArray:
-    """Flat indices of the pixels whose height over the plane may be an obstacle's."""
-    # height = n . p_C - offset = z (a u + b v + c) - offset > min_height + noise z
-    fx, fy, cx, cy = K
-    n, offset = plane.normal, plane.offset
-    a, b = n[0] / fx, n[1] / fy
-    noise = _height_noise(offset)
-    u = a * np.arange(z.shape[1]) + (n[2] - a * cx - b * cy - noise)
-    v = b * np.arange(z.shape[0])
-    limits = [
-        config.near,
-        config.far,
-        offset + config.min_height,
-        noise,
-        offset + config.max_height,
-    ]
-    return pixels_between(
-        z, u.astype(np.float32), v.astype(np.float32), np.array(limits, dtype=np.float32)
-    )
+    """Merges clusters with a short gap between them that no image sees through.
+
+    The rim and the inside of a bowl are separate clusters; so are two boxes with a gap between
+    them, but there the table is visible.
+
+    Args:
+        means: (M, 3) points in the world frame [m].
+        label: (M,) their clusters, -1: none.
+        voxel_of: (N,) row among them of each point of the frames.
+        parts: the frames.
+        config: `voxel` and `min_cluster_voxels` are used; smaller clusters are not merged.
+    """
+    images, begin = [], 0
+    for part in parts:
+        end = begin + len(part.number)
+        if part.view is not None:
+            owner = np.full(part.view.z.size, -1, dtype=np.int16)
+            owner[part.number] = label[voxel_of[begin:end]]
+            images.append((part.view, owner))
+        begin = end
+    if not images:
+        return label
+    sizes = np.bincount(label + 1, minlength=1)[1:]
+    large = np.flatnonzero(sizes >= config.min_cluster_voxels).tolist()
+    trees = [(cluster, cKDTree(means[label == cluster])) for cluster in large]
+    merged = np.append(np.arange(len(sizes)), -1)
+    for (one, first), (other, second) in combinations(trees, 2):
+        if (np.maximum(first.mins, second.mins) - np.minimum(first.maxes, second.maxes)).max() > (
+            UNSEEN_GAP
+        ):
+            continue
+        length, nearest = second.query(first.data, distance_upper_bound=UNSEEN_GAP)
+        bridges = np.argsort(length, kind="stable")[:_BRIDGES]
+        bridges = bridges[np.isfinite(length[bridges])]
+        start, end = first.data[bridges], second.data[nearest[bridges]]
+        places = start + _BRIDGE_PLACES * (end - start)
+        is_open = np.zeros(len(bridges), dtype=bool)
+        for view, owner in images:
+            p_C = (places - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
+            pixel = pixel_at(p_C, view.z.shape, view.K)
+            is_behind = (pixel >= 0) & (view.z.ravel()[pixel] > p_C[..., 2] + config.voxel)
+            is_open |= (is_behind & ~np.isin(owner[pixel], (one, other))).any(axis=0)
+        if len(bridges) and 4 * np.count_nonzero(is_open) <= len(bridges):
+            merged[merged == merged[other]] = merged[one]
+    return merged[label]
 
 
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:
     """X_WC of the world that a table defines, see `segment_depth`."""
     n = plane.normal
-    # Where the ray (0, 0, t) meets n . p = offset, if in front and not grazing.
+    # The ray (0, 0, t) meets n . p = offset, if in front and not grazing.
     t = plane.offset / n[2] if abs(n[2]) > 0.05 else -1.0
     origin_C = np.array([0.0, 0.0, t]) if t > 0.0 else plane.offset * n
     x = np.array([1.0, 0.0, 0.0]) - n[0] * n
     x /= np.linalg.norm(x)
-    R_WC = np.stack([x, np.cross(n, x), n])
     X_WC = np.eye(4)
-    X_WC[:3, :3] = R_WC
-    X_WC[:3, 3] = -R_WC @ origin_C
-    return X_WC
-
-
-def _valid_intrinsics(depth: NDArray[np.floating], K: FloatArray) -> FloatArray:
-    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
-        raise ValueError(
-            f"depth must be an (H, W) array of floats in metres, not {depth.dtype} {depth.shape}"
-        )
-    K = np.require(K, np.float64, ["C", "W"])
-    if K.shape != (4,) or not np.isfinite(K).all() or (K[:2] <= 0.0).any():
-        raise ValueError(f"K must be [fx, fy, cx, cy] with positive focal lengths, not {K}")
-    return K
-
-
-def _valid_pose(X_WC: FloatArray | None) -> FloatArray | None:
-    if X_WC is None:
-        return None
-    X_WC = np.require(X_WC, np.float64, ["C", "W"])
-    if X_WC.shape != (4, 4) or not np.isfinite(X_WC).all():
-        raise ValueError(f"X_WC must be a finite (4, 4) pose, not one of shape {X_WC.shape}")
-    R = X_WC[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-        raise ValueError("X_WC must hold a rotation: its upper left block is not orthonormal")
+    X_WC[:3, :3] = np.stack([x, np.cross(n, x), n])
+    X_WC[:3, 3] = -X_WC[:3, :3] @ origin_C
     return X_WC
