@@ -16,10 +16,11 @@ from drake_oa.common.files import check_outputs, replace_json, replace_text
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from drake_oa.common.console import TextTable
-    from drake_oa.studies.panda.evaluation import Keeping, PandaResults, PandaSuite
+    from drake_oa.studies.panda.evaluation import PandaResults, PandaSuite
+    from drake_oa.studies.results import ResultFolder
     from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
     from drake_oa.studies.scenes.methods import Method
-    from drake_oa.studies.scenes.scenes import Motions, Scenes
+    from drake_oa.studies.scenes.scenes import Scenes
     from drake_oa.studies.scenes.suites import Case, Suite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
@@ -44,8 +45,6 @@ def synthetic(
     methods: Methods = (),
     scenes: int | None = None,
     seed: int = 0,
-    scenes_file: Path | None = None,
-    write_scenes: Path | None = None,
     json: Path | None = None,
 ) -> int:
     """Compare methods on scenes of ellipsoids.
@@ -61,16 +60,13 @@ def synthetic(
                        duration tau T; `verified` goes on until it has arrived, to
                        2 tau T at most, and `paper` to 2 T
       path ratio       length of the path over that of the straight line
-      step, seconds    computing time of a policy step, and of all scenes
 
     An independent float64 check judges the motions, on samples four times finer.
 
     Suites:
 
       novel      the paper's random obstacles at baselines of 0.5 to 2 m (4000)
-      posed      novel with random orientations (1000)
-      hit        posed, with the straight line in collision (1000)
-      head-on    posed, centres within 1 cm of the line or exactly on it (1000)
+      hit        novel with random orientations, the straight line in collision (1000)
       clutter    six small ellipsoids, at least one in the way (1000)
       moving     one small ellipsoid that moves into the unmodulated robot (1000)
 
@@ -80,11 +76,6 @@ def synthetic(
       verified             proposals checked by roll-outs, as the running system does
       original             the coupling term that the paper starts from
       movement_primitives  the package of that name (pip install 'drake_oa[peers]')
-
-    A scenes file (.npz) replaces the suite's scenes: `baseline` (N,), `center` (N, M, 3),
-    `semi_axes` (N, M, 3), `R` (N, M, 3, 3), `velocity` (N, M, 3), `clearance` (N,), in
-    metres and m/s, NaN rows for absent obstacles; the start is the origin, the goal
-    (baseline, 0, 0). SUITE then only names the result.
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
     method; what was computed so far is in it, with "complete": false, when a method fails
@@ -97,28 +88,21 @@ def synthetic(
 
         drake-oa evaluate novel --json novel.json
         drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
-        drake-oa evaluate clutter --scenes-file mine.npz --method verified
 
     Args:
         suite: which scenes, see above.
         methods: a method, see above; may be repeated.
-        scenes: how many; with --scenes-file, the first N.
+        scenes: how many.
         seed: of the scenes.
-        scenes_file: run these scenes.
-        write_scenes: write the scenes in the same form.
         json: write the figures.
     """
     from drake_oa.studies.scenes.evaluation import evaluation_tables
-    from drake_oa.studies.scenes.scenes import save_scenes
 
     found_suite = _suite(suite)
     chosen = load_methods(methods or found_suite.methods)
-    check_outputs(json, write_scenes, read=[scenes_file] if scenes_file else [])
-    drawn = drawn_scenes(suite, scenes, seed, scenes_file)
-    if write_scenes is not None:
-        save_scenes(write_scenes, drawn)
-    of_seed = seed if scenes_file is None else None
-    evaluation, figures = evaluated(suite, of_seed, drawn, found_suite.cases, chosen, json)
+    check_outputs(json)
+    drawn = drawn_scenes(suite, scenes, seed)
+    evaluation, figures = evaluated(suite, seed, drawn, found_suite.cases, chosen, json)
     print(_heading(suite, drawn))
     show(*evaluation_tables(figures))
     return evaluation_status(evaluation)
@@ -132,19 +116,17 @@ def evaluated(
     methods: Mapping[str, Method],
     json: Path | None,
     *,
-    on_motions: Callable[[str, Motions], None] = lambda name, motions: None,
     more: Mapping[str, Any] | None = None,
 ) -> tuple[Evaluation, dict[str, Any]]:
     """Runs methods on scenes, with a progress bar; the JSON is written after every method.
 
     Args:
         suite: name of the result.
-        seed: of the scenes; None where they were read from a file.
+        seed: of the scenes; None for scenes without one.
         scenes: the scenes.
         cases: how each is run.
         methods: by name.
         json: where the figures go.
-        on_motions: told the method's name and each batch of motions.
         more: what stands in the figures besides.
 
     Returns:
@@ -164,7 +146,7 @@ def evaluated(
 
     with counted(len(scenes) * len(cases) * len(methods)) as on_progress:
         evaluation = evaluate_scenes(
-            scenes, cases, methods, on_progress=on_progress, on_method=keep, on_motions=on_motions
+            scenes, cases, methods, on_progress=on_progress, on_method=keep
         )
     return evaluation, figures(evaluation.outcomes)
 
@@ -185,24 +167,13 @@ def load_methods(names: Sequence[str]) -> dict[str, Method]:
     return {name: load_method(name) for name in names}
 
 
-def drawn_scenes(suite: str, count: int | None, seed: int, file: Path | None = None) -> Scenes:
-    """So many scenes of a suite, or of a file; an error names the option."""
-    from drake_oa.common.files import check_memory
-    from drake_oa.studies.scenes.scenes import load_scenes
-    from drake_oa.studies.scenes.suites import draw_scenes, find_suite
+def drawn_scenes(suite: str, count: int | None, seed: int) -> Scenes:
+    """So many scenes of a suite; an error names the option."""
+    from drake_oa.studies.scenes.suites import draw_scenes
 
     if count is not None and count < 1:
         raise ValueError(f"--scenes must be at least 1, not {count}")
-    if file is None:
-        if count is not None:
-            check_memory(f"--scenes {count}", count * find_suite(suite).bytes_per_scene)
-        return draw_scenes(suite, count, seed)
-    scenes = load_scenes(file)
-    if count is not None:
-        if count > len(scenes):
-            raise ValueError(f"--scenes {count}: {file} holds {len(scenes)}")
-        scenes = scenes.rows(slice(count))
-    return scenes
+    return draw_scenes(suite, count, seed)
 
 
 def _heading(suite: str, scenes: Scenes) -> str:
@@ -280,7 +251,6 @@ def panda(
     methods: Methods = (),
     scenes: int = 100,
     seed: int = 0,
-    read_scenes: Path | None = None,
     perception: Literal["depth", "truth"] = "depth",
     cameras: Literal[1, 2] = 1,
     runs: Runs = RUNS,
@@ -324,24 +294,19 @@ def panda(
       contacts    scenes in which a link, the hand or a finger touched an obstacle, the
                   table or another of the robot's, by SceneGraph, until all was at rest
       success     no contact, and the tool ends within 5 mm of the goal
-      of solved   success in the scenes that planner, where it is a method, or any other
-                  method solves
       avoidable   contacts among moving things for which at least one of 500 joint motions
                   from the state 0.2 s before stays clear; by view: and the obstacle's
                   velocity was observed in time
       claims A, B     logged instants of all scenes at which a point of the arm approaches
                   a moving obstacle that could reach it from where it was seen (A), or is
                   faster than 0.25 m/s toward where sight is lacking (B)
-      stopped     the others: ended short of the goal without a contact, and why
       DRPBench    contacts and success by its rules: no contact with an obstacle or the table
                   within its episode of 16.7 s, and then within 5 cm and 15 degrees of the goal
       clearance   minimum over all scenes, of hand and fingers
       duration    of the motion, median
-      decision    simulated duration of the decisions, 99th percentile
 
     --json writes more figures, and the result of each scene. Below the table: why runs were
-    stopped, what was touched, and of what was looked at when the
-    scenes were drawn, what share was dropped for which reason.
+    stopped, and what was touched.
 
     Every scene is on disk as soon as it is done (--results), and the same command
     resumes. A Dask cluster's workers need this package, and are best started with
@@ -359,8 +324,6 @@ def panda(
         methods: a method, see above; may be repeated.
         scenes: how many of each kind.
         seed: of the scenes.
-        read_scenes: run the scenes in this folder, which --write-scenes has written; their digest
-            is that of the drawn ones.
         perception: depth (the camera) or truth (SceneGraph).
         cameras: 2: two beside the robot, 2.1 m from the workspace's middle, in place of one.
         runs: how runs are made.
@@ -373,15 +336,7 @@ def panda(
         raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
     sees = "depth2" if cameras == 2 else perception
     suites = [
-        panda_suite(
-            kind,
-            scenes,
-            seed,
-            methods or default_methods(kind),
-            sees,
-            runs.duration,
-            folder=read_scenes,
-        )
+        panda_suite(kind, scenes, seed, methods or default_methods(kind), sees, runs.duration)
         for kind in suite_kinds(_named(kinds), _named(levels))
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
@@ -441,7 +396,7 @@ def mbm(
     from drake_oa.studies.mbm.suite import mbm_figures, mbm_suites
 
     suites = mbm_suites(problems, robot, _named(sets), methods, scenes, perception, runs.duration)
-    heading = f"mbm: {sum(suite.scenes for suite in suites)} problems"
+    heading = f"mbm: {sum(len(suite.drawings) for suite in suites)} problems"
     return run_suites(runs, suites, heading, mbm_figures)
 
 
@@ -530,17 +485,20 @@ def run_suites(
     if any(PLANNER in suite.methods for suite in suites if suite.kind not in MOVING_KINDS):
         check_planner()
     check_outputs(runs.json)
-    keeping = _keeping(runs)
+    folder = _results_folder(runs)
     jobs = 1 if runs.scheduler is not None else runs.jobs or cpu_count()
     results: list[PandaResults] = []
-    with counted(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
+    with counted(
+        sum(len(suite.drawings) * (1 + len(suite.methods)) for suite in suites)
+    ) as progress:
         for suite in suites:
             results.append(
                 evaluate_panda(
                     suite,
                     jobs=jobs,
                     scheduler=runs.scheduler,
-                    keeping=keeping,
+                    folder=folder,
+                    logs=runs.logs,
                     on_progress=progress,
                 )
             )
@@ -562,11 +520,10 @@ def run_suites(
         show(table(whole))
     else:
         show(panda_table([*figures, *([whole["all"]] if "all" in whole else [])]))
-    return _runs_status(results, keeping)
+    return _runs_status(results, folder)
 
 
-def _keeping(runs: Runs) -> Keeping:
-    from drake_oa.studies.panda.evaluation import Keeping
+def _results_folder(runs: Runs) -> ResultFolder:
     from drake_oa.studies.results import ResultFolder
 
     beside = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
@@ -575,7 +532,7 @@ def _keeping(runs: Runs) -> Keeping:
         if other is not None:
             # Made before anything is computed.
             ResultFolder(other)
-    return Keeping(folder, runs.logs)
+    return folder
 
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:
@@ -589,7 +546,7 @@ def _write_scenes(folder: Path, results: PandaResults) -> None:
         replace_text(file, scenario_text(seen))
 
 
-def _runs_status(results: Sequence[PandaResults], keeping: Keeping) -> int:
+def _runs_status(results: Sequence[PandaResults], folder: ResultFolder) -> int:
     runs: list[dict[str, Any]] = [
         run for found in results for of in found.runs.values() for run in of.values()
     ]
@@ -597,7 +554,6 @@ def _runs_status(results: Sequence[PandaResults], keeping: Keeping) -> int:
     if failed:
         complain(f"{len(failed)} of {len(runs)} runs failed; the first: {failed[0]}")
     if any(found.interrupted for found in results):
-        where = keeping.folder.path if keeping.folder else "nowhere"
-        complain(f"interrupted: {len(runs)} runs are in {where}; the same command resumes")
+        complain(f"interrupted: {len(runs)} runs are in {folder.path}; the same command resumes")
         return INTERRUPTED
     return FAILED if failed else 0

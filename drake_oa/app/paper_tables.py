@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from drake_oa.app.evaluate import (
     RUNS,
@@ -21,17 +18,8 @@ from drake_oa.app.evaluate import (
 )
 from drake_oa.common.console import show
 from drake_oa.common.files import check_outputs, check_plot_file, replace_json
-from drake_oa.studies.scenes.reading import READING, Reading
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
-if TYPE_CHECKING:
-    from drake_oa.common.messages import FloatArray
-    from drake_oa.studies.scenes.evaluation import Outcome
-    from drake_oa.studies.scenes.scenes import Motions, Scenes
-
-
-Level = Annotated[Reading, Parameter(name="*")]
-"""Reading of the action level, each field an option."""
 
 
 def table1(*, json: Path | None = None) -> int:
@@ -53,64 +41,32 @@ def table1(*, json: Path | None = None) -> int:
     return 0
 
 
-def table2(
-    *,
-    scenes: int = 4000,
-    seed: int = 0,
-    sampling: Literal["printed", "demo", "narrow", "near"] = "demo",
-    distance: Literal["plane", "space"] = "plane",
-    level: Level = READING,
-    ablation: bool = False,
-    json: Path | None = None,
-) -> int:
+def table2(*, scenes: int = 4000, seed: int = 0, json: Path | None = None) -> int:
     """Run the paper's Table II: 4 x 1,000 novel scenes, the print beside.
 
-    What the print leaves open are options; by default they are as they agree best with it.
+    What the print leaves open is read as it agrees best with it: see docs/results/paper.md.
 
     For example:
 
-        drake-oa evaluate table2 --seed 1000 --ablation --json table2.json
-        drake-oa evaluate table2 --sampling printed --law printed --tau extreme --time tau
+        drake-oa evaluate table2 --seed 1000 --json table2.json
 
     Args:
         scenes: how many, over all four baselines.
         seed: of the scenes.
-        sampling: where obstacles are along the baseline. printed: 5 cm from both ends to their
-            own extent; demo: to that of the longest, as in the released demo program; narrow: so,
-            and within 0.2 m aside, as there, not 0.4; near: as demo, with straight lines that come
-            nearer than 0.10 m, not 0.15.
-        distance: where the clearance is taken: in the P-plane, to the section, or in space.
-        level: how the action level is read.
-        ablation: after these, every other reading of one option at a time.
-        json: write the figures, after every reading.
+        json: write the figures.
     """
     from drake_oa.common.files import software_versions
-    from drake_oa.studies.paper_tables import (
-        Choice,
-        choices,
-        judge_choice,
-        table_two,
-        table_two_figures,
-    )
+    from drake_oa.studies.paper_tables import judge_novel, table_two, table_two_figures
 
     check_outputs(json)
-    choice = Choice(sampling=sampling, distance=distance, reading=level)
-    chosen = choices(choice, ablation)
-    samplings = dict.fromkeys(of.sampling for of in chosen.values())
-    drawn: dict[str, Scenes] = {name: drawn_scenes(name, scenes, seed) for name in samplings}
-    versions = software_versions()
-    outcomes: dict[str, Outcome] = {}
-    with counted(scenes * len(chosen)) as progress:
-        for name, of in chosen.items():
-            evaluation = judge_choice(name, of, drawn[of.sampling], progress)
-            outcomes |= evaluation.outcomes
-            whole = table_two_figures(chosen, outcomes, drawn, seed, versions)
-            replace_json(json, whole)
-            if evaluation.interrupted:
-                break
+    drawn = drawn_scenes("demo", scenes, seed)
+    with counted(scenes) as progress:
+        evaluation = judge_novel(drawn, progress)
+    whole = table_two_figures(evaluation.outcomes["paper"], drawn, seed, software_versions())
+    replace_json(json, whole)
     print(f"table2: {scenes} scenes of seed {seed}\n")
-    show(*table_two(whole))
-    return evaluation_status(type(evaluation)(outcomes, evaluation.interrupted))
+    show(table_two(whole))
+    return evaluation_status(evaluation)
 
 
 def table3(
@@ -149,7 +105,6 @@ def figure_familiar(
     *,
     methods: Methods = ("paper",),
     scenes: int = 100,
-    level: Level = READING,
     json: Path | None = None,
     plot: Path | None = None,
 ) -> int:
@@ -167,20 +122,15 @@ def figure_familiar(
     Args:
         methods: those of `drake-oa evaluate SUITE`; may be repeated.
         scenes: how many ellipses, a square.
-        level: how the method `paper` reads its action level.
         json: write the figures.
         plot: write the figure: .png, .svg or .pdf.
     """
     from drake_oa.studies.plots import plot_familiar
     from drake_oa.studies.scenes.evaluation import familiar_tables
-    from drake_oa.studies.scenes.paper_method import paper_chain, run
     from drake_oa.studies.scenes.suites import find_suite
 
     suite = "familiar"
     chosen = load_methods(methods)
-    if "paper" in chosen:
-        paper_chain(False, level.chain)
-        chosen["paper"] = partial(run, reading=level)
     check_plot_file("--plot", plot)
     check_outputs(json, plot)
     drawn, cases = drawn_scenes(suite, scenes, 0), find_suite(suite).cases
@@ -218,7 +168,6 @@ def figure_dead_zone(
     from drake_oa.studies.scenes.evaluation import (
         compare_terms,
         evaluation_tables,
-        term_figures,
         term_table,
     )
     from drake_oa.studies.scenes.suites import find_suite
@@ -228,18 +177,11 @@ def figure_dead_zone(
     check_plot_file("--plot", plot)
     check_outputs(json, plot)
     drawn = drawn_scenes(suite, scenes, 0)
-    terms = compare_terms(drawn)
-    more = {"terms": term_figures(terms)}
-    paths: dict[str, FloatArray] = {}
-
-    def keep_paths(name: str, motions: Motions) -> None:
-        paths.setdefault(name, motions.path)
-
-    evaluation, figures = evaluated(
-        suite, None, drawn, find_suite(suite).cases, chosen, json, on_motions=keep_paths, more=more
-    )
+    more = {"terms": compare_terms(drawn)}
+    cases = find_suite(suite).cases
+    evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json, more=more)
     print(f"figure_dead_zone: a point obstacle in {len(drawn)} places\n")
     show(term_table(more["terms"]), *evaluation_tables(figures))
     if plot is not None:
-        plot_dead_zone(plot, drawn, evaluation.outcomes, paths, terms)
+        plot_dead_zone(plot, drawn, evaluation.outcomes)
     return evaluation_status(evaluation)

@@ -13,8 +13,6 @@ def train(
     seed: int = 0,
     iterations: int | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
-    checkpoint: Path | None = None,
-    restart: bool = False,
 ) -> int:
     """Train a network and write its weights.
 
@@ -29,8 +27,8 @@ def train(
       paper_running  the same chain RC(lambda', Delta), trained on the motions of this program,
                      for `regulation: !Paper`: paper_chain_running.safetensors
 
-    Intermediate results are stored in a folder, OUT/RECIPE.checkpoint, until the training ends.
-    After an interruption the same command resumes there and gives the same result.
+    The searches of `proposals` are stored in a folder, OUT/proposals.checkpoint, until the training
+    ends. After an interruption the same command resumes there and gives the same result.
 
     For example:
 
@@ -45,8 +43,6 @@ def train(
         iterations: limit for a shorter trial: optimization steps of each network; with the
             recipe proposals, scenes of each round.
         device: where the networks are trained; auto: CUDA if torch finds it, else the CPU.
-        checkpoint: folder of the intermediate results.
-        restart: discard the intermediate results of an interrupted training.
     """
     # Numba and SciPy take a second to import, which `drake-oa --help` need not wait for.
     try:
@@ -56,12 +52,4 @@ def train(
             raise
         raise ValueError("training requires torch: pip install 'drake_oa[train]'") from None
 
-    return session.train(
-        recipe,
-        out,
-        seed=seed,
-        iterations=iterations,
-        device=device,
-        checkpoint=checkpoint,
-        restart=restart,
-    )
+    return session.train(recipe, out, seed=seed, iterations=iterations, device=device)

@@ -2,9 +2,10 @@
 
 - Table I (tab:nn_training): prediction errors of the chains that are shipped. What training
   measured stands in the weights' metadata; nothing is computed here.
-- Table II (tab:results_unseen_metrics): 4 x 1,000 novel scenes, by named readings. The print leaves
-  open where the obstacles are, what is integrated, when a motion ends and how its clearance is
-  taken. A `Choice` says how each is read; `ABLATION` varies one thing at a time.
+- Table II (tab:results_unseen_metrics): 4 x 1,000 novel scenes. The print leaves open where the
+  obstacles are, what is integrated, when a motion ends and how its clearance is taken. Here
+  obstacles are where the released demo program has them, the action level is that of
+  `scenes.paper_method`, and the clearance is that to the obstacle's section in the P-plane.
 - Table III (tab:franka_metrics): three kinds of obstacles before the whole robot: the scenarios
   `paper_box`, `paper_irregular` and `paper_clutter`, each with the noise of other seeds; a trial is
   a run. Printed are eleven trials of a real Panda in all, as means.
@@ -13,9 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +22,10 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.regulation.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite, check_methods
-from drake_oa.studies.results import Counts
 from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate, motion_figures
 from drake_oa.studies.scenes.paper_method import SHIPPED, paper_chain, run, sections
-from drake_oa.studies.scenes.reading import READING, Reading
 from drake_oa.studies.scenes.scenes import Scenes
-from drake_oa.studies.scenes.suites import SAMPLINGS, line_hits
+from drake_oa.studies.scenes.suites import find_suite, line_hits
 from drake_oa.training.paper import error_table, printed_errors
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
@@ -49,17 +46,18 @@ def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
         ValueError: if they are not of the paper's recipe.
     """
     chains = {}
-    for (constrained, trained_on), file in SHIPPED.items():
-        told = paper_chain(constrained, trained_on).metadata
-        if told.get("recipe") != "paper" or "nmse" not in told:
+    for file in SHIPPED:
+        metadata = paper_chain(file).metadata
+        if metadata.get("recipe") != "paper" or "nmse" not in metadata:
             raise ValueError(f"{file}.safetensors is not of the paper's recipe")
         networks = {}
         for target in TARGETS:
-            network = {**told["nmse"][target], "rows": told["rows"][target]}
-            if trained_on == "released":
-                network |= printed_errors(told["chain"], target)
+            network = {**metadata["nmse"][target], "rows": metadata["rows"][target]}
+            # The print is of the released code's action level.
+            if file != SHIPPED[2]:
+                network |= printed_errors(metadata["chain"], target)
             networks[target] = network
-        chains[file] = {key: told[key] for key in _TOLD} | {"networks": networks}
+        chains[file] = {key: metadata[key] for key in _TOLD} | {"networks": networks}
     return {
         "table": "table1",
         "versions": dict(item.split(" ", 1) for item in versions),
@@ -87,78 +85,12 @@ LINES_HIT = 0.324
 """Share of straight lines in collision there: 1,296 of 4,000."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """A reading of the whole experiment.
-
-    Attributes:
-        sampling: which scenes, a key of `SAMPLINGS`.
-        distance: plane: the clearance is that to the obstacle's section, in the P-plane; space:
-            to the obstacle.
-        reading: of the action level.
-    """
-
-    sampling: Literal["printed", "demo", "narrow", "near"] = "demo"
-    distance: Literal["plane", "space"] = "plane"
-    reading: Reading = READING
-
-    def options(self) -> dict[str, str]:
-        """All of it as the command names it."""
-        return {"sampling": self.sampling, "distance": self.distance, **asdict(self.reading)}
-
-    def changed(self, options: Mapping[str, Any]) -> Choice:
-        """The same but for some options."""
-        others = dict(options)
-        own = {name: others.pop(name) for name in ("sampling", "distance") if name in others}
-        return replace(self, **own, reading=replace(self.reading, **others))
-
-
-_VALUES = {
-    "sampling": ("demo", "printed", "narrow", "near"),
-    "distance": ("plane", "space"),
-    "tau": ("semi-axes", "widths", "extreme"),
-    "time": ("until-arrived", "fixed", "tau"),
-    "steps": ("training", "demo"),
-    "chain": ("released", "running"),
-    "scale": ("metres", "baselines"),
-    "law": ("released", "printed"),
-}
-_RUNNING = {"law": "running", "chain": "running"}
-ABLATION: tuple[dict[str, str], ...] = (
-    *({name: value} for name, values in _VALUES.items() for value in values),
-    {"law": "printed", "tau": "extreme", "time": "tau"},
-    {"law": "running"},
-    _RUNNING,
-    {**_RUNNING, "scale": "baselines"},
-)
-"""What is varied, one thing at a time but for laws that have a tau, a chain or a unit of their
-own; what the choice has already is left out."""
-
-
-def choices(choice: Choice, ablation: bool) -> dict[str, Choice]:
-    """By name: the choice, and those that the ablation makes of it."""
-    found = {"chosen": choice}
-    for options in ABLATION if ablation else ():
-        varied = choice.changed(options)
-        if varied not in found.values():
-            found[", ".join(f"{name} {value}" for name, value in options.items())] = varied
-    return found
-
-
-def judge_choice(
-    name: str,
-    choice: Choice,
-    scenes: Scenes,
-    on_progress: Callable[[str, int], None] = lambda name, done: None,
+def judge_novel(
+    scenes: Scenes, on_progress: Callable[[str, int], None] = lambda name, done: None
 ) -> Evaluation:
-    """Runs a choice on scenes of its sampling, and has it judged; the outcome has its name."""
-    return evaluate(
-        scenes,
-        SAMPLINGS[choice.sampling].cases,
-        {name: partial(run, reading=choice.reading)},
-        on_progress=on_progress,
-        judged_among=sections if choice.distance == "plane" else lambda given: given,
-    )
+    """Runs the paper's method on scenes of the suite `demo`, and judges it in the P-plane."""
+    cases = find_suite("demo").cases
+    return evaluate(scenes, cases, {"paper": run}, on_progress=on_progress, judged_among=sections)
 
 
 _MEAN, _LEAST, _FACTOR, _COLLISIONS = 0.01, 0.03, 2.0, 3
@@ -181,37 +113,20 @@ def agrees(found: Mapping[str, Any], printed: Mapping[str, Any]) -> dict[str, bo
 
 
 def table_two_figures(
-    chosen: Mapping[str, Choice],
-    outcomes: Mapping[str, Outcome],
-    scenes: Mapping[str, Scenes],
-    seed: int,
-    versions: Sequence[str],
+    outcome: Outcome, scenes: Scenes, seed: int, versions: Sequence[str]
 ) -> dict[str, Any]:
-    """What the JSON holds: of each choice its options and a row a baseline, lengths in m.
+    """Returns the content of the JSON: a row for each baseline, lengths in m.
 
     Args:
-        chosen: choices by name.
-        outcomes: of some of them.
-        scenes: by the name of their sampling.
+        outcome: of `judge_novel`.
+        scenes: of the suite `demo`.
         seed: of the scenes.
         versions: "name version" each.
     """
-    hit = {name: float(line_hits(of).any(axis=1).mean()) for name, of in scenes.items()}
-    readings: dict[str, Any] = {}
-    for name, outcome in outcomes.items():
-        rows = []
-        judged = outcome.of()
-        for baseline, printed in TABLE_TWO.items():
-            row = motion_figures(judged.rows(judged.baseline == baseline))
-            rows.append({"baseline": baseline, **row, "agrees": agrees(row, printed)})
-        readings[name] = {
-            "options": chosen[name].options(),
-            "lines_hit": hit[chosen[name].sampling],
-            "complete": outcome.complete,
-            "error": outcome.error,
-            "cells": sum(sum(row["agrees"].values()) for row in rows),
-            "by_baseline": rows,
-        }
+    rows, judged = [], outcome.of()
+    for baseline, printed in TABLE_TWO.items():
+        row = motion_figures(judged.rows(judged.baseline == baseline))
+        rows.append({"baseline": baseline, **row, "agrees": agrees(row, printed)})
     return {
         "table": "table2",
         "seed": seed,
@@ -220,7 +135,11 @@ def table_two_figures(
             "lines_hit": LINES_HIT,
             "by_baseline": [{"baseline": L, **row} for L, row in TABLE_TWO.items()],
         },
-        "readings": readings,
+        "lines_hit": float(line_hits(scenes).any(axis=1).mean()),
+        "complete": outcome.complete,
+        "error": outcome.error,
+        "cells": sum(sum(row["agrees"].values()) for row in rows),
+        "by_baseline": rows,
     }
 
 
@@ -246,58 +165,30 @@ _NOTES = (
 )
 
 
-def table_two(whole: Mapping[str, Any]) -> list[TextTable]:
-    """What `table_two_figures` found: each reading's rows, and which of its cells agree."""
-    tables, summary = [], []
-    for name, reading in whole["readings"].items():
-        rows = []
-        for row in reading["by_baseline"]:
-            off = [_HEADINGS[key] for key, same in row["agrees"].items() if not same]
-            title = f"goal at {row['baseline']:g} m"
-            rows.append({"name": title, "off": ", ".join(off) or "none", **row})
-            rows.append({"name": "  the paper prints", **TABLE_TWO[row["baseline"]]})
-        title = name if reading["complete"] else f"{name} (not complete)"
-        tables.append(TextTable((Column("name", title), *_CELL_COLUMNS), rows))
-        counts = {key: sum(row["agrees"][key] for row in reading["by_baseline"]) for key in _CELLS}
-        summary.append({"name": title, **reading, **counts})
-    columns = (
-        Column("name", "cells that agree"),
-        *(Column(key, heading) for key, heading in _HEADINGS.items()),
-        Column("cells", "of 20"),
-        Column("lines_hit", "lines hit", "{:.0f} %", 1e2),
-    )
-    return [*tables, TextTable(columns, summary, _NOTES)]
+def table_two(whole: Mapping[str, Any]) -> TextTable:
+    """Tabulates `table_two_figures` beside the print."""
+    rows = []
+    for row in whole["by_baseline"]:
+        off = [_HEADINGS[key] for key, same in row["agrees"].items() if not same]
+        title = f"goal at {row['baseline']:g} m"
+        rows.append({"name": title, "off": ", ".join(off) or "none", **row})
+        rows.append({"name": "  the paper prints", **TABLE_TWO[row["baseline"]]})
+    note = f"{whole['cells']} of 20 cells agree; {whole['lines_hit']:.0%} of the lines collide."
+    return TextTable((Column("name", "table2"), *_CELL_COLUMNS), rows, (*_NOTES, note))
 
 
-def _printed(
-    clearance: float | None, goal_error: float | None, contacts: int, short: int
-) -> dict[str, Any]:
-    """Returns a row of Table III; the print has "fail" for None.
-
-    Args:
-        clearance: to the obstacle [m].
-        goal_error: convergence to the goal [m].
-        contacts: number of obstacles that were touched.
-        short: number of those that were passed nearer than 0.15 m.
-    """
-    return {
-        "clearance_printed": clearance,
-        "goal_error_printed": goal_error,
-        "contacts_printed": contacts,
-        "short_printed": short,
-    }
-
-
-_BLIND = _printed(None, None, 1, 1)
-TABLE_THREE = {
+_PRINTED = ("clearance_printed", "goal_error_printed", "contacts_printed", "short_printed")
+_BLIND = dict(zip(_PRINTED, (None, None, 1, 1), strict=True))
+TABLE_THREE: dict[tuple[str, str], dict[str, Any]] = {
     ("box", "preplanned"): _BLIND,
-    ("box", "paper"): _printed(0.168, 9.58e-3, 0, 0),
+    ("box", "paper"): dict(zip(_PRINTED, (0.168, 9.58e-3, 0, 0), strict=True)),
     ("irregular", "preplanned"): _BLIND,
-    ("irregular", "paper"): _printed(0.163, 4.17e-3, 0, 0),
-    ("clutter", "preplanned"): _printed(None, None, 2, 5),
-    ("clutter", "paper"): _printed(0.172, 1.29e-2, 0, 0),
+    ("irregular", "paper"): dict(zip(_PRINTED, (0.163, 4.17e-3, 0, 0), strict=True)),
+    ("clutter", "preplanned"): dict(zip(_PRINTED, (None, None, 2, 5), strict=True)),
+    ("clutter", "paper"): dict(zip(_PRINTED, (0.172, 1.29e-2, 0, 0), strict=True)),
 }
-"""Table III of the paper, by kind and method."""
+"""Table III of the paper, by kind and method: clearance to the obstacle [m] and convergence to the
+goal [m], None for "fail"; obstacles that were touched, and passed nearer than 0.15 m."""
 
 TRIAL_KINDS = ("box", "irregular", "clutter")
 TRIAL_METHODS = ("preplanned", "paper")
@@ -307,21 +198,18 @@ _TRIAL_COLUMNS = (
     Column("trials"),
     Column("obstacles_touched", "touched"),
     Column("clearance_mean", "clearance [m]", "{:.3f}"),
-    Column("clearance_min", "least", "{:.3f}"),
     Column("clearance_printed", "print", "{:.3f}"),
     Column("trials_short", "short"),
     Column("goal_error_mean", "goal error [mm]", "{:.2f}", 1e3),
-    Column("goal_error_max", "most", "{:.2f}", 1e3),
     Column("goal_error_printed", "print", "{:.2f}", 1e3),
-    Column("duration_median", "duration [s]", "{:.1f}"),
 )
 
 
-def trial_text(name: str, seed: int) -> tuple[str, Counts]:
-    """A shipped scenario with the noise of a seed, as text; nothing is dropped."""
+def trial_text(name: str, seed: int) -> str:
+    """Returns a shipped scenario with the noise of a seed as text."""
     scenario = load_scenario(name)
     scenario.seed = seed
-    return scenario_text(scenario), {}
+    return scenario_text(scenario)
 
 
 def trial_suites(

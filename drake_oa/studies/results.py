@@ -1,6 +1,5 @@
-"""Results of evaluations: computed in parallel, stored one by one, counted.
+"""Results of evaluations: computed in parallel, stored one by one.
 
-- `Tally`: how many candidates the generators of scenes looked at, and why they dropped them.
 - `carry_out`: calls of one function carried out here, in processes, or on a Dask cluster.
 - `resumed`: the same with results on disk, each in a small file of its own, so that an evaluation
   can resume. A file holds its content and a key: a digest of everything that the content follows
@@ -15,73 +14,17 @@ import json
 import logging
 import signal
 import threading
-import warnings
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from threadpoolctl import threadpool_limits
 
 from drake_oa.common.files import check_outputs, replace_json, source_digest
 
-Counts = Mapping[str, Mapping[str, int]]
-"""What was looked at -> why it was dropped, "" for what was taken -> how often."""
-
-
-class Tally:
-    """Counts what is dropped while a scene is drawn, each candidate for its first reason."""
-
-    def __init__(self) -> None:
-        """Nothing counted."""
-        self._counts: dict[str, Counter[str]] = {}
-
-    @property
-    def counts(self) -> dict[str, dict[str, int]]:
-        """Plain data, see `Counts`."""
-        return {what: dict(found) for what, found in self._counts.items()}
-
-    def takes(self, what: str, reason: str) -> bool:
-        """Counts a candidate; whether it is taken.
-
-        Args:
-            what: it is a candidate for, in the plural: "scenes".
-            reason: why it is dropped, in a few plain words; "": it is taken.
-        """
-        self._counts.setdefault(what, Counter())[reason] += 1
-        return not reason
-
-
-def drawn_figures(counts: Iterable[Counts]) -> dict[str, dict[str, Any]]:
-    """What -> {"looked_at", "dropped": {reason: share, the greatest first}} of all scenes."""
-    total: dict[str, Counter[str]] = {}
-    for of_scene in counts:
-        for what, found in of_scene.items():
-            total.setdefault(what, Counter()).update(found)
-    return {
-        what: {
-            "looked_at": found.total(),
-            "dropped": {
-                reason: count / found.total() for reason, count in found.most_common() if reason
-            },
-        }
-        for what, found in total.items()
-    }
-
-
-def drawn_lines(drawn: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The same in words, a line each."""
-    return [
-        f"{what} looked at: {of['looked_at']}; dropped: "
-        + (", ".join(f"{share:.1%} ({why})" for why, share in of["dropped"].items()) or "none")
-        for what, of in drawn.items()
-    ]
-
-
 CONNECT_TIMEOUT = 10.0
-"""How long a cluster may take to answer [s]."""
+"""Time within which a cluster must answer [s]."""
 
 Call = tuple[Any, ...]
 """The positional arguments of a call."""
@@ -113,37 +56,20 @@ def carry_out(
         return
     from joblib import Parallel, delayed, parallel_config
 
-    # A worker that has grown is renewed, and no call is lost by it.
-    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     with contextlib.ExitStack() as stack:
-        ahead: int | str = min(jobs, len(calls))
         if scheduler is None:
-            stack.enter_context(parallel_config("loky", n_jobs=ahead, inner_max_num_threads=1))
+            backend: dict[str, Any] = {"backend": "loky", "n_jobs": jobs}
         else:
-            # A cluster may grow on the way: it is told of all calls at once.
-            ahead = "all"
-            stack.enter_context(
-                parallel_config("dask", client=stack.enter_context(_client(scheduler)))
-            )
-        # Long calls: handed out one by one, and no more of them than there are processes.
+            backend = {"backend": "dask", "client": stack.enter_context(_client(scheduler))}
+        stack.enter_context(parallel_config(**backend))
+        # Long calls: handed out one by one. A cluster may grow, and receives all at once.
+        ahead = jobs if scheduler is None else "all"
         pool = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)
-        results = pool(delayed(_placed)(function, place, call) for place, call in enumerate(calls))
-        try:
-            yield from results
-        except BaseException:
-            if scheduler is None:
-                from joblib.externals.loky import get_reusable_executor
-
-                get_reusable_executor().shutdown(wait=False, kill_workers=True)
-            raise
-        finally:
-            # What has ended it is raised already.
-            with contextlib.suppress(Exception):
-                results.close()
+        yield from pool(delayed(_placed)(function, *item) for item in enumerate(calls))
 
 
 def _placed(function: Callable[..., Any], place: int, call: Call) -> tuple[int, Any]:
-    """What a worker does: the interrupt of a terminal is the parent's business."""
+    """Carries out a call in a worker, which leaves the interrupt of a terminal to its parent."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Many small matrices: more BLAS threads only wait for each other.
@@ -168,14 +94,11 @@ def _client(scheduler: str) -> Any:
 
 
 _Place = TypeVar("_Place")
-_logger = logging.getLogger("drake_oa")
-
-_PACKAGES = ("drake", "numba", "numpy", "scipy")
 
 
 def content_key(*parts: object) -> str:
-    """Digest of plain data, of `source_digest`, and of the versions of Drake and compilers."""
-    versions = [version(name) for name in _PACKAGES]
+    """Computes a digest of plain data, `source_digest`, and versions of Drake and compilers."""
+    versions = [version(name) for name in ("drake", "numba", "numpy", "scipy")]
     text = json.dumps([source_digest(), versions, *parts], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -193,7 +116,7 @@ class ResultFolder:
         check_outputs(folder / ".writable")
 
     def load(self, name: str, key: str) -> Any:
-        """The content of a name, or None where there is none of this key.
+        """Returns the content of a name, or None where there is none of this key.
 
         A file that cannot be read is warned of and counts as none.
         """
@@ -204,7 +127,7 @@ class ResultFolder:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError) as error:
-            _logger.warning("%s cannot be read and is made anew: %r", path, error)
+            logging.getLogger("drake_oa").warning("%s is unreadable, repeated: %r", path, error)
             return None
 
     def save(self, name: str, key: str, content: Any) -> None:
@@ -212,57 +135,52 @@ class ResultFolder:
         replace_json(self.path / f"{name}.json", {"key": key, "content": content})
 
 
-@dataclass(frozen=True)
-class Task:
-    """A call, and where its result is kept.
+class Task(NamedTuple):
+    """A call, and where its result is stored.
 
     Attributes:
         name: of the result in its folder.
         key: see `content_key`.
         call: arguments of the function.
-        files: that it is to leave besides, or it is done anew.
+        file: another file that the function writes; without it the call is repeated.
     """
 
     name: str
     key: str
     call: Call
-    files: tuple[Path, ...] = ()
+    file: Path | None = None
 
 
 def resumed(
-    function: Callable[..., tuple[Any, Any]],
+    function: Callable[..., Any],
     tasks: Mapping[_Place, Task],
     folder: ResultFolder | None,
     *,
     jobs: int = 1,
     scheduler: str | None = None,
-    prepare: Callable[[Sequence[Call]], None] | None = None,
-) -> Iterator[tuple[_Place, Any, Any, bool]]:
+) -> Iterator[tuple[_Place, Any, bool]]:
     """Carries out what is not on disk yet, and writes each result as soon as it is done.
 
     Args:
-        function: gives the result to keep and something that is not kept.
+        function: returns plain data.
         tasks: place -> task.
-        folder: of the results; None: nothing is kept.
+        folder: of the results; None: nothing is stored.
         jobs: see `carry_out`.
         scheduler: see `carry_out`.
-        prepare: called with the arguments of what is to be done, before processes share it.
 
     Yields:
-        Place, result, what is not kept, and whether the result was on disk: those first.
+        Place, result, and whether it was on disk: those first.
     """
     todo = []
     for place, task in tasks.items():
         known = folder.load(task.name, task.key) if folder else None
-        if isinstance(known, dict) and all(file.exists() for file in task.files):
-            yield place, known, None, True
+        if known is not None and (task.file is None or task.file.exists()):
+            yield place, known, True
         else:
             todo.append(place)
     calls = [tasks[place].call for place in todo]
-    if prepare is not None and jobs > 1 and scheduler is None and len(calls) > 1:
-        prepare(calls)
-    for number, (content, rest) in carry_out(function, calls, jobs=jobs, scheduler=scheduler):
+    for number, content in carry_out(function, calls, jobs=jobs, scheduler=scheduler):
         task = tasks[todo[number]]
         if folder:
             folder.save(task.name, task.key, content)
-        yield todo[number], content, rest, False
+        yield todo[number], content, False

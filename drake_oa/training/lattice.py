@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from drake_oa.common.compiled import CORES, on_cores
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.solids import Solids, ellipsoid, solids_of
 from drake_oa.planning.point_search import path_distances
@@ -20,22 +19,13 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene, roll_out_tool
-from drake_oa.training.released_law import (
-    ALPHA_X,
-    BETA_X,
-    STEPS,
-    Law,
-    Motion,
-    advance,
-    released_forcing,
-)
+from drake_oa.training.released_law import STEPS, ReleasedMotions
 
 ActionLevelName = Literal["released", "running"]
 
 _BATCH, _COARSE = 4096, 16
 """Number of motions rolled out together, and of steps between those that are measured first."""
-_IN_THE_MIDDLE = np.eye(4)
-_IN_THE_MIDDLE[0, 3] = 0.5
+_CENTER = np.array([0.5, 0.0, 0.0])
 _GOAL = np.array([1.0, 0.0, 0.0])
 
 
@@ -90,7 +80,9 @@ def roll_out_lattice(
             missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
             for i, lambda1 in enumerate(lattice.lambda1):
                 obstacle = ellipsoid([lambda1, lambda2, max(lambda1, lambda2)])
-                solids = solids_of([replace(obstacle, X_WO=_IN_THE_MIDDLE)])
+                X_WO = np.eye(4)
+                X_WO[:3, 3] = _CENTER
+                solids = solids_of([replace(obstacle, X_WO=X_WO)])
                 distance = _distances(solids, path[:, ::_COARSE])
                 # Most motions are in contact; the others are measured at every step.
                 free = distance > 0.0
@@ -116,24 +108,15 @@ def released_paths(parameters: FloatArray, tau: float) -> FloatArray:
     Returns:
         (N, 1001, 3) positions [m]; infinite at the end of a motion that diverged.
     """
-    count, steps = len(parameters), STEPS["training"]
-    center = np.tile(_IN_THE_MIDDLE[:3, 3], (count, 1, 1))
-    ones = np.ones(count)
-    law = Law(
-        baseline=ones,
-        center=center,
-        drift=np.zeros_like(center),
-        stiffness=tau**2 * ALPHA_X * BETA_X * ones,
-        damping=tau**2 * ALPHA_X * ones,
-        outside=ones,
-        step=steps.length * ones,
-        original=False,
-    )
-    motion = Motion.at_rest(count, 1, steps.number)
-    forcing = released_forcing(steps)
-    on_cores(advance, CORES, 0, forcing, law, parameters[:, None].copy(), motion)
-    motion.path[motion.over, -1] = np.inf
-    return motion.path
+    count = len(parameters)
+    center = np.tile(_CENTER, (count, 1, 1))
+    motions = ReleasedMotions(np.ones(count), center, 0.0 * center, np.full(count, tau))
+    path = np.zeros((count, STEPS.number + 1, 3))
+    for row in range(1, STEPS.number + 1):
+        motions.advance(parameters[:, None])
+        path[:, row] = motions.position
+    path[motions.is_over, -1] = np.inf
+    return path
 
 
 def running_paths(parameters: FloatArray) -> FloatArray:
@@ -153,6 +136,6 @@ def running_paths(parameters: FloatArray) -> FloatArray:
     terms[..., 0], terms[..., NORMAL + 2] = 0.5, 1.0
     terms[:, 0, [ALPHA, PSI, KAPPA]] = parameters
     dmp = imitate(*minimum_jerk(np.zeros(3), _GOAL))
-    policy = Policy(period=1.0 / STEPS["training"].number, fade=0.0)
+    policy = Policy(period=1.0 / STEPS.number, fade=0.0)
     still = Scene(np.zeros(3), np.zeros(3), _GOAL, np.eye(3), 1.0)
     return roll_out_tool(still, terms, dmp=dmp, policy=policy, latest=1.0).path

@@ -11,14 +11,14 @@ NeurIPS 2017).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from multiprocessing import get_context
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from joblib import Memory, Parallel, delayed
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
@@ -51,7 +51,7 @@ from drake_oa.regulation.proposals import (
     ProposalNetwork,
     describe,
 )
-from drake_oa.training.checkpoint import Checkpoint, Report
+from drake_oa.training.networks import Report
 
 DURATION = 3.0
 """T of the motions [s]; only velocities are counted by it."""
@@ -68,20 +68,26 @@ _KAPPA, _PSI = 3.0, 1.4
 kappa L^2 and psi [rad] of all."""
 
 
+_SEARCH: dict[str, Any] = {"candidates": 32, "polish": 4}
+"""Parameters of the searches, as of `Verified`."""
+_UNDER_WAY, _MOVING = 0.3, 0.2
+"""Fractions of the scenes that begin on the way, and in which obstacles move."""
+_RATE = 4e-3
+"""Maximum step length of AdamW, in one cycle."""
+
+
 @dataclass(frozen=True)
 class ProposalRecipe:
-    """How the data is made and the network trained.
+    """Sizes of the data and of the network.
 
     Attributes:
-        scenes: scenes of a round.
-        chunk: scenes between two checkpoints.
-        rounds: of searches and training.
+        scenes: number of scenes in a round.
+        chunk: number of scenes that are stored together.
+        rounds: number of rounds of searches and training.
         epochs: passes over the rows of a round and the one before.
-        batch: rows a step.
-        rate: greatest step length of AdamW, in one cycle.
+        batch: number of rows in a step.
         width: of the layers that see one obstacle; those that see all have twice as many.
-        candidates, search_rounds, polish: of the searches, as `Verified` has them.
-        under_way, moving: shares of the scenes.
+        search_rounds: rounds of each search, as of `Verified`.
     """
 
     scenes: int = 50_000
@@ -89,23 +95,13 @@ class ProposalRecipe:
     rounds: int = 5
     epochs: int = 40
     batch: int = 512
-    rate: float = 4e-3
     width: int = 64
-    candidates: int = 32
     search_rounds: int = 8
-    polish: int = 4
-    under_way: float = 0.3
-    moving: float = 0.2
 
-    def limited(self, scenes: int) -> ProposalRecipe:
-        """A shorter trial: no more scenes a round, in two rounds of few passes."""
-        return replace(
-            self, scenes=scenes, chunk=min(self.chunk, scenes), rounds=2, epochs=min(self.epochs, 5)
-        )
-
-    def settings(self) -> dict[str, Any]:
-        """Returns all fields by name."""
-        return asdict(self)
+    @staticmethod
+    def short(scenes: int) -> ProposalRecipe:
+        """Returns a shorter trial: two rounds of few passes over that many scenes."""
+        return ProposalRecipe(scenes, min(scenes, ProposalRecipe.chunk), rounds=2, epochs=5)
 
 
 class Rows(NamedTuple):
@@ -209,27 +205,27 @@ def _under_way(scene: Scene, s: float, genes: FloatArray) -> Scene | None:
     return replace(scene, p_WE=p_WE, z_W=z_W, ellipsoids=later, s=at * tool.ds)
 
 
-def make_rows(
-    recipe: ProposalRecipe, seed: tuple[int, ...], network: ProposalNetwork | None
-) -> Rows:
-    """Draws a chunk of scenes and searches one side of each.
+def make_rows(count: int, rounds: int, seed: tuple[int, ...], layers: Layers | None) -> Rows:
+    """Draws scenes and searches one side of each.
 
     Args:
-        recipe: sizes and shares.
+        count: number of scenes.
+        rounds: of each search.
         seed: of the scenes.
-        network: of the round before, which proposes besides the fixed candidates; None: none yet.
+        layers: network of the round before, which proposes candidates besides the fixed ones; None
+            in the first round.
     """
-    rng = np.random.default_rng(seed)
-    rows = [_make_row(recipe, rng, network) for _ in range(recipe.chunk)]
+    rng, network = np.random.default_rng(seed), None if layers is None else ProposalNetwork(layers)
+    rows = [_make_row(rounds, rng, network) for _ in range(count)]
     return Rows(*(np.array(column) for column in zip(*filter(None, rows), strict=True)))
 
 
 def _make_row(
-    recipe: ProposalRecipe, rng: np.random.Generator, network: ProposalNetwork | None
+    rounds: int, rng: np.random.Generator, network: ProposalNetwork | None
 ) -> tuple[Floats32, Floats32, np.float32, bool] | None:
     """Searches one side of a random scene; None: the nominal motion is the best there."""
-    scene = draw_scene(rng, bool(rng.random() < recipe.moving))
-    if rng.random() < recipe.under_way:
+    scene = draw_scene(rng, bool(rng.random() < _MOVING))
+    if rng.random() < _UNDER_WAY:
         genes = rng.choice(_fixed())
         genes[ANGLE] = rng.uniform(-np.pi, np.pi)
         if rng.random() < 0.3:
@@ -244,9 +240,7 @@ def _make_row(
         genes = np.repeat(network.sides(scene, DURATION, np.zeros(1))[0], _STARTS, axis=0)
         genes[:, ALPHA] += np.linspace(-0.8, 1.0, _STARTS)
         first = np.concatenate([genes, first])
-    parameters = Verified(
-        candidates=recipe.candidates, rounds=recipe.search_rounds, polish=recipe.polish
-    )
+    parameters = Verified(rounds=rounds, **_SEARCH)
     found = SideSearch(scene, dmp=DMP, policy=_POLICY, parameters=parameters).run(first)
     if not np.isfinite(found.genes[0, ALPHA]):
         return None
@@ -346,11 +340,9 @@ def fit(
     order = torch.from_numpy(np.random.default_rng((seed, 1)).permutation(len(rows.kept)))
     held, used = order[: len(order) // 20], order[len(order) // 20 :]
     generator = torch.Generator().manual_seed(seed)
-    adam = torch.optim.AdamW(net.parameters(), lr=recipe.rate, weight_decay=1e-5)
+    adam = torch.optim.AdamW(net.parameters(), lr=_RATE, weight_decay=1e-5)
     batches = max(len(used) // recipe.batch, 1)
-    cycle = torch.optim.lr_scheduler.OneCycleLR(
-        adam, recipe.rate, total_steps=recipe.epochs * batches
-    )
+    cycle = torch.optim.lr_scheduler.OneCycleLR(adam, _RATE, total_steps=recipe.epochs * batches)
     for epoch in range(recipe.epochs):
         shuffled = used[torch.randperm(len(used), generator=generator)]
         for batch in shuffled.tensor_split(batches):
@@ -372,19 +364,19 @@ def fit(
 def train_proposals(
     recipe: ProposalRecipe,
     seed: int,
+    folder: Path,
     *,
-    checkpoint: Checkpoint,
     device: str = "cpu",
     report: Report = lambda stage, done: None,
 ) -> tuple[ProposalNetwork, list[Scores]]:
     """Searches, on all cores, and trains, round by round.
 
     Args:
-        recipe: how.
+        recipe: sizes.
         seed: of scenes and first weights.
-        checkpoint: keeps each chunk.
+        folder: of the searches, from which an interrupted training resumes.
         device: where the network is trained.
-        report: told how far it is.
+        report: receives the stage and the completed fraction.
 
     Returns:
         The network, and its scores after each round.
@@ -393,41 +385,29 @@ def train_proposals(
     # Small layers: more threads only wait for each other.
     torch.set_num_threads(1)
     net = SetNetwork(recipe.width).to(device)
-    network: ProposalNetwork | None = None
+    search = delayed(Memory(folder, verbose=0).cache(make_rows))
     before: list[Rows] = []
     scores: list[Scores] = []
     chunks = -(-recipe.scenes // recipe.chunk)
-    pool = ProcessPoolExecutor(min(CORES, chunks), get_context("spawn"))
-    try:
-        for number in range(recipe.rounds):
-            names = [f"rows_{number}_{k}" for k in range(chunks)]
-            kept = [checkpoint.load(name) for name in names]
-            searches = {
-                k: pool.submit(make_rows, recipe, (seed, number, k), network)
-                for k in range(chunks)
-                if kept[k] is None
-            }
-            made: list[Rows] = []
-            for k, found in enumerate(kept):
-                if found is None:
-                    found = searches[k].result()._asdict()
-                    checkpoint.save(names[k], **found)
-                made.append(Rows(**found))
-                report(f"round {number + 1}: search", (number + (k + 1) / chunks) / recipe.rounds)
-            rows = Rows(*map(np.concatenate, zip(*before, *made, strict=True)))
-            before = made
-            scores.append(fit(net, rows, recipe, seed + number, device, report))
-            network = ProposalNetwork(net.arrays())
-    finally:
-        pool.shutdown(cancel_futures=True)
-    told = {
+    pool = Parallel(min(CORES, chunks), return_as="generator")
+    for number in range(recipe.rounds):
+        layers, made = net.arrays() if number else None, list[Rows]()
+        seeds = ((seed, number, k) for k in range(chunks))
+        for rows in pool(search(recipe.chunk, recipe.search_rounds, s, layers) for s in seeds):
+            made.append(rows)
+            done = number + len(made) / chunks
+            report(f"round {number + 1}: search", done / recipe.rounds)
+        rows = Rows(*map(np.concatenate, zip(*before, *made, strict=True)))
+        before = made
+        scores.append(fit(net, rows, recipe, seed + number, device, report))
+    metadata = {
         "recipe": "proposals",
         "seed": seed,
         **provenance(),
         **asdict(recipe),
         "scores": [score._asdict() | {"genes": score.genes.tolist()} for score in scores],
     }
-    return ProposalNetwork(net.arrays(), told), scores
+    return ProposalNetwork(net.arrays(), metadata), scores
 
 
 def proposal_table(scores: Sequence[Scores]) -> TextTable:

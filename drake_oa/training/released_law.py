@@ -16,15 +16,13 @@ heading exactly at the center turns to the left.
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_oa.common.compiled import parted
-from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.common.messages import FloatArray
 
 ALPHA_X, BETA_X, ALPHA_K, N_BASIS = 10.0, 2.5, 0.5, 35
 """Constants of the released code."""
@@ -33,10 +31,10 @@ _PARALLEL = 1e-9
 """Sine of the angle below which two directions span no plane."""
 _STILL = 1e-5
 """Speed below which no coupling term acts [m/s]."""
-_NARROWEST = 1e-6
-"""Least psi [rad]."""
-_LOST = 1e4
-"""Speed at which a motion has diverged [m/s]: it stops where it is."""
+_MIN_PSI = 1e-6
+"""Minimum psi [rad]."""
+_MAX_SPEED = 1e4
+"""Speed at which a motion has diverged and ends [m/s]."""
 
 
 class Steps(NamedTuple):
@@ -46,8 +44,8 @@ class Steps(NamedTuple):
     length: float
 
 
-STEPS = {"training": Steps(1000, 0.003), "demo": Steps(500, 0.005)}
-"""Time steps of the training set, and of the released demo program."""
+STEPS = Steps(1000, 0.003)
+"""Time steps of the training set."""
 
 
 @cache
@@ -67,137 +65,80 @@ def released_forcing(steps: Steps) -> FloatArray:
     variance = np.array([part.var(ddof=1) + 1e-8 for part in parts])[:, None]
     basis = np.exp(-0.5 * (k - mean) ** 2 / variance) / np.sqrt(variance)
     basis /= basis.sum(axis=0)
-    powers = np.column_stack((np.ones(steps.number), k, k * k))
-    fitted = np.zeros(steps.number)
-    for share in basis:
-        root = np.sqrt(share)
-        fit = np.linalg.lstsq(powers * root[:, None], force * root, rcond=None)[0]
-        fitted += share * (powers @ fit)
-    return fitted
+    fits = [np.polynomial.Polynomial.fit(k, force, 2, w=np.sqrt(share)) for share in basis]
+    return np.sum([share * fit(k) for share, fit in zip(basis, fits, strict=True)], axis=0)
 
 
-class Law(NamedTuple):
-    """Constants of N motions from the origin to (baseline, 0, 0), among M obstacles each.
+class ReleasedMotions:
+    """N motions from rest at the origin to (baseline, 0, 0), among M obstacles each.
 
     Attributes:
-        baseline: (N,) [m].
-        center: (N, M, 3) centers at time 0 [m]; NaN for an obstacle that does not exist.
-        drift: (N, M, 3) velocities of the centers [m/s].
-        stiffness: (N,) factor on g - x [1/s^2].
-        damping: (N,) factor on v [1/s].
-        outside: (N,) factor on the forcing and coupling terms.
-        step: (N,) time step [s].
-        original: whether the coupling terms are those of (eq. 7).
-    """
-
-    baseline: FloatArray
-    center: FloatArray
-    drift: FloatArray
-    stiffness: FloatArray
-    damping: FloatArray
-    outside: FloatArray
-    step: FloatArray
-    original: bool
-
-
-class Motion(NamedTuple):
-    """State of N motions.
-
-    Attributes:
-        path: (N, S + 1, 3) positions at the steps [m].
-        velocity: (N, S + 1, 3) velocities there [m/s].
+        position, velocity: (N, 3) [m, m/s].
         normal: (N, M, 3) unit normals n of the planes of motion and obstacles.
         angle: (N, M) angles theta [rad].
         distance: (N, M) distances d [m]; 0 where no coupling term acts.
-        over: (N,) whether the motion stays where it is.
+        is_over: (N,) whether the motion stays where it is.
+        number: number of completed steps.
     """
 
-    path: FloatArray
-    velocity: FloatArray
-    normal: FloatArray
-    angle: FloatArray
-    distance: FloatArray
-    over: BoolArray
+    def __init__(
+        self,
+        baseline: FloatArray,
+        center: FloatArray,
+        drift: FloatArray,
+        tau: FloatArray,
+        *,
+        steps: Steps = STEPS,
+        original: bool = False,
+    ) -> None:
+        """Stores the constants.
 
-    @staticmethod
-    def at_rest(count: int, obstacles: int, steps: int) -> Motion:
-        """Returns motions that have not begun."""
-        normal = np.zeros((count, obstacles, 3))
-        normal[..., 2] = 1.0
-        path, velocity = np.zeros((2, count, steps + 1, 3))
-        angle, distance = np.zeros((2, count, obstacles))
-        return Motion(path, velocity, normal, angle, distance, np.zeros(count, bool))
+        Args:
+            baseline: (N,) [m].
+            center: (N, M, 3) centers at time 0 [m]; NaN for an obstacle that does not exist.
+            drift: (N, M, 3) velocities of the centers [m/s].
+            tau: (N,) time scale.
+            steps: time steps; the forcing term ends with them.
+            original: whether the coupling terms are those of (eq. 7).
+        """
+        self._goal = baseline[:, None] * (1.0, 0.0, 0.0)
+        self._center, self._drift = center, drift
+        self._stiffness, self._step, self._original = ALPHA_X * tau[:, None] ** 2, steps, original
+        self._forcing = released_forcing(steps)
+        self.position, self.velocity = np.zeros((2, len(tau), 3))
+        self.normal = np.tile((0.0, 0.0, 1.0), (*center.shape[:2], 1))
+        self.angle, self.distance = np.zeros((2, *center.shape[:2]))
+        self.is_over, self.number = np.zeros(len(tau), bool), 0
 
+    def advance(self, parameters: FloatArray) -> None:
+        """Completes a step.
 
-@parted
-def advance(
-    part: int, parts: int, first: int, forcing: FloatArray, law: Law, parameters: FloatArray,
-    motion: Motion,
-) -> None:  # fmt: skip
-    """Advances the motions part, part + parts, ... from the step `first` on.
-
-    Args:
-        part: number of the part.
-        parts: number of parts.
-        first: number of the steps before.
-        forcing: (K,) forcing term of each step over 1 m [m/s^2].
-        law: constants.
-        parameters: (N, M, 3) alpha [rad/s], psi [rad] and kappa [1/m^2], or gamma [1/s] and
-            beta [1/rad].
-        motion: state, advanced by K steps.
-    """
-    path, velocity, normal = motion.path, motion.velocity, motion.normal
-    for n in range(part, len(path), parts):
-        h, stiffness, damping, outside = (
-            law.step[n],
-            law.stiffness[n],
-            law.damping[n],
-            law.outside[n],
-        )
-        for k in range(first, first + len(forcing)):
-            for i in range(3):
-                path[n, k + 1, i], velocity[n, k + 1, i] = path[n, k, i], 0.0
-            if motion.over[n]:
-                continue
-            x, y, z = path[n, k, 0], path[n, k, 1], path[n, k, 2]
-            vx, vy, vz = velocity[n, k, 0], velocity[n, k, 1], velocity[n, k, 2]
-            px, py, pz = law.baseline[n] * forcing[k - first], 0.0, 0.0
-            for m in range(parameters.shape[1]):
-                if motion.distance[n, m] > 0.0:
-                    strength, width = parameters[n, m, 0], parameters[n, m, 1]
-                    theta = motion.angle[n, m]
-                    if law.original:
-                        rate = strength * theta * math.exp(-width * theta)
-                    else:
-                        narrow = theta / max(abs(width), _NARROWEST)
-                        near = max(parameters[n, m, 2], 0.0) * motion.distance[n, m] ** 2
-                        rate = max(strength, 0.0) * math.exp(-narrow * narrow - near)
-                    nx, ny, nz = normal[n, m, 0], normal[n, m, 1], normal[n, m, 2]
-                    px += rate * (ny * vz - nz * vy)
-                    py += rate * (nz * vx - nx * vz)
-                    pz += rate * (nx * vy - ny * vx)
-            vx += h * (stiffness * (law.baseline[n] - x) - damping * vx + outside * px)
-            vy += h * (outside * py - stiffness * y - damping * vy)
-            vz += h * (outside * pz - stiffness * z - damping * vz)
-            if not abs(vx) + abs(vy) + abs(vz) < _LOST:
-                motion.over[n] = True
-                continue
-            x, y, z = x + h * vx, y + h * vy, z + h * vz
-            path[n, k + 1, 0], path[n, k + 1, 1], path[n, k + 1, 2] = x, y, z
-            velocity[n, k + 1, 0], velocity[n, k + 1, 1], velocity[n, k + 1, 2] = vx, vy, vz
-            speed, t = math.sqrt(vx * vx + vy * vy + vz * vz), (k + 1) * h
-            for m in range(parameters.shape[1]):
-                ox = law.center[n, m, 0] + t * law.drift[n, m, 0] - x
-                oy = law.center[n, m, 1] + t * law.drift[n, m, 1] - y
-                oz = law.center[n, m, 2] + t * law.drift[n, m, 2] - z
-                d = math.sqrt(ox * ox + oy * oy + oz * oz)
-                motion.distance[n, m] = d if speed >= _STILL and d > 0.0 else 0.0
-                nx, ny, nz = oy * vz - oz * vy, oz * vx - ox * vz, ox * vy - oy * vx
-                size = math.sqrt(nx * nx + ny * ny + nz * nz)
-                motion.angle[n, m] = math.atan2(size, ox * vx + oy * vy + oz * vz)
-                if size > _PARALLEL * d * speed and speed >= _STILL:
-                    normal[n, m, 0], normal[n, m, 1], normal[n, m, 2] = (
-                        nx / size,
-                        ny / size,
-                        nz / size,
-                    )
+        Args:
+            parameters: (N, M, 3) alpha [rad/s], psi [rad] and kappa [1/m^2], or gamma [1/s],
+                beta [1/rad] and a value without a meaning.
+        """
+        h, p, v = self._step.length, self.position, self.velocity
+        gain, width, decay = np.moveaxis(parameters, -1, 0)
+        if self._original:
+            rate = gain * self.angle * np.exp(-width * self.angle)
+        else:
+            narrow = self.angle / np.maximum(np.abs(width), _MIN_PSI)
+            near = np.maximum(decay, 0.0) * self.distance**2
+            rate = np.maximum(gain, 0.0) * np.exp(-(narrow**2) - near)
+        rate = np.where(self.distance > 0.0, rate, 0.0)[..., None]
+        push = np.sum(rate * np.cross(self.normal, v[:, None]), axis=1)
+        if self.number < len(self._forcing):
+            push += self._forcing[self.number] * self._goal
+        v = v + h * (self._stiffness * (BETA_X * (self._goal - p) - v) + push)
+        self.is_over |= ~(np.abs(v).sum(axis=1) < _MAX_SPEED)
+        goes, self.number = ~self.is_over[:, None], self.number + 1
+        self.velocity = v = np.where(goes, v, 0.0)
+        self.position = p = np.where(goes, p + h * v, p)
+        to_O = self._center + self.number * h * self._drift - p[:, None]
+        d, speed = np.linalg.norm(to_O, axis=2), np.linalg.norm(v, axis=1)[:, None]
+        self.distance = np.where((speed >= _STILL) & (d > 0.0), d, 0.0)
+        across = np.cross(to_O, v[:, None])
+        size = np.linalg.norm(across, axis=2)
+        self.angle = np.arctan2(size, np.einsum("nmi,ni->nm", to_O, v))
+        spans = (size > _PARALLEL * d * speed) & (speed >= _STILL)
+        self.normal[spans] = across[spans] / size[spans, None]

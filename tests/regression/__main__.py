@@ -58,7 +58,7 @@ def _results(calls: Mapping[str, runs.Call], jobs: int) -> dict[str, Any]:
     }
     results = {}
     folder = ResultFolder(_RESULTS)
-    for name, result, _, _ in resumed(runs.carry_out_call, tasks, folder, jobs=jobs):
+    for name, result, _ in resumed(runs.carry_out_call, tasks, folder, jobs=jobs):
         results[name] = result
         print(f"{len(results):4} of {len(tasks)}  {name}", file=sys.stderr)
     return dict(sorted(results.items()))

@@ -16,15 +16,9 @@ from pathlib import Path
 
 from drake_oa.common.console import show
 from drake_oa.common.files import source_digest
-from drake_oa.scenario.loading import parse_scenario, scenario_text
-from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.panda.evaluation import (
-    SCENE_SUFFIX,
-    Keeping,
-    draw_text,
-    evaluate_panda,
-    panda_suite,
-)
+from drake_oa.scenario.loading import scenario_text
+from drake_oa.studies.panda.evaluation import Drawing, evaluate_panda, panda_suite
+from drake_oa.studies.panda.scenes import draw_panda_scene
 from drake_oa.studies.panda.tables import panda_figures, panda_table
 from drake_oa.studies.results import ResultFolder
 
@@ -38,10 +32,11 @@ VARIANTS: dict[str, dict[str, dict[str, float]]] = {
 """Name of a variant -> block of the scenario -> fields and their values."""
 
 
-def changed(scenario: Scenario, variant: str) -> Scenario:
-    """Returns the scenario with the fields of a variant."""
-    blocks = VARIANTS[variant].items()
-    return replace(scenario, **{of: replace(getattr(scenario, of), **to) for of, to in blocks})
+def variant_text(seed: int, index: int, kind: str, variant: str) -> str:
+    """Draws a scene and returns its text with the fields of a variant."""
+    scenario, blocks = draw_panda_scene(seed, index, kind=kind), VARIANTS[variant].items()
+    fields = {of: replace(getattr(scenario, of), **to) for of, to in blocks}
+    return scenario_text(replace(scenario, **fields))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -54,19 +49,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--results", type=Path, default=Path("drake_oa_runs/ablation"))
     given = parser.parse_args(arguments)
-    texts = [draw_text(given.seed, scene, given.suite)[0] for scene in range(given.scenes)]
+    suite = panda_suite(given.suite, given.scenes, given.seed, ["verified"], given.perception)
     found = []
     for variant in VARIANTS:
-        folder = given.results / f"{given.suite}-{variant.replace(' ', '_')}"
-        folder.mkdir(parents=True, exist_ok=True)
-        for scene, text in enumerate(texts):
-            name = f"{given.suite}-seed{given.seed}-scene{scene:04d}{SCENE_SUFFIX}"
-            (folder / name).write_text(scenario_text(changed(parse_scenario(text), variant)))
-        suite = panda_suite(
-            given.suite, given.scenes, given.seed, ["verified"], given.perception, folder=folder
-        )
-        keeping = Keeping(ResultFolder(folder / "results"))
-        results = evaluate_panda(suite, jobs=given.jobs, keeping=keeping)
+        drawings = {
+            scene: Drawing(name, variant_text, (*arguments, variant))
+            for scene, (name, _, arguments) in suite.drawings.items()
+        }
+        folder = ResultFolder(given.results / f"{given.suite}-{variant.replace(' ', '_')}")
+        results = evaluate_panda(replace(suite, drawings=drawings), jobs=given.jobs, folder=folder)
         found.append(panda_figures(results, ()) | {"kind": variant})
         print(f"{variant}: done", flush=True)
     show(panda_table(found))

@@ -336,7 +336,7 @@ def run_scene(drawing: evaluation.Drawing, criteria: Any, parameters: Filter) ->
     def simulate_scene(scenario: Scenario, *_: object) -> MotionLog:
         return simulate_filter(scenario, parameters)
 
-    scenario = parse_scenario(drawing.draw(*drawing.arguments)[0])
+    scenario = parse_scenario(drawing.draw(*drawing.arguments))
     with patch.object(evaluation, "_simulate", simulate_scene):
         run = evaluation.run_and_judge(scenario, "preplanned", "truth", criteria=criteria)
     error = None

@@ -24,15 +24,12 @@ from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, base_scenario
 from drake_oa.studies.panda.scenes import MOVING_KINDS, draw_panda_scene
 from drake_oa.studies.paper_tables import (
     TRIAL_KINDS,
-    Choice,
-    choices,
-    judge_choice,
+    judge_novel,
     table_one_figures,
     table_two_figures,
 )
 from drake_oa.studies.scenes.evaluation import evaluate
 from drake_oa.studies.scenes.methods import load_method
-from drake_oa.studies.scenes.scenes import load_scenes, save_scenes
 from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
 SCENES = Path(__file__).with_name("scenes")
@@ -48,7 +45,7 @@ _PROBLEMS = 5
 """Problems of each set."""
 _TRIALS = 11
 """Trials of each kind of obstacles in the paper's Table III."""
-_POINT_SUITES = ("novel", "posed", "hit", "head-on")
+_POINT_SUITES = ("novel", "hit")
 _POINT_SCENES = 200
 _POINT_METHODS = ("paper", "verified")
 _TABLE_SCENES = 4000
@@ -81,7 +78,7 @@ def suite_calls() -> dict[str, Call]:
     if ARCHIVE.is_file():
         for suite in mbm_suites(ARCHIVE, None, (), ("verified",), _PROBLEMS):
             for number, (_, draw, arguments) in suite.drawings.items():
-                text = draw(*arguments)[0]
+                text = draw(*arguments)
                 calls[f"mbm-{suite.kind}/{number}"] = ("run_problem", (text,))
     for kind in TRIAL_KINDS:
         for trial in range(_TRIALS):
@@ -103,11 +100,11 @@ def table_calls() -> dict[str, Call]:
     return {"table1": ("first_table", ()), "table2": ("second_table", ())}
 
 
-def carry_out_call(name: str, arguments: tuple[Any, ...]) -> tuple[dict[str, Any], None]:
+def carry_out_call(name: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
     """Carries out a call; the result is plain data."""
     logging.disable(logging.ERROR)
     result = globals()[name](*arguments)
-    return json.loads(json.dumps(result, default=float)), None
+    return json.loads(json.dumps(result, default=float))
 
 
 def run_shipped(name: str, seed: int, truth: bool) -> dict[str, Any]:
@@ -146,7 +143,7 @@ def run_trial(name: str, seed: int) -> dict[str, Any]:
 def run_points(suite: str, method: str) -> dict[str, Any]:
     """Runs a method on the stored scenes of a suite; returns a list for each quantity."""
     (case,) = find_suite(suite).cases
-    scenes = load_scenes(SCENES / f"{suite}.npz")
+    scenes = draw_scenes(suite, _POINT_SCENES, 0)
     outcome = evaluate(scenes, [case], {method: load_method(method)}).outcomes[method]
     judged = outcome.of()
     success = ~judged.collided & ~judged.short
@@ -165,14 +162,11 @@ def first_table() -> dict[str, Any]:
 
 def second_table() -> dict[str, Any]:
     """Returns the figures of the paper's Table II, without timings."""
-    chosen = choices(Choice(), ablation=False)
-    ((name, choice),) = chosen.items()
-    scenes = draw_scenes(choice.sampling, _TABLE_SCENES, 0)
-    outcomes = judge_choice(name, choice, scenes).outcomes
-    figures = table_two_figures(chosen, outcomes, {choice.sampling: scenes}, 0, ())
+    scenes = draw_scenes("demo", _TABLE_SCENES, 0)
+    figures = table_two_figures(judge_novel(scenes).outcomes["paper"], scenes, 0, ())
     return {
         f"{row['baseline']:g} m": {key: row[key] for key in row["agrees"]}
-        for row in figures["readings"][name]["by_baseline"]
+        for row in figures["by_baseline"]
     }
 
 
@@ -183,8 +177,6 @@ def write_scenes() -> None:
         scenes = [_drawn(suite, number) for number in range(_PANDA_SCENES)]
         lines = ",\n".join(json.dumps(scene) for scene in scenes)
         (SCENES / f"{suite}.json").write_text(f"[\n{lines}\n]\n")
-    for suite in _POINT_SUITES:
-        save_scenes(SCENES / f"{suite}.npz", draw_scenes(suite, _POINT_SCENES, 0))
 
 
 def _drawn(suite: str, number: int) -> dict[str, Any]:
@@ -211,6 +203,6 @@ def _summary(report: Mapping[str, Any]) -> dict[str, Any]:
 def _judged(
     text: str, method: str, perception: str, criteria: Criteria | None = None
 ) -> dict[str, Any]:
-    result, _ = run_text(text, method, perception, None, False, criteria or Criteria())
+    result = run_text(text, method, perception, None, criteria or Criteria())
     success = {"success": result["outcome"] == "success", "reason": result["reason"]}
     return success | _summary(result)

@@ -1,16 +1,10 @@
-"""Calls carried out in parallel; results on disk, taken when their key is right; counts."""
+"""Calls carried out in parallel; results on disk, taken when their key is right."""
 
 import operator
 
 import pytest
 
-from drake_oa.studies.results import (
-    ResultFolder,
-    Tally,
-    carry_out,
-    drawn_figures,
-    drawn_lines,
-)
+from drake_oa.studies.results import ResultFolder, carry_out
 
 
 def test_a_result_comes_back_by_its_key_only(tmp_path):
@@ -20,25 +14,6 @@ def test_a_result_comes_back_by_its_key_only(tmp_path):
     assert folder.load("one", "other") is None
     assert folder.load("two", "key") is None
     assert [path.name for path in folder.path.iterdir()] == ["one.json"]
-
-
-def test_shares_are_of_all_scenes_the_greatest_first():
-    one, other = Tally(), Tally()
-    assert one.takes("courses", "")
-    assert not one.takes("courses", "too high")
-    for reason in ("", "too low", "too low"):
-        other.takes("courses", reason)
-    other.takes("scenes", "")
-    drawn = drawn_figures([one.counts, other.counts])
-    assert drawn == {
-        "courses": {"looked_at": 5, "dropped": {"too low": 0.4, "too high": 0.2}},
-        "scenes": {"looked_at": 1, "dropped": {}},
-    }
-    assert list(drawn["courses"]["dropped"]) == ["too low", "too high"]
-    assert drawn_lines(drawn) == [
-        "courses looked at: 5; dropped: 40.0% (too low), 20.0% (too high)",
-        "scenes looked at: 1; dropped: none",
-    ]
 
 
 _CALLS = [(k, 2) for k in range(5)]

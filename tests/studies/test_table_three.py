@@ -46,7 +46,7 @@ def test_a_row_is_taken_over_its_trials_and_has_the_print_beside_it() -> None:
 
 @pytest.mark.parametrize("kind", TRIAL_KINDS)
 def test_a_trial_is_the_shipped_scenario_with_the_noise_of_its_seed(kind: str) -> None:
-    text, _ = trial_text(f"paper_{kind}", 7)
+    text = trial_text(f"paper_{kind}", 7)
     assert text == scenario_text(load_scenario(f"paper_{kind}", ["seed=7"]))
     # The method of the suites is what the scenario has.
     assert scenario_text(with_method(parse_scenario(text), "paper")) == text

@@ -11,7 +11,6 @@ from drake_oa.planning.point_search import PointSearch
 from drake_oa.policy.config import Policy
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA, ANGLE, HALF, N_GENES, SIDES, ProposalNetwork
-from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.proposals import (
     DMP,
     DURATION,
@@ -55,11 +54,10 @@ def test_the_network_that_runs_is_the_one_that_learns() -> None:
         np.testing.assert_allclose(genes[5, ANGLE], side, atol=1e-5)
 
 
-def test_a_training_that_is_cut_short_goes_on_to_the_same(tmp_path: Path) -> None:
-    settings = {"seed": 0}
-    whole, scores = train_proposals(FEW, 0, checkpoint=Checkpoint(tmp_path / "whole", settings))
+def test_an_interrupted_training_resumes_to_the_same_network(tmp_path: Path) -> None:
+    whole, scores = train_proposals(FEW, 0, tmp_path / "whole")
     assert len(scores) == FEW.rounds
-    train_proposals(replace(FEW, rounds=1), 0, checkpoint=Checkpoint(tmp_path / "kept", settings))
-    again = train_proposals(FEW, 0, checkpoint=Checkpoint(tmp_path / "kept", settings))[0]
+    train_proposals(replace(FEW, rounds=1), 0, tmp_path / "resumed")
+    again = train_proposals(FEW, 0, tmp_path / "resumed")[0]
     for ours, theirs in zip(whole.layers, again.layers, strict=True):
         np.testing.assert_array_equal(ours, theirs)

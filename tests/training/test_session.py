@@ -1,4 +1,4 @@
-"""`drake-oa train`: what it writes, prints, refuses, and keeps when interrupted."""
+"""`drake-oa train`: written files, printed errors, and wrong arguments."""
 
 from pathlib import Path
 
@@ -9,38 +9,25 @@ from drake_oa.app.main import main
 from drake_oa.regulation.proposals import load_proposals
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.training import session
+from drake_oa.training import paper
 from drake_oa.training.lattice import PaperLattice
-from drake_oa.training.networks import Round
-from drake_oa.training.paper import CHAINS, PaperRecipe
+
+FILES = {
+    "paper": {"paper_chain": 3, "paper_chain_unconstrained": 2},
+    "paper_running": {"paper_chain_running": 3},
+}
 
 
-@pytest.fixture
-def small(monkeypatch):
+@pytest.mark.parametrize("recipe", FILES)
+def test_a_recipe_of_the_paper_writes_its_chains(recipe, tmp_path, capsys, monkeypatch):
     full = PaperLattice()
     lattice = PaperLattice(*(axis[[1, -1]] for axis in full[:2]), *(a[1::12] for a in full[2:]))
-    rounds = {name: ((Round(2, 50),),) * 3 for name in CHAINS}
-    monkeypatch.setattr(session, "PaperRecipe", lambda: PaperRecipe(lattice, rounds))
-
-
-def test_the_paper_recipe_writes_two(small, tmp_path, capsys):
-    assert main(["train", "--recipe", "paper", "--out", str(tmp_path), "--device", "cpu"]) == 0
-    assert load_chain(tmp_path / "paper_chain.safetensors").lower.size == 3
-    assert load_chain(tmp_path / "paper_chain_unconstrained.safetensors").lower.size == 2
+    monkeypatch.setattr(paper, "PaperLattice", lambda: lattice)
+    command = ["train", "--recipe", recipe, "--iterations", "2", "--device", "cpu"]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    for file, inputs in FILES[recipe].items():
+        assert load_chain(tmp_path / f"{file}.safetensors").lower.size == inputs
     assert "RC(lambda', Delta)" in capsys.readouterr().out
-
-
-def test_an_interrupted_training_says_how_it_resumes(small, tmp_path, monkeypatch, capsys):
-    def interrupted(*arguments, **options):
-        raise KeyboardInterrupt
-
-    command = ["train", "--recipe", "paper", "--out", str(tmp_path)]
-    with monkeypatch.context() as cut:
-        cut.setattr(session, "train_paper", interrupted)
-        assert main(command) == 130
-    assert "the same command goes on from there" in capsys.readouterr().err
-    assert main(command) == 0
-    assert "going on from" in capsys.readouterr().err
 
 
 def test_without_a_recipe_the_network_of_the_default_scenario_is_trained(tmp_path):

@@ -46,7 +46,6 @@ from drake_oa.studies.panda.evaluation import (
     check_methods,
 )
 from drake_oa.studies.panda.tables import ALL, methods_figures
-from drake_oa.studies.results import Counts
 
 DURATION = 5.0
 """Of the demonstrated motion [s]."""
@@ -57,8 +56,8 @@ _FINGER_MARGIN = 1e-3
 """Fingers stay so far within their limits [m]: at a limit the plant's steps cost more."""
 
 
-def draw_problem(text: ProblemText, robot: str, seen: bool) -> tuple[str, Counts]:
-    """Makes the scenario's text of a problem; nothing is dropped.
+def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
+    """Makes the scenario's text of a problem.
 
     Args:
         text: the problem.
@@ -66,7 +65,7 @@ def draw_problem(text: ProblemText, robot: str, seen: bool) -> tuple[str, Counts
         seen: whether by two cameras; else everything is known.
     """
     scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
-    return scenario_text(with_two(scenario) if seen else scenario), {}
+    return scenario_text(with_two(scenario) if seen else scenario)
 
 
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:

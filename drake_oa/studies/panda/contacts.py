@@ -8,8 +8,9 @@ velocities of one instant before: at the instant itself the impact has already c
   the contact stays clear of all true solids and of the arm itself until 1.5 s after it
   (`true_world`: enclosing spheres, limits of position, velocity and acceleration). A motion has one
   or two legs, each time-optimal to a random configuration. What is found is a proof, its lack none.
-- Avoidable by view: 0.1 s before the latest of those leads from which there is such a motion, an
-  observation had arrived with the obstacle's velocity within 20 % of the true one.
+- Avoidable by view: in the 0.2 s until the deadline an observation had arrived with the obstacle's
+  velocity within 20 % of the true one. The deadline is 0.1 s before the latest of those leads from
+  which there is such a motion.
 
 A contact that begins within 1 s of another one has the verdicts of the first of them: by then the
 arm is pressed.
@@ -38,7 +39,9 @@ LEAD, LEADS = 0.2, (0.05, 0.1, 0.2, 0.3, 0.5)
 AFTER = 1.5
 """Time after a contact until which they are to stay clear [s]."""
 WARNING = 0.1
-"""Minimum time before an escape at which the obstacle's velocity must be known [s]."""
+"""Time from the deadline for the obstacle's velocity to the latest escape [s]."""
+RECENT = 0.2
+"""Time before the deadline from which on a known velocity counts [s]."""
 KNOWN = 0.2
 """Maximum error of a known velocity, as a share of the true one."""
 AT_REST = 0.02
@@ -71,7 +74,8 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
     courses = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
     until, verdicts, events = -math.inf, dict[str, bool](), _touches(scenario, log)
     for event in events:
-        seen = known = 0.0
+        # The velocity of what is no obstacle is always known: zero.
+        seen, known = 0.0, log.t
         if event["obstacle"] in courses:
             seen, known = sightings(log, courses[event["obstacle"]])
         if event["time"] > until + _SAME_EVENT:
@@ -121,8 +125,15 @@ def _is_touched(scenario: Scenario, q: FloatArray, times: FloatArray) -> bool:
     return any(judge.touches(q, 0.0 * q, judge.positions_at(time))[0] for time in times)
 
 
-def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: float) -> dict[str, bool]:
-    """Finds whether a contact was avoidable; known: when the obstacle's velocity was first [s]."""
+def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: FloatArray) -> dict[str, bool]:
+    """Finds whether a contact was avoidable.
+
+    Args:
+        world: the scenario's true world.
+        log: of the run.
+        time: of the contact [s].
+        known: times at which the obstacle's velocity was observed right [s].
+    """
     index, found = world.arm.chain.q_index, {}
     for lead in LEADS:
         first = max(math.floor((time - lead) / STEP), 0)
@@ -130,9 +141,10 @@ def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: float) -> di
         steps = math.ceil((time + AFTER) / STEP) - first
         found[lead] = escapes(world, log.q[row, index], log.v[row, index], first, steps)
     latest = min((lead for lead, count in found.items() if count), default=math.inf)
+    age = time - latest - WARNING - known
     return {
         "avoidable_by_physics": found[LEAD] > 0,
-        "avoidable_by_view": known <= time - latest - WARNING,
+        "avoidable_by_view": bool(((age >= 0.0) & (age <= RECENT)).any()),
     }
 
 
@@ -163,25 +175,25 @@ def escapes(
     return int((clear_steps(world, motions, np.full(MOTIONS, first)) > steps).sum())
 
 
-def sightings(log: MotionLog, obstacle: Obstacle) -> tuple[float, float]:
-    """Computes when an obstacle was first observed, and when its velocity was first known.
+def sightings(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
+    """Computes when an obstacle was first observed, and when its velocity was observed right.
 
     An ellipsoid is of an obstacle if its center is in the ball around the obstacle's true shapes
-    at the stamp; its velocity is known within 20 % of the true one, or 0.02 m/s.
+    at the stamp; its velocity is right within 20 % of the true one, or 0.02 m/s.
 
     Returns:
-        Times at which these observations arrived [s]; inf: none did.
+        Time at which the first observation arrived, inf without one, and times at which right
+        velocities arrived [s].
     """
-    seen = known = math.inf
+    seen, known = math.inf, []
     center, radius = bounding_ball(obstacle)
-    for row in reversed(range(len(log.observation_time))):
+    for row, time in enumerate(log.observation_time.tolist()):
         observed = log.observation(row)
         offset = obstacle.offset_at(observed.stamp)
         velocity = (offset - obstacle.offset_at(observed.stamp - STEP)) / STEP
         is_own = np.linalg.norm(observed.p_WO - center - offset, axis=1) <= radius
         error = np.linalg.norm(observed.v_WO[is_own] - velocity, axis=1)
-        if is_own.any():
-            seen = float(log.observation_time[row])
-            if error.min() <= max(KNOWN * float(np.linalg.norm(velocity)), AT_REST):
-                known = seen
-    return seen, known
+        seen = min(seen, time) if is_own.any() else seen
+        if error.min(initial=np.inf) <= max(KNOWN * float(np.linalg.norm(velocity)), AT_REST):
+            known.append(time)
+    return seen, np.array(known)

@@ -43,7 +43,6 @@ from drake_oa.scenario.end_poses import posture_guide
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.studies.panda.scene_arm import Motion, scene_arm
 from drake_oa.studies.panda.scene_parts import (
-    ENDS_TAKEN,
     TABLE_X,
     TABLE_Y,
     DrawThings,
@@ -51,10 +50,9 @@ from drake_oa.studies.panda.scene_parts import (
     draw_motion,
     ends_are_free,
     extent,
+    fits,
     make_obstacle,
-    misfit,
 )
-from drake_oa.studies.results import Tally
 
 _STEP = 1.0 / 60.0
 """Time step of DRPBench [s]."""
@@ -88,20 +86,18 @@ class Level:
 def drp_things(random: np.random.Generator, *, level: Level) -> DrawThings:
     """Prepares the static world and the boxes of a level."""
 
-    def draw(motion: Motion, tally: Tally) -> list[Obstacle] | None:
+    def draw(motion: Motion) -> list[Obstacle] | None:
         world: list[Obstacle] = []
         for name in level.world:
             closed = _draw_case(random, name, len(world), motion.goal if level.inside else None)
             item = replace(closed, shapes=closed.shapes[:-1])
-            reason = "" if level.inside else misfit(item, world)
-            if not reason and not ends_are_free(motion, [item if level.inside else closed]):
-                reason = ENDS_TAKEN
-            if not tally.takes("places on the table", reason):
+            if not (level.inside or fits(item, world)):
+                return None
+            if not ends_are_free(motion, [item if level.inside else closed]):
                 return None
             world.append(item)
         boxes = level.draw_boxes(random, level, motion)
-        reason = "" if boxes else "there is no place for a box that moves or appears"
-        return [*boxes, *world] if tally.takes("scenes", reason) else None
+        return [*boxes, *world] if boxes else None
 
     return draw
 
@@ -114,15 +110,11 @@ _GOALS = (0.40, -0.40, 0.30), (0.60, 0.40, 0.55)
 """Corners of the box that contains the goals at which the robot starts [m]."""
 
 
-def _draw_hold(
-    random: np.random.Generator, tally: Tally, *, forward: bool = False
-) -> Motion | None:
+def _draw_hold(random: np.random.Generator, *, forward: bool = False) -> Motion | None:
     """Draws a motion of 5 cm to a goal, with the tool forward or down; None if rejected."""
     goal = np.round(random.uniform(*_GOALS), 4)
     start = goal - [_BEGIN, 0.0, 0.0]
-    motion, reason = scene_arm().straight_motion(start, goal, rpy_WE=_FORWARD if forward else None)
-    tally.takes("straight motions", reason)
-    return motion
+    return scene_arm().straight_motion(start, goal, rpy_WE=_FORWARD if forward else None)
 
 
 # Static worlds --------------------------------------------------------------------------

@@ -35,7 +35,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,16 +59,14 @@ from drake_oa.studies.panda.oracle import run_oracle
 from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
 from drake_oa.studies.panda.scenes import (
     DRP,
-    GENERATOR,
     KINDS,
     PERCEPTIONS,
     check_choice,
     draw_panda_scene,
-    read_text,
     seen_by,
 )
 from drake_oa.studies.panda.true_world import make_true_world
-from drake_oa.studies.results import Call, Counts, ResultFolder, Tally, Task, content_key, resumed
+from drake_oa.studies.results import ResultFolder, Task, content_key, resumed
 
 PLANNER = "planner"
 """The method that plans, needs OMPL, and is not simulated."""
@@ -110,15 +107,12 @@ _KEPT = (
     "guard_cost",
     "events",
     "beyond_limits",
-    "moving_after",
     "drp_outcome",
     "contact_events",
     "claim_violations",
 )
 """Keys of a result: values of `motion_report` and judgements, the last two of scenes with moving
 obstacles."""
-_MOVING = 0.02
-"""Share of its pace at which a motion has begun."""
 
 
 def default_methods(kind: str) -> tuple[str, ...]:
@@ -165,13 +159,12 @@ class Criteria:
         return "never at rest" if found["settled"] is False else ""
 
 
-@dataclass(frozen=True)
-class PandaRun:
-    """A judged run and, where it ran at all, its log.
+class PandaRun(NamedTuple):
+    """A judged run and its log.
 
     Attributes:
         result: plain data, as `run_and_judge` describes it.
-        log: None where nothing could be simulated.
+        log: None where nothing was simulated.
     """
 
     result: dict[str, Any]
@@ -205,10 +198,10 @@ def run_and_judge(
 
     The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
     the stop reason with "#" for numbers), `failed` (whether it raised), and of `motion_report`
-    those of `_KEPT`; besides `moving_after`, `wall_time` [s] and `real_time_factor` of the
-    simulation, and by the criteria `drp_outcome`; and where obstacles move `contact_events`, see
-    there, and `claim_violations`: the number of logged instants, and of those that violate each
-    claim of `claims`. Of `planner` see `run_planner`.
+    those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the simulation, and by the
+    criteria `drp_outcome`; and where obstacles move `contact_events`, see there, and
+    `claim_violations`: the number of logged instants, and of those that violate each claim of
+    `claims`. Of `planner` see `run_planner`.
 
     Args:
         scenario: the scene.
@@ -219,10 +212,11 @@ def run_and_judge(
     """
     criteria = criteria or Criteria()
     scenario = with_method(seen_by(scenario, perception), method)
-    if method == PLANNER:
-        return PandaRun(_plan(scenario, criteria), None)
     failed = False
     try:
+        if method == PLANNER:
+            found = _without_motion(scenario, "") | _plan(scenario, criteria)
+            return PandaRun({**_outcome(found, criteria), "failed": False, **found}, None)
         log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
@@ -232,51 +226,43 @@ def run_and_judge(
     except Exception as error:
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
-        return PandaRun(_not_run(scenario, error), None)
-    report = motion_report(scenario, log)
-    return PandaRun(_judged(scenario, log, report, failed, criteria), log)
+        reason = f"{type(error).__name__}: {error}".rstrip(": ")
+        result = {"outcome": "stopped", "reason": plain_reason(reason), "failed": True}
+        return PandaRun({**result, **_without_motion(scenario, reason)}, None)
+    return PandaRun(_judged(scenario, log, failed, criteria), log)
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
     if method == DIFFERENTIAL_IK:
         kept = KeptDistances()
         # No arm starts where it would have to keep more than it has.
-        feasible = feasible_clearance_of(scenario)
-        tool = kept.tool if feasible is None else feasible
-        kept = KeptDistances(tool, min(kept.arm, scenario.task.clearance))
+        kept = KeptDistances(
+            feasible_clearance_of(scenario), min(kept.arm, scenario.task.clearance)
+        )
         return simulate_differential_ik(scenario, duration=duration, distances=kept)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
 def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
+    if _moves(scenario):
+        return run_oracle(scenario)
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
-    try:
-        if _moves(scenario):
-            found = run_oracle(scenario)
-        else:
-            found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
-    except Exception as error:
-        _logger.info("the planner failed", exc_info=True)
-        return _not_run(scenario, error)
-    found = _no_motion(scenario, "") | found
-    return {**_outcome(found, False, criteria), "failed": False, **found}
+    return run_planner(scenario, clearance=clearance, states=criteria.planner_states)
 
 
-def _judged(
-    scenario: Scenario,
-    log: MotionLog,
-    report: dict[str, Any],
-    failed: bool,
-    criteria: Criteria,
-) -> dict[str, Any]:
+def _judged(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria) -> dict[str, Any]:
+    report = motion_report(scenario, log)
     found = {key: report.get(key) for key in _KEPT}
-    found |= {"beyond_limits": _beyond_limits(scenario, log), "moving_after": moving_after(log)}
+    found["beyond_limits"] = _beyond_limits(scenario, log)
     if criteria.by_drp:
         found["drp_outcome"] = drp_outcome(scenario, log, report["contacts"])
     if len(log.t) and _moves(scenario):
         found |= _judged_moving(scenario, log)
+    outcome = _outcome(found, criteria)
+    if failed and outcome["outcome"] == "success":
+        outcome = {"outcome": "stopped", "reason": plain_reason(found["stop_reason"])}
     return {
-        **_outcome(found, failed, criteria),
+        **outcome,
         "failed": failed,
         **found,
         # To a tenth of a millisecond: to be taken together over scenes.
@@ -300,16 +286,6 @@ def _judged_moving(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
 def _moves(scenario: Scenario) -> bool:
     """Checks whether an obstacle ever moves."""
     return last_change(scenario.obstacles) > 0.0
-
-
-def moving_after(log: MotionLog) -> float | None:
-    """When the motion first went at `_MOVING` of the pace that it reached [s]; None: never.
-
-    The goal is known at 0, and what decisions cost has passed.
-    """
-    rate = np.diff(-np.log(log.phase[log.moving])) / np.diff(log.t[log.moving])
-    goes = rate > _MOVING * rate.max(initial=0.0)
-    return float(log.t[log.moving][goes.argmax()]) if goes.any() else None
 
 
 _DRP_ERROR, _DRP_TURN = 0.05, math.radians(15.0)
@@ -338,29 +314,22 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
 
 
 def _beyond_limits(scenario: Scenario, log: MotionLog) -> float:
-    """How far a joint of the arm went beyond its limit at most [rad]."""
-    arm = len(scenario.robot.q_seed) if scenario.robot else 0
+    """Computes how far a joint of the arm went beyond its limit at most [rad]."""
+    arm = len(robot_of(scenario).q_seed)
     q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
     return float(np.maximum(lower - q, q - upper).max(initial=0.0))
 
 
-def _outcome(found: dict[str, Any], failed: bool, criteria: Criteria) -> dict[str, str]:
-    """`outcome` and `reason`."""
+def _outcome(found: Mapping[str, Any], criteria: Criteria) -> dict[str, str]:
+    """Returns `outcome` and `reason`."""
     if found["contacts"] or found["self_contacts"]:
         return {"outcome": "contact", "reason": plain_reason(found["stop_reason"])}
-    lacks = criteria.lacks(found) or (found["stop_reason"] if failed else "")
+    lacks = criteria.lacks(found)
     return {"outcome": "stopped" if lacks else "success", "reason": plain_reason(lacks)}
 
 
-def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
-    """Result of a scene that could not be run."""
-    reason = f"{type(error).__name__}: {error}".rstrip(": ")
-    result = {"outcome": "stopped", "reason": plain_reason(reason), "failed": True}
-    return {**result, **_no_motion(scenario, reason)}
-
-
-def _no_motion(scenario: Scenario, reason: str) -> dict[str, Any]:
-    """Values of a result for a robot that stays at the start."""
+def _without_motion(scenario: Scenario, reason: str) -> dict[str, Any]:
+    """Returns the values of a result for a robot that stays at the start."""
     return {
         **dict.fromkeys(_KEPT),
         "contacts": [],
@@ -375,12 +344,11 @@ def _no_motion(scenario: Scenario, reason: str) -> dict[str, Any]:
     }
 
 
-def plain_reason(reason: str) -> str:
+def plain_reason(reason: str | None) -> str:
     """A reason with "#" for its numbers, so that equal reasons can be counted."""
-    return _NUMBER.sub("#", reason).strip()
+    return _NUMBER.sub("#", reason or "").strip()
 
 
-Draw = Callable[..., tuple[str, Counts]]
 SCENE_SUFFIX = ".scenario.yaml"
 """Last part of the names of scenes' files."""
 
@@ -390,17 +358,13 @@ class Drawing(NamedTuple):
 
     Attributes:
         name: of the scene's files.
-        draw: makes a scenario's text, and tells what was dropped while it was drawn.
+        draw: makes a scenario's text.
         arguments: of `draw`, on which alone the scene depends.
     """
 
     name: str
-    draw: Draw
+    draw: Callable[..., str]
     arguments: tuple[Any, ...]
-
-
-_WARM_UP = 0.02
-"""Simulated time in which all kernels of a method are used once [s]."""
 
 
 @dataclass(frozen=True)
@@ -440,11 +404,6 @@ class PandaSuite:
             raise ValueError(f"--duration must be positive [s], not {self.duration}")
         check_choice("perception", self.perception, PERCEPTIONS)
 
-    @property
-    def scenes(self) -> int:
-        """Number of scenes."""
-        return len(self.drawings)
-
     def perception_of(self, method: str) -> str:
         """What a method sees by."""
         return "truth" if method in TRUTH_ONLY else self.perception
@@ -465,7 +424,6 @@ def panda_suite(
     methods: Sequence[str],
     perception: str = "depth",
     duration: float | None = None,
-    folder: Path | None = None,
 ) -> PandaSuite:
     """Makes a suite of random scenes, of which scene i depends on kind and seed alone.
 
@@ -476,30 +434,17 @@ def panda_suite(
         methods: some of `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of a run [s]; None: that of `simulate`.
-        folder: of scenario files that are run in place of drawn scenes; None: they are drawn.
 
     Raises:
-        OSError: if a file cannot be read.
         ValueError: as `PandaSuite`, and for an unknown kind or method.
     """
     check_choice("kind of scenes", kind, KINDS)
-    drawings = {}
-    for scene in range(scenes):
-        name = f"{kind}-seed{seed}-scene{scene:04d}"
-        drawings[scene] = Drawing(name, draw_text, (seed, scene, kind))
-        if folder is not None:
-            text = (folder / f"{name}{SCENE_SUFFIX}").read_text()
-            drawings[scene] = Drawing(name, read_text, (text, kind))
-    return PandaSuite(
-        "panda",
-        kind,
-        seed,
-        check_methods("panda", methods, METHODS),
-        perception,
-        duration,
-        drawings,
-        Criteria(by_drp=kind.startswith(DRP)),
-    )
+    drawings = {
+        scene: Drawing(f"{kind}-seed{seed}-scene{scene:04d}", draw_text, (seed, scene, kind))
+        for scene in range(scenes)
+    }
+    chosen, criteria = check_methods("panda", methods, METHODS), Criteria(by_drp=DRP in kind)
+    return PandaSuite("panda", kind, seed, chosen, perception, duration, drawings, criteria)
 
 
 @dataclass
@@ -509,7 +454,6 @@ class PandaResults:
     Attributes:
         suite: what is evaluated.
         scenarios: scene -> the scenario's text, as it was drawn.
-        tallies: scene -> what was dropped while it was drawn, see `Tally`.
         runs: method -> scene -> result, see `run_and_judge`.
         resumed: results that were on disk.
         interrupted: whether it was ended by an interrupt.
@@ -517,33 +461,13 @@ class PandaResults:
 
     suite: PandaSuite
     scenarios: dict[int, str] = field(default_factory=dict)
-    tallies: dict[int, Counts] = field(default_factory=dict)
     runs: dict[str, dict[int, dict[str, Any]]] = field(default_factory=dict)
     resumed: int = 0
     interrupted: bool = False
 
     def complete(self, method: str) -> bool:
         """Whether a method has run on all scenes."""
-        return len(self.runs.get(method, {})) == self.suite.scenes
-
-
-@dataclass(frozen=True)
-class Keeping:
-    """What is kept, and where; None: nowhere.
-
-    Attributes:
-        folder: for the results, which an evaluation resumes from.
-        logs: for the log of each run (.npz).
-    """
-
-    folder: ResultFolder | None = None
-    logs: Path | None = None
-
-    def files(self, name: str, method: str) -> list[Path]:
-        """The files that a run is to leave besides its result; the planner has no run."""
-        if method == PLANNER or self.logs is None:
-            return []
-        return [self.logs / f"{name}.npz"]
+        return len(self.runs.get(method, {})) == len(self.suite.drawings)
 
 
 def evaluate_panda(
@@ -551,20 +475,22 @@ def evaluate_panda(
     *,
     jobs: int = 1,
     scheduler: str | None = None,
-    keeping: Keeping | None = None,
-    on_progress: Callable[[str, int], None] | None = None,
+    folder: ResultFolder | None = None,
+    logs: Path | None = None,
+    on_progress: Callable[[str, int], None] = lambda what, count: None,
 ) -> PandaResults:
     """Draws the scenes and runs each method on each.
 
     A result on disk whose key is that of the scene, the method and the present source is
     taken; all others are made, and written as soon as each is done. Where a log is requested
-    and is not there, the run is made anew.
+    and does not exist, the run is repeated.
 
     Args:
         suite: what to evaluate.
         jobs: processes at once.
         scheduler: address of a Dask scheduler to send the work to instead.
-        keeping: what to keep.
+        folder: of the results; None: they are not stored.
+        logs: folder of the log of each run (.npz), which the workers write; None: no logs.
         on_progress: called with what was done and how many of it.
 
     Returns:
@@ -574,73 +500,51 @@ def evaluate_panda(
         ValueError: if the scheduler cannot be reached.
         RuntimeError: if a scene cannot be drawn.
     """
-    keeping = keeping or Keeping()
-    on_progress = on_progress or (lambda what, count: None)
     results = PandaResults(suite, runs={method: {} for method in suite.methods})
-    results_of = partial(resumed, folder=keeping.folder, jobs=jobs, scheduler=scheduler)
+    options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
+    drawings = {
+        scene: Task(name, content_key("scene", draw.__name__, repr(arguments)), (draw, arguments))
+        for scene, (name, draw, arguments) in suite.drawings.items()
+    }
     try:
-        for scene, drawn, _, _ in results_of(_draw, _drawing_tasks(suite)):
-            results.scenarios[scene], results.tallies[scene] = drawn["scenario"], drawn["tally"]
+        for scene, drawn, _ in resumed(_draw, drawings, folder, **options):
+            results.scenarios[scene] = drawn["scenario"]
             on_progress("scenes drawn", 1)
-        tasks = _run_tasks(results, keeping)
-        for place, result, log, known in results_of(run_text, tasks, prepare=_compile_kernels):
-            scene, method = place
+        results.scenarios = dict(sorted(results.scenarios.items()))
+        tasks = {
+            (scene, method): _run_task(suite, scene, text, method, logs)
+            for scene, text in results.scenarios.items()
+            for method in suite.methods
+        }
+        for (scene, method), result, known in resumed(run_text, tasks, folder, **options):
             results.runs[method][scene] = result
             results.resumed += known
-            if log is not None:
-                motion = "modulated" if log.modulated else "preplanned"
-                (file,) = tasks[place].files
-                save_logs(file, {motion: log})
             on_progress(method, 1)
     except KeyboardInterrupt:
         results.interrupted = True
-    results.scenarios = dict(sorted(results.scenarios.items()))
     results.runs = {method: dict(sorted(runs.items())) for method, runs in results.runs.items()}
     return results
 
 
 def run_name(suite: PandaSuite, scene: int, method: str) -> str:
-    """Name of a run's files: that of the scene, the method and what it sees by."""
+    """Returns the name of a run's files: those of the scene, the method and its perception."""
     return f"{suite.drawings[scene].name}-{method}-{suite.perception_of(method)}"
 
 
-def _drawing_tasks(suite: PandaSuite) -> dict[int, Task]:
-    tasks = {}
-    for scene, (name, draw, arguments) in suite.drawings.items():
-        key = content_key("scene", GENERATOR, draw.__name__, repr(arguments))
-        tasks[scene] = Task(name, key, (draw, arguments))
-    return tasks
+def _draw(draw: Callable[..., str], arguments: tuple[Any, ...]) -> dict[str, str]:
+    return {"scenario": draw(*arguments)}
 
 
-def _draw(draw: Draw, arguments: tuple[Any, ...]) -> tuple[dict[str, Any], None]:
-    text, counts = draw(*arguments)
-    return {"scenario": text, "tally": counts}, None
+def _run_task(suite: PandaSuite, scene: int, text: str, method: str, logs: Path | None) -> Task:
+    name = run_name(suite, scene, method)
+    call = (text, method, suite.perception_of(method), suite.duration, suite.criteria)
+    log = None if logs is None or method == PLANNER else logs / f"{name}.npz"
+    return Task(name, content_key("run", repr(call)), (*call, log), log)
 
 
-def _run_tasks(results: PandaResults, keeping: Keeping) -> dict[tuple[int, str], Task]:
-    """(scene, method) -> its run."""
-    suite, tasks = results.suite, {}
-    for scene, text in sorted(results.scenarios.items()):
-        for method in suite.methods:
-            sees, name = suite.perception_of(method), run_name(suite, scene, method)
-            key = content_key("run", text, method, sees, suite.duration, repr(suite.criteria))
-            files = tuple(keeping.files(name, method))
-            call = (text, method, sees, suite.duration, bool(files), suite.criteria)
-            tasks[scene, method] = Task(name, key, call, files)
-    return tasks
-
-
-def _compile_kernels(calls: Sequence[Call]) -> None:
-    """Runs the beginning of a scene by each method, so that the workers need not compile."""
-    for text, method, sees, *_, criteria in {call[1]: call for call in calls}.values():
-        if method != PLANNER:
-            run_text(text, method, sees, _WARM_UP, False, criteria)
-
-
-def draw_text(seed: int, scene: int, kind: str) -> tuple[str, Counts]:
-    """A scene's scenario as text, and what was dropped while it was drawn."""
-    tally = Tally()
-    return scenario_text(draw_panda_scene(seed, scene, kind=kind, tally=tally)), tally.counts
+def draw_text(seed: int, scene: int, kind: str) -> str:
+    """Draws a scene as a scenario's text."""
+    return scenario_text(draw_panda_scene(seed, scene, kind=kind))
 
 
 def run_text(
@@ -648,11 +552,13 @@ def run_text(
     method: str,
     perception: str,
     duration: float | None,
-    wants_log: bool,
     criteria: Criteria,
-) -> tuple[dict[str, Any], MotionLog | None]:
-    """Runs a scenario's text; the result, and the log if it is wanted."""
+    log: Path | None = None,
+) -> dict[str, Any]:
+    """Runs a scenario's text and returns the result; the log goes to a file, if one is given."""
     with quiet():
         scenario: Scenario = parse_scenario(text)
         run = run_and_judge(scenario, method, perception, duration=duration, criteria=criteria)
-    return run.result, run.log if wants_log else None
+    if log is not None and run.log is not None:
+        save_logs(log, {"modulated" if run.log.modulated else "preplanned": run.log})
+    return run.result

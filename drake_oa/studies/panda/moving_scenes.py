@@ -44,14 +44,10 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.studies.panda.scene_arm import Motion, scene_arm
 from drake_oa.studies.panda.scene_parts import (
     BASE_RADIUS,
-    ENDS_TAKEN,
     FREE,
     GAP,
-    ON_BASE,
-    OUT_OF_VIEW,
     TABLE_X,
     TABLE_Y,
-    TOO_NEAR,
     TOUCH,
     DrawThings,
     bounding_ball,
@@ -62,7 +58,6 @@ from drake_oa.studies.panda.scene_parts import (
     make_obstacle,
     view_margin,
 )
-from drake_oa.studies.results import Tally
 
 MOST_RESTING = 2
 QUIET = 1.0
@@ -127,27 +122,23 @@ def moving_things(
         does = random.permutation(5)[: random.integers(1, 6)].tolist() if hard else []
         things.append((make_obstacle(random, "moving", number, [shape]), frozenset(does)))
 
-    def draw(motion: Motion, tally: Tally) -> list[Obstacle] | None:
-        standing = draw_obstacles(random, resting, tally, first=len(things))
-        if standing is None:
+    def draw(motion: Motion) -> list[Obstacle] | None:
+        standing = draw_obstacles(random, resting, first=len(things))
+        if standing is None or not ends_are_free(motion, standing):
             return None
         moved: list[Obstacle] = []
-        reason = "" if ends_are_free(motion, standing) else ENDS_TAKEN
         for thing, does in things:
-            for _ in range(0 if reason else _COURSES):
+            for _ in range(_COURSES):
                 placed = _on_course(random, thing, does, motion, highest, first=not moved)
-                misfit = _course_misfit(placed, does, motion, [*moved, *standing], highest)
-                if not moved and not misfit and not _is_met(placed, motion):
-                    misfit = "the first thing that moves does not touch the planned motion"
-                if tally.takes("courses", misfit):
+                if _course_fits(placed, does, motion, [*moved, *standing], highest) and (
+                    moved or _is_met(placed, motion)
+                ):
                     moved.append(placed)
                     break
             else:
-                reason = reason or "no course found for one of its things"
-        heights = [placed.translation[2] for placed in moved]
-        if not reason and max(heights) <= _HIGHEST < highest:
-            reason = "nothing passes above 0.6 m"
-        return [*moved, *standing] if tally.takes("scenes", reason) else None
+                return None
+        low = max(placed.translation[2] for placed in moved) <= _HIGHEST < highest
+        return None if low else [*moved, *standing]
 
     return draw
 
@@ -241,38 +232,34 @@ def _draw_way(random: np.random.Generator, along: FloatArray, *, bends: bool) ->
     return np.stack([np.interp(along, length, axis) for axis in places.T], axis=1)
 
 
-def _course_misfit(
+def _course_fits(
     thing: Obstacle,
     does: frozenset[int],
     motion: Motion,
     others: Sequence[Obstacle],
     highest: float,
-) -> str:
-    """Returns the reason for which a course among others is rejected; "": it is not."""
+) -> bool:
+    """Checks a course among others: its end, height, distances, visibility and the ends' room."""
     end = max(item.last_change for item in [thing, *others])
-    if end > LONGEST:
-        return "longer than 15 s"
-    if thing.translation[2] > highest:
-        return f"above {highest:g} m"
+    if end > LONGEST or thing.translation[2] > highest:
+        return False
     t, arm = np.arange(0.0, end + _SAMPLE, _SAMPLE), scene_arm()
     p, radius = _track(thing, t)
-    if np.hypot(p[:, 0], p[:, 1]).min() < radius + BASE_RADIUS:
-        return ON_BASE
     seen = view_margin(p)
+    if np.hypot(p[:, 0], p[:, 1]).min() < radius + BASE_RADIUS:
+        return False
     if ENTERS in does and (seen[0] > -radius or seen.max() < 0.0):
-        return "does not enter from outside the image"
+        return False
     if not does and seen.min() < 0.0:
-        return OUT_OF_VIEW
+        return False
     for other in others:
         p_other, other_radius = _track(other, t)
         if np.linalg.norm(p - p_other, axis=1).min() < radius + other_radius + GAP:
-            return TOO_NEAR
+            return False
     quiet = t[t <= (0.0 if does else QUIET)]
     if arm.distances(motion.ends[:1], [thing], quiet).min() < FREE:
-        return "at the outset the start leaves the robot less than 5 cm"
-    if not does and arm.distances(motion.ends[1:], [thing], end).min() < FREE:
-        return "at last the goal leaves the robot less than 5 cm"
-    return ""
+        return False
+    return bool(does) or bool(arm.distances(motion.ends[1:], [thing], end).min() >= FREE)
 
 
 def _track(obstacle: Obstacle, t: FloatArray) -> tuple[FloatArray, float]:

@@ -48,10 +48,6 @@ _LIMIT_MARGIN = 0.03
 _MAX_ERROR = 1e-3
 """Maximum pose error of a straight motion [m, rad]."""
 
-# Reasons for which candidates are rejected.
-NOT_FOLLOWED = "the arm cannot follow the straight line"
-TOUCHES_TABLE = "the planned motion touches the table"
-
 
 @lru_cache(maxsize=4)
 def base_scenario(like: str = LIKE) -> Scenario:
@@ -112,7 +108,7 @@ class SceneArm:
         goal: FloatArray,
         aside: FloatArray | None = None,
         rpy_WE: list[float] | None = None,
-    ) -> tuple[Motion | None, str]:
+    ) -> Motion | None:
         """Computes the motion along the straight minimum-jerk path of the tool.
 
         Args:
@@ -123,7 +119,7 @@ class SceneArm:
             rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
 
         Returns:
-            The motion, or None and the reason for which the arm has none.
+            The motion; None if the arm cannot follow the line or touches the table.
         """
         scenario = base_scenario()
         task = replace(scenario.task, start=start.tolist(), goal=goal.tolist())
@@ -134,7 +130,7 @@ class SceneArm:
         try:
             q_ends = np.stack(end_positions(replace(scenario, task=task)))[:, self._chain.q_index]
         except ScenarioError:
-            return None, NOT_FOLLOWED
+            return None
         q_start, s = q_ends[0], np.linspace(0.0, 1.0, _STEPS + 1)
         led = np.sin(np.pi * s[:, None]) ** 2 * (0.0 if aside is None else aside - q_start)
         paths = ToolPaths(
@@ -151,12 +147,10 @@ class SceneArm:
         rolled = roll_out_arm(world, q_start, paths)
         q, margin = rolled.q[0], _LIMIT_MARGIN
         within = (q > self._chain.lower + margin) & (q < self._chain.upper - margin)
-        if rolled.error[0] > _MAX_ERROR or not within.all():
-            return None, NOT_FOLLOWED
-        if rolled.least[0] < 0.0:
-            return None, TOUCHES_TABLE
+        if rolled.error[0] > _MAX_ERROR or not within.all() or rolled.least[0] < 0.0:
+            return None
         ends = np.vstack([q[[0, -1]], q_ends[1:]])
-        return Motion(start, goal, task.duration * s, q, ends, rpy_WE), ""
+        return Motion(start, goal, task.duration * s, q, ends, rpy_WE)
 
     def distances(
         self, q: FloatArray, obstacles: Iterable[Obstacle], t: ArrayLike = 0.0

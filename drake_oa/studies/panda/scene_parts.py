@@ -17,7 +17,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, Motion, base_scenario, scene_arm
-from drake_oa.studies.results import Tally
 
 SMALLEST, LARGEST = 0.04, 0.30
 """Minimum and maximum dimension of a shape on the table, and maximum height of a pile [m]."""
@@ -58,14 +57,8 @@ _DRAWN_FROM = [1.2473, 0.2902, 1.05]
 _ROLL = {LIKE: -135.0, ELBOW_LIKE: -120.0}
 """Shipped scenario -> roll of that camera [degrees]."""
 
-# Reasons for which candidates are rejected.
-ON_BASE = "at the robot's base"
-TOO_NEAR = "nearer than 2 cm to another thing"
-OUT_OF_VIEW = "out of the camera's view"
-ENDS_TAKEN = "start or goal leave the robot less than 5 cm"
-
 Shape = Box | Cylinder | Sphere
-DrawThings = Callable[[Motion, Tally], list[Obstacle] | None]
+DrawThings = Callable[[Motion], list[Obstacle] | None]
 """Draws obstacles for a planned motion; None if they are rejected."""
 
 
@@ -149,14 +142,13 @@ def _draw_pile(random: np.random.Generator) -> list[Shape]:
 
 
 def draw_obstacles(
-    random: np.random.Generator, count: int, tally: Tally, first: int = 0
+    random: np.random.Generator, count: int, first: int = 0
 ) -> list[Obstacle] | None:
     """Draws obstacles on the table, apart from each other.
 
     Args:
         random: source of random numbers.
         count: number of obstacles.
-        tally: counts rejected candidates.
         first: number of the first obstacle, for names and colors.
 
     Returns:
@@ -173,13 +165,13 @@ def draw_obstacles(
             kind, shapes = type(shape).__name__.lower(), [_resting(shape)]
         x, y = (float(random.uniform(*side)) for side in (TABLE_X, TABLE_Y))
         obstacle = make_obstacle(random, kind, first + len(obstacles), shapes, (x, y, 0.0))
-        if tally.takes("places on the table", misfit(obstacle, obstacles)):
+        if fits(obstacle, obstacles):
             obstacles.append(obstacle)
     return obstacles if len(obstacles) == count else None
 
 
-def misfit(obstacle: Obstacle, others: Sequence[Obstacle], like: str = LIKE) -> str:
-    """Returns the reason for which an obstacle cannot be where it is; "": it can.
+def fits(obstacle: Obstacle, others: Sequence[Obstacle], like: str = LIKE) -> bool:
+    """Checks that an obstacle is off the base, apart from others, and in the camera's view.
 
     Args:
         obstacle: what is placed.
@@ -187,13 +179,12 @@ def misfit(obstacle: Obstacle, others: Sequence[Obstacle], like: str = LIKE) -> 
         like: shipped scenario whose camera must have its middle in view.
     """
     place, footprint = obstacle.translation[:2], footprint_radius(obstacle)
-    if math.hypot(*place) < footprint + BASE_RADIUS:
-        return ON_BASE
     apart = [math.dist(place, item.translation[:2]) - footprint_radius(item) for item in others]
-    if min(apart, default=math.inf) < footprint + GAP:
-        return TOO_NEAR
-    center, _ = bounding_ball(obstacle)
-    return "" if view_margin(center[None], like)[0] >= 0.0 else OUT_OF_VIEW
+    return (
+        math.hypot(*place) >= footprint + BASE_RADIUS
+        and min(apart, default=math.inf) >= footprint + GAP
+        and bool(view_margin(bounding_ball(obstacle)[0][None], like)[0] >= 0.0)
+    )
 
 
 def view_margin(p_WQ: FloatArray, like: str = LIKE) -> FloatArray:
@@ -222,16 +213,12 @@ def _camera(like: str) -> tuple[CameraConfig, RigidTransform]:
     return base_scenario(like).cameras[0], RigidTransform(rpy, _DRAWN_FROM)
 
 
-def draw_motion(random: np.random.Generator, tally: Tally) -> Motion | None:
+def draw_motion(random: np.random.Generator) -> Motion | None:
     """Draws start and goal of a straight motion that the arm can follow; None if rejected."""
     # Four decimals, as in the scenario's text: the motion that is checked is the one that runs.
     start, goal = np.round(random.uniform(_LOW, _HIGH, (2, 3)), 4)
     apart = _BASELINE[0] <= math.dist(start, goal) <= _BASELINE[1]
-    if not tally.takes("pairs of start and goal", "" if apart else "not 0.5 to 1.0 m apart"):
-        return None
-    motion, reason = scene_arm().straight_motion(start, goal)
-    tally.takes("straight motions", reason)
-    return motion
+    return scene_arm().straight_motion(start, goal) if apart else None
 
 
 def ends_are_free(motion: Motion, obstacles: Sequence[Obstacle]) -> bool:

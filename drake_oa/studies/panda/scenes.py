@@ -47,7 +47,6 @@ from scipy.spatial import cKDTree
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder
 from drake_oa.perception.config import GroundTruth
-from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.cameras import ONE, TWO, seen_from
@@ -55,17 +54,15 @@ from drake_oa.studies.panda.drp_scenes import LEVELS, SPEED_LEVELS, drp_things
 from drake_oa.studies.panda.moving_scenes import HIGHEST, moving_things
 from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, Motion, base_scenario, scene_arm
 from drake_oa.studies.panda.scene_parts import (
-    ENDS_TAKEN,
     TOUCH,
     DrawThings,
     Shape,
     draw_motion,
     draw_obstacles,
     ends_are_free,
+    fits,
     make_obstacle,
-    misfit,
 )
-from drake_oa.studies.results import Counts, Tally
 
 MOST_OBSTACLES = 6
 NEAR, NEAR_OBSTACLES = 0.25, 3
@@ -77,20 +74,19 @@ def table_things(random: np.random.Generator, *, cluttered: bool) -> DrawThings:
     """Prepares 1 to 6 obstacles on the table, or six in clutter."""
     count = MOST_OBSTACLES if cluttered else int(random.integers(1, MOST_OBSTACLES + 1))
 
-    def draw(motion: Motion, tally: Tally) -> list[Obstacle] | None:
-        obstacles = draw_obstacles(random, count, tally)
+    def draw(motion: Motion) -> list[Obstacle] | None:
+        obstacles = draw_obstacles(random, count)
         if obstacles is None:
             return None
-        arm, reason = scene_arm(), ""
+        arm = scene_arm()
         apart = [arm.distances(motion.q, [item]) for item in obstacles]
         near = sum(d[:, arm.tool].min() < NEAR for d in apart)
-        if cluttered and near < NEAR_OBSTACLES:
-            reason = "fewer than three things within 25 cm of the hand"
-        elif min(d.min() for d in apart) > -TOUCH:
-            reason = "the planned motion is clear"
-        elif not ends_are_free(motion, obstacles):
-            reason = ENDS_TAKEN
-        return obstacles if tally.takes("scenes", reason) else None
+        is_scene = (
+            (near >= NEAR_OBSTACLES or not cluttered)
+            and min(d.min() for d in apart) <= -TOUCH
+            and ends_are_free(motion, obstacles)
+        )
+        return obstacles if is_scene else None
 
     return draw
 
@@ -120,21 +116,19 @@ _PLACES = 60
 def elbow_things(random: np.random.Generator) -> DrawThings:
     """Prepares an obstacle in the elbow's way, and a second one where there is room."""
 
-    def draw(motion: Motion, tally: Tally) -> list[Obstacle] | None:
+    def draw(motion: Motion) -> list[Obstacle] | None:
         arm, start, goal = scene_arm(), motion.start, motion.goal
         aside = random.choice(arm.postures(0.5 * (start + goal)))
-        swung, reason = arm.straight_motion(start, goal, aside)
+        swung = arm.straight_motion(start, goal, aside)
         places = np.zeros((0, 2, 3)) if swung is None else _elbow_places(motion, swung)
-        if not reason and not len(places):
-            reason = "nowhere passes the elbow alone"
-        if not tally.takes("elbow motions", reason) or swung is None:
+        if swung is None or not len(places):
             return None
         obstacles: list[Obstacle] = []
         for _ in range(_PLACES):
             thing = _draw_elbow_thing(random, places, len(obstacles))
-            reason = misfit(thing, obstacles, ELBOW_LIKE)
-            reason = reason or _elbow_misfit(thing, motion, swung, first=not obstacles)
-            if tally.takes("things for the elbow", reason):
+            if fits(thing, obstacles, ELBOW_LIKE) and _is_in_elbow_way(
+                thing, motion, swung, first=not obstacles
+            ):
                 obstacles.append(thing)
             if len(obstacles) == MOST_ELBOW_THINGS:
                 break
@@ -186,24 +180,20 @@ def _draw_elbow_thing(random: np.random.Generator, places: FloatArray, number: i
     return make_obstacle(random, kind, number, shapes, (x, y, 0.0))
 
 
-def _elbow_misfit(thing: Obstacle, motion: Motion, swung: Motion, *, first: bool) -> str:
-    """Returns the reason for which an obstacle is not in the elbow's way alone; "": it is."""
+def _is_in_elbow_way(thing: Obstacle, motion: Motion, swung: Motion, *, first: bool) -> bool:
+    """Checks that an obstacle is in the elbow's way alone."""
     arm = scene_arm()
     if not ends_are_free(motion, [thing]):
-        return ENDS_TAKEN
+        return False
     distance = arm.distances(motion.q, [thing]).min(axis=2)
     wrist = np.isin(arm.joint, _WRIST) & ~arm.tool
     if first and distance[:, np.isin(arm.joint, _ELBOW)].min() > -TOUCH:
-        return "the elbow does not touch it"
+        return False
     if distance[:, arm.tool].min() < HAND_FREE or distance[:, wrist].min() < WRIST_FREE:
-        return "the planned motion leaves the hand less than 5 cm or the wrist 3 cm"
-    if arm.distances(swung.q, [thing]).min() < SWUNG_FREE:
-        return "the motion with the elbow aside leaves less than 2.5 cm"
-    return ""
+        return False
+    return bool(arm.distances(swung.q, [thing]).min() >= SWUNG_FREE)
 
 
-GENERATOR = 3
-"""To be raised when the same seed draws another scene, or one that is seen from elsewhere."""
 PERCEPTIONS = ("depth", "depth2", "truth")
 """The depth camera of the scene, two cameras beside the robot, or SceneGraph."""
 
@@ -276,7 +266,6 @@ def draw_panda_scene(
     *,
     kind: str = "tabletop",
     perception: str = "depth",
-    tally: Tally | None = None,
 ) -> Scenario:
     """One random scene.
 
@@ -286,7 +275,6 @@ def draw_panda_scene(
         kind: one of `KINDS`.
         perception: "depth", one camera: among obstacles at rest that of the shipped scenarios,
             among moving ones `cameras.ONE`; "depth2", the pair `cameras.TWO`; or "truth".
-        tally: counts the candidates, and why they were dropped; None: nobody asks.
 
     Raises:
         ValueError: for an unknown kind or perception.
@@ -297,10 +285,10 @@ def draw_panda_scene(
     scenario = _empty_scene(kind)
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
     scenario.seed = int(random.integers(2**31))
-    draw_things, tally = of_kind.things(random), tally or Tally()
+    draw_things = of_kind.things(random)
     for _ in range(_MOST_MOTIONS):
-        motion = of_kind.motion(random, tally)
-        obstacles = None if motion is None else draw_things(motion, tally)
+        motion = of_kind.motion(random)
+        obstacles = None if motion is None else draw_things(motion)
         if motion is not None and obstacles is not None:
             break
     else:
@@ -319,19 +307,6 @@ def _empty_scene(kind: str) -> Scenario:
         return scenario
     scenario.guard = replace(scenario.guard, obstacle_speed=V)
     return seen_from(scenario, ONE)
-
-
-def read_text(text: str, kind: str) -> tuple[str, Counts]:
-    """Returns the text of a scene of a file as it was drawn, and no counts.
-
-    Args:
-        text: scenario's text, of which description, seed, task and obstacles are used.
-        kind: one of `KINDS`.
-    """
-    scenario, read = _empty_scene(kind), parse_scenario(text)
-    for name in ("description", "seed", "task", "obstacles"):
-        setattr(scenario, name, getattr(read, name))
-    return scenario_text(scenario), {}
 
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:

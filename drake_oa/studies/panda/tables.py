@@ -14,7 +14,6 @@ from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import TOLD, cost_figures
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.studies.panda.evaluation import PLANNER, PandaResults
-from drake_oa.studies.results import drawn_figures, drawn_lines
 from drake_oa.studies.scenes.evaluation import over
 
 ALL = "all"
@@ -24,20 +23,13 @@ _Scene = TypeVar("_Scene", int, tuple[str, int])
 
 _COLUMNS = (
     Column("name", "method"),
-    Column("scenes"),
     Column("contacts"),
-    Column("success"),
-    Column("stopped"),
-    Column("drp_contacts", "DRPBench contacts"),
-    Column("drp_success", "DRPBench success"),
-    Column("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
-    Column("avoidable_by_physics", "avoidable"),
-    Column("avoidable_by_view", "by view"),
-    Column("claim_A", "claim A"),
-    Column("claim_B", "claim B"),
+    Column("avoidable", "avoidable, by view"),
+    Column("success_of", "success"),
+    Column("claims", "claims A, B"),
+    Column("drp", "DRPBench contacts, success"),
     Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
     Column("duration_median", "duration [s]", "{:.1f}"),
-    Column("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
 )
 
 
@@ -46,12 +38,9 @@ def panda_figures(
 ) -> dict[str, Any]:
     """Returns the figures of a suite.
 
-    They are {"suite", "seed", "kind", "perception", "jobs", "versions", "scenes_digest", "drawn",
-    "solved", "methods"}; `methods` is {name: figures}, `scenes_digest` the SHA-256
+    They are {"suite", "seed", "kind", "perception", "jobs", "versions", "scenes_digest", "solved",
+    "methods"}; `methods` is {name: figures}, `scenes_digest` the SHA-256
     of the scenes' seeds, tasks and obstacles, whatever perceives them.
-
-    `drawn` tells of what was looked at when the scenes were drawn, how much and what share of
-    it was dropped for which reason.
 
     `solved` is how many scenes the planner or another method solves, None where the planner has not
     run on all; the methods' `success_rate_solved` is their share of successes in those.
@@ -83,7 +72,6 @@ def panda_figures(
         "jobs": jobs,
         "versions": dict(item.split(" ", 1) for item in versions),
         "scenes_digest": sha256(repr(scenes).encode()).hexdigest(),
-        "drawn": drawn_figures(results.tallies.values()),
         **figures,
     }
 
@@ -141,8 +129,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     `drp_contacts` and `drp_success`, by its rules.
 
     Others: `success_rate`; `short_of_feasible_max`; `duration_median`, `duration_max` of the
-    motions [s]; `moving_after_median`, `moving_after_p95`, from the request of the goal to the
-    beginning of the motion [s]; `decision_cost` (see `cost_figures`), None where decisions take no
+    motions [s]; `decision_cost` (see `cost_figures`), None where decisions take no
     time; `tool_clearance_min`, `robot_clearance_min` [m]; `goal_error_max` of the scenes that were
     not stopped [m]; `real_time_factor`, the median, and `real_time_factor_min`.
     """
@@ -176,8 +163,6 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "short_of_feasible_max": of(max, "short_of_feasible"),
         "duration_median": of(np.median, "duration"),
         "duration_max": of(max, "duration"),
-        "moving_after_median": of(np.median, "moving_after"),
-        "moving_after_p95": of(lambda times: np.percentile(times, 95.0), "moving_after"),
         "decision_cost": pooled_costs(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
@@ -216,8 +201,7 @@ def _counted(values: Iterable[str]) -> dict[str, int]:
 def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
     """The figures of one or several kinds of scenes as one table.
 
-    Below it: why runs were stopped, what was touched, and what was dropped when the scenes
-    were drawn.
+    Below it: why runs were stopped, and what was touched.
 
     Args:
         figures: as `panda_figures` gives them, of each kind.
@@ -227,8 +211,15 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
     for of in figures:
         for name, method in of["methods"].items():
             title = f"{of['kind']}: {name}" if several else name
-            costs = {f"decision_{k}": v for k, v in (method["decision_cost"] or {}).items()}
-            rows.append({"name": f"{title}, {method['perception']}", **method, **costs})
+            row = {**method, "name": f"{title}, {method['perception']}"}
+            row["success_of"] = f"{method['success']} of {method['scenes']}"
+            if method["claim_A"] is not None:
+                row["claims"] = f"{method['claim_A']:g}, {method['claim_B']:g}"
+                counts = (method[f"avoidable_by_{reason}"] for reason in ("physics", "view"))
+                row["avoidable"] = ", ".join(map(str, counts))
+            if "drp_success" in method:
+                row["drp"] = f"{method['drp_contacts']}, {method['drp_success']}"
+            rows.append(row)
             if of["kind"] == ALL:
                 continue
             for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
@@ -236,7 +227,6 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
                     lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
         if of.get("solved") is not None:
             lines.append(f"{of['kind']}: scenes that a method solves: {of['solved']}")
-        lines += [f"{of['kind']}: {line}" for line in drawn_lines(of.get("drawn", {}))]
         if "scenes_digest" in of:
             lines.append(f"{of['kind']}: digest of the scenes: {of['scenes_digest'][:12]}")
     return TextTable(_COLUMNS, rows, lines)

@@ -12,34 +12,33 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from drake_oa.common.console import Column, TextTable
-from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.studies.scenes.judge import Judgement, judge
 from drake_oa.studies.scenes.methods import Method
 from drake_oa.studies.scenes.paper_method import BETA, released_motions
-from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
+from drake_oa.studies.scenes.scenes import Scenes, Setting
 from drake_oa.studies.scenes.suites import Case
 
 BATCH = 100
-"""Scenes that a method is given at once."""
+"""Number of scenes that a method receives at once."""
 
 
 @dataclass
 class Outcome:
-    """What one method has come to so far.
+    """Judgements of one method so far.
 
     Attributes:
         judged: label of each case -> the batches judged, in the order of the scenes.
         seconds: computing time [s].
-        steps: policy steps computed.
+        steps: number of computed policy steps.
         complete: whether all scenes were run in all cases.
-        error: why not, where the method failed.
+        error: reason for which not, where the method failed.
     """
 
     judged: dict[str, list[Judgement]] = field(default_factory=dict)
@@ -49,7 +48,7 @@ class Outcome:
     error: str | None = None
 
     def of(self, *labels: str) -> Judgement:
-        """The judgement of some cases, of all without any label."""
+        """Returns the judgement of some cases, of all without any label."""
         return Judgement.joined(
             [part for label in labels or self.judged for part in self.judged.get(label, [])]
         )
@@ -68,24 +67,20 @@ def evaluate(
     cases: Sequence[Case],
     methods: Mapping[str, Method],
     *,
-    batch: int = BATCH,
     on_progress: Callable[[str, int], None] = lambda name, count: None,
     on_method: Callable[[Mapping[str, Outcome]], None] = lambda outcomes: None,
-    on_motions: Callable[[str, Motions], None] = lambda name, motions: None,
     judged_among: Callable[[Scenes], Scenes] = lambda scenes: scenes,
 ) -> Evaluation:
     """Runs each method on all scenes in each case.
 
-    What was judged is kept when a method fails, and when it is interrupted (Ctrl-C).
+    What was judged remains when a method fails, and when it is interrupted (Ctrl-C).
 
     Args:
         scenes: the scenes.
         cases: the ways in which each is run.
-        methods: name -> what loads the method.
-        batch: number of scenes that a method is given at once.
-        on_progress: told the method's name and how many scenes were judged since.
-        on_method: told all outcomes after each method.
-        on_motions: told the method's name and each batch of motions.
+        methods: name -> method.
+        on_progress: receives the method's name and the number of scenes judged since.
+        on_method: receives all outcomes after each method.
         judged_among: of the scenes of a batch, those that its motions are judged among.
 
     Returns:
@@ -95,11 +90,15 @@ def evaluate(
     for name, method in methods.items():
         outcome = outcomes[name] = Outcome()
         try:
-            for part, motions in _judged_batches(
-                outcome, scenes, cases, method, batch, judged_among
-            ):
-                on_motions(name, motions)
-                on_progress(name, len(part))
+            for case in cases:
+                parts = outcome.judged.setdefault(case.label, [])
+                for first in range(0, len(scenes), BATCH):
+                    some = case.of(scenes.rows(slice(first, first + BATCH)))
+                    motions = method(some, case.setting)
+                    parts.append(judge(judged_among(some), motions))
+                    outcome.seconds += motions.seconds
+                    outcome.steps += motions.steps * len(some)
+                    on_progress(name, len(some))
             outcome.complete = True
         except KeyboardInterrupt:
             on_method(outcomes)
@@ -110,31 +109,6 @@ def evaluate(
             logging.getLogger(__name__).info("where %s failed", name, exc_info=True)
         on_method(outcomes)
     return Evaluation(outcomes)
-
-
-def _judged_batches(
-    outcome: Outcome,
-    scenes: Scenes,
-    cases: Sequence[Case],
-    method: Method,
-    batch: int,
-    judged_among: Callable[[Scenes], Scenes],
-) -> Iterator[tuple[Judgement, Motions]]:
-    """Runs and judges batch by batch, and notes each in the outcome."""
-    for case in cases:
-        asked = case.of(scenes)
-        parts = outcome.judged.setdefault(case.label, [])
-        for first in range(0, len(scenes), batch):
-            some = asked.rows(slice(first, first + batch))
-            motions = method(some, case.setting)
-            judged = judge(judged_among(some), motions)
-            parts.append(judged)
-            outcome.seconds += motions.seconds
-            outcome.steps += motions.steps * len(some)
-            yield judged, motions
-
-
-_ARRIVED = 1e-3
 
 
 def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float | None:
@@ -150,11 +124,11 @@ def evaluation_figures(
     cases: Sequence[Case],
     outcomes: Mapping[str, Outcome],
 ) -> dict[str, Any]:
-    """{"suite", "seed", "versions", "methods": {name: figures}}; see `method_figures`.
+    """Returns {"suite", "seed", "versions", "methods": {name: figures}}; see `method_figures`.
 
     Args:
         suite: the suite's name.
-        seed: of the scenes; None where they were read from a file.
+        seed: of the scenes; None for scenes without one.
         versions: "name version" each.
         cases: the cases that were run.
         outcomes: name of a method -> its outcome.
@@ -168,7 +142,7 @@ def evaluation_figures(
 
 
 def method_figures(outcome: Outcome, cases: Sequence[Case]) -> dict[str, Any]:
-    """The figures of one method.
+    """Returns the figures of one method.
 
     `motion_figures` over the suite's scenes; with several cases, over those that ask for
     a clearance and scale the duration, and `settings` has each case by its label. Besides:
@@ -188,7 +162,7 @@ def method_figures(outcome: Outcome, cases: Sequence[Case]) -> dict[str, Any]:
         figures["covers"] = main
         figures["settings"] = {case.label: motion_figures(outcome.of(case.label)) for case in cases}
     baselines = np.unique(judged.baseline)
-    if 1 < len(baselines) <= 10:
+    if len(baselines) > 1:
         figures["by_baseline"] = [
             {"baseline": float(L), **motion_figures(judged.rows(judged.baseline == L))}
             for L in baselines
@@ -197,65 +171,42 @@ def method_figures(outcome: Outcome, cases: Sequence[Case]) -> dict[str, Any]:
 
 
 def motion_figures(judged: Judgement) -> dict[str, Any]:
-    """Figures of a batch of motions; None where there is nothing to average.
+    """Returns the figures of a batch of motions; None where there is nothing to average.
 
-    Keys: `scenes`, `collisions`, `clearance_mean`, `clearance_min`, `short_of_feasible`
-    (more than 1 mm short of min(Delta, distance of start, of goal)), `goal_error_mean`,
-    `goal_error_max`, `path_ratio_mean`; and `goal_missed` (by more than 1 mm),
-    `clearance_std`, `clearance_max`, `path_ratio_max`, `delta_feasible` (scenes where Delta
-    itself is feasible) and over those `clearance_mean_feasible`, `short_worst` (most that
-    was lacking of the feasible clearance), `duration_mean`, `arrival_mean` and `arrival_max` (the
-    motion's duration over tau T with tau = path ratio, at least 1), `out_of_range` (scenes in
-    which the regressor chain was asked outside its trained range).
+    Keys: `scenes`, `collisions`, `clearance_mean`, `clearance_mean_feasible` (over the scenes where
+    Delta itself is feasible), `clearance_min`, `clearance_max`, `short_of_feasible` (more than 1 mm
+    short of min(Delta, distance of start, of goal)), `goal_error_mean`, `goal_error_max`,
+    `path_ratio_mean`.
     """
-    there = np.isfinite(judged.kept_clearance)
-    feasible: BoolArray = there & (judged.feasible >= judged.asked - 1e-12)
-    clearance = judged.kept_clearance[there]
-    lacking = np.maximum(judged.feasible - judged.kept_clearance, 0.0)[there]
+    clearance = judged.kept_clearance[np.isfinite(judged.kept_clearance)]
+    feasible = np.isfinite(judged.kept_clearance) & (judged.feasible >= judged.asked - 1e-12)
     return {
         "scenes": len(judged),
         "collisions": int(judged.collided.sum()),
         "clearance_mean": over(np.mean, clearance),
+        "clearance_mean_feasible": over(np.mean, judged.kept_clearance[feasible]),
         "clearance_min": over(np.min, clearance),
+        "clearance_max": over(np.max, clearance),
         "short_of_feasible": int(judged.short.sum()),
         "goal_error_mean": over(np.mean, judged.goal_error),
         "goal_error_max": over(np.max, judged.goal_error),
         "path_ratio_mean": over(np.mean, judged.path_ratio),
-        "goal_missed": int((judged.goal_error > _ARRIVED).sum()),
-        "clearance_std": over(np.std, clearance),
-        "clearance_max": over(np.max, clearance),
-        "path_ratio_max": over(np.max, judged.path_ratio),
-        "short_worst": over(np.max, lacking),
-        "delta_feasible": int(feasible.sum()),
-        "clearance_mean_feasible": over(np.mean, judged.kept_clearance[feasible]),
-        "duration_mean": over(np.mean, judged.duration),
-        "arrival_mean": over(np.mean, judged.arrival),
-        "arrival_max": over(np.max, judged.arrival),
-        "out_of_range": int(judged.out_of_range.sum()),
     }
 
 
 _COLUMNS = (
-    Column("scenes"),
     Column("collisions"),
     Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
+    Column("clearance_mean_feasible", "where feasible [m]", "{:.3f}"),
     Column("clearance_min", "min [m]", "{:.4f}"),
     Column("short_of_feasible", "short"),
-    Column("goal_error_mean", "goal error mean [mm]", "{:.3f}", 1e3),
-    Column("goal_error_max", "max [mm]", "{:.3f}", 1e3),
+    Column("goal_error_max", "goal error max [mm]", "{:.3f}", 1e3),
     Column("path_ratio_mean", "path ratio", "{:.3f}"),
-)
-_WHOLE = (
-    *_COLUMNS[:3],
-    Column("clearance_mean_feasible", "where feasible [m]", "{:.3f}"),
-    *_COLUMNS[3:],
-    Column("step_us", "step [us]", "{:.3g}"),
-    Column("seconds", form="{:.2f}"),
 )
 
 
 def evaluation_tables(figures: Mapping[str, Any]) -> list[TextTable]:
-    """All methods side by side; then each setting, or each baseline.
+    """Tabulates all methods side by side, and each baseline.
 
     Args:
         figures: as `evaluation_figures` makes them.
@@ -265,17 +216,14 @@ def evaluation_tables(figures: Mapping[str, Any]) -> list[TextTable]:
         {"name": name if method["complete"] else f"{name} (not complete)", **method}
         for name, method in methods.items()
     ]
-    covered = next((m["covers"] for m in methods.values() if "covers" in m), None)
-    notes = [f"(over: {'; '.join(covered)}; seconds: all settings)"] if covered else []
-    tables = [TextTable((Column("name", "method"), *_WHOLE), rows, notes)]
+    tables = [TextTable((Column("name", "method"), *_COLUMNS), rows)]
     for name, method in methods.items():
-        settings = [{"name": label, **part} for label, part in method.get("settings", {}).items()]
         baselines = [
             {"name": f"goal at {part['baseline']:g} m", **part}
             for part in method.get("by_baseline", ())
         ]
-        columns = (Column("name", name), *_COLUMNS)
-        tables += [TextTable(columns, rows) for rows in (settings, baselines) if rows]
+        if baselines:
+            tables.append(TextTable((Column("name", name), *_COLUMNS), baselines))
     return tables
 
 
@@ -284,14 +232,13 @@ FAMILIAR_MOST = 0.03
 
 
 def familiar_tables(figures: Mapping[str, Any]) -> list[TextTable]:
-    """Each method in the settings of the paper's familiar scenes, with what the print tells.
+    """Tabulates each method in the settings of the paper's familiar scenes beside the print.
 
     Args:
         figures: as `evaluation_figures` makes them.
     """
     columns = (
         Column("collisions"),
-        Column("collisions_printed", "print"),
         Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
         Column("clearance_min", "min [m]", "{:.3f}"),
         Column("clearance_max", "max [m]", "{:.3f}"),
@@ -308,8 +255,7 @@ def familiar_tables(figures: Mapping[str, Any]) -> list[TextTable]:
         rows = []
         for label, setting in method["settings"].items():
             most = FAMILIAR_MOST if label.endswith("scaled") else None
-            printed = {"collisions_printed": 0, "goal_error_printed": most}
-            rows.append({"name": label, **setting, **printed})
+            rows.append({"name": label, **setting, "goal_error_printed": most})
         tables.append(TextTable((Column("name", name), *columns), rows, notes))
     return tables
 
@@ -317,57 +263,36 @@ def familiar_tables(figures: Mapping[str, Any]) -> list[TextTable]:
 GAMMAS = (10.0, 30.0, 100.0, 300.0, 1000.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """What both terms kept at one gain.
-
-    Attributes:
-        gamma: gain of the original term [1/s].
-        original: (N,) clearance with the original term [m].
-        dead_zone_free: (N,) clearance with the dead-zone free one [m].
-    """
-
-    gamma: float
-    original: FloatArray
-    dead_zone_free: FloatArray
-
-
 def matched_term(gamma: float) -> tuple[float, float]:
-    """alpha [rad/s] and psi [rad] of the same peak and area as the original term."""
+    """Returns alpha [rad/s] and psi [rad] of the same peak and area as the original term."""
     return gamma / (BETA * math.e), 2.0 * math.e / (BETA * math.sqrt(math.pi))
 
 
-def compare_terms(scenes: Scenes, gammas: Sequence[float] = GAMMAS) -> list[Comparison]:
-    """Runs both terms on all scenes at each gain, with the duration not scaled."""
+def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
+    """Runs both terms on all scenes at each gain, with the duration not scaled.
+
+    Returns:
+        A row for each gain: clearances [m] in the first scene, head-on, and scenes that touch.
+    """
     setting = Setting(constrained=False, scale_time=False)
-    found = []
-    for gamma in gammas:
-        first = released_motions(scenes, setting, np.array((gamma, BETA, 0.0)), original=True)
-        second = released_motions(scenes, setting, np.array((*matched_term(gamma), 0.0)))
-        found.append(
-            Comparison(
-                gamma, judge(scenes, first).kept_clearance, judge(scenes, second).kept_clearance
-            )
-        )
-    return found
-
-
-def term_figures(comparisons: Sequence[Comparison]) -> list[dict[str, float]]:
-    """One row a gain: clearances [m] in the first scene, head-on, and scenes that touch."""
-    return [
-        {
-            "gamma": item.gamma,
-            "original_head_on": float(item.original[0]),
-            "dead_zone_free_head_on": float(item.dead_zone_free[0]),
-            "original_collisions": int((item.original <= 0.0).sum()),
-            "dead_zone_free_collisions": int((item.dead_zone_free <= 0.0).sum()),
-        }
-        for item in comparisons
-    ]
+    rows = []
+    for gamma in GAMMAS:
+        row = {"gamma": gamma}
+        for name, parameters in (
+            ("original", (gamma, BETA, 0.0)),
+            ("dead_zone_free", (*matched_term(gamma), 0.0)),
+        ):
+            is_original = name == "original"
+            motions = released_motions(scenes, setting, np.array(parameters), original=is_original)
+            clearance = judge(scenes, motions).kept_clearance
+            row[f"{name}_head_on"] = float(clearance[0])
+            row[f"{name}_collisions"] = int((clearance <= 0.0).sum())
+        rows.append(row)
+    return rows
 
 
 def term_table(figures: Sequence[dict[str, float]]) -> TextTable:
-    """The rows of `term_figures` as a table."""
+    """Tabulates the rows of `compare_terms`."""
     columns = (
         Column("gamma", "terms alone", "gamma = {:g}"),
         Column("original_head_on", "head-on: original [mm]", "{:.1f}", 1e3),

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.studies.scenes.scenes import DURATION, Batch, Motions, Scenes, scene_distance
+from drake_oa.studies.scenes.scenes import Batch, Motions, Scenes, scene_distance
 
 SUBSTEPS = 4
 """Samples judged in each interval of a motion."""
@@ -39,7 +39,6 @@ class Judgement(Batch):
         baseline: (N,) distance from start to goal: the planned path's length [m].
         asked: (N,) the clearance Delta asked for [m].
         duration: (N,) how long the motion lasts [s].
-        out_of_range: (N,) 1 where the regressor chain was asked outside its trained range.
     """
 
     kept_clearance: FloatArray
@@ -49,7 +48,6 @@ class Judgement(Batch):
     baseline: FloatArray
     asked: FloatArray
     duration: FloatArray
-    out_of_range: FloatArray
 
     def __len__(self) -> int:
         return len(self.kept_clearance)
@@ -68,11 +66,6 @@ class Judgement(Batch):
     def path_ratio(self) -> FloatArray:
         """(N,) length of the path over that of the planned one."""
         return self.path_length / self.baseline
-
-    @property
-    def arrival(self) -> FloatArray:
-        """(N,) duration over tau T, tau = path ratio, at least 1."""
-        return self.duration / (DURATION * np.maximum(self.path_ratio, 1.0))
 
 
 def judge(scenes: Scenes, motions: Motions) -> Judgement:
@@ -105,7 +98,6 @@ def judge(scenes: Scenes, motions: Motions) -> Judgement:
         baseline=np.array(scenes.baseline),
         asked=np.array(scenes.clearance),
         duration=np.array(motions.duration),
-        out_of_range=np.zeros(N) if motions.in_range is None else (~motions.in_range).astype(float),
     )
 
 

@@ -1,24 +1,19 @@
-"""Many obstacle-avoidance scenes as one struct of arrays, and their files (.npz).
+"""Many obstacle-avoidance scenes as one struct of arrays.
 
 Each is in the local frame L of its motion, which is the world frame: the start at rest
 in the origin, the goal at (baseline, 0, 0), z up. The demonstration is a straight
 minimum-jerk motion of `DURATION`. The tool is a point: obstacles are dilated already.
-
-A scenes file holds the fields of `Scenes` by name; it is checked on reading.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from drake_oa.common.files import read_arrays, replace_arrays
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.rollout import Scene
@@ -189,15 +184,12 @@ class Motions(Frozen):
         duration: (N,) tau T, the end of the scaled duration [s].
         seconds: computing time of the whole batch [s], regulation included,
             compilation excluded.
-        in_range: (N,) whether the regressor chain was asked within its trained range; None:
-            there is none, or it does not tell.
     """
 
     path: FloatArray
     velocity: FloatArray
     duration: FloatArray
     seconds: float
-    in_range: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.path)
@@ -206,110 +198,3 @@ class Motions(Frozen):
     def steps(self) -> int:
         """Steps of each motion."""
         return self.path.shape[1] - 1
-
-
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "baseline": (),
-    "center": (3,),
-    "semi_axes": (3,),
-    "R": (3, 3),
-    "velocity": (3,),
-    "clearance": (),
-}
-"""Of a file's arrays, after (N, M), or after (N,) for ()."""
-_ORTHONORMAL = 1e-6
-_LONGEST = 100.0
-"""Greatest baseline of a scene [m]."""
-_FARTHEST = 100.0
-"""A centre may be farther from the start than this many baselines in no scene."""
-
-
-def save_scenes(path: Path, scenes: Scenes) -> None:
-    """Writes a scenes file."""
-    replace_arrays(path, {name: getattr(scenes, name) for name in _SHAPES})
-
-
-def load_scenes(path: Path) -> Scenes:
-    """Reads and checks a scenes file.
-
-    Raises:
-        OSError: if the file cannot be read.
-        ValueError: if it is no .npz file, a key is missing, a shape does not fit, a value
-            cannot be (naming scene and obstacle), or there is not enough memory for it.
-    """
-    arrays = read_arrays(path)
-    _check_shapes(path, arrays)
-    scenes = Scenes(**{name: np.array(arrays[name], dtype=float, order="C") for name in _SHAPES})
-    check_scenes(scenes, str(path))
-    return scenes
-
-
-def _check_shapes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Raises ValueError for arrays that are missing or of another shape."""
-    missing = [name for name in _SHAPES if name not in arrays]
-    if missing:
-        raise ValueError(f"{path} lacks {', '.join(missing)}; needed: {', '.join(_SHAPES)}")
-    given = arrays["center"].shape
-    for name, trailing in _SHAPES.items():
-        shape, kind = arrays[name].shape, arrays[name].dtype
-        if kind.kind not in "fiu":
-            raise ValueError(f"{path}: {name} must hold real numbers, not {kind}")
-        wanted = (*given[:2], *trailing) if trailing else given[:1]
-        if shape != wanted:
-            raise ValueError(f"{path}: {name} must be {wanted} for centers {given}, not {shape}")
-    if given[0] == 0:
-        raise ValueError(f"{path} holds no scene")
-
-
-def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
-    """Raises ValueError, naming scene and obstacle, where a value cannot be.
-
-    Args:
-        scenes: scenes of the right shapes.
-        source: what they were read from.
-    """
-    L, there = scenes.baseline, scenes.center.shape[:2]
-    flat = np.concatenate(
-        [getattr(scenes, name).reshape(*there, math.prod(t)) for name, t in _SHAPES.items() if t],
-        axis=2,
-    )
-    absent, complete = np.isnan(flat).all(axis=2), np.isfinite(flat).all(axis=2)
-    far = np.linalg.norm(scenes.center, axis=-1) > _FARTHEST * L[:, None]
-    R = np.where(complete[..., None, None], scenes.R, np.eye(3))
-    off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
-    bad_clearance = ~((scenes.clearance > 0.0) & (scenes.clearance <= L))
-    negative = ~(scenes.semi_axes > 0.0).all(axis=-1)
-    for bad, name, valid in (
-        (~((L > 0.0) & (L <= _LONGEST)), "baseline", f"positive and at most {_LONGEST:g} [m]"),
-        (bad_clearance, "clearance", "positive and at most the baseline [m]"),
-        (
-            ~(absent | complete),
-            "center, semi_axes, R or velocity",
-            "finite, or NaN in all four where it is absent",
-        ),
-        (complete & negative, "semi_axes", "positive [m]"),
-        (
-            complete & far,
-            "center",
-            f"within {_FARTHEST:g} baselines of the start [m] (is it in millimetres?)",
-        ),
-        (
-            complete & ((off > _ORTHONORMAL) | (np.linalg.det(R) < 0.0)),
-            "R",
-            "a rotation: orthonormal to 1e-6, right-handed",
-        ),
-    ):
-        if bad.any():
-            place = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
-            where = f"scene {place[0]}" + (f", obstacle {place[1]}" if len(place) > 1 else "")
-            value = getattr(scenes, name.partition(",")[0])[place]
-            shown = np.array2string(np.asarray(value), separator=", ").replace("\n", "")
-            raise ValueError(f"{source}: {name} of {where} must be {valid}, not {shown}")
-    distance = scene_distance(scenes, np.zeros((len(scenes), 3)), np.zeros(len(scenes)))
-    inside = distance <= 0.0
-    if inside.any():
-        row = int(np.argmax(inside))
-        raise ValueError(
-            f"{source}: the start of scene {row} lies {-distance[row]:.3g} m inside an obstacle; "
-            "it must be outside all of them"
-        )

@@ -144,21 +144,19 @@ class Suite:
         count: how many by default.
         cases: how each scene is run.
         methods: the methods compared by default.
-        bytes_per_scene: memory that sampling takes for each scene, about.
     """
 
     sample: Callable[[np.random.Generator, int], Scenes]
     count: int
     cases: tuple[Case, ...] = (Case("RC(lambda',Delta)", Setting()),)
     methods: tuple[str, ...] = ("paper", "verified")
-    bytes_per_scene: int = 2_000
 
 
 def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
     """Scenes of a suite.
 
     Args:
-        name: a key of `SUITES`, `FIGURES` or `SAMPLINGS`.
+        name: a key of `SUITES` or `FIGURES`.
         count: how many, at least 1; None: the suite's default.
         seed: of the generator, at least 0.
 
@@ -181,7 +179,7 @@ def find_suite(name: str) -> Suite:
     Raises:
         ValueError: for an unknown name.
     """
-    known = SUITES | SAMPLINGS | _OF_FIGURES
+    known = SUITES | _OF_FIGURES
     if name not in known:
         raise ValueError(f"unknown suite {name!r}; valid: {', '.join(SUITES)}")
     return known[name]
@@ -210,7 +208,6 @@ def _boxed(
     count: int,
     baseline: float,
     posed: bool = False,
-    aside: float = _ASIDE,
     own_extent: bool = True,
 ) -> Scenes:
     """Proposals in the paper's box; NaN centres where the obstacle is too long for it.
@@ -227,46 +224,28 @@ def _boxed(
     if not own_extent:
         extent = np.full(count, min(longest, _SEMI_AXES[1]))
     room = baseline - 2.0 * (MARGIN + extent)
-    center = rng.uniform(-aside, aside, (count, 3))
+    center = rng.uniform(-_ASIDE, _ASIDE, (count, 3))
     center[:, 0] = MARGIN + extent + rng.random(count) * room
     # 1e-12: the longest one has no room but that of rounding.
     center[room < -1e-12] = np.nan
     return single_obstacle(baseline, center, a, R=R, clearance=CLEARANCE)
 
 
-def _boxed_scenes(
-    rng: np.random.Generator, count: int, keep: Callable[[Scenes], BoolArray], **box: Any
-) -> Scenes:
-    """Scenes of the paper's box that `keep` accepts, spread over the baselines; see `_boxed`."""
+def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> Scenes:
+    """Draws scenes of the paper's box whose straight line comes nearer than a limit.
+
+    They are spread over the baselines; box: see `_boxed`.
+    """
     parts, places = [], []
     for k, baseline in enumerate(BASELINES):
         rows = np.arange(k, count, len(BASELINES))
         if len(rows):
-            parts.append(accepted(rng, len(rows), partial(_boxed, baseline=baseline, **box), keep))
+            draw = partial(_boxed, baseline=baseline, **box)
+            parts.append(
+                accepted(rng, len(rows), draw, lambda scenes: line_distance(scenes)[:, 0] < limit)
+            )
             places.append(rows)
     return Scenes.joined(parts).rows(np.argsort(np.concatenate(places)))
-
-
-def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> Scenes:
-    """Scenes of the paper's box whose straight line comes nearer than a limit."""
-    return _boxed_scenes(rng, count, lambda scenes: line_distance(scenes)[:, 0] < limit, **box)
-
-
-def _head_on(rng: np.random.Generator, count: int) -> Scenes:
-    """The paper's box with random poses, but centres on the line, or within 1 cm of it.
-
-    Every other group of four scenes (one a baseline) has centres exactly on the line;
-    in the others they are uniform over the disc of 1 cm about it.
-    """
-
-    scenes = _boxed_scenes(rng, count, lambda scenes: scenes.present[:, 0], posed=True)
-    radius = 0.01 * np.sqrt(rng.random(count))
-    angle = rng.uniform(0.0, 2.0 * np.pi, count)
-    radius[(np.arange(count) // len(BASELINES)) % 2 == 0] = 0.0
-    center = scenes.center.copy()
-    center[:, 0, 1] = radius * np.cos(angle)
-    center[:, 0, 2] = radius * np.sin(angle)
-    return replace(scenes, center=center)
 
 
 def _clutter(rng: np.random.Generator, count: int) -> Scenes:
@@ -374,22 +353,10 @@ def familiar_cases() -> tuple[Case, ...]:
     )
 
 
-SAMPLINGS: dict[str, Suite] = {
-    "printed": Suite(partial(_single, limit=CLEARANCE), 4000),
-    "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000),
-    "narrow": Suite(partial(_single, limit=CLEARANCE, aside=0.2, own_extent=False), 4000),
-    "near": Suite(partial(_single, limit=0.1, own_extent=False), 4000),
-}
-"""Readings of the paper's novel scenes. printed: 5 cm from both ends to the obstacle's own extent;
-demo: to that of the longest, as in the released demo program; narrow: the same with centres within
-0.2 m aside, as there; near: as demo, with straight lines that come nearer than 0.1 m."""
-
 SUITES: dict[str, Suite] = {
-    "novel": SAMPLINGS["printed"],
-    "posed": Suite(partial(_single, limit=CLEARANCE, posed=True), 1000),
+    "novel": Suite(partial(_single, limit=CLEARANCE), 4000),
     "hit": Suite(partial(_single, limit=0.0, posed=True), 1000),
-    "head-on": Suite(_head_on, 1000),
-    "clutter": Suite(_clutter, 1000, bytes_per_scene=20_000),
+    "clutter": Suite(_clutter, 1000),
     "moving": Suite(_moving, 1000),
 }
 """Name of a suite -> the suite; `drake-oa evaluate --help` tells what each is."""
@@ -399,4 +366,6 @@ FIGURES = {"familiar": "figure_familiar", "dead-zone": "figure_dead_zone"}
 _OF_FIGURES = {
     "familiar": Suite(_familiar, 100, familiar_cases(), methods=("paper",)),
     "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),
+    # Of Table II: obstacles are 5 cm from both ends to the extent of the longest one.
+    "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000, methods=("paper",)),
 }

@@ -13,7 +13,6 @@ from drake_oa.studies.panda.scene_parts import (
     footprint_radius,
     view_margin,
 )
-from drake_oa.studies.results import Tally
 
 _DIRECTIONS = np.random.default_rng(0).normal(size=(400, 3))
 
@@ -34,7 +33,7 @@ def _surface(shape):
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
 def test_an_obstacle_stands_on_the_table_and_is_no_larger_than_said(seed):
-    (obstacle,) = draw_obstacles(np.random.default_rng(seed), 1, Tally())
+    (obstacle,) = draw_obstacles(np.random.default_rng(seed), 1)
     points = np.concatenate([_surface(shape) for shape in obstacle.shapes])
     assert -1e-9 <= points[:, 2].min() < 0.03
     assert points[:, 2].max() <= LARGEST + 1e-9

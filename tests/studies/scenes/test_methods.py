@@ -17,7 +17,7 @@ from drake_oa.studies.scenes.scenes import DURATION, single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes
 
 
-@pytest.mark.parametrize("suite", ["novel", "head-on", "clutter", "moving"])
+@pytest.mark.parametrize("suite", ["novel", "hit", "clutter", "moving"])
 def test_it_keeps_the_feasible_clearance_and_arrives(suite: str) -> None:
     scenes = draw_scenes(suite, 12, 5)
     verdict = judge(scenes, run_verified(scenes, Setting()))
@@ -56,7 +56,7 @@ def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
 
 
 def test_a_scene_gets_the_same_motion_in_any_batch() -> None:
-    scenes = draw_scenes("posed", 8, 1)
+    scenes = draw_scenes("hit", 8, 1)
     whole, part = run_verified(scenes, Setting()), run_verified(scenes.rows([5]), Setting())
     np.testing.assert_array_equal(whole.path[5], part.path[0])
 

@@ -13,22 +13,22 @@ from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
 from drake_oa.studies.scenes.paper_method import (
     ARRIVED,
+    SHIPPED,
     paper_chain,
     released_motions,
     run,
     run_original,
     section_axes,
+    sections,
     time_scale,
 )
-from drake_oa.studies.scenes.reading import Reading
 from drake_oa.studies.scenes.scenes import Scenes, single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
-from drake_oa.training.released_law import ALPHA_X, BETA_X, STEPS, released_forcing
+from drake_oa.training import released_law
+from drake_oa.training.released_law import ALPHA_X, BETA_X, STEPS, Steps, released_forcing
 
-PARAMETERS = (9000.0, 0.77, 25.0)
-UNSCALED = Setting(scale_time=False)
-DEMO = Reading(tau="widths", time="fixed", steps="demo")
-"""The released demonstration program."""
+DEMO = Steps(500, 0.005)
+"""Time steps of the released demonstration program."""
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -47,27 +47,26 @@ def test_the_first_axis_of_the_section_is_within_45_degrees_of_the_baseline(seed
 def test_the_forcing_term_is_the_released_one(reference):
     data = np.load(reference("authors_action_level.npz"))
     expected = data["forcing"][:, :, 0] / data["baseline"][:, None]
-    fitted = np.broadcast_to(released_forcing(STEPS["demo"]), expected.shape)
+    fitted = np.broadcast_to(released_forcing(DEMO), expected.shape)
     np.testing.assert_allclose(fitted, expected, atol=5e-9)
 
 
 @pytest.mark.parametrize("name", ["trajectory", "trajectory_original_term"])
 def test_released_trajectories_are_reproduced(reference, name, monkeypatch):
     data = np.load(reference("authors_action_level.npz"))
-    monkeypatch.setattr(paper_method, "time_scale", lambda scenes, reading: tau)
+    monkeypatch.setattr(paper_method, "time_scale", lambda scenes: tau)
     for row in range(len(data["tau"])):
         # Each has its forcing term and tau as the authors' code computed them.
         i, tau = slice(row, row + 1), data["tau"][row : row + 1]
         forcing = data["forcing"][row, :, 0] / data["baseline"][row]
-        monkeypatch.setattr(paper_method, "released_forcing", lambda steps, f=forcing: f)
+        monkeypatch.setattr(released_law, "released_forcing", lambda steps, f=forcing: f)
         scenes = single_obstacle(data["baseline"][i], data["center"][i], data["semi_axes"][i])
-        if name == "trajectory":
-            parameters = np.array([data[key][row] for key in ("alpha", "psi", "kappa")])
-            motions = released_motions(scenes, Setting(), parameters, reading=DEMO)
-        else:
+        original = name != "trajectory"
+        parameters = np.array([data[key][row] for key in ("alpha", "psi", "kappa")])
+        if original:
             parameters = np.array((1000.0, 20.0 / math.pi, 0.0))
-            motions = released_motions(scenes, Setting(), parameters, original=True, reading=DEMO)
-        np.testing.assert_allclose(motions.path[0, 1:], data[name][row], atol=1e-9)
+        motions = released_motions(scenes, Setting(), parameters, original=original, steps=DEMO)
+        np.testing.assert_allclose(motions.path[0, 1:501], data[name][row], atol=1e-9)
 
 
 @pytest.mark.parametrize("original", [False, True])
@@ -80,10 +79,10 @@ def test_several_moving_obstacles_add_up(original):
     scenes = Scenes(np.ones(1), center, a, R, drift, np.full(1, 0.1))
     between = ((10, 4, 0), (90, 7, 1)) if original else ((100, 0.4, 5), (900, 0.9, 30))
     parameters = rng.uniform(*between, (1, 3, 3))
-    motions = released_motions(scenes, Setting(), parameters, original=original, reading=DEMO)
-    tau, h = time_scale(scenes, DEMO)[0], STEPS["demo"].length
+    motions = released_motions(scenes, Setting(), parameters, original=original)
+    tau, h = time_scale(scenes)[0], STEPS.length
     x, v = np.zeros(3), np.zeros(3)
-    for step, f in enumerate(released_forcing(STEPS["demo"])):
+    for step, f in enumerate(released_forcing(STEPS)):
         push = np.array((f, 0.0, 0.0))
         if np.linalg.norm(v) > 1e-5:
             for m in range(2):
@@ -99,7 +98,6 @@ def test_several_moving_obstacles_add_up(original):
         x = x + h * v
         np.testing.assert_allclose(motions.path[0, step + 1], x, atol=1e-9)
         np.testing.assert_allclose(motions.velocity[0, step + 1], v, atol=1e-7)
-    assert motions.duration == pytest.approx(2.5)
 
 
 @pytest.mark.parametrize(
@@ -128,60 +126,22 @@ def test_obstacles_at_the_start_and_absent_ones_are_no_trouble():
 
 def test_tau_of_one_obstacle():
     scenes = single_obstacle(1.0, [[0.5, 0.12, 0.0]], [[0.1, 0.2, 0.05]], clearance=0.15)
-    centre, extreme = 2.0 * math.hypot(0.5, 0.12), 2.0 * math.hypot(0.5, 0.12 - 0.2)
-    for tau, way in (
-        ("widths", centre + 2.0 * (0.4 + 0.15)),
-        ("semi-axes", centre + 2.0 * (0.2 + 0.15)),
-        ("extreme", extreme),
-    ):
-        assert time_scale(scenes, Reading(tau=tau))[0] == pytest.approx(way)
-
-
-@pytest.fixture(scope="module")
-def few():
-    return draw_scenes("novel", 40, seed=3)
-
-
-@pytest.mark.parametrize("law", ["released", "printed"])
-def test_a_motion_ends_when_its_reading_says(few, law):
-    tau = time_scale(few)
-    fixed, scaled, arrived = (
-        run(few, Setting(), Reading(law=law, time=time))
-        for time in ("fixed", "tau", "until-arrived")
-    )
-    # Paths are the same as far as each goes; what has ended stays.
-    n = STEPS["training"].number
-    assert (fixed if law == "released" else scaled).steps == n
-    assert scaled.steps == (math.ceil(1000 * tau.max()) if law == "released" else 1000)
-    for motions in (fixed, arrived):
-        k = min(n, motions.steps) // 4
-        np.testing.assert_array_equal(motions.path[:, :k], scaled.path[:, :k])
-    error = np.linalg.norm(arrived.path - few.goal[:, None], axis=2)
-    assert (error[:, -1] <= ARRIVED).mean() > 0.4
-    assert (error[error[:, -1] > ARRIVED, n:] > ARRIVED).all()
-
-
-def test_the_running_law_turns_exactly_and_is_for_one_obstacle(few):
-    reading = Reading(law="running", chain="running", scale="baselines")
-    some = few.rows(few.baseline >= 1.0)
-    motions = run(some, Setting(), reading)
-    assert judge(some, motions).collided.sum() <= 1
-    # The path does not depend on tau.
-    unscaled = run(some, UNSCALED, reading)
-    np.testing.assert_allclose(unscaled.path, motions.path, atol=1e-9)
-    assert (unscaled.duration <= motions.duration).all()
-    with pytest.raises(ValueError, match="one obstacle"):
-        run(draw_scenes("clutter", 2), Setting(), reading)
+    way = 2.0 * math.hypot(0.5, 0.12) + 2.0 * (0.2 + 0.15)
+    assert time_scale(scenes)[0] == pytest.approx(way)
 
 
 @pytest.mark.parametrize("constrained", [True, False])
-def test_the_shipped_chains_are_used(constrained):
-    assert len(paper_chain(constrained).lower) == (3 if constrained else 2)
-    scenes = draw_scenes("novel", 40, seed=0)
+def test_the_shipped_chains_are_used_until_arrival(constrained):
+    assert len(paper_chain(SHIPPED[0] if constrained else SHIPPED[1]).lower) == 2 + constrained
+    scenes, number = draw_scenes("novel", 40, seed=0), STEPS.number
     motions = run(scenes, Setting(constrained=constrained))
-    assert STEPS["training"].number <= motions.steps <= 2 * STEPS["training"].number
-    np.testing.assert_allclose(motions.duration, 0.003 * motions.steps)
+    assert number <= motions.steps <= 2 * number
+    np.testing.assert_allclose(motions.duration, STEPS.length * motions.steps)
     assert judge(scenes, motions).collided.mean() < 0.1
+    error = np.linalg.norm(motions.path - scenes.goal[:, None], axis=2)
+    has_arrived = error[:, -1] <= ARRIVED
+    assert has_arrived.mean() > 0.4
+    assert (error[~has_arrived, number:] > ARRIVED).all()
 
 
 def test_hoffmanns_term_knows_no_clearance_and_does_not_turn_head_on():
@@ -194,5 +154,21 @@ def test_hoffmanns_term_knows_no_clearance_and_does_not_turn_head_on():
     scenes = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
     motions = run_original(scenes, Setting())
     # Beyond the goal it turns round, and sees the obstacle ahead again.
-    assert np.abs(motions.path[0, : STEPS["training"].number, 1:]).max() < 1e-9
+    assert np.abs(motions.path[0, : STEPS.number, 1:]).max() < 1e-9
     assert judge(scenes, motions).collided[0]
+
+
+def test_distances_in_the_p_plane_are_those_to_the_section():
+    rng = np.random.default_rng(4)
+    center = np.column_stack([np.full(20, 0.5), rng.uniform(-0.2, 0.2, (20, 2))])
+    center[0, 1:] = 0.0
+    a = rng.uniform(0.05, 0.2, (20, 3))
+    scenes = single_obstacle(1.0, center, a, R=random_rotations(rng, 20))
+    cut = sections(scenes)
+    R = cut.R[:, 0]
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    np.testing.assert_allclose(np.einsum("ni,ni->n", R[:, :, 2], center), 0.0, atol=1e-9)
+    # Points of the section's outline are on the ellipsoid.
+    for k in range(2):
+        point = np.einsum("nij,ni->nj", scenes.R[:, 0], cut.semi_axes[:, 0, k, None] * R[:, :, k])
+        np.testing.assert_allclose(((point / a) ** 2).sum(axis=1), 1.0)
