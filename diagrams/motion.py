@@ -30,7 +30,7 @@ from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import load_proposals
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
-from drake_oa.regulation.regressor_chain import Proposals, RegressorChain, Scaling
+from drake_oa.regulation.regressor_chain import Proposals, RegressorChain
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.route.cost_ring_selector import CostRingSelector
@@ -335,12 +335,8 @@ def make_regressor_chain(scenario: Scenario, proposals: Proposals | None = None)
             proposals = _loaded("proposals", network, load_proposals)
         weights = _loaded("chain", chain, _load_running) if chain else None
         return RegressorChain(weights, scenario.task.clearance, proposals=proposals, dmp=dmp)
-    length: Scaling = "route" if regulation.guided else "sections"
     return RegressorChain(
-        _loaded("weights", regulation.weights, _load_running),
-        scenario.task.clearance,
-        original=dmp.duration if regulation.term == "original" else None,
-        scaling=length if regulation.scaled else "none",
+        _loaded("weights", regulation.weights, _load_running), scenario.task.clearance
     )
 
 

@@ -308,12 +308,11 @@ def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
     task = scenario.task
     held = list(map(tool_link_corners, held_robots(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
-    paper = scenario.regulation if isinstance(scenario.regulation, Paper) else None
-    fitted = paper is not None and paper.shape == "superquadric"
+    regulation = scenario.regulation
+    fitted = isinstance(regulation, Paper) and regulation.shape == "superquadric"
     return EllipsoidDescriptor(
         np.concatenate(links),
         method="least_squares" if fitted else "enclosing",
-        exponent_prior=paper.exponent_prior if fitted and paper is not None else None,
         # A goal that moves comes by a port.
         free_W=[task.start] if task.goal_moves else [task.start, task.goal],
         tool_parts=merged_parts(links),

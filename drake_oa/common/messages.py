@@ -108,8 +108,6 @@ class EllipsoidSet(Frozen):
         p_WO: (M, 3) centres in the world frame [m].
         R_WO: (M, 3, 3) rotations; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes along those columns [m].
-        exponents: (M, 2) lambda_4 and lambda_5 of superquadrics (eq. 10), for which the ellipsoids
-            stand but in their sections; (0, 2): they are 1.
         v_WO: (M, 3) velocities of the centres in the world frame [m/s].
         ids: (M,) integers that name the rows, each different: the obstacle's name, and a
             multiple of `PART` more for the second and further parts of it.
@@ -121,7 +119,6 @@ class EllipsoidSet(Frozen):
     p_WO: FloatArray = zeros(0, 3)
     R_WO: FloatArray = zeros(0, 3, 3)
     semi_axes: FloatArray = zeros(0, 3)
-    exponents: FloatArray = zeros(0, 2)
     v_WO: FloatArray = zeros(0, 3)
     ids: IntArray = zeros(0, kind=np.int64)
     table: TablePlane | None = None
@@ -215,9 +212,6 @@ class Route(Frozen):
     Rows follow the rows of the EllipsoidSet that it was made for.
 
     Attributes:
-        heading_W: (M, 3) desired unit heading v_d for each obstacle; a zero row
-            where the present heading needs no guidance. (0, 3): it follows the motion,
-            and is found from the other fields at each step.
         direction_W: (M, 3) chosen direction omega_d on the local YZ circle, as a
             unit vector in the world frame.
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle
@@ -239,7 +233,6 @@ class Route(Frozen):
             over the baseline; inf: forbidden. (0,): there are no such rings.
     """
 
-    heading_W: FloatArray = zeros(0, 3)
     direction_W: FloatArray = zeros(0, 3)
     normal_W: FloatArray = zeros(0, 3)
     remaining_clearance: FloatArray = zeros(0)
@@ -282,9 +275,9 @@ class CouplingParameters(Frozen):
 
     Attributes:
         alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated
-            duration. Of the original term gamma.
-        psi: (M,) width of the response to the heading [rad]. Of the original term 1 / beta.
-        kappa: (M,) decay with the squared distance [1/m^2]. The original term has none.
+            duration.
+        psi: (M,) width of the response to the heading [rad].
+        kappa: (M,) decay with the squared distance [1/m^2].
         in_range: (M,) False where the query lay outside what the chain was trained
             for: it was then evaluated at the nearest input inside.
         center_W: (M, 3) the points the terms act about [m]; (0, 3): the obstacles'
@@ -299,7 +292,6 @@ class CouplingParameters(Frozen):
         anew: whether it is to begin anew from where it rests.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
-        original: whether they are of the original term (eq. 7).
         kind: (M,) `CHAIN` or `SIDE`; (0,): all are of the chain.
         length: (M,) expected path length of a side over the baseline; (0,): not given.
         likely: (M,) probability that a side achieves the requested clearance; (0,): not given.
@@ -318,7 +310,6 @@ class CouplingParameters(Frozen):
     note: str = ""
     anew: bool = False
     verified: bool = False
-    original: bool = False
     kind: IntArray = zeros(0, kind=np.int64)
     length: FloatArray = zeros(0)
     likely: FloatArray = zeros(0)

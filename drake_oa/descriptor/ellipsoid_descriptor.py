@@ -12,7 +12,8 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, ObstacleClouds
 from drake_oa.common.ports import read_value
-from drake_oa.descriptor.descriptor import Method, check_descriptor_arguments, describe
+from drake_oa.descriptor.descriptor import Method, describe
+from drake_oa.geometry.ellipsoid import checked_points
 
 
 class EllipsoidDescriptor(LeafSystem):
@@ -44,7 +45,6 @@ class EllipsoidDescriptor(LeafSystem):
         tool_W: ArrayLike,
         *,
         method: Method = "enclosing",
-        exponent_prior: float | None = None,
         free_W: ArrayLike = (),
         tool_parts: Sequence[FloatArray] = (),
     ) -> None:
@@ -56,32 +56,22 @@ class EllipsoidDescriptor(LeafSystem):
                 [[0, 0, 0]] for a point.
             method: "enclosing": the smallest ellipsoid that holds every dilated point.
                 "least_squares": the paper's superquadric, which leaves some outside.
-            exponent_prior: of "least_squares": how strongly the superquadric's exponents are
-                drawn to 1; None: they are 1.
             free_W: (F, 3) tool points that are known to be free: start and goal [m].
             tool_parts: (K_i, 3) vertices of the tool's convex parts, for obstacles near
                 those points [m]; none: the whole tool.
 
         Raises:
-            ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, the
-                method is unknown, the prior is negative or not finite, or free_W is not (F, 3) or
-                not finite.
+            ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, or free_W is
+                not (F, 3) or not finite.
         """
         super().__init__()
-        if exponent_prior is not None and not 0.0 <= exponent_prior < np.inf:
-            raise ValueError(
-                f"exponent_prior must be finite and not negative, not {exponent_prior}"
-            )
         free = np.array(free_W, dtype=float)
-        if free.size and (free.shape[1:] != (3,) or not np.isfinite(free).all()):
-            raise ValueError(f"free_W must be (F, 3) finite points [m], not {free}")
-        self._free_W = free.reshape(-1, 3)
+        self._free_W = checked_points(free, "free_W") if len(free) else np.zeros((0, 3))
         self._describe = partial(
             describe,
-            tool_W=check_descriptor_arguments(tool_W, method),
+            tool_W=np.array(checked_points(tool_W, "tool_W")),
             method=method,
-            exponent_prior=exponent_prior,
-            tool_parts=tuple(check_descriptor_arguments(p, method) for p in tool_parts),
+            tool_parts=[np.array(checked_points(part, "tool_parts")) for part in tool_parts],
         )
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
@@ -89,10 +79,7 @@ class EllipsoidDescriptor(LeafSystem):
             "ellipsoids_W",
             lambda: Value(EllipsoidSet()),
             self._calc_ellipsoids,
-            prerequisites_of_calc={
-                self._obstacles.ticket(),
-                self._goal.ticket(),
-            },
+            prerequisites_of_calc={self._obstacles.ticket(), self._goal.ticket()},
         )
 
     def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:

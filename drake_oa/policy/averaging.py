@@ -1,16 +1,16 @@
-"""One motion of several recorded ones: locally weighted regression over all their samples.
+"""One motion of several recorded ones: a penalized spline (P-spline) through all their samples.
 
 A hand trembles, samples come unevenly, and no two repetitions are alike. Each recording is put in
-its own normalised time s = (t - t_0) / (t_1 - t_0) and, its positions, in its local frame L
-divided by its baseline, as `drake_oa.policy.dmp` has it. At each of `POINTS` instants s_j a
-polynomial of degree 5 is fitted to the samples x_di of all recordings d,
+its own normalized time s = (t - t_0) / (t_1 - t_0) and, its positions, in its local frame L
+divided by its baseline, as `drake_oa.policy.dmp` has it. The mean motion is the quintic spline of
+evenly spaced knots whose coefficients c minimize
 
-    min over c of  sum_d sum_i ds_di w((s_di - s_j) / h) |x_di - sum_m c_m (s_di - s_j)^m|^2,
+    mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 
-with the tricube w(u) = (1 - |u|^3)^3 (Cleveland 1979; Atkeson, Moore and Schaal 1997), and c_0 is
-the mean motion there. ds_di is the time that a sample stands for: each recording counts the same,
-however often it was sampled. The forcing term is linear in a motion, so its regression over all
-recordings is that of their mean.
+(P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996), with the first three and the last
+three coefficients equal: it begins and ends at rest, as a primitive does. ds_di is the time that a
+sample stands for: each recording counts the same, however often it was sampled. The forcing term
+is linear in a motion, so its regression over all recordings is that of their mean.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import (
-    LARGEST_ANGLE,
     N_BASIS,
     checked_demonstration,
     checked_turn,
@@ -37,17 +37,12 @@ POINTS = 201
 """Instants at which the mean motion is told."""
 SPARSE = 100
 """Fewer samples than this are no recording but points to go through: a spline is put through."""
-_MOST = 5000
-"""Of a recording of more samples this many are used, evenly."""
 STILL = 0.2
 """Of `imitate`, for what was averaged: without it a force is left that leads off by 1 to 2 mm."""
-_DEGREE = 5
-_HALF_WIDTH = 0.2 * N_BASIS
-"""h times the number of basis functions: what is narrower than they are is no motion."""
-_FEWEST = 2 * (_DEGREE + 1)
-"""So many samples are to be within h at least; else h is larger there."""
-_REST = 0.1
-"""Normalised time in which the mean motion comes to rest."""
+_SPANS_PER_BASIS = 0.4
+"""Spans of the spline for each basis function: narrower details are no motion."""
+_PENALTY = 1e-6
+"""Weight lambda of the third differences, which bridges gaps of the recordings."""
 _SHORT = 0.05
 """A baseline of less than this share of the extent says nothing of frame and scale."""
 _UNLIKE = math.pi / 2.0
@@ -111,12 +106,8 @@ def average_orientations(
             differ by more than a quarter turn from their mean.
     """
     checked = _each(checked_turn, orientations, stamps)
-    rows = np.zeros(len(checked), dtype=int)
-    vectors = [vectors_from(R, 0) for R, _ in checked]
-    if max(np.linalg.norm(r, axis=1).max() for r in vectors) > LARGEST_ANGLE:
-        # All are counted from their middle, as `imitate_orientation` would.
-        rows = np.array([np.searchsorted(t, 0.5 * (t[0] + t[-1])) for _, t in checked])
-        vectors = [vectors_from(R, row) for (R, _), row in zip(checked, rows, strict=True)]
+    rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
+    vectors = [vectors_from(R, row) for (R, _), row in zip(checked, rows, strict=True)]
     origins = Rotation.from_matrix([R[row] for (R, _), row in zip(checked, rows, strict=True)])
     mean = origins.mean()
     ends = np.array([r[[0, -1]] for r in vectors])
@@ -159,46 +150,25 @@ def _regressed(
 ) -> tuple[FloatArray, FloatArray]:
     """Computes the regression (POINTS, D) of all values, each of (T_d, D), and its stamps."""
     at = np.linspace(0.0, 1.0, POINTS)
-    mean_stamps = at * float(np.mean([t[-1] - t[0] for t in stamps]))
     times, parts, shares = [], [], []
     for x, t in zip(values, stamps, strict=True):
         s = (t - t[0]) / (t[-1] - t[0])
         if len(x) < SPARSE:
             x, s = interpolant(s, x)(at), at
-        rows = np.linspace(0, len(x) - 1, min(len(x), _MOST)).astype(int)
-        times.append(s[rows])
-        parts.append(x[rows])
+        times.append(s)
+        parts.append(x)
         # At the edges of a gap no more than of some samples.
-        shares.append(np.minimum(np.gradient(times[-1]), 5.0 / len(times[-1])))
-    if len(values) == 1 and len(values[0]) < SPARSE:
-        return _at_rest(at, parts[0]), mean_stamps
-    s, x, share = np.concatenate(times), np.concatenate(parts), np.concatenate(shares)
-    order = np.argsort(s, kind="stable")
-    s, x, root = s[order], x[order], np.sqrt(share[order])
-    mean = np.empty((POINTS, x.shape[1]))
-    for row, s_j in enumerate(at):
-        away = np.abs(s - s_j)
-        near = np.partition(away, _FEWEST - 1)[_FEWEST - 1]
-        h = max(min(_HALF_WIDTH / n_basis, 1.0), 1.01 * float(near))
-        inside = slice(np.searchsorted(s, s_j - h), np.searchsorted(s, s_j + h, "right"))
-        u = (s[inside] - s_j) / h
-        weight = root[inside] * np.sqrt((1.0 - np.minimum(np.abs(u), 1.0) ** 3) ** 3)
-        powers = np.vander(u, _DEGREE + 1, increasing=True) * weight[:, None]
-        mean[row] = np.linalg.lstsq(powers, x[inside] * weight[:, None], rcond=None)[0][0]
-    return _at_rest(at, mean), mean_stamps
-
-
-def _at_rest(s: FloatArray, x: FloatArray) -> FloatArray:
-    """A motion that begins and ends at rest, as a primitive does, within `_REST` of either end.
-
-    What a hand's tremor leaves of velocity v and acceleration a there would be learnt as a force
-    that goes on after the end. From either end inwards, u = |s - end| / d, what is taken away is
-    the polynomial of degree 5 that has v and a at the end, and nothing of x there, and is gone
-    with both derivatives at u = 1.
-    """
-    spline = interpolant(s, x)
-    for end, inward in ((0.0, 1.0), (1.0, -1.0)):
-        u = np.minimum(np.abs(s - end) / _REST, 1.0)[:, None]
-        v, a = inward * _REST * spline(end, 1), _REST**2 * spline(end, 2)
-        x = x - v * u * (1.0 - u) ** 3 * (1.0 + 3.0 * u) - 0.5 * a * u**2 * (1.0 - u) ** 3
-    return x
+        shares.append(np.minimum(np.gradient(s), 5.0 / len(s)))
+    breaks = np.linspace(0.0, 1.0, max(round(_SPANS_PER_BASIS * n_basis), 1) + 1)
+    knots = np.concatenate([np.zeros(5), breaks, np.ones(5)])
+    count = len(breaks) + 4
+    # At rest at both ends: three coefficients are one.
+    free = np.repeat(np.eye(count - 4), [3, *[1] * (count - 6), 3], axis=0)
+    basis = BSpline.design_matrix(np.concatenate(times), knots, 5).toarray()
+    root = np.sqrt(np.concatenate(shares) / len(values))[:, None]
+    rows = np.concatenate([root * basis, math.sqrt(_PENALTY) * np.diff(np.eye(count), 3, axis=0)])
+    target = np.zeros((len(rows), values[0].shape[1]))
+    target[: len(root)] = root * np.concatenate(parts)
+    coefficients = np.linalg.lstsq(rows @ free, target, rcond=None)[0]
+    mean_stamps = at * float(np.mean([t[-1] - t[0] for t in stamps]))
+    return BSpline(knots, free @ coefficients, 5)(at), mean_stamps

@@ -1,7 +1,5 @@
 """Configuration of the motion: a scenario's field `policy`."""
 
-from typing import Literal
-
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
@@ -28,12 +26,6 @@ class Policy:
     n_basis: int = Field(default=35, ge=2, le=1000)
     """Number of basis functions of the forcing term [1]. Raising it reproduces finer details of a
     demonstration."""
-    guidance: Literal["counterphase", "printed"] = "counterphase"
-    """Decay of heading guidance near an obstacle (docs/equations.md): `counterphase` to the
-    avoidance term, or as `printed` in the paper."""
-    guidance_gain: float = Field(default=1e6, ge=0.0, le=1e6)
-    """Maximum gain alpha of the heading guidance term [1]. Raising it turns the motion toward the
-    selected side more strongly."""
     fade: float = Field(default=0.3, ge=0.0, le=1.0)
     """Fraction of the start-to-goal distance before the goal within which the coupling terms fade
     to zero [1]; 0: no fading, as printed in the paper. Raising it ends avoidance farther from the

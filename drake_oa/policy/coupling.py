@@ -1,20 +1,19 @@
 """Coupling terms: turning the motion away from obstacles and toward a heading.
 
 A coupling term C turns the scaled velocity z without pushing it: C = Omega x z
-(eq. 6), where Omega is an angular rate per unit of normalised time
+(eq. 6), where Omega is an angular rate per unit of normalized time
 s = t / (tau T). Several terms add up (section III-C of the paper). Using z where
 the paper writes the velocity makes the path independent of tau.
 
-Signs. The P-plane is spanned by the way to the obstacle's centre, p_EO, and z. The
-avoidance term turns about p_EO x z, the guidance term about z x v_d, both by the
+Signs. The P-plane is spanned by the way to the obstacle's center, p_EO, and z, or is given by its
+normal. The avoidance term turns about p_EO x z, the guidance term about z x v_d, both by the
 right-hand rule: a positive rate turns away from the obstacle, or toward v_d. Where
-these products vanish, the caller's plane normal stands in: a positive turn about it
-goes from the obstacle's centre toward the side to pass on.
+these products vanish, the normal of the plane stands in: a positive turn about it
+goes from the obstacle's center toward the side to pass on.
 
 How one step turns is derived in docs/equations.md ("Integration"). The kernels pass vectors as
-triples, so that nothing is allocated and everything can be inlined. A term is its axis, its
-explicit turn over the step and the divisor of the linearly implicit composition; a divisor of 0
-says that it does not act.
+triples, so that nothing is allocated and everything can be inlined. A term is its axis, its turn
+over the step alone, and its rate times the step; a turn of 0 says that it does not act.
 """
 
 from __future__ import annotations
@@ -33,23 +32,18 @@ PARALLEL = 1e-6
 An imitated motion may begin with a little step back: where its heading passes through none there
 is nothing but rounding to it, which must not choose the side."""
 
-MAX_GUIDANCE_RATE = 1000.0
-"""Saturation of the printed guidance term [rad per normalised time]."""
-
-ALPHA, PSI, KAPPA, HEADING, NORMAL, GUIDANCE_ALPHA = 3, 4, 5, 6, 9, 12
-"""Columns of a row of terms after its centre; heading and normal take three each."""
-N_COLUMNS = 13
+ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
+"""Columns of a row of terms after its center; heading and normal have three each."""
+N_COLUMNS = 12
 """Number of columns of a row of terms."""
 
 _MAX_STIFFNESS = 1e4
-_MAX_EXPONENT = 700.0
-_MAX_RATE = 1e300
 _NEGLIGIBLE = 1e-15
 """Largest turn of an avoidance term in a step that is left out [rad]."""
 
 Triple = tuple[float, float, float]
 Term = tuple[Triple, float, float]
-"""Axis, explicit turn [rad], divisor (0: no term)."""
+"""Axis, turn over the step alone [rad] (0: no term), and rate times the step [rad]."""
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 
 
@@ -57,7 +51,7 @@ def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatA
     """Hoffmann's turning rate, (eq. 7): gamma theta exp(-beta |theta|).
 
     Args:
-        theta: heading relative to the obstacle's centre [rad], positive off to one side.
+        theta: heading relative to the obstacle's center [rad], positive off to one side.
         gamma: strength [1 per time].
         beta: shape [1/rad].
 
@@ -77,8 +71,8 @@ def dead_zone_free_rate(
     heading straight at the obstacle turns fastest, and the plane says to which side.
 
     Args:
-        theta: heading relative to the obstacle's centre [rad].
-        d: distance to the obstacle's centre [m].
+        theta: heading relative to the obstacle's center [rad].
+        d: distance to the obstacle's center [m].
         alpha: strength [rad per time].
         psi: width of the reaction over the heading [rad].
         kappa: decay over the distance [1/m^2].
@@ -94,32 +88,39 @@ def dead_zone_free_rate(
 
 
 @compiled
-def norm(v: Triple) -> float:
-    """Length of a vector; neither overflows nor underflows on the way."""
-    x, y, z = v
-    square = x * x + y * y + z * z
-    if 1e-280 < square < 1e280:
-        return math.sqrt(square)
-    most = max(abs(x), abs(y), abs(z))
-    if most == 0.0 or not most < math.inf:
-        return most
-    x, y, z = x / most, y / most, z / most
-    return most * math.sqrt(x * x + y * y + z * z)
-
-
-@compiled
-def _dot(a: Triple, b: Triple) -> float:
+def dot(a: Triple, b: Triple) -> float:
+    """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def _cross(a: Triple, b: Triple) -> Triple:
+def cross(a: Triple, b: Triple) -> Triple:
+    """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
-def _divided(v: Triple, by: float) -> Triple:
-    return v[0] / by, v[1] / by, v[2] / by
+def norm(v: Triple) -> float:
+    """Length of a vector."""
+    return math.sqrt(dot(v, v))
+
+
+@compiled
+def mixed(a: float, v: Triple, b: float, w: Triple) -> Triple:
+    """Linear combination a v + b w."""
+    return a * v[0] + b * w[0], a * v[1] + b * w[1], a * v[2] + b * w[2]
+
+
+@compiled
+def scaled(a: float, v: Triple) -> Triple:
+    """Multiple a v."""
+    return a * v[0], a * v[1], a * v[2]
+
+
+@compiled
+def triple(array: FloatArray, row: int, column: int = 0) -> Triple:
+    """Vector in a row of an array, from a column on."""
+    return array[row, column], array[row, column + 1], array[row, column + 2]
 
 
 @compiled
@@ -128,191 +129,109 @@ def rotate(z: Triple, w: Triple) -> Triple:
     angle = norm(w)
     if angle == 0.0:
         return z
+    axis = scaled(1.0 / angle, w)
     half = math.sin(0.5 * angle)
-    cos = 1.0 - 2.0 * half * half
-    axis = _divided(w, angle)
-    sin = 2.0 * half * math.cos(0.5 * angle)
-    along = _dot(axis, z) * 2.0 * half * half
-    across = _cross(axis, z)
-    return (
-        cos * z[0] + sin * across[0] + along * axis[0],
-        cos * z[1] + sin * across[1] + along * axis[1],
-        cos * z[2] + sin * across[2] + along * axis[2],
-    )
+    versine = 2.0 * half * half
+    turned = mixed(1.0 - versine, z, 2.0 * half * math.cos(0.5 * angle), cross(axis, z))
+    return mixed(1.0, turned, versine * dot(axis, z), axis)
 
 
 @compiled
 def between(a: Triple, b: Triple) -> tuple[Triple, float, bool]:
     """Axis and angle of the turn from unit a to unit b, and whether the axis is defined."""
-    across = _cross(a, b)
-    sin, cos = math.sqrt(_dot(across, across)), _dot(a, b)
-    if sin > PARALLEL:
-        return _divided(across, sin), math.atan2(sin, cos), True
-    return (0.0, 0.0, 0.0), 0.0 if cos > 0.0 else math.pi, False
+    across, cosine = cross(a, b), dot(a, b)
+    sine = norm(across)
+    if sine > PARALLEL:
+        return scaled(1.0 / sine, across), math.atan2(sine, cosine), True
+    return across, 0.0 if cosine > 0.0 else math.pi, False
 
 
 @compiled
-def between_in_plane(a: Triple, b: Triple, normal: Triple) -> tuple[Triple, float, bool]:
-    """As `between`, with both seen along a normal of any length: the axis is it or its opposite.
+def between_in_plane(a: Triple, b: Triple, n: Triple) -> tuple[Triple, float, bool]:
+    """As `between`, with both seen along a unit normal: the axis is it or its opposite.
 
     It is the normal where they are parallel, and undefined where they are opposite or one of
     them is seen as a point.
     """
-    n = _divided(normal, norm(normal))
-    sine, cosine = _dot(n, _cross(a, b)), _dot(a, b) - _dot(a, n) * _dot(b, n)
+    sine, cosine = dot(n, cross(a, b)), dot(a, b) - dot(a, n) * dot(b, n)
     if abs(sine) <= PARALLEL:
         return n, 0.0 if cosine > PARALLEL else math.pi, cosine > PARALLEL
-    if sine > 0.0:
-        return n, math.atan2(sine, cosine), True
-    return (-n[0], -n[1], -n[2]), math.atan2(-sine, cosine), True
+    return scaled(math.copysign(1.0, sine), n), math.atan2(abs(sine), cosine), True
 
 
 @compiled
-def _orthogonal(n: Triple, e: Triple) -> tuple[Triple, float]:
-    """The part of n orthogonal to the unit e, and its length."""
-    along = _dot(n, e)
-    part = n[0] - along * e[0], n[1] - along * e[1], n[2] - along * e[2]
-    return part, math.sqrt(_dot(part, part))
+def orthogonal(n: Triple, e: Triple) -> Triple:
+    """Unit vector along the part of n that is orthogonal to the unit e, or a definite stand-in."""
+    part = mixed(1.0, n, -dot(n, e), e)
+    if norm(part) <= 1e-3 * norm(n):
+        part = mixed(1.0, (0.0, 0.0, 1.0), -e[2], e)
+        if norm(part) <= 1e-3:
+            part = mixed(1.0, (1.0, 0.0, 0.0), -e[0], e)
+    return scaled(1.0 / norm(part), part)
 
 
 @compiled
-def fallback(normal: Triple, e: Triple) -> Triple:
-    """The normal made orthogonal to the unit heading e, or a definite stand-in."""
-    size = norm(normal)
-    if size > 0.0:
-        part, length = _orthogonal(_divided(normal, size), e)
-        if length > 1e-3:
-            return _divided(part, length)
-    part, length = _orthogonal((0.0, 0.0, 1.0), e)
-    if length > 1e-3:
-        return _divided(part, length)
-    part, length = _orthogonal((1.0, 0.0, 0.0), e)
-    return _divided(part, length)
-
-
-@compiled
-def stiff(explicit: float, angle: float) -> tuple[float, float]:
-    """Explicit turn and divisor whose quotient is the angle, kept in a sound range."""
-    if not angle > 0.0:
-        return 0.0, 1.0
-    divisor = min(max(explicit / angle, 1.0), _MAX_STIFFNESS)
-    return angle * divisor, divisor
-
-
-@compiled
-def limited_avoidance(rate: float, theta: float, psi: float, step: float) -> tuple[float, float]:
-    """Explicit turn and divisor of theta' = A exp(-theta^2 / psi^2), rate at theta >= 0."""
-    c = min(rate * step / psi, 1e150)
-    u = theta / psi
+def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
+    """Turn over a step of theta' = A exp(-theta^2 / psi^2), rate at theta >= 0 [rad]."""
+    c, u = rate * step / psi, theta / psi
     if c < 1e-14:
-        angle = rate * step
-    else:
-        x = c / math.sqrt(1.0 + 2.0 * u * c)
-        # Faster than math.asinh.
-        asinh = math.log1p(x + x * x / (1.0 + math.sqrt(x * x + 1.0)))
-        grown = math.log1p(c * (2.0 * u + asinh))
-        angle = psi * grown / (u + math.sqrt(u * u + grown))
-    return stiff(rate * step, min(angle, math.pi - theta))
-
-
-@compiled
-def limited_guidance(gain: float, theta: float, step: float, limit: float) -> tuple[float, float]:
-    """Explicit turn and divisor of theta' = -min(gain theta, limit); gain > 0."""
-    rate = min(gain * theta, limit)
-    if rate < limit:
-        angle = -theta * math.expm1(-gain * step)
-    else:
-        linear = theta - limit / gain
-        rest = step - linear / limit
-        angle = limit * step if rest <= 0.0 else linear - limit / gain * math.expm1(-gain * rest)
-    return stiff(rate * step, angle)
-
-
-@compiled
-def guidance_gain(alpha: float, closeness: float, printed: bool) -> float:
-    """Gain of the guidance term, its rate over its angle (eq. 9), at closeness = kappa d^2.
-
-    "counterphase": alpha (1 - exp(-kappa d^2)), bounded, vanishing at the obstacle. "printed":
-    alpha exp(1 + kappa d^2), as the paper prints it; it grows without bound with d.
-    """
-    if printed:
-        gain = alpha * math.exp(min(1.0 + closeness, _MAX_EXPONENT))
-    else:
-        gain = -alpha * math.expm1(-closeness)
-    return min(gain, _MAX_RATE)
+        return rate * step
+    x = c / math.sqrt(1.0 + 2.0 * u * c)
+    # Faster than math.asinh.
+    asinh = math.log1p(x + x * x / (1.0 + math.sqrt(x * x + 1.0)))
+    grown = math.log1p(c * (2.0 * u + asinh))
+    return min(psi * grown / (u + math.sqrt(u * u + grown)), math.pi - theta)
 
 
 @compiled
 def avoidance_term(
-    u: Triple,
-    e: Triple,
-    normal: Triple,
-    alpha: float,
-    psi: float,
-    closeness: float,
-    in_plane: bool,
-    original: bool,
-    step: float,
+    o: Triple, e: Triple, normal: Triple, alpha: float, psi: float, kappa: float, step: float
 ) -> Term:
-    """Turn away from the obstacle, (eq. 8) or (eq. 7).
+    """Turn away from the obstacle, (eq. 8).
 
     Args:
-        u: unit vector from E to the centre.
+        o: vector from E to the center [m].
         e: unit heading.
-        normal: of the passing plane, of any length or zero.
-        alpha, psi: parameters of the term; of the original one gamma and 1 / beta.
-        closeness: kappa d^2.
-        in_plane: whether the term acts in the plane of that normal, if there is one.
-        original: whether it is the original term.
+        normal: of the plane in which the term acts, of any length; zero: the P-plane.
+        alpha, psi, kappa: parameters of the term.
         step: length of the step.
     """
-    near = alpha if original else alpha * math.exp(-closeness)
-    if near * step < _NEGLIGIBLE:
+    d, size = norm(o), norm(normal)
+    near = alpha * math.exp(-kappa * d * d)
+    if d == 0.0 or near * step < _NEGLIGIBLE:
         return _ABSENT
-    if in_plane and (normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0):
-        axis, theta, defined = between_in_plane(u, e, normal)
+    u = scaled(1.0 / d, o)
+    if size > 0.0:
+        axis, theta, defined = between_in_plane(u, e, scaled(1.0 / size, normal))
     else:
         axis, theta, defined = between(u, e)
         if not defined and theta == 0.0:
-            axis, defined = fallback(normal, e), True
-    u_psi = theta / psi
-    if original:
-        rate = min(alpha * theta * math.exp(-u_psi), _MAX_RATE)
-    else:
-        rate = min(near * math.exp(-u_psi * u_psi), _MAX_RATE)
-    if not defined or not rate > 0.0:
+            axis, defined = orthogonal(normal, e), True
+    rate = near * math.exp(-((theta / psi) ** 2))
+    if not defined:
         return _ABSENT
-    if original:
-        explicit, divisor = stiff(rate * step, min(rate * step, math.pi - theta))
-    else:
-        explicit, divisor = limited_avoidance(rate, theta, psi, step)
-    return axis, explicit, divisor
+    return axis, avoidance_turn(rate, theta, psi, step), rate * step
 
 
 @compiled
 def guidance_term(
-    v: Triple,
-    e: Triple,
-    normal: Triple,
-    alpha: float,
-    closeness: float,
-    printed: bool,
-    max_rate: float,
-    step: float,
+    v: Triple, e: Triple, normal: Triple, alpha: float, closeness: float, step: float
 ) -> Term:
-    """Turn toward the desired heading v, not zero, of any length, (eq. 9).
+    """Turn toward the unit heading v; zero: none.
 
-    The other arguments are those of `avoidance_term` and `turn_step`.
+    The gain, its rate over its angle, is alpha (1 - exp(-kappa d^2)) in place of (eq. 9), which
+    grows without bound with d: bounded, vanishing at the obstacle. `closeness` is kappa d^2; the
+    other arguments are those of `avoidance_term`.
     """
-    axis, theta, defined = between(e, _divided(v, norm(v)))
-    if not defined and theta > 0.0:
-        axis, defined = fallback(normal, e), True
-    gain = guidance_gain(alpha, closeness, printed)
-    if not defined or not gain > 0.0:
+    gain = -alpha * math.expm1(-closeness)
+    if norm(v) == 0.0 or not gain > 0.0:
         return _ABSENT
-    limit = max_rate if printed else math.inf
-    explicit, divisor = limited_guidance(gain, theta, step, limit)
-    return axis, explicit, divisor
+    axis, theta, defined = between(e, v)
+    if not defined and theta > 0.0:
+        axis, defined = orthogonal(normal, e), True
+    if not defined:
+        return _ABSENT
+    return axis, -theta * math.expm1(-gain * step), gain * theta * step
 
 
 @compiled
@@ -333,87 +252,56 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 
 
 @leaf
-def turn_step(
-    terms: FloatArray,
-    in_plane: bool,
-    original: bool,
-    printed: bool,
-    max_rate: float,
-    p: Triple,
-    z: Triple,
-    step: float,
-) -> Triple:
-    """Turn of the heading over a step of normalised time.
+def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float) -> Triple:
+    """Turn of the heading over a step of normalized time.
 
     Linearly implicit in the sum of all terms, so that each term alone turns as far as its own
     exact flow does (within 2.5 %): never past the direction straight away from the obstacle,
     or past v_d, however large its rate. A turn is at most pi.
 
     Args:
-        terms: (M, 13) rows p_WO (3), alpha, psi, kappa, heading (3), normal (3) and
-            guidance alpha; finite, psi > 0, the other parameters not negative.
-        in_plane: whether avoidance terms act in the planes of the normals.
-        original: whether they are the original ones.
-        printed: the printed form of the guidance term, not the counterphase.
-        max_rate: saturation of the printed form [rad per normalised time].
+        terms: (M, 12) rows p_WO (3), alpha, psi, kappa, unit heading (3; zero: no guidance) and
+            normal (3); finite, psi > 0, alpha and kappa not negative.
+        fade: factor on the strengths alpha.
         p: p_WE [m].
         z: scaled velocity z_W [m].
-        step: length of the step in normalised time, at least 0.
+        step: length of the step in normalized time, at least 0.
 
     Returns:
         Axis times angle [rad] in the world frame, for `rotate`.
     """
     speed = norm(z)
-    if not 0.0 < speed < math.inf:
-        return 0.0, 0.0, 0.0
-    e = _divided(z, speed)
+    if speed == 0.0:
+        return z
+    e = scaled(1.0 / speed, z)
     xx = yy = zz = 1.0
     xy = xz = yz = wx = wy = wz = 0.0
-    axis, explicit, divisor = _ABSENT
-    count = 0
+    alone, count = z, 0
     for row in range(len(terms)):
-        o = terms[row, 0] - p[0], terms[row, 1] - p[1], terms[row, 2] - p[2]
-        d = norm(o)
-        if not d < math.inf:
+        alpha, psi, kappa = triple(terms, row, ALPHA)
+        alpha *= fade
+        if not alpha > 0.0:
             continue
-        alpha, psi, kappa = terms[row, ALPHA], terms[row, PSI], terms[row, KAPPA]
-        guide = terms[row, GUIDANCE_ALPHA]
-        normal = terms[row, NORMAL], terms[row, NORMAL + 1], terms[row, NORMAL + 2]
-        v = terms[row, HEADING], terms[row, HEADING + 1], terms[row, HEADING + 2]
-        closeness = kappa * d * d if kappa != 0.0 else 0.0
-        for guides in range(2):
-            if guides:
-                if not guide > 0.0 or (v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0):
-                    continue
-                term = guidance_term(v, e, normal, guide, closeness, printed, max_rate, step)
-            else:
-                if not (d > 0.0 and alpha > 0.0):
-                    continue
-                u = _divided(o, d)
-                term = avoidance_term(u, e, normal, alpha, psi, closeness, in_plane, original, step)
-            if term[2] == 0.0:
+        o, normal = mixed(1.0, triple(terms, row), -1.0, p), triple(terms, row, NORMAL)
+        for axis, angle, explicit in (
+            avoidance_term(o, e, normal, alpha, psi, kappa, step),
+            guidance_term(triple(terms, row, HEADING), e, normal, alpha, kappa * dot(o, o), step),
+        ):
+            if not angle > 0.0:
                 continue
-            axis, explicit, divisor = term
-            ax, ay, az = axis
-            q = divisor - 1.0
+            divisor = min(max(explicit / angle, 1.0), _MAX_STIFFNESS)
+            q, (ax, ay, az) = divisor - 1.0, axis
             xx += q * ax * ax
             yy += q * ay * ay
             zz += q * az * az
             xy += q * ax * ay
             xz += q * ax * az
             yz += q * ay * az
-            wx += explicit * ax
-            wy += explicit * ay
-            wz += explicit * az
-            count += 1
+            wx += divisor * angle * ax
+            wy += divisor * angle * ay
+            wz += divisor * angle * az
+            alone, count = scaled(angle, axis), count + 1
     if count == 0:
         return 0.0, 0.0, 0.0
-    if count == 1:
-        angle = explicit / divisor
-        return angle * axis[0], angle * axis[1], angle * axis[2]
-    w = _solve((xx, yy, zz), (xy, xz, yz), (wx, wy, wz))
-    angle = norm(w)
-    if angle > math.pi:
-        shrink = math.pi / angle
-        return shrink * w[0], shrink * w[1], shrink * w[2]
-    return w
+    w = alone if count == 1 else _solve((xx, yy, zz), (xy, xz, yz), (wx, wy, wz))
+    return scaled(min(1.0, math.pi / norm(w)), w)

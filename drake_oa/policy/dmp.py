@@ -41,16 +41,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, zeros
+from drake_oa.policy.action_kernels import Course, advance, spring_flow
+from drake_oa.policy.guidance import NO_OBSTACLES
 
 ALPHA_X = 48.0
 """Default spring constant alpha_x, per normalised time."""
@@ -60,71 +62,6 @@ ALPHA_K = math.log(100.0)
 """Default decay of the phase: 1 % is left at the end of the motion."""
 N_BASIS = 35
 """Default number of basis functions."""
-
-
-class Primitive(NamedTuple):
-    """A `Dmp` as kernels take it; basis (2 + D, N): centres, widths, and a row of weights each."""
-
-    alpha_x: float
-    beta_x: float
-    alpha_k: float
-    duration: float
-    basis: FloatArray
-
-
-@compiled
-def forcing(basis: FloatArray, k: float, force: FloatArray) -> None:
-    """Forcing term (eq. 3) at phase k, into force (D,): sum psi_i w_i k / sum psi_i."""
-    most, D = 0.0, len(force)
-    for attempt in range(2):
-        total, least = 0.0, math.inf
-        force[:] = 0.0
-        for i in range(basis.shape[1]):
-            offset = k - basis[0, i]
-            exponent = basis[1, i] * offset * offset
-            least = min(least, exponent)
-            weight = math.exp(most - exponent)
-            total += weight
-            for row in range(D):
-                force[row] += basis[2 + row, i] * weight
-        if attempt == 1 or total >= 1e-200:
-            break
-        # Far from every centre: the quotient exists, its parts underflow.
-        most = least
-    for row in range(D):
-        force[row] *= k / total
-
-
-@compiled
-def spring_flow(alpha_x: float, beta_x: float, step: float) -> tuple[float, float, float, float]:
-    """Exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z over a step.
-
-    Args:
-        alpha_x: spring constant.
-        beta_x: spring constant; any damping.
-        step: length of the step, at least 0.
-
-    Returns:
-        a, b, c, d with e <- a e + b z and z <- c e + d z.
-    """
-    stiffness, half = alpha_x * beta_x, 0.5 * alpha_x
-    square = half * half - stiffness
-    if abs(square) <= 1e-14 * half * half:
-        cosine = math.exp(-half * step)
-        sine = cosine * step
-    elif square < 0.0:
-        omega = math.sqrt(-square)
-        decay = math.exp(-half * step)
-        cosine = decay * math.cos(omega * step)
-        sine = decay * math.sin(omega * step) / omega
-    else:
-        omega = math.sqrt(square)
-        # half - omega without cancellation.
-        slow = math.exp(-step * stiffness / (half + omega))
-        fast = math.exp(-step * (half + omega))
-        cosine = 0.5 * (slow + fast)
-        sine = 0.5 * (slow - fast) / omega
-    return cosine + half * sine, sine, -stiffness * sine, cosine - half * sine
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,24 +86,44 @@ class Dmp(Frozen):
     weights: FloatArray
     duration: float = 1.0
 
-    @cached_property
-    def kernel(self) -> Primitive:
-        """As the kernels take it."""
-        basis = np.vstack([self.centers, self.widths, self.weights])
-        return Primitive(self.alpha_x, self.beta_x, self.alpha_k, self.duration, basis)
-
-    @property
-    def dimension(self) -> int:
-        """D, the number of dimensions."""
-        return len(self.weights)
-
     def phase(self, s: ArrayLike) -> FloatArray:
         """Phase k at normalised time s, (eq. 5): exp(-alpha_k s)."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
+    def forcing(self, k: FloatArray) -> FloatArray:
+        """Forcing term (eq. 3) at phases (T,), for a baseline of length 1, (T, D)."""
+        return np.asarray(activations(k, self.centers, self.widths) @ self.weights.T)
+
+    def course(
+        self, k: FloatArray, ds: float, goal: FloatArray, spread: FloatArray, **more: Any
+    ) -> Course:
+        """Constants of a motion.
+
+        Args:
+            k: (T,) phases in the middle of its steps.
+            ds: length of a step in normalized time.
+            goal: (3,) goal.
+            spread: (3, D) factors on the forcing term: f = spread f_L(k).
+            more: further fields of `Course`.
+        """
+        rest = goal + self.forcing(k) @ spread.T / (self.alpha_x * self.beta_x)
+        flow = spring_flow(self.alpha_x, self.beta_x, 0.5 * ds)
+        x, y, z = goal.tolist()
+        return Course(
+            np.ascontiguousarray(rest), flow, ds, (x, y, z), tuple(spread[:, 0].tolist()), **more
+        )
+
+
+def activations(k: FloatArray, centers: FloatArray, widths: FloatArray) -> FloatArray:
+    """Normalized basis functions (eq. 4) times the phase, (T, N) at phases (T,)."""
+    exponent = widths * (k[:, None] - centers) ** 2
+    # Far from every center the quotient exists, its parts would underflow.
+    basis = np.exp(exponent.min(axis=1, keepdims=True) - exponent)
+    return np.asarray(basis * (k / basis.sum(axis=1))[:, None])
+
 
 def normalised_time(k: float, alpha_k: float) -> float:
-    """Normalised time s at phase k: the inverse of `Dmp.phase`."""
+    """Normalized time s at phase k: the inverse of `Dmp.phase`."""
     return -math.log(max(k, 1e-300)) / alpha_k
 
 
@@ -187,28 +144,14 @@ def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
     Raises:
         ValueError: if start and goal coincide or are not finite.
     """
-    start, goal = np.asarray(p_WS, dtype=float), np.asarray(p_WG, dtype=float)
-    if start.shape != (3,) or goal.shape != (3,):
-        raise ValueError(f"start and goal must be (3,), not {start.shape} and {goal.shape}")
-    way = (goal - start).tolist()
-    length = math.hypot(*way)
+    way = np.asarray(p_WG, dtype=float) - p_WS
+    length = float(np.linalg.norm(way))
     if not 0.0 < length < math.inf:
-        raise ValueError(
-            f"start and goal must be finite and apart, not {start.tolist()} and {goal.tolist()}"
-        )
-    x, y, z = (component / length for component in way)
-    flat = math.hypot(x, y)
-    if flat > 1e-12:
-        yx, yy = -y / flat, x / flat
-    else:
-        yx, yy = 0.0, 1.0
-    return np.array(
-        (
-            (x, yx, -z * yy),
-            (y, yy, z * yx),
-            (z, 0.0, x * yy - y * yx),
-        )
-    )
+        raise ValueError(f"start and goal must be finite and apart, not {p_WS!r} and {p_WG!r}")
+    x = way / length
+    y, flat = np.array([-x[1], x[0], 0.0]), math.hypot(x[0], x[1])
+    y = y / flat if flat > 1e-12 else np.array([0.0, 1.0, 0.0])
+    return np.column_stack([x, y, np.cross(x, y)])
 
 
 def minimum_jerk(
@@ -322,10 +265,8 @@ def _fit(n_basis: int, alpha_k: float, still: float) -> tuple[FloatArray, FloatA
     centers = np.exp(-alpha_k * np.linspace(-gap, 1.0, n_basis))
     gaps = -np.diff(centers)
     widths = 0.7 / np.append(gaps, gaps[-1]) ** 2
-    k = np.exp(-alpha_k * _fitted_at(n_basis, still))[:, None]
-    basis = np.exp(-widths * (k - centers) ** 2)
-    basis *= k / basis.sum(axis=1, keepdims=True)
-    inverse = np.linalg.pinv(basis, rcond=float(np.finfo(float).eps) * len(basis))
+    basis = activations(np.exp(-alpha_k * _fitted_at(n_basis, still)), centers, widths)
+    inverse = np.asarray(np.linalg.pinv(basis, rcond=2e-16 * len(basis)), dtype=float)
     for array in (centers, widths, inverse):
         array.setflags(write=False)
     return centers, widths, inverse
@@ -341,17 +282,16 @@ def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatAr
     t = np.linspace(0.0, 1.0, len(path)) if t is None else np.asarray(t, dtype=float)
     if t.shape != (len(path),):
         raise ValueError(f"t must be one stamp a sample, ({len(path)},), not {t.shape}")
-    for name, values in (("path", path), ("t", t)):
-        finite = np.isfinite(values).reshape(len(path), -1).all(axis=1)
-        if not finite.all():
-            raise ValueError(f"{name} must be finite: sample {int(np.argmin(finite))} is not")
-    rising = np.diff(t) > 0.0
-    if not rising.all():
-        row = int(np.argmin(rising))
-        raise ValueError(
-            f"stamps must increase: sample {row + 1} at {t[row + 1]} s follows {t[row]} s"
-        )
+    _refuse(~np.isfinite(path).all(axis=1), "path must be finite: sample {} is not")
+    _refuse(~np.isfinite(t), "t must be finite: sample {} is not")
+    _refuse(np.append(False, np.diff(t) <= 0.0), "stamps must increase: that of sample {} does not")
     return path, t
+
+
+def _refuse(bad: Any, message: str) -> None:
+    """Raises a ValueError that names the first bad sample, if one is."""
+    if bad.any():
+        raise ValueError(message.format(int(bad.argmax())))
 
 
 class Trajectory(NamedTuple):
@@ -370,72 +310,37 @@ class Trajectory(NamedTuple):
     k: FloatArray
 
 
-@compiled
-def _roll(
-    primitive: Primitive,
-    spread: FloatArray,
-    goal: FloatArray,
-    s: FloatArray,
-    longest: float,
-    p: FloatArray,
-    z: FloatArray,
-    k: FloatArray,
-) -> None:
-    """Fills p, z (T, D) and k (T,) from their first rows on, see `roll_out`."""
-    force = np.empty(spread.shape[1])
-    stiffness = primitive.alpha_x * primitive.beta_x
-    for row in range(1, len(s)):
-        p[row], z[row], k[row] = p[row - 1], z[row - 1], k[row - 1]
-        span = s[row] - s[row - 1]
-        count = max(math.ceil(span / longest - 1e-9), 1)
-        a, b, c, d = spring_flow(primitive.alpha_x, primitive.beta_x, span / count)
-        decay = math.exp(-0.5 * primitive.alpha_k * span / count)
-        for _ in range(count):
-            forcing(primitive.basis, k[row] * decay, force)
-            for i in range(len(goal)):
-                rest = 0.0
-                for j in range(len(force)):
-                    rest += spread[i, j] * force[j]
-                rest = goal[i] + rest / stiffness
-                offset, rate = p[row, i] - rest, z[row, i]
-                p[row, i] = rest + a * offset + b * rate
-                z[row, i] = c * offset + d * rate
-            k[row] *= decay * decay
-
-
 def roll_out(
     dmp: Dmp,
     spread: FloatArray,
     goal: FloatArray,
-    s: FloatArray,
     p: FloatArray,
     z: FloatArray,
     k: float = 1.0,
     *,
-    longest: float = math.inf,
+    end: float,
+    steps: int,
 ) -> Trajectory:
     """Integrates a movement primitive without coupling terms.
 
     A step is exact but for the forcing term, which is held at its value in the middle.
 
     Args:
-        dmp: the movement primitive, of F dimensions.
-        spread: (D, F) factors on its forcing term: f = spread f_L(k).
-        goal: (D,) goal.
-        s: (T,) normalised times of the samples, not falling; the first is that of the state.
-        p: (D,) position at the first of them.
-        z: (D,) its derivative by normalised time.
+        dmp: the movement primitive, of D dimensions.
+        spread: (3, D) factors on its forcing term: f = spread f_L(k).
+        goal: (3,) goal.
+        p: (3,) position at the beginning.
+        z: (3,) its derivative by normalized time.
         k: phase there.
-        longest: longest step in normalised time; the time between two samples is divided evenly.
-
-    Returns:
-        The motion at the T times.
+        end: length in normalized time.
+        steps: number of steps.
     """
-    path, rate, phase = np.empty((len(s), len(p))), np.empty((len(s), len(p))), np.empty(len(s))
-    path[0], rate[0], phase[0] = p, z, k
-    inputs = (np.array(array, dtype=float, order="C") for array in (spread, goal, s))
-    _roll(dmp.kernel, *inputs, longest, path, rate, phase)
-    return Trajectory(s, path, rate, phase)
+    s, ds = np.linspace(0.0, end, steps + 1), end / steps
+    course = dmp.course(k * dmp.phase(s[1:] - 0.5 * ds), ds, goal, spread)
+    motion = np.empty((2, steps + 1, 3))
+    motion[:, 0] = p, z
+    advance(course, NO_OBSTACLES, NO_OBSTACLES.terms, math.inf, *motion)
+    return Trajectory(s, motion[0], motion[1], k * dmp.phase(s))
 
 
 def trajectory(
@@ -449,9 +354,9 @@ def trajectory(
     """Rolls the movement primitive forward from rest: the planned motion.
 
     Args:
-        dmp: the movement primitive, of D dimensions.
-        start: (D,) start [m].
-        goal: (D,) goal [m].
+        dmp: the movement primitive, of three dimensions.
+        start: (3,) start [m].
+        goal: (3,) goal [m].
         steps: number of steps, at least 1.
         end: normalised time at the end.
 
@@ -463,11 +368,11 @@ def trajectory(
     """
     p, g = np.array(start, dtype=float), np.array(goal, dtype=float)
     spread = float(np.linalg.norm(g - p)) * local_frame(p, g)
-    return roll_out(dmp, spread, g, np.linspace(0.0, end, steps + 1), p, np.zeros(len(p)))
+    return roll_out(dmp, spread, g, p, np.zeros(3), end=end, steps=steps)
 
 
 LARGEST_ANGLE = math.radians(300.0)
-"""Largest angle from the start that can be imitated: rotation vectors end at 360 degrees."""
+"""Largest angle from the middle that can be imitated: rotation vectors end at 360 degrees."""
 _HALF_TURN = math.pi - 1e-6
 """Angle above which a rotation has no unique direction [rad]."""
 _STEP = 5e-4
@@ -485,9 +390,8 @@ class OrientationDmp(Frozen):
             from sample to sample; zero without a demonstration [rad].
         first: (3, 3) orientation at the start of the demonstration.
         last: (3, 3) orientation at its end.
-        offset: (3,) r(0), the rotation vector from the origin to the start: zero, except for a
-            demonstration that turns farther than `LARGEST_ANGLE` from its start, whose origin is
-            its middle [rad].
+        offset: (3,) r(0), the rotation vector from the origin, which is the middle of the
+            demonstration, to the start; zero without a demonstration [rad].
     """
 
     dmp: Dmp
@@ -560,19 +464,16 @@ def imitate_orientation(
     Raises:
         ValueError: for a wrong shape, fewer than two samples, a sample that is no
             rotation, stamps that do not increase, half a turn or more between two samples,
-            or a motion that turns further than `LARGEST_ANGLE` from its start.
+            or a motion that turns further than `LARGEST_ANGLE` from its middle.
     """
     R, t = checked_turn(orientations, t)
-    r = vectors_from(R, 0)
-    if np.linalg.norm(r, axis=1).max() > LARGEST_ANGLE:
-        r = vectors_from(R, len(R) // 2)
+    r = vectors_from(R, len(R) // 2)
     angles = np.linalg.norm(r, axis=1)
-    row = int(np.argmax(angles > LARGEST_ANGLE))
-    if angles[row] > LARGEST_ANGLE:
-        raise ValueError(
-            f"orientations: sample {row} has turned {math.degrees(angles[row]):.0f} degrees from "
-            f"the middle; at most {math.degrees(LARGEST_ANGLE):.0f} can be imitated"
-        )
+    _refuse(
+        angles > LARGEST_ANGLE,
+        "orientations: sample {} has turned too far from the middle; at most 300 degrees can be "
+        "imitated",
+    )
     offset, r = r[0].copy(), r - r[0]
     share = minimum_jerk_share((t - t[0]) / (t[-1] - t[0]))
     # The baseline is the first axis, and 1: nothing is turned or scaled.
@@ -591,9 +492,9 @@ def vectors_from(R: FloatArray, origin: int) -> FloatArray:
     return np.asarray(r)
 
 
-def origin_of(primitive: OrientationDmp, start: FloatArray) -> FloatArray:
-    """Returns the origin R_WA (3, 3) of a motion from a start R_WS (3, 3)."""
-    return np.asarray(start @ Rotation.from_rotvec(-primitive.offset).as_matrix())
+def origin_of(primitive: OrientationDmp, start: FloatArray) -> Rotation:
+    """Returns the origin R_WA of a motion from a start R_WS (3, 3)."""
+    return Rotation.from_matrix(start) * Rotation.from_rotvec(-primitive.offset)
 
 
 def minimum_jerk_orientation(**constants: float) -> OrientationDmp:
@@ -621,69 +522,63 @@ def checked_rotations(orientations: ArrayLike) -> FloatArray:
         )
     if len(given) < 2:
         raise ValueError(f"orientations must have at least 2 samples, not {len(given)}")
-    finite = np.isfinite(given).reshape(len(given), -1).all(axis=1)
-    if not finite.all():
-        raise ValueError(f"orientations must be finite: sample {int(np.argmin(finite))} is not")
+    _refuse(
+        ~np.isfinite(given).reshape(len(given), -1).all(axis=1),
+        "orientations must be finite: sample {} is not",
+    )
     if given.ndim == 2:
-        nonzero = given.any(axis=1)
-        if not nonzero.all():
-            raise ValueError(
-                f"orientations: the quaternion of sample {int(np.argmin(nonzero))} is 0"
-            )
+        _refuse(~given.any(axis=1), "orientations: the quaternion of sample {} is 0")
         given = Rotation.from_quat(given, scalar_first=True).as_matrix()
     else:
         error = np.abs(given @ given.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        good = (error < 1e-6) & (np.linalg.det(given) > 0.0)
-        if not good.all():
-            raise ValueError(f"orientations: sample {int(np.argmin(good))} is no rotation matrix")
+        bad = (error >= 1e-6) | (np.linalg.det(given) <= 0.0)
+        _refuse(bad, "orientations: sample {} is no rotation matrix")
     between = Rotation.from_matrix(given[:-1].transpose(0, 2, 1) @ given[1:]).magnitude()
-    row = int(np.argmax(between))
-    if between[row] > _HALF_TURN:
-        raise ValueError(
-            f"orientations: samples {row} and {row + 1} are half a turn apart, which leaves "
-            "open which way round; sample more often"
-        )
+    _refuse(
+        between > _HALF_TURN,
+        "orientations: sample {} is half a turn from the next one, which leaves open which way "
+        "round; sample more often",
+    )
     return given
 
 
 def roll_orientation(
     primitive: OrientationDmp,
     goal: FloatArray,
-    s: FloatArray,
     r: FloatArray,
     z: FloatArray,
     k: float = 1.0,
+    *,
+    end: float,
 ) -> Trajectory:
     """Integrates the primitive.
 
     Args:
         primitive: the movement primitive.
         goal: (3,) rotation vector of the goal from the origin, see `demonstrated_goal` [rad].
-        s: (T,) normalised times of the samples, not falling; the first is that of the state.
-        r: (3,) rotation vector at the first of them [rad].
-        z: (3,) its derivative by normalised time there [rad].
+        r: (3,) rotation vector at the beginning [rad].
+        z: (3,) its derivative by normalized time there [rad].
         k: phase there.
+        end: length in normalized time.
 
     Returns:
-        The rotation vectors r (T, 3) as `p`, their derivatives `z`, and the phases `k`.
+        The rotation vectors r as `p`, their derivatives `z`, and the phases `k`.
     """
     spread = np.column_stack([goal - primitive.offset, np.eye(3)])
-    return roll_out(primitive.dmp, spread, goal, s, r, z, k, longest=_STEP)
+    steps = max(math.ceil(end / _STEP), 1)
+    return roll_out(primitive.dmp, spread, goal, r, z, k, end=end, steps=steps)
 
 
 def orientation_along(
-    primitive: OrientationDmp,
-    start: ArrayLike,
-    goal: ArrayLike,
-    s: ArrayLike,
+    primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike, s: ArrayLike
 ) -> FloatArray:
-    """Computes the orientations of a motion at normalised times.
+    """Computes the orientations of a motion at normalized times.
 
     Args:
         primitive: the movement primitive.
         start: (3, 3) R_WE at the start.
         goal: (3, 3) R_WE at the goal; the direction of turning is the demonstration's.
-        s: (T,) normalised times, at least 0 and not falling.
+        s: (T,) normalized times, at least 0.
 
     Returns:
         (T, 3, 3) R_WE.
@@ -691,10 +586,11 @@ def orientation_along(
     Raises:
         ValueError: as `goal_vector`.
     """
-    R_WS = np.asarray(start, dtype=float)
-    target = demonstrated_goal(primitive, R_WS, goal)
-    r = roll_orientation(primitive, target, np.append(0.0, s), primitive.offset, np.zeros(3)).p[1:]
-    return np.asarray(origin_of(primitive, R_WS) @ Rotation.from_rotvec(r).as_matrix())
+    R_WS, target = np.asarray(start, dtype=float), demonstrated_goal(primitive, start, goal)
+    end = max(float(np.max(s)), _STEP)
+    motion = roll_orientation(primitive, target, primitive.offset, np.zeros(3), end=end)
+    r = CubicHermiteSpline(motion.s, motion.p, motion.z)(s)
+    return np.asarray((origin_of(primitive, R_WS) * Rotation.from_rotvec(r)).as_matrix())
 
 
 def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike) -> FloatArray:
@@ -706,16 +602,17 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
         ValueError: as `goal_vector`.
     """
     near = primitive.offset + primitive.total
-    origin = origin_of(primitive, np.asarray(start, dtype=float))
+    origin = origin_of(primitive, np.asarray(start, dtype=float)).as_matrix()
     return goal_vector(origin, goal, near if near.any() else None)
 
 
 QUATERNION, W, ALPHA = slice(0, 4), slice(4, 7), slice(7, 10)
 """Parts of the result of `evaluate`."""
+_DIFFERENCE = 1e-5
+"""Time between the samples of the central difference of the angular velocity [s]."""
 
 
-@compiled
-def evaluate(ends: FloatArray, length: float, origin: FloatArray, time: float) -> FloatArray:
+def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> FloatArray:
     """Evaluates the motion between two steps: quaternion, angular velocity and acceleration.
 
     r is the cubic between the ends; after its end it goes on at its last rate.
@@ -723,58 +620,41 @@ def evaluate(ends: FloatArray, length: float, origin: FloatArray, time: float) -
     Args:
         ends: (2, 2, 3) r [rad] and its rate [rad/s] at the begin and at the end.
         length: time between the two [s].
-        origin: (4,) unit quaternion of the origin R_WA.
+        origin: R_WA.
         time: time since the begin, at least 0 [s].
 
     Returns:
         (10,) quaternion of R_WE, continuous in r over every angle, w_WE [rad/s] and
         alpha_WE [rad/s^2] in W.
     """
-    r, dr, ddr = ends[1, 0].copy(), ends[1, 1].copy(), np.zeros(3)
+    (begin, rate), (end, rate_end) = ends
+    cubic = np.array([end, rate_end, np.zeros(3), np.zeros(3)])
     # Less is rounding, which must not end the acceleration at the end of a step.
     if length > 0.0 and time - length < 1e-9:
-        u = min(time / length, 1.0)
-        for i in range(3):
-            jump = ends[1, 0, i] - ends[0, 0, i]
-            v, v_end = length * ends[0, 1, i], length * ends[1, 1, i]
-            square, cube = 3.0 * jump - 2.0 * v - v_end, v + v_end - 2.0 * jump
-            r[i] = ends[0, 0, i] + u * (v + u * (square + u * cube))
-            dr[i] = (v + u * (2.0 * square + 3.0 * u * cube)) / length
-            ddr[i] = (2.0 * square + 6.0 * u * cube) / (length * length)
+        mean = (end - begin) / length
+        square = (3.0 * mean - 2.0 * rate - rate_end) / length
+        cubic = np.array([begin, rate, square, (rate + rate_end - 2.0 * mean) / length**2])
     else:
-        r += (time - length) * dr
-    square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        time -= length
+    before, now, after = (_rate(cubic, time + step) for step in (-_DIFFERENCE, 0.0, _DIFFERENCE))
+    r = time ** np.arange(4) @ cubic
+    turned = (origin * Rotation.from_rotvec(r)).as_quat(scalar_first=True)
+    rates = origin.apply([now, (after - before) / (2.0 * _DIFFERENCE)])
+    return np.concatenate([turned, *rates])
+
+
+@compiled
+def _rate(cubic: FloatArray, time: float) -> FloatArray:
+    """Angular velocity (3,) in A at a time along a cubic (4, 3) of the rotation vector."""
+    r = cubic[0] + time * (cubic[1] + time * (cubic[2] + time * cubic[3]))
+    dr = cubic[1] + time * (2.0 * cubic[2] + 3.0 * time * cubic[3])
+    square = (r * r).sum()
     angle = math.sqrt(square)
-    if square > 1e-3:
-        a = (1.0 - math.cos(angle)) / square
-        b = (angle - math.sin(angle)) / (square * angle)
-        # Derivatives of a and b by |r|, over |r|.
-        da = (math.sin(angle) / angle - 2.0 * a) / square
-        db = (a - 3.0 * b) / square
-    else:
-        a = 0.5 - square / 24.0 * (1.0 - square / 30.0)
-        b = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0)
-        da = -1.0 / 12.0 + square / 180.0 * (1.0 - square / 56.0)
-        db = -1.0 / 60.0 + square / 1260.0 * (1.0 - square / 72.0)
-    radial = r[0] * dr[0] + r[1] * dr[1] + r[2] * dr[2]
-    once, across = np.cross(r, dr), np.cross(r, ddr)
-    twice = np.cross(r, once)
-    rates = np.empty((2, 3))
-    rates[0] = dr + a * once + b * twice
-    rates[1] = ddr + radial * (da * once + db * twice) + a * across
-    rates[1] += b * (np.cross(dr, once) + np.cross(r, across))
-    out = np.empty(10)
-    real, imaginary = math.cos(0.5 * angle), r * (0.5 * np.sinc(0.5 * angle / np.pi))
-    w, axis = origin[0], origin[1:]
-    out[0] = w * real
-    for i in range(3):
-        out[0] -= axis[i] * imaginary[i]
-    out[1:4] = w * imaginary + real * axis + np.cross(axis, imaginary)
-    for row in range(2):
-        # Turned by the quaternion from A to W.
-        half = np.cross(axis, rates[row])
-        out[4 + 3 * row : 7 + 3 * row] = rates[row] + 2.0 * (w * half + np.cross(axis, half))
-    return out
+    a, b = 0.5, 1.0 / 6.0
+    if angle > 1e-3:
+        a, b = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
+    once = np.cross(r, dr)
+    return dr + a * once + b * np.cross(r, once)
 
 
 @dataclass(frozen=True, eq=False)

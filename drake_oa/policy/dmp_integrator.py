@@ -7,7 +7,6 @@ import logging
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     EventStatus,
     LeafSystem,
@@ -24,15 +23,9 @@ from drake_oa.common.messages import (
     Route,
 )
 from drake_oa.common.ports import read_optional
-from drake_oa.policy.action import (
-    ActionLevel,
-    Segment,
-    Surroundings,
-    initial_segment,
-    restarted,
-)
+from drake_oa.policy.action import ActionLevel, Segment, Surroundings, restarted, resting
 from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import Demonstration, Dmp
+from drake_oa.policy.dmp import Demonstration, Dmp, local_frame
 
 _logger = logging.getLogger("drake_oa")
 _SUCCEEDED = EventStatus.Succeeded()
@@ -66,9 +59,8 @@ class DmpIntegrator(LeafSystem):
       ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
       gives them, go before the route's; while its `hold` is set the motion is held.
     - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
-      decision, whose headings are then computed here from where the motion is at each
-      step; or a route with headings of its own. Without it there is no guidance term,
-      and the motion is not scaled in time.
+      decision. The headings are computed here from where the motion is at each step.
+      Without it there is no guidance term, and the motion is not scaled in time.
     - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
       [0, 1], as `MotionGuard` outputs it. The rate of normalised time follows it at the rate
       of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
@@ -88,7 +80,7 @@ class DmpIntegrator(LeafSystem):
     whose ends the desired motion is interpolated, so that a controller may run faster
     than the policy. A simulator that takes over a Context goes on with its motion. The
     motion is held (its normalised time slows down to a stop, on the path) while it
-    would not be safe: see `drake_oa.policy.action_kernels.hold_code`.
+    would not be safe: see `drake_oa.policy.action.Surroundings.hold_at`.
     """
 
     def __init__(
@@ -106,8 +98,7 @@ class DmpIntegrator(LeafSystem):
             config: its period, and how coupling terms and holds act; None: the defaults.
 
         Raises:
-            ValueError: if the start is not three finite numbers, or the primitive does not
-                have three dimensions.
+            ValueError: if the start is not three finite numbers.
         """
         super().__init__()
         start = np.asarray(start, dtype=float)
@@ -133,8 +124,10 @@ class DmpIntegrator(LeafSystem):
             ValueProducer(lambda: Value(Surroundings()), self._calc_surroundings),
             {self._ellipsoids.ticket(), self._coupling.ticket(), self._route.ticket()},
         )
-        self._segment = self.DeclareAbstractState(Value(Segment.at_rest(start)))
-        moving = {self.time_ticket(), self.abstract_state_ticket(self._segment)}
+        self._segment = self.DeclareAbstractState(
+            Value(resting(PolicyState(p_WE=start, p_WS=start, p_WG=start)))
+        )
+        stepped = {self.abstract_state_ticket(self._segment)}
         desired = self.DeclareCacheEntry(
             "desired_motion",
             ValueProducer(
@@ -143,7 +136,7 @@ class DmpIntegrator(LeafSystem):
                     self._read_segment(context).interpolate(context.get_time())
                 ),
             ),
-            moving,
+            {self.time_ticket(), *stepped},
         )
         names = ("desired_position", "desired_velocity", "desired_acceleration")
         for row, name in enumerate(names):
@@ -153,8 +146,12 @@ class DmpIntegrator(LeafSystem):
                 lambda context, output, row=row: output.SetFromVector(desired.Eval(context)[row]),
                 {desired.ticket()},
             )
-        stepped = {self.abstract_state_ticket(self._segment)}
-        self.DeclareVectorOutputPort("phase", 1, self._calc_phase, stepped)
+        self.DeclareVectorOutputPort(
+            "phase",
+            1,
+            lambda context, output: output.SetAtIndex(0, self._read_segment(context).state.phase),
+            stepped,
+        )
         self.DeclareAbstractOutputPort(
             "policy_state",
             lambda: Value(PolicyState()),
@@ -164,30 +161,27 @@ class DmpIntegrator(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._step)
 
-    @property
-    def level(self) -> ActionLevel:
-        """What takes the steps."""
-        return self._level
-
     def _read_segment(self, context: Context) -> Segment:
         return context.get_abstract_state(self._segment).get_value()
-
-    def _read_speed_scale(self, context: Context) -> float:
-        port = self._speed_scale
-        return float(port.Eval(context)[0]) if port.HasValue(context) else 1.0
-
-    def _calc_phase(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read_segment(context).phase)
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
         if self._read_segment(context).state.baseline > 0.0:
             # A motion under way, in a Context that another simulator takes over.
             return EventStatus.DidNothing()
-        segment = initial_segment(
-            self._dmp, self._start, self._goal.Eval(context), context.get_time()
+        p_WS, p_WG = self._start, self._goal.Eval(context)
+        state.get_mutable_abstract_state(self._segment).set_value(
+            resting(
+                PolicyState(
+                    p_WE=p_WS,
+                    p_WS=p_WS,
+                    p_WG=p_WG,
+                    R_WL=local_frame(p_WS, p_WG),
+                    stamp=context.get_time(),
+                    speed=1.0 / self._dmp.duration,
+                )
+            )
         )
-        state.get_mutable_abstract_state(self._segment).set_value(segment)
-        return EventStatus.Succeeded()
+        return _SUCCEEDED
 
     def _calc_surroundings(self, context: Context, output: AbstractValue) -> None:
         output.set_value(
@@ -206,21 +200,23 @@ class DmpIntegrator(LeafSystem):
             given = read_optional(self, self._demonstration, context, Demonstration)
             primitive = None if given is None else given.position
             before = restarted(before, goal, context.get_time(), primitive)
+        scale = self._speed_scale
         after = self._level.step(
             before,
             goal,
             around,
             context.get_time(),
             self._period,
-            speed_scale=self._read_speed_scale(context),
+            speed_scale=scale.Eval(context)[0] if scale.HasValue(context) else 1.0,
             evasion=self._evasion.Eval(context) if self._evasion.HasValue(context) else None,
         )
-        # Who scales the speed says why.
-        if after.note != before.note and HoldCause.SPEED_SCALE not in (after.hold, before.hold):
-            held = after.hold is not HoldCause.NONE
-            message = f"held: {after.note}" if held else "running again"
-            # To think before a motion is nothing to warn of.
-            quiet = (after if held else before).hold is HoldCause.DECIDING
+        now, earlier = after.end, before.end
+        # The system that scales the speed logs the reason.
+        if now.note != earlier.note and HoldCause.SPEED_SCALE not in (now.hold, earlier.hold):
+            held = now.hold is not HoldCause.NONE
+            message = f"held: {now.note}" if held else "running again"
+            # The first decision of a motion deserves no warning.
+            quiet = (now if held else earlier).hold is HoldCause.DECIDING
             level = logging.INFO if quiet else logging.WARNING
             _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)

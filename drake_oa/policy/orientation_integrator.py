@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,28 +42,37 @@ class OrientationSegment(Frozen):
     """The motion of the rotation vector between two steps.
 
     Attributes:
-        ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both steps.
+        primitive: the movement primitive.
+        origin: its origin R_WA.
         goal: (3,) rotation vector of the goal from the origin [rad].
-        origin: (4,) quaternion of the origin.
+        ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both steps.
+        z: (3,) derivative of the rotation vector by normalized time at the second [rad].
+        phase: canonical phase of the policy, as last seen.
         begin: time of the first of them [s].
         length: time between them; 0: there was no step yet [s].
-        z: (3,) derivative of the rotation vector by normalised time at the second [rad].
-        phase: canonical phase of the policy, as last seen.
-        asked: (4,) quaternion of that goal as it was read; NaN: none was.
         p_WS: (3,) start of the policy's motion, as last seen [m]; (0,): none was.
         demonstration: active demonstration; empty: the constructor's primitive.
     """
 
-    ends: FloatArray
+    primitive: OrientationDmp
+    origin: Rotation
     goal: FloatArray
-    origin: FloatArray
-    begin: float = 0.0
-    length: float = 0.0
+    ends: FloatArray
     z: FloatArray = zeros(3)
     phase: float = 1.0
-    asked: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    begin: float = 0.0
+    length: float = 0.0
     p_WS: FloatArray = zeros(0)
     demonstration: Demonstration = field(default_factory=Demonstration)
+
+
+def at_rest(
+    primitive: OrientationDmp, R_WS: FloatArray, R_WG: FloatArray, **more: Any
+) -> OrientationSegment:
+    """A segment of no length at the start of a motion from R_WS to R_WG, (3, 3) each."""
+    ends = np.array([[primitive.offset, np.zeros(3)]] * 2)
+    goal = demonstrated_goal(primitive, R_WS, R_WG)
+    return OrientationSegment(primitive, origin_of(primitive, R_WS), goal, ends, **more)
 
 
 class OrientationIntegrator(LeafSystem):
@@ -120,14 +130,8 @@ class OrientationIntegrator(LeafSystem):
                 way round; or for a period that is not positive.
         """
         super().__init__()
-        self._primitive = primitive
         R_WS, self._R_WG = np.array(start, dtype=float), np.array(goal, dtype=float)
-        origin = Rotation.from_matrix(origin_of(primitive, R_WS))
-        begin = OrientationSegment(
-            ends=_at_rest(primitive),
-            goal=demonstrated_goal(primitive, R_WS, self._R_WG),
-            origin=origin.as_quat(canonical=True, scalar_first=True),
-        )
+        self._primitive, begin = primitive, at_rest(primitive, R_WS, self._R_WG)
         self._period = valid_period(period)
 
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
@@ -163,74 +167,58 @@ class OrientationIntegrator(LeafSystem):
         cell: Cell[FloatArray] = value.get_mutable_value()
         cell.value = evaluate(segment.ends, segment.length, segment.origin, since)
 
-    def _goal_now(self, context: Context, before: OrientationSegment) -> tuple[FloatArray, ...]:
-        """The goal's rotation vector, and the quaternion that asked for it."""
+    def _goal_now(self, context: Context, before: OrientationSegment) -> FloatArray:
+        """Returns the goal's rotation vector."""
         if not self._goal_port.HasValue(context):
-            return before.goal, before.asked
-        asked = self._goal_port.Eval(context)
-        if np.array_equal(asked, before.asked):
-            return before.goal, before.asked
+            return before.goal
         try:
-            R_WG = rotation_matrix(asked)
+            R_WG = rotation_matrix(self._goal_port.Eval(context))
         except ValueError as error:
             raise ValueError(f"{self.get_name()}: goal_orientation: {error}") from None
-        return goal_vector(rotation_matrix(before.origin), R_WG, before.goal), np.array(asked)
+        return goal_vector(before.origin.as_matrix(), R_WG, before.goal)
 
-    def _begun_anew(
+    def _restarted(
         self, context: Context, before: OrientationSegment, policy: PolicyState
     ) -> OrientationSegment:
-        """With the demonstration that the policy's motion has begun anew with, if it has."""
+        """Returns the segment, or one at rest where a motion begins with a demonstration.
+
+        A motion of the task begins at the present orientation.
+        """
         given = read_optional(self, self._demonstration, context, Demonstration)
         begun = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)
         swapped = policy.phase == 1.0 and given is not before.demonstration
-        seen = replace(before, p_WS=policy.p_WS)
         if given is None or not (begun or swapped):
-            return seen
-        if given.orientation is None and before.demonstration.orientation is None:
-            return seen
-        R_WG = self._R_WG if given.orientation is None else given.R_WG
-        primitive = given.orientation or self._primitive
-        # At rest, from where it begins; a motion of the task from the present orientation.
-        start = Rotation.from_quat(before.origin.copy(), scalar_first=True)
-        start *= Rotation.from_rotvec(before.ends[1, 0].copy())
+            return replace(before, p_WS=policy.p_WS)
         if given.orientation is not None:
-            start = Rotation.from_matrix(given.R_WS)
-        origin = start * Rotation.from_rotvec(-primitive.offset)
-        return replace(
-            seen,
-            ends=_at_rest(primitive),
-            z=np.zeros(3),
-            phase=policy.phase,
-            goal=demonstrated_goal(primitive, start.as_matrix(), R_WG),
-            origin=origin.as_quat(scalar_first=True),
-            demonstration=given,
-        )
+            motion = given.orientation, given.R_WS, given.R_WG
+        else:
+            R_WE = before.origin * Rotation.from_rotvec(+before.ends[1, 0])
+            motion = self._primitive, R_WE.as_matrix(), self._R_WG
+        return at_rest(*motion, phase=policy.phase, p_WS=policy.p_WS, demonstration=given)
 
     def _step(self, context: Context, state: State) -> EventStatus:
         policy = read_value(self, self._policy, context, PolicyState)
-        before = self._begun_anew(context, self._read_segment(context), policy)
-        goal, asked = self._goal_now(context, before)
-        primitive = before.demonstration.orientation or self._primitive
-        alpha_k = primitive.dmp.alpha_k
+        before = self._restarted(context, self._read_segment(context), policy)
+        goal, alpha_k = self._goal_now(context, before), before.primitive.dmp.alpha_k
         passed = normalised_time(policy.phase, alpha_k) - normalised_time(before.phase, alpha_k)
-        s = np.array([0.0, max(passed, 0.0)])
-        r = before.ends[1, 0]
-        after = roll_orientation(primitive, goal, s, r, before.z, before.phase)
+        after = roll_orientation(
+            before.primitive,
+            goal,
+            before.ends[1, 0],
+            before.z,
+            before.phase,
+            end=max(passed, 0.0),
+        )
+        z = after.z[-1]
         state.get_mutable_abstract_state(self._segment).set_value(
             replace(
                 before,
                 begin=context.get_time(),
                 length=self._period,
-                ends=np.array([before.ends[1], [after.p[1], policy.speed * after.z[1]]]),
-                z=after.z[1],
+                ends=np.array([before.ends[1], [after.p[-1], policy.speed * z]]),
+                z=z,
                 phase=policy.phase,
                 goal=goal,
-                asked=asked,
             )
         )
         return _SUCCEEDED
-
-
-def _at_rest(primitive: OrientationDmp) -> FloatArray:
-    """Returns the ends (2, 2, 3) of a segment at rest at the start of a motion."""
-    return np.array([[primitive.offset, np.zeros(3)]] * 2)

@@ -12,7 +12,7 @@ from drake_oa.common.config import BLOCK
 class Paper:
     """The paper's regressor chain; each field selects an interpretation of the paper.
 
-    `policy.fade`, `policy.guidance` and `policy.guidance_gain` are interpretations, too.
+    `policy.fade` is an interpretation, too.
     """
 
     weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
@@ -21,16 +21,10 @@ class Paper:
     shape: Literal["superquadric", "enclosing"] = "superquadric"
     """Descriptor of an obstacle dilated by the tool: the least-squares `superquadric` (eq. 11), or
     the `enclosing` ellipsoid."""
-    exponent_prior: float | None = Field(default=None, ge=0.0)
-    """Weight of the prior that draws the superquadric's exponents toward 1 [1]; null: they are 1 as
-    in section IV-B; 0: no prior. Raising it makes shapes more ellipsoidal."""
-    term: Literal["dead_zone_free", "original"] = "dead_zone_free"
-    """Avoidance term: `dead_zone_free` (eq. 8), or `original` (eq. 7) with its published gains."""
     guided: bool = True
     """Whether cost rings select the sides and heading guidance (eq. 9) turns the motion toward
-    them. If false, the avoidance term alone determines the side."""
-    scaled: bool = True
-    """Whether the duration is scaled with the length of the avoiding path (section IV-E)."""
+    them, and the duration is scaled with the length of the avoiding path (section IV-E). If false,
+    the avoidance term alone determines the side."""
 
 
 @dataclass(config=BLOCK)

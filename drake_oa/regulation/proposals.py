@@ -21,7 +21,6 @@ the term. `drake_oa.training.proposals` trains the network on results of the sea
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -45,7 +44,7 @@ from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import KAPPA as KAPPA_COLUMN
 from drake_oa.policy.coupling import N_COLUMNS, NORMAL
 from drake_oa.policy.rollout import Scene
-from drake_oa.regulation.weights_file import array_of, read_arrays, write_arrays
+from drake_oa.regulation.weights_file import array_of, read_weights, write_weights
 from drake_oa.route.cost_rings import side_costs
 
 N_GENES = 7
@@ -367,9 +366,7 @@ def save_proposals(network: ProposalNetwork, path: str | Path) -> None:
     Raises:
         ValueError: for any other file name extension.
     """
-    arrays = {name: np.asarray(value) for name, value in network.layers._asdict().items()}
-    header = json.dumps({**network.metadata, "format": _FORMAT})
-    write_arrays(Path(path), arrays, header)
+    write_weights(path, network.layers._asdict(), network.metadata, _FORMAT)
 
 
 def load_proposals(path: str | Path) -> ProposalNetwork:
@@ -380,13 +377,7 @@ def load_proposals(path: str | Path) -> ProposalNetwork:
         ValueError: if it is not such a file, or an array is missing, misshapen or not finite.
     """
     path = Path(path)
-    arrays, header = read_arrays(path)
-    metadata = json.loads(header) if header else {}
-    if metadata.get("format") != _FORMAT:
-        raise ValueError(
-            f"{path} is no proposal network ('{_FORMAT}'): `drake-oa train` writes one, and "
-            "package://drake_oa/weights/proposals.safetensors is shipped"
-        )
+    arrays, metadata = read_weights(path, _FORMAT)
     n_in, found = N_OBSTACLE + N_STATE, []
     for name in LAYERS:
         matrix = array_of(path, arrays, name, (n_in, N_OUTPUTS if name == "out" else None))

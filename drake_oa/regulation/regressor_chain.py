@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -21,11 +20,6 @@ from drake_oa.common.ports import read_value
 from drake_oa.policy.dmp import Dmp
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.regressor import ChainWeights, section_extents
-
-GAMMA, BETA = 1000.0, 20.0 / math.pi
-"""Hoffmann's published gains [1/s] and [1/rad]."""
-
-Scaling = Literal["route", "sections", "none"]
 
 
 class Proposals(Protocol):
@@ -71,8 +65,6 @@ class RegressorChain(LeafSystem):
         *,
         proposals: Proposals | None = None,
         dmp: Dmp | None = None,
-        original: float | None = None,
-        scaling: Scaling = "route",
     ) -> None:
         """Declares the ports.
 
@@ -82,37 +74,19 @@ class RegressorChain(LeafSystem):
             asked_clearance: asked distance Delta between tool and obstacle [m].
             proposals: the network or another source of candidate sides; None: no rows of sides.
             dmp: the movement primitive, for the proposals.
-            original: the original term at its published gains in place of the chain's, for a
-                demonstrated duration of so long [s]; None: the dead-zone free one.
-            scaling: what tau comes from: "route", the length of the chosen route; "sections", the
-                way through the extreme points of the obstacles' sections (sec. IV-E); "none": 1.
-
         Raises:
-            TypeError: if weights are neither `ChainWeights` nor None.
-            ValueError: if clearance or duration are not finite and positive, or the scaling is
-                unknown, or proposals are without a primitive.
+            ValueError: if the clearance is not finite and positive, or proposals are without a
+                primitive.
         """
         super().__init__()
-        if weights is not None and not isinstance(weights, ChainWeights):
-            raise TypeError(
-                f"weights must be ChainWeights (see load_chain), not {type(weights).__name__}"
-            )
         if not 0.0 < asked_clearance < np.inf:
             raise ValueError(
                 f"asked_clearance must be finite and positive [m], not {asked_clearance}"
-            )
-        if original is not None and not 0.0 < original < np.inf:
-            raise ValueError(f"original must be finite and positive [s], not {original}")
-        if scaling not in get_args(Scaling):
-            raise ValueError(
-                f"scaling '{scaling}'; it must be one of {', '.join(get_args(Scaling))}"
             )
         if proposals is not None and dmp is None:
             raise ValueError("proposals need the movement primitive: dmp")
         self._weights, self._proposals, self._dmp = weights, proposals, dmp
         self._asked_clearance = float(asked_clearance)
-        self._original = original
-        self._scaling = scaling
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
@@ -145,29 +119,13 @@ class RegressorChain(LeafSystem):
 
     def _chain_rows(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
         """Returns a row an obstacle by the paper's chain, or none."""
-        count, baseline = len(ellipsoids), policy.baseline
-        if self._weights is None and self._original is None:
+        if self._weights is None:
             return CouplingParameters()
-        if baseline == 0.0:
-            zeros = np.zeros(count)
-            return CouplingParameters(zeros, np.ones(count), zeros, np.zeros(count, dtype=bool))
-        if self._original is not None:
-            found = CouplingParameters(
-                np.full(count, GAMMA * self._original),
-                np.full(count, 1.0 / BETA),
-                np.zeros(count),
-                np.ones(count, dtype=bool),
-                original=True,
-            )
-        elif self._weights is not None:
-            extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
-            found = self._weights.parameters(extents, self._asked_clearance, baseline)
-        if self._scaling == "route":
-            return found
-        tau = 1.0
-        if self._scaling == "sections":
-            tau = max(1.0, way_past(policy, ellipsoids, self._asked_clearance) / baseline)
-        return replace(found, tau=tau)
+        if policy.baseline == 0.0:
+            zeros = np.zeros(len(ellipsoids))
+            return CouplingParameters(zeros, zeros + 1.0, zeros, zeros > 0.0)
+        extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
+        return self._weights.parameters(extents, self._asked_clearance, policy.baseline)
 
 
 def joined_rows(
@@ -189,34 +147,3 @@ def joined_rows(
         name: np.concatenate([getattr(chain, name), getattr(sides, name)]) for name in ROW_COLUMNS
     }
     return replace(chain, **rows)
-
-
-def way_past(policy: PolicyState, ellipsoids: EllipsoidSet, asked_clearance: float) -> float:
-    """length(pi-hat) of section IV-E: start, extreme points of the sections, goal [m].
-
-    The sections are those of the P-planes in which the motion sets out along its baseline. Their
-    extreme points are those toward the baseline; of an obstacle that leaves it the clearance
-    there is none.
-
-    Args:
-        policy: start, goal and local frame of the motion.
-        ellipsoids: the M obstacles.
-        asked_clearance: asked clearance Delta [m].
-    """
-    R_WL, p_SO = policy.R_WL, ellipsoids.p_WO - policy.p_WS
-    x = R_WL[:, 0]
-    extents = section_extents(policy.p_WS, x, R_WL, ellipsoids)
-    along = p_SO @ x
-    aside = p_SO - along[:, None] * x
-    offset = np.linalg.norm(aside, axis=1)
-    # Over what is straight ahead.
-    up = np.broadcast_to(-R_WL[:, 2], aside.shape)
-    ahead = offset <= 1e-9 * policy.baseline
-    outward = np.where(ahead[:, None], up, aside / np.where(ahead, 1.0, offset)[:, None])
-    rows = np.flatnonzero(
-        (offset - extents[:, 1] < asked_clearance) & (along > 0.0) & (along < policy.baseline)
-    )
-    rows = rows[np.argsort(along[rows], kind="stable")]
-    extreme = ellipsoids.p_WO[rows] - extents[rows, 1:] * outward[rows]
-    way = np.concatenate([policy.p_WS[None], extreme, policy.p_WG[None]])
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())

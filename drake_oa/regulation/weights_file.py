@@ -1,7 +1,8 @@
-"""Files of trained networks: named arrays and a header, as .safetensors."""
+"""Files of trained networks: named arrays and metadata, as .safetensors."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,29 +15,28 @@ from drake_oa.common.files import replace_file
 from drake_oa.common.messages import FloatArray
 
 
-def write_arrays(path: Path, arrays: Mapping[str, FloatArray], header: str) -> None:
-    """Writes the arrays and the header.
-
-    Args:
-        path: the file, .safetensors.
-        arrays: by name.
-        header: text that goes with them.
+def write_weights(
+    path: str | Path, arrays: Mapping[str, FloatArray], metadata: Mapping[str, Any], kind: str
+) -> None:
+    """Writes arrays and metadata; `kind` names the format.
 
     Raises:
-        ValueError: for another extension.
+        ValueError: for any other file name extension than .safetensors.
     """
+    path = Path(path)
     if path.suffix != ".safetensors":
         raise ValueError(f"weights are written as .safetensors, not {path.name!r}")
     ordered = {key: np.array(value, order="C") for key, value in arrays.items()}
-    replace_file(path, lambda beside: save_file(ordered, beside, {"metadata": header}))
+    header = {"metadata": json.dumps({**metadata, "format": kind})}
+    replace_file(path, lambda beside: save_file(ordered, beside, header))
 
 
-def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
-    """Reads the arrays, and the header where there is one.
+def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Reads arrays and metadata of a format.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it cannot be read.
+        ValueError: if it cannot be read, or is of another format.
     """
     if not path.is_file():
         raise FileNotFoundError(
@@ -46,29 +46,30 @@ def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
         )
     try:
         with safe_open(path, "numpy") as file:
-            header = (file.metadata() or {}).get("metadata")
-            return {key: file.get_tensor(key) for key in file.keys()}, header  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
+            metadata = json.loads((file.metadata() or {}).get("metadata", "{}"))
+            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as .safetensors: {error}") from error
+    written = metadata.pop("format", None)
+    if written != kind:
+        raise ValueError(f"{path} is of the format {written!r}, not {kind!r}")
+    return arrays, metadata
 
 
 def array_of(
     path: Path, arrays: Mapping[str, Any], key: str, shape: tuple[int | None, ...]
 ) -> FloatArray:
-    """One of the arrays, of the given shape (None: any length) and finite.
+    """Returns one of the arrays, of the given shape (None: any length) and finite.
 
     Raises:
         ValueError: naming file and array, if it is missing, misshapen or not finite.
     """
     if key not in arrays:
         raise ValueError(f"{path} lacks the array '{key}'")
-    value = np.asarray(arrays[key])
-    fits = value.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, value.shape, strict=True)
-    )
-    if not fits:
-        wanted = tuple("any" if n is None else n for n in shape)
-        raise ValueError(f"{path}: '{key}' has the shape {value.shape}, it must be {wanted}")
-    if value.dtype.kind not in "fiu" or not np.isfinite(value).all():
+    value = np.asarray(arrays[key], dtype=float)
+    wanted = tuple(value.shape[i] if n is None else n for i, n in enumerate(shape[: value.ndim]))
+    if value.ndim != len(shape) or value.shape != wanted:
+        raise ValueError(f"{path}: '{key}' has the shape {value.shape}, it must be {shape}")
+    if not np.isfinite(value).all():
         raise ValueError(f"{path}: '{key}' must hold finite numbers")
-    return value.astype(float)
+    return value

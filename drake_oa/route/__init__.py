@@ -2,11 +2,10 @@
 
 In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m], and the table's plane if it is
 known apart, and the rows of candidate sides. Out: `Route`: for each obstacle the direction omega_d
-across the baseline, the heading v_d, the normal of the plane in which it is passed, and the
-clearance to be led at; and the ranking of the candidate sides.
+across the baseline, the normal of the plane in which it is passed, and the clearance to be led at;
+and the ranking of the candidate sides.
 
-System: `CostRingSelector`, 15 times a second, with hysteresis; the headings
-follow the motion at each step.
+System: `CostRingSelector`, 15 times a second, with hysteresis.
 
 A cost ring (Pairet et al., RA-L 2019, section IV-D) is a cost in [0, 1] of each direction of a
 circle about the baseline: length of the detour, table, limits of the workspace and of the joints;

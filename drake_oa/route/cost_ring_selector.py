@@ -23,11 +23,9 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
-from drake_oa.policy.action import desired_headings
 from drake_oa.policy.dmp import local_frame
 from drake_oa.route.cost_rings import (
     FORBIDDEN,
-    JOINT_LIMITS,
     JointMargins,
     Ring,
     Selection,
@@ -47,7 +45,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 class CostRingSelector(LeafSystem):
-    """Chooses the side of each obstacle by cost rings, and the heading past it.
+    """Chooses the side of each obstacle by cost rings.
 
     .. pydrake_system::
 
@@ -69,11 +67,11 @@ class CostRingSelector(LeafSystem):
       the ellipsoids is used.
     - coupling_parameters (optional): abstract `CouplingParameters`, whose rows of the kind `SIDE`
       are ranked.
-    - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
-      desired heading v_d, the plane's normal, the clearance to keep there; and the rings.
-    - decision: abstract `Route` without headings (0, 3), with the ranking of the sides; empty
-      while there is no motion. Without sides it does not change with every step of the policy, so
-      neither does what is computed from it; `DmpIntegrator` finds the headings itself.
+    - route: abstract `Route`: for each obstacle the chosen direction omega_d, the plane's normal,
+      the clearance to keep there; the rings, and the ranking of the sides; empty while there is no
+      motion. Without sides it does not change with every step of the policy, so
+      neither does what is computed from it; `DmpIntegrator` finds the headings.
+    - decision: the same.
 
     The sides of several obstacles are chosen together (`drake_oa.route.cost_rings`). Where every
     direction of an obstacle is forbidden, the route's note says so, and the policy holds
@@ -85,8 +83,7 @@ class CostRingSelector(LeafSystem):
 
     The side is decided at initialization and every `period`, shortly after it so that
     an observation of the same instant counts, and kept by hysteresis: the decision is
-    abstract state. Between decisions only the headings follow the motion; when the set
-    of obstacles changes, it is decided at once.
+    abstract state. When the set of obstacles changes, it is decided at once.
     """
 
     def __init__(
@@ -129,7 +126,7 @@ class CostRingSelector(LeafSystem):
         }
         self._joint_margins = joint_margins
         if joint_margins is not None:
-            self._rings |= {"workspace": reach_ring, JOINT_LIMITS: joint_limits_ring}
+            self._rings |= {"workspace": reach_ring, "joint_limits": joint_limits_ring}
         self._extra, self._ring_price = dict(extra_rings or {}), ring_price
         self._rings |= self._extra
 
@@ -141,24 +138,24 @@ class CostRingSelector(LeafSystem):
             "coupling_parameters", Value(CouplingParameters())
         )
         self._decided = self.DeclareAbstractState(Value(Route()))
-        self.DeclareAbstractOutputPort("route", lambda: Value(Route()), self._calc_route)
-        self.DeclareAbstractOutputPort(
-            "decision",
-            lambda: Value(Route()),
-            self._calc_decision,
-            # Not the goal: a constant source counts as new at every instant.
-            prerequisites_of_calc={
-                self._ellipsoids.ticket(),
-                self._table.ticket(),
-                self._coupling.ticket(),
-                self.abstract_state_ticket(self._decided),
-            },
-        )
+        for name in ("route", "decision"):
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value(Route()),
+                self._calc_decision,
+                # Not the goal: a constant source counts as new at every instant.
+                prerequisites_of_calc={
+                    self._ellipsoids.ticket(),
+                    self._table.ticket(),
+                    self._coupling.ticket(),
+                    self.abstract_state_ticket(self._decided),
+                },
+            )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._decide)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
-        """Weighs the rings for a motion from p_WS to p_WG; the route without its headings."""
+        """Weighs the rings for a motion from p_WS to p_WG."""
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         R_WL = local_frame(p_WS, p_WG)
         table = read_optional(self, self._table, context, TablePlane) or ellipsoids.table
@@ -178,7 +175,6 @@ class CostRingSelector(LeafSystem):
             self._rings,
             previous=np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64),
             hysteresis=self._hysteresis,
-            joint_margins=self._joint_margins,
         )
         direction_W = scene.directions_W[selection.index]
         return Route(
@@ -232,8 +228,7 @@ class CostRingSelector(LeafSystem):
     ) -> Route:
         """Returns the route with the ranking of the sides."""
         rows = np.flatnonzero(coupling.kind == SIDE)
-        price = np.zeros(0)
-        blocked, note = route.blocked, route.note
+        cost = side_costs(coupling.length[rows], coupling.likely[rows])
         if self._extra and len(ellipsoids) and len(rows) and route.baseline > 0.0:
             scene = ring_scene(
                 route.p_WS,
@@ -248,27 +243,12 @@ class CostRingSelector(LeafSystem):
             rings = np.array([ring(scene).max(axis=0) for ring in self._extra.values()])
             forbidden = (rings >= FORBIDDEN).any(axis=0)
             price = np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))
+            route, cost = replace(route, price=price), cost + price
             if forbidden.all():
-                blocked = True
                 note = f"every side is forbidden by the rings {', '.join(self._extra)}"
-        cost = side_costs(coupling.length[rows], coupling.likely[rows])
-        cost += price if len(price) else 0.0
+                route = replace(route, blocked=True, note=note)
         order = np.argsort(cost, kind="stable")
-        ranking = rows[order[np.isfinite(cost[order])]]
-        return replace(route, ranking=ranking, price=price, blocked=blocked, note=note)
-
-    def _calc_route(self, context: Context, output: AbstractValue) -> None:
-        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        policy = read_value(self, self._policy, context, PolicyState)
-        route = self._current(context)
-        heading_W = desired_headings(
-            policy,
-            ellipsoids,
-            route.direction_W,
-            route.normal_W,
-            route.remaining_clearance,
-        )
-        output.set_value(replace(route, heading_W=heading_W))
+        return replace(route, ranking=rows[order[np.isfinite(cost[order])]])
 
 
 def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:

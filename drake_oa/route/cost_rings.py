@@ -31,17 +31,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from itertools import pairwise
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.ellipsoid import signed_distance
 
 FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
-JOINT_LIMITS = "joint_limits"
-"""Name of the ring of `joint_limits_ring`."""
 JOINT_MARGIN = 0.1
 """Distance that the joints keep from their limits where there is room [rad]."""
 LEAST_SPREAD = 0.1
@@ -121,12 +120,10 @@ def ring_scene(
     angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
     circle_L = np.stack([np.zeros(n_directions), np.cos(angles), np.sin(angles)], axis=1)
     directions_W = circle_L @ R_WL.T
-    baseline = p_WG - p_WS
-    length = float(np.sqrt(baseline @ baseline))
+    length = float(np.linalg.norm(p_WG - p_WS))
     along = np.clip((ellipsoids.p_WO - p_WS) @ R_WL[:, 0], 0.0, length)
     p_WB = p_WS + along[:, None] * R_WL[:, 0]
-    in_axes = np.einsum("mji,kj->mki", ellipsoids.R_WO, directions_W)
-    support = np.sqrt(np.sum((in_axes * ellipsoids.semi_axes[:, None, :]) ** 2, axis=2))
+    support = support_of(ellipsoids, np.broadcast_to(directions_W, (len(along), n_directions, 3)))
     detour = np.maximum(0.0, support + asked_clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T)
     p_WP = p_WB[:, None, :] + detour[:, :, None] * directions_W
     margin, straight = np.full(detour.shape, np.inf), np.inf
@@ -193,12 +190,12 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
     """
     if scene.table is None:
         return np.zeros(scene.detour.shape)
-    return np.where(scene.table.height(scene.p_WP) < height, FORBIDDEN, 0.0)
+    return (scene.table.height(scene.p_WP) < height).astype(float)
 
 
 def reach_ring(scene: RingScene) -> FloatArray:
     """1 where the arm cannot follow the way over the passing point."""
-    return np.where(np.isneginf(scene.joint_margin), FORBIDDEN, 0.0)
+    return np.isneginf(scene.joint_margin).astype(float)
 
 
 def joint_limits_ring(scene: RingScene) -> FloatArray:
@@ -207,7 +204,7 @@ def joint_limits_ring(scene: RingScene) -> FloatArray:
     That is nearer than `JOINT_MARGIN`, and than on the baseline.
     """
     is_near = scene.joint_margin < min(JOINT_MARGIN, scene.straight_margin)
-    return np.where(is_near & ~np.isneginf(scene.joint_margin), FORBIDDEN, 0.0)
+    return (is_near & ~np.isneginf(scene.joint_margin)).astype(float)
 
 
 _SAMPLES = 41
@@ -260,25 +257,21 @@ def select_directions(
     *,
     previous: IntArray | None = None,
     hysteresis: float = 0.2,
-    joint_margins: JointMargins | None = None,
 ) -> Selection:
-    """Chooses omega_d: the direction of least total cost for each obstacle.
+    """Chooses omega_d: the directions of least total cost.
 
     Obstacles with no way between them (`overlap_groups`) are passed on one side:
     the mean of their costs decides, and what one of them forbids is forbidden to
     all. Equal costs are decided by the lowest angle, so the answer is definite. The sides
-    of several groups are chosen together. A way that the arm
-    cannot follow costs the side at which it ends 1 on the ring of the joint limits, and the
-    choice is made again.
+    of several groups are chosen together.
 
     Args:
         scene: the scene.
         rings: the rings by name.
         previous: (M,) the columns chosen before, -1 where there was none. A group
-            keeps its side while that is allowed and dearer than the best one by
-            less than `hysteresis`.
+            keeps its side while that is allowed and no other choice takes `hysteresis` off the
+            total.
         hysteresis: in units of cost.
-        joint_margins: of the arm along a way; None: it follows every way.
     """
     count, width = scene.detour.shape
     costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
@@ -288,120 +281,28 @@ def select_directions(
                 f"ring '{name}' returned shape {cost.shape}; it must be ({count}, {width}), "
                 "obstacles by directions"
             )
-    groups = overlap_groups(scene.ellipsoids, scene.asked_clearance)
-    choose = partial(_choose, scene, groups, previous, hysteresis)
-    selection = choose(costs)
-    if joint_margins is None or not count:
-        return selection
-    order = along_baseline(scene.ellipsoids, groups, scene.p_WG - scene.p_WS)
-    # Each time one side more is forbidden, until a group has none left.
-    while not selection.blocked.any():
-        rows = [np.flatnonzero(groups == group) for group in order]
-        sides = [selection.index[members[0]] for members in rows]
-        peaks = [
-            scene.p_WP[members[scene.detour[members, side].argmax()], side]
-            for members, side in zip(rows, sides, strict=True)
-        ]
-        way = np.array([scene.p_WS, *peaks, scene.p_WG])
-        missed = np.flatnonzero(np.isneginf(joint_margins(way[None])[0]))
-        if not len(missed):
-            break
-        stuck = min(max(missed[0] - 1, 0), len(rows) - 1)
-        strained = costs.get(JOINT_LIMITS, np.zeros((count, width))).copy()
-        strained[rows[stuck], sides[stuck]] = FORBIDDEN
-        costs = costs | {JOINT_LIMITS: strained}
-        selection = choose(costs)
-    return selection
-
-
-def _choose(
-    scene: RingScene,
-    groups: IntArray,
-    previous: IntArray | None,
-    hysteresis: float,
-    costs: dict[str, FloatArray],
-) -> Selection:
-    count, width = scene.detour.shape
-    blocked = np.zeros(count, dtype=bool)
-    forbidden = np.zeros((count, width), dtype=bool)
-    for name, cost in costs.items():
-        if name != "length":
-            forbidden |= cost >= FORBIDDEN
-    numbers = np.unique(groups)
-    rows_of = {int(group): np.flatnonzero(groups == group) for group in numbers}
-    shut = {group: np.asarray(forbidden[rows].any(axis=0)) for group, rows in rows_of.items()}
-    for group, rows in rows_of.items():
-        blocked[rows] = bool(shut[group].all())
-    kept = {group: _kept(previous, rows) for group, rows in rows_of.items()}
-    if len(numbers) > 1:
-        best = _sequence(scene, costs, groups, rows_of, shut, kept, hysteresis)
-    else:
-        total = sum(costs.values(), np.zeros((count, width)))
-        best = {
-            # A forbidden direction never beats an allowed one, whatever the sum of the others.
-            group: _cheapest(
-                total[rows].mean(axis=0) + np.where(shut[group], float(len(costs)), 0.0),
-                kept[group],
-                hysteresis,
-            )
-            for group, rows in rows_of.items()
-        }
-    index = np.zeros(count, dtype=np.int64)
-    for group, rows in rows_of.items():
-        index[rows] = best[group]
-    return Selection(index, costs, blocked)
-
-
-def _kept(previous: IntArray | None, rows: IntArray) -> int:
-    """The side that a group had, or -1."""
-    if previous is None:
-        return -1
-    known = previous[rows][previous[rows] >= 0]
-    return int(known[0]) if known.size else -1
-
-
-def _cheapest(cost: FloatArray, kept: int, hysteresis: float) -> int:
-    best = int(np.argmin(cost))
-    return kept if kept >= 0 and cost[kept] < cost[best] + hysteresis else best
-
-
-def _sequence(
-    scene: RingScene,
-    costs: Mapping[str, FloatArray],
-    groups: IntArray,
-    rows_of: Mapping[int, IntArray],
-    shut: Mapping[int, BoolArray],
-    kept: Mapping[int, int],
-    hysteresis: float,
-) -> dict[int, int]:
-    """Chooses the sides of several groups together."""
-    legs = legs_between(
-        scene.p_WS,
-        scene.p_WG,
-        scene.p_WP,
-        scene.detour,
-        scene.ellipsoids,
+    index, blocked = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
+    if not count:
+        return Selection(index, costs, blocked)
+    groups = groups_along_baseline(scene)
+    others = [cost for name, cost in costs.items() if name != "length"]
+    rings_sum = sum(others, np.zeros((count, width)))
+    forbidden = np.any([cost >= FORBIDDEN for cost in [*others, np.zeros((count, width))]], axis=0)
+    shut = np.array([forbidden[rows].any(axis=0) for rows in groups])
+    choice, pair = sequence_costs(
+        scene,
         groups,
-        scene.asked_clearance,
+        np.array([rings_sum[rows].mean(axis=0) for rows in groups]),
+        shut,
+        counts_length="length" in costs,
     )
-    order = legs.order.tolist()
-    rest = sum(
-        (cost for name, cost in costs.items() if name != "length"), np.zeros(scene.detour.shape)
-    )
-    baseline = float(np.linalg.norm(scene.p_WG - scene.p_WS))
-    chain = sequence_costs(
-        legs,
-        np.array([rest[rows_of[group]].mean(axis=0) for group in order]),
-        np.array([shut[group] for group in order], dtype=float),
-        LEAST_SPREAD * baseline if "length" in costs else np.inf,
-    )
-    dear = np.array(chain.choice)
-    for i, group in enumerate(order):
-        if kept[group] >= 0 and not shut[group][kept[group]]:
+    for row, rows in enumerate(groups):
+        for side in [] if previous is None else previous[rows][previous[rows] >= 0][:1]:
             # A side is left where that takes more than the hysteresis off the whole.
-            dear[i, kept[group]] -= hysteresis
-    index, _ = Chain(dear, chain.pair).least()
-    return dict(zip(order, index.tolist(), strict=True))
+            choice[row, side] -= hysteresis * (not shut[row, side])
+    for rows, side, is_shut in zip(groups, least_sequence(choice, pair)[0], shut, strict=True):
+        index[rows], blocked[rows] = side, is_shut.all()
+    return Selection(index, costs, blocked)
 
 
 _OBSTRUCTED = 2.0
@@ -410,147 +311,111 @@ the coupling's bends add up near the obstacle; a larger one changes little
 (docs/design.md)."""
 
 
+def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:
+    """Computes the support function of each of M ellipsoids about its center.
+
+    Args:
+        ellipsoids: M ellipsoids.
+        directions: (M, J, 3) unit directions.
+
+    Returns:
+        (M, J) [m].
+    """
+    axes = ellipsoids.R_WO * ellipsoids.semi_axes[:, None]
+    return np.asarray(np.linalg.norm(directions @ axes, axis=2))
+
+
 def overlap_groups(ellipsoids: EllipsoidSet, asked_clearance: float) -> IntArray:
     """Numbers the groups of obstacles that leave no way between them, (M,).
 
-    Two obstacles belong together when their gap along the line of centres is less
+    Two obstacles belong together when their gap along the line of centers is less
     than two clearances; groups are the connected components.
     """
-    count = len(ellipsoids)
-    gap = ellipsoids.p_WO[:, None, :] - ellipsoids.p_WO[None, :, :]
+    gap = ellipsoids.p_WO[:, None] - ellipsoids.p_WO
     distance = np.linalg.norm(gap, axis=2)
-    unit = np.divide(
-        gap, distance[:, :, None], out=np.zeros_like(gap), where=distance[:, :, None] > 0.0
-    )
-    in_axes = np.einsum("iab,ija->ijb", ellipsoids.R_WO, unit)
-    reach = np.linalg.norm(in_axes * ellipsoids.semi_axes[:, None, :], axis=2)
+    reach = support_of(ellipsoids, gap / np.maximum(distance, 1e-300)[:, :, None])
     linked = distance < reach + reach.T + 2.0 * asked_clearance
-    label = np.arange(count)
-    for _ in range(count):
-        spread = np.where(linked, label[None, :], count).min(axis=1, initial=count)
-        if np.array_equal(spread, label):
-            break
-        label = spread
-    return label
+    return np.asarray(connected_components(linked, directed=False)[1])
 
 
-def along_baseline(ellipsoids: EllipsoidSet, groups: IntArray, baseline: FloatArray) -> IntArray:
-    """The numbers of the groups in the order in which a motion along (3,) meets them."""
-    numbers = np.unique(groups)
-    place = ellipsoids.p_WO @ baseline
-    return numbers[np.argsort([place[groups == g].mean() for g in numbers], kind="stable")]
+def groups_along_baseline(scene: RingScene) -> list[IntArray]:
+    """Rows of each group of obstacles, in the order in which the motion meets the groups."""
+    numbers = overlap_groups(scene.ellipsoids, scene.asked_clearance)
+    groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
+    place = scene.ellipsoids.p_WO @ (scene.p_WG - scene.p_WS)
+    return sorted(groups, key=lambda rows: float(place[rows].mean()))
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """Costs of N stages with K choices each, of which neighbours see each other.
+def least_sequence(choice: FloatArray, pair: FloatArray) -> tuple[IntArray, float]:
+    """Finds the choices of least total cost (Viterbi), of equal ones the first, and that total.
 
-    Attributes:
-        choice: (N, K) of a choice.
-        pair: (N - 1, K, K) of a choice at a stage and at the next.
+    Args:
+        choice: (N, K) costs of a choice at a stage.
+        pair: (N - 1, K, K) costs of a choice at a stage and one at the next.
     """
-
-    choice: FloatArray
-    pair: FloatArray
-
-    def least(self) -> tuple[IntArray, float]:
-        """The choices of least total, of equal ones the first, and that total."""
-        count = len(self.choice)
-        onward = np.array(self.choice)
-        after = np.zeros(self.choice.shape, dtype=np.int64)
-        for i in range(count - 2, -1, -1):
-            total = self.pair[i] + onward[i + 1]
-            after[i] = total.argmin(axis=1)
-            onward[i] += total.min(axis=1)
-        index = np.empty(count, dtype=np.int64)
-        index[0] = onward[0].argmin()
-        for i in range(1, count):
-            index[i] = after[i - 1, index[i - 1]]
-        return index, float(onward[0].min())
+    onward, after = choice[-1], []
+    for stage in range(len(pair) - 1, -1, -1):
+        total = pair[stage] + onward
+        after.append(total.argmin(axis=1))
+        onward = choice[stage] + total.min(axis=1)
+    index = [int(onward.argmin())]
+    for following in reversed(after):
+        index.append(int(following[index[-1]]))
+    return np.array(index), float(onward.min())
 
 
-@dataclass(frozen=True, eq=False)
-class Legs:
-    """The ways between start, passing points and goal of N groups.
-
-    Attributes:
-        order: (N,) numbers of the groups along the baseline.
-        p_WP: (N, K, 3) the passing points of the groups [m].
-        length: lengths of the legs [m]: from the start and to the goal in `choice`.
-        obstruction: in [0, 1] a leg, how much obstacles are in its way.
-    """
-
-    order: IntArray
-    p_WP: FloatArray
-    length: Chain
-    obstruction: Chain
-
-
-def legs_between(
-    p_WS: FloatArray,
-    p_WG: FloatArray,
-    p_WP: FloatArray,
-    detour: FloatArray,
-    ellipsoids: EllipsoidSet,
-    groups: IntArray,
-    asked_clearance: float,
-) -> Legs:
-    """Looks at every leg.
+def sequence_costs(
+    scene: RingScene,
+    groups: list[IntArray],
+    rings: FloatArray,
+    shut: BoolArray,
+    *,
+    counts_length: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Computes the costs of sequences of sides of N groups, see `least_sequence`.
 
     A group is passed over the passing point of its member that stands out farthest. The
     legs from the start and to the goal pass their own group, whatever its side, by the
     coupling's bend: it is not in their way.
 
     Args:
-        p_WS, p_WG: (3,) start and goal [m].
-        p_WP: (M, K, 3) passing points [m].
-        detour: (M, K) their distance from the baseline [m].
-        ellipsoids: the M obstacles.
-        groups: (M,) the groups' numbers.
-        asked_clearance: asked clearance [m].
+        scene: the scene.
+        groups: rows of the groups along the baseline.
+        rings: (N, K) sum of the rings of each group but the length ring.
+        shut: (N, K) where a ring forbids the direction: it costs more than all else together.
+        counts_length: whether lengths count.
     """
-    baseline = p_WG - p_WS
-    order = along_baseline(ellipsoids, groups, baseline)
-    count, width = len(order), detour.shape[1]
-    p = np.empty((count, width, 3))
-    for i, group in enumerate(order):
-        rows = np.flatnonzero(groups == group)
-        p[i] = p_WP[rows[detour[rows].argmax(axis=0)], np.arange(width)]
-    length = Chain(np.zeros((count, width)), np.linalg.norm(p[1:, None] - p[:-1, :, None], axis=3))
-    in_way = Chain(np.zeros((count, width)), np.zeros((count - 1, width, width)))
-    length.choice[0] += np.linalg.norm(p[0] - p_WS, axis=1)
-    length.choice[-1] += np.linalg.norm(p_WG - p[-1], axis=1)
-    first, last, every = groups != order[0], groups != order[-1], groups >= 0
-    in_way.choice[0] += obstruction(p_WS[None], p[0], ellipsoids, first, asked_clearance)[0]
-    in_way.choice[-1] += obstruction(p[-1], p_WG[None], ellipsoids, last, asked_clearance)[:, 0]
-    for i in range(count - 1):
-        in_way.pair[i] = obstruction(p[i], p[i + 1], ellipsoids, every, asked_clearance)
-    return Legs(order, p, length, in_way)
+    count, width = rings.shape
+    farthest = [rows[scene.detour[rows].argmax(axis=0)] for rows in groups]
+    p = np.stack([scene.p_WP[rows, np.arange(width)] for rows in farthest])
+    stages = [scene.p_WS[None], *p, scene.p_WG[None]]
+    counts = np.ones((count + 1, len(scene.detour)), dtype=bool)
+    counts[0, groups[0]], counts[-1, groups[-1]] = False, False
+    legs = list(pairwise(stages))
+    length = [np.linalg.norm(b - a[:, None], axis=2) for a, b in legs]
+    obstructed = [
+        obstruction(a, b, scene.ellipsoids, seen, scene.asked_clearance)
+        for (a, b), seen in zip(legs, counts, strict=True)
+    ]
 
+    def chain(legs: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Adds the legs at both ends to the costs of the choices."""
+        choice = np.zeros((count, width))
+        choice[0] += legs[0][0]
+        choice[-1] += legs[-1][:, 0]
+        return choice, np.array(legs[1:-1]).reshape(-1, width, width)
 
-def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread: float) -> Chain:
-    """What a sequence of sides costs.
-
-    Args:
-        legs: see `legs_between`.
-        rings: (N, K) sum of the rings of each group but the length ring, in `legs.order`.
-        shut: (N, K) 1 where a ring forbids the direction: it costs more than all else
-            together.
-        least_spread: of lengths, below which they count as near to each other [m]; inf:
-            lengths do not count.
-    """
-    longest = -Chain(-legs.length.choice, -legs.length.pair).least()[1]
-    shortest = legs.length.least()[1]
-    count = len(rings)
-    scale = count / max(longest - shortest, count * least_spread)
+    lengths, between = chain(length)
+    shortest = least_sequence(lengths, between)[1]
+    longest = -least_sequence(-lengths, -between)[1]
+    spread = LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
+    scale = count / max(longest - shortest, count * spread) if counts_length else 0.0
+    choice, pair = chain(obstructed)
     all_else = float(rings.max(axis=1).sum()) + count + _OBSTRUCTED * (count + 1)
     # Of the length only what is over the shortest counts.
-    choice = rings + scale * legs.length.choice + _OBSTRUCTED * legs.obstruction.choice
-    choice[0] -= scale * shortest
-    return Chain(
-        choice + (all_else + 1.0) * shut,
-        scale * legs.length.pair + _OBSTRUCTED * legs.obstruction.pair,
-    )
+    lengths[0] -= shortest
+    choice = rings + scale * lengths + _OBSTRUCTED * choice + (all_else + 1.0) * shut
+    return choice, scale * between + _OBSTRUCTED * pair
 
 
 def obstruction(

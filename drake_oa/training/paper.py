@@ -278,7 +278,7 @@ def _chain(
         "nmse": {target: {k: of[k] for k in ("train", "test")} for target, of in errors.items()},
         **provenance(),
     }
-    return ChainWeights(networks, lower, upper, np.ones(len(lower)), frozenset(), metadata=metadata)
+    return ChainWeights(networks, lower, upper, metadata)
 
 
 def printed_errors(chain: str, target: str) -> dict[str, float]:

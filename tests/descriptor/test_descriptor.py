@@ -1,7 +1,6 @@
 """Obstacles in parts: what they enclose, and when they are used."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -40,17 +39,10 @@ def test_parts_of_a_tool_are_merged_where_they_fill_their_box() -> None:
     assert len(fingers) == len(left) + len(right)
 
 
-@pytest.fixture
-def beside_a_box() -> tuple[ObstacleClouds, FloatArray]:
-    """A box, and a point that the ellipsoid round it holds though the tool touches nothing."""
-    cloud = box_cloud((0.2, 0.3, 0.2))
-    return ObstacleClouds(0.0, (cloud,), np.array([7])), np.array([0.5, -0.25, 0.1])
-
-
-def test_an_obstacle_near_a_free_point_has_several_rows(
-    beside_a_box: tuple[ObstacleClouds, FloatArray],
-) -> None:
-    obstacles, free = beside_a_box
+def test_an_obstacle_near_a_free_point_has_several_rows() -> None:
+    # The ellipsoid around the box holds the point though the tool touches nothing there.
+    obstacles = ObstacleClouds(0.0, (box_cloud((0.2, 0.3, 0.2)),), np.array([7]))
+    free = np.array([0.5, -0.25, 0.1])
     one = describe(obstacles, TOOL)
     assert len(one) == 1
     assert signed_distance(free, one.p_WO[0], one.R_WO[0], one.semi_axes[0]) < 0.0
@@ -66,21 +58,9 @@ def test_an_obstacle_near_a_free_point_has_several_rows(
     dilated = (obstacles.clouds_W[0][:, None] - TOOL).reshape(-1, 1, 3)
     distance = signed_distance(dilated, several.p_WO, several.R_WO, several.semi_axes)
     assert distance.min(axis=1).max() <= 1e-9
-
-
-def test_an_obstacle_away_from_the_free_points_has_one_row(
-    beside_a_box: tuple[ObstacleClouds, FloatArray],
-) -> None:
-    obstacles, _ = beside_a_box
+    # Away from the free points it has one.
     far = describe(obstacles, TOOL, free_W=[[0.5, 0.9, 0.1]], tool_parts=[HAND, FINGERS])
-    np.testing.assert_array_equal(far.p_WO, describe(obstacles, TOOL).p_WO)
-
-
-def test_a_point_in_the_middle_stays_inside_whatever_the_parts(
-    beside_a_box: tuple[ObstacleClouds, FloatArray],
-) -> None:
-    obstacles, _ = beside_a_box
-    whole = describe(obstacles, TOOL)
-    middle = describe(obstacles, TOOL, free_W=whole.p_WO, tool_parts=[TOOL])
-    distance = signed_distance(whole.p_WO[0], middle.p_WO, middle.R_WO, middle.semi_axes)
-    assert distance.min() < 0.0
+    np.testing.assert_array_equal(far.p_WO, one.p_WO)
+    # A point in the middle stays inside whatever the parts.
+    middle = describe(obstacles, TOOL, free_W=one.p_WO, tool_parts=[TOOL])
+    assert signed_distance(one.p_WO[0], middle.p_WO, middle.R_WO, middle.semi_axes).min() < 0.0

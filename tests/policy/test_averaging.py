@@ -39,25 +39,18 @@ def recording(
     return arc(t / duration, bulge) + tremor, t
 
 
-def test_one_recording_loses_its_tremor_and_keeps_its_way() -> None:
+def test_one_recording_loses_its_tremor_keeps_its_way_and_ends_at_rest() -> None:
     path, t = recording(1)
     mean, stamps = average_paths([path], [t])
     assert mean.shape == (POINTS, 3)
     assert stamps[-1] == pytest.approx(5.0)
-    dmp = imitate(mean, stamps, still=STILL)
-    way = trajectory(dmp, START, GOAL)
-    assert np.linalg.norm(way.p - arc(way.s), axis=1).max() < 2.5e-3
+    way = trajectory(imitate(mean, stamps, still=STILL), START, GOAL, steps=1000, end=2.0)
+    assert np.linalg.norm(way.p - arc(np.minimum(way.s, 1.0)), axis=1).max() < 1e-3
+    assert np.linalg.norm(way.p[500:] - GOAL, axis=1).max() < 4e-4
     # What a spline through every sample learns is far off: of the tremor's acceleration.
-    raw = trajectory(imitate(path, t), START, GOAL)
+    raw = trajectory(imitate(path, t), START, GOAL, steps=1000, end=2.0)
     jerk, of_raw = (np.abs(np.diff(one.z, n=2, axis=0)).max() for one in (way, raw))
     assert of_raw > 10.0 * jerk
-
-
-def test_it_stays_at_the_goal_after_its_end() -> None:
-    path, t = recording(2)
-    dmp = imitate(*average_paths([path], [t]), still=STILL)
-    late = trajectory(dmp, START, GOAL, steps=1000, end=2.0)
-    assert np.linalg.norm(late.p[500:] - GOAL, axis=1).max() < 4e-4
 
 
 def test_repetitions_are_averaged_each_counting_the_same() -> None:
@@ -82,36 +75,20 @@ def test_repetitions_elsewhere_turned_and_larger_are_the_same_motion() -> None:
     np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-def test_a_few_points_are_gone_through() -> None:
+def test_a_few_points_are_gone_through_and_a_gap_is_bridged() -> None:
     s = np.linspace(0.0, 1.0, SPARSE // 5)
     mean, t = average_paths([arc(s)], [s])
     np.testing.assert_allclose(mean, arc(t), atol=1e-4)
-    # And averaged with what is dense.
-    path, stamps = recording(1, noise=0.0)
-    mean, t = average_paths([arc(s), path], [s, stamps])
-    np.testing.assert_allclose(mean, arc(t / t[-1]), atol=1e-3)
-
-
-def test_a_gap_in_a_recording_is_bridged() -> None:
     path, t = recording(1)
     kept = (t < 2.0) | (t > 2.8)
-    mean, stamps = average_paths([path[kept]], [t[kept]])
-    assert np.linalg.norm(mean - arc(stamps / 5.0), axis=1).max() < 5e-3
-
-
-def test_what_begins_and_ends_under_way_is_brought_to_rest() -> None:
-    s = np.linspace(0.0, 1.0, 300)
-    mean, t = average_paths([s[:, None] * (GOAL - START)], [s])
-    v = np.gradient(mean[:, 1], t)
-    assert np.abs(v[[0, -1]]).max() < 0.05
-    np.testing.assert_allclose(v[30:-30], 0.8, atol=1e-6)
-    assert mean[:, 1].max() < 0.8 + 1e-9
+    mean, stamps = average_paths([arc(s), path[kept]], [s, t[kept]])
+    assert np.linalg.norm(mean - arc(stamps / stamps[-1]), axis=1).max() < 5e-3
 
 
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda p, t: (p, np.append(t[:-1], t[-2])), "sample 499 at .* follows"),
+        (lambda p, t: (p, np.append(t[:-1], t[-2])), "that of sample 499"),
         (lambda p, t: (np.vstack([p, p[::-1]]), np.arange(1000.0)), "show it in two parts"),
     ],
 )
@@ -120,8 +97,6 @@ def test_a_bad_one_of_several_is_named(spoil: object, words: str) -> None:
     bad = spoil(path, t)  # type: ignore[operator]
     with pytest.raises(ValueError, match=f"^demonstration 2 of 2: .*{words}"):
         average_paths([path, bad[0]], [t, bad[1]])
-    with pytest.raises(ValueError, match=f"^(?!demonstration).*{words}"):
-        average_paths([bad[0]], [bad[1]])
 
 
 # Orientations
@@ -146,8 +121,8 @@ def test_orientations_are_averaged(angle: float) -> None:
 
 def test_turns_that_differ_too_much_are_refused() -> None:
     s = np.linspace(0.0, 1.0, 400)
-    there, back = (turning(s, angle).as_matrix() for angle in (3.0, -3.0))
-    with pytest.raises(ValueError, match=r"demonstration 1 of 2: .*turned by 172 degrees"):
+    there, back = (turning(s, angle).as_matrix() for angle in (3.3, -3.3))
+    with pytest.raises(ValueError, match=r"demonstration 1 of 2: .*turned by 95 degrees"):
         average_orientations([there, back], [s, s])
     with pytest.raises(ValueError, match=r"demonstration 2 of 2: .*no rotation matrix"):
         average_orientations([there, 2.0 * there], [s, s])

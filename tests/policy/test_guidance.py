@@ -4,104 +4,65 @@ import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, Route
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.action import desired_headings
-from drake_oa.policy.dmp import local_frame
-from drake_oa.route.cost_rings import passing_normals
+from drake_oa.policy.action import Surroundings
+from drake_oa.policy.coupling import HEADING
+from drake_oa.policy.guidance import guide
 from tests.builders import balls
 
-UP = np.array([[0.0, 0.0, 1.0]])
+UP = (0.0, 0.0, 1.0)
 Triple = tuple[float, float, float]
-
-
-def policy(p: Triple, z: Triple) -> PolicyState:
-    return PolicyState(
-        p_WE=np.array(p), z_W=np.array(z), p_WS=np.zeros(3), p_WG=np.array([1.0, 0.0, 0.0])
-    )
-
-
-def headings(state: PolicyState, ellipsoids: EllipsoidSet, direction: FloatArray) -> FloatArray:
-    """As the CostRingSelector asks for them."""
-    normal = passing_normals(direction, state.R_WL)
-    delta = np.full(len(ellipsoids), 0.1)
-    return desired_headings(state, ellipsoids, direction, normal, delta)
-
-
 BLOCK = balls((0.5, 0, 0), radius=(0.1, 0.2, 0.15))
 
 
+def heading(p: Triple, z: Triple, ellipsoids: EllipsoidSet, side: Triple = UP) -> FloatArray:
+    """Of a motion along x past an obstacle, at 0.1 m."""
+    route = Route(
+        direction_W=np.array([side]),
+        normal_W=np.cross([1.0, 0.0, 0.0], side)[None],
+        remaining_clearance=np.full(1, 0.1),
+    )
+    rows = CouplingParameters(*np.ones((3, 1)))
+    obstacles = Surroundings.of(ellipsoids, rows, route).obstacles
+    guide(p, z, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), obstacles, obstacles.terms)
+    return obstacles.terms[0, HEADING : HEADING + 3]
+
+
 def test_a_motion_that_would_pass_below_is_led_over_the_top() -> None:
-    for state in (policy((0, 0, -0.01), (1, 0, 0)), policy((0, 0, 0), (1, 0, -0.1))):
-        heading = headings(state, BLOCK, UP)[0]
-        assert heading[2] > 0.1
-        assert abs(heading[1]) < 1e-12
-        assert abs(np.linalg.norm(heading) - 1.0) < 1e-12
-
-
-def test_a_motion_that_turns_to_the_chosen_side_by_itself_needs_no_guidance() -> None:
-    for height in (0.0, 0.01):
-        assert not headings(policy((0, 0, height), (1, 0, 0)), BLOCK, UP).any()
-
-
-def test_a_motion_at_rest_is_led_from_the_baseline() -> None:
-    at_rest = headings(policy((0, 0, -0.01), (0, 0, 0)), BLOCK, UP)
-    moving = headings(policy((0, 0, -0.01), (1, 0, 0)), BLOCK, UP)
-    assert at_rest.any()
+    for p, z in (((0, 0, -0.01), (1, 0, 0)), ((0.0, 0, 0), (1, 0, -0.1))):
+        found = heading(p, z, BLOCK)
+        assert found[2] > 0.1
+        assert abs(found[1]) < 1e-12
+        assert abs(np.linalg.norm(found) - 1.0) < 1e-12
+    # At rest it is led from the baseline.
+    at_rest, moving = (heading((0, 0, -0.01), (x, 0, 0), BLOCK) for x in (0, 1))
     np.testing.assert_allclose(at_rest, moving)
 
 
-def test_no_guidance_when_the_way_is_clear_or_the_goal_comes_first() -> None:
-    beside = balls((0.5, 0.6, 0), radius=(0.1, 0.1, 0.1))
-    behind = balls((-0.5, 0, 0), radius=(0.1, 0.1, 0.1))
-    beyond = balls((1.5, 0, 0), radius=(0.1, 0.1, 0.1))
-    for ellipsoids in (beside, behind, beyond, EllipsoidSet()):
-        heading = headings(policy((0, 0, -0.01), (1, 0, 0)), ellipsoids, UP[: len(ellipsoids)])
-        assert heading.shape == (len(ellipsoids), 3)
-        assert not heading.any()
+def test_no_guidance_where_none_is_needed() -> None:
+    # By itself it turns to the chosen side, whatever the rounding straight at the center.
+    for height in (-1e-13, 0.0, 1e-13, 0.01):
+        assert not heading((0, 0, height), (1, 0, 0), BLOCK).any()
+    for center in ((0.5, 0.6, 0), (-0.5, 0, 0), (1.5, 0, 0)):
+        assert not heading((0, 0, -0.01), (1, 0, 0), balls(center, radius=0.1)).any()
 
 
 @given(
     offset=st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)),
-    axes=st.tuples(st.floats(0.03, 0.2), st.floats(0.03, 0.2), st.floats(0.03, 0.2)),
+    axes=st.tuples(*[st.floats(0.03, 0.2)] * 3),
     angle=st.floats(0.0, 6.28),
 )
 def test_a_heading_on_the_wrong_side_becomes_one_that_keeps_the_clearance(
     offset: tuple[float, float], axes: Triple, angle: float
 ) -> None:
-    direction = np.array([[0.0, np.cos(angle), np.sin(angle)]])
+    side = np.array([0.0, np.cos(angle), np.sin(angle)])
     # E lies within 60 degrees of the side opposite to the chosen one: guidance acts in full.
     assume(np.hypot(*offset) > 1e-3)
-    assume(direction[0, 1:] @ offset < -0.51 * np.hypot(*offset))
+    assume(side[1:] @ offset < -0.51 * np.hypot(*offset))
     ellipsoids = balls((0.6, 0.0, 0.0), radius=axes)
-    p_WE = (0.0, *offset)
-    heading = headings(policy(p_WE, (1, 0, 0)), ellipsoids, direction)[0]
-    way = p_WE + np.linspace(0.0, 2.0, 400)[:, None] * heading
+    found = heading((0.0, *offset), (1, 0, 0), ellipsoids, tuple(side))
+    way = (0.0, *offset) + np.linspace(0.0, 2.0, 400)[:, None] * found
     kept = signed_distance(way, ellipsoids.p_WO[0], ellipsoids.R_WO[0], ellipsoids.semi_axes[0])
-    assert kept.min() >= 0.1 - 1e-9 or not heading.any()
-
-
-@given(angle=st.floats(0.0, 6.28), goal=st.tuples(*[st.floats(-1, 1)] * 3))
-def test_passing_normals_are_unit_and_turn_from_the_baseline_to_the_chosen_side(
-    angle: float, goal: Triple
-) -> None:
-    assume(np.linalg.norm(goal) > 1e-3)
-    R_WL = local_frame(np.zeros(3), np.array(goal))
-    direction = np.array([[0.0, np.cos(angle), np.sin(angle)]]) @ R_WL.T
-    normal = passing_normals(direction, R_WL)
-    np.testing.assert_allclose(np.linalg.norm(normal), 1.0)
-    np.testing.assert_allclose(np.cross(normal[0], R_WL[:, 0]), direction[0], atol=1e-12)
-
-
-def test_straight_at_the_centre_no_heading_is_needed_whatever_the_rounding() -> None:
-    """The P-plane's normal is rounding there; the passing plane's decides the side."""
-    for scale in (1.0, 3.0, 10.0):
-        for tilt in (0.0, 1e-13, -1e-13):
-            heading = desired_headings(
-                PolicyState(p_WG=np.array([scale, 0.0, 0.0])),
-                balls((0.5 * scale, 0.0, tilt * scale), radius=0.1 * scale),
-                np.array([[0.0, 0.0, 1.0]]),
-                np.array([[0.0, -1.0, 0.0]]),
-                np.array([0.1 * scale]),
-            )
-            np.testing.assert_array_equal(heading, 0.0)
+    assert kept.min() >= 0.1 - 1e-9 or not found.any()
+    assert kept.min() <= 0.25

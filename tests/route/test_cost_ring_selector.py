@@ -48,24 +48,12 @@ def test_it_passes_on_the_side_that_is_shorter() -> None:
     assert route.note == ""
 
 
-def test_each_field_of_the_route_has_one_row_an_obstacle() -> None:
-    for count in (0, 1, 3):
-        some = balls(*[(0.3 + 0.2 * i, 0.02, 0.3) for i in range(count)])
-        route = decided(CostRingSelector(0.15), some)
-        for name in ("heading_W", "direction_W", "normal_W"):
-            assert len(getattr(route, name)) == count
-        for name in ("remaining_clearance", "index", "ids"):
-            assert getattr(route, name).shape == (count,)
-
-
-def test_the_decision_is_the_route_without_headings() -> None:
+def test_the_decision_is_the_route_and_does_not_follow_the_motion() -> None:
     system = CostRingSelector(0.15)
     simulator = prepared(system, balls((0.4, 0.02, 0.3), (0.6, 0.02, 0.3)))
     context = simulator.get_mutable_context()
     decision = system.GetOutputPort("decision").Eval(context)
-    assert decision.heading_W.shape == (0, 3)
     np.testing.assert_array_equal(decision.direction_W, route_of(system, context).direction_W)
-    # It does not follow the motion.
     fix(system, context, policy_state=PolicyState(p_WE=START + 0.1, p_WS=START, p_WG=GOAL))
     assert system.GetOutputPort("decision").Eval(context) is decision
 
@@ -135,7 +123,7 @@ def test_a_new_obstacle_is_decided_at_once() -> None:
     )
     route = route_of(system, simulator.get_context())
     assert route.ids.tolist() == [0, 4]
-    assert len(route.heading_W) == len(route.remaining_clearance) == 2
+    assert len(route.direction_W) == len(route.remaining_clearance) == 2
     fix(system, simulator.get_mutable_context(), ellipsoids_W=balls())
     assert len(route_of(system, simulator.get_context()).ids) == 0
 
@@ -147,7 +135,6 @@ def test_when_no_side_is_allowed_it_says_so(caplog: pytest.LogCaptureFixture) ->
         simulator.AdvanceTo(0.3)
     route = route_of(system, simulator.get_context())
     assert route.note == "every side of obstacle 3 is forbidden"
-    assert np.isfinite(route.heading_W).all()
     assert len(caplog.records) == 1
     assert route.note in caplog.text
 

@@ -43,7 +43,6 @@ def sides(*ids, cost=0.0):
     count = len(ids)
     return Route(
         direction_W=np.tile([0.0, 0.0, 1.0], (count, 1)),
-        heading_W=np.zeros((count, 3)),
         normal_W=np.tile([1.0, 0.0, 0.0], (count, 1)),
         index=np.zeros(count, dtype=np.int64),
         angles=np.arange(8) * np.pi / 4,
