@@ -54,7 +54,7 @@ def plot_dead_zone(path: Path, scenes: Scenes, outcomes: Mapping[str, Outcome]) 
     """
     theta = np.linspace(-np.pi / 2, np.pi / 2, 1001)
     alpha, psi = matched_term(GAMMA)
-    offset = 1e3 * scenes.center[:, 0, 1]
+    offset = 1e3 * scenes.center[:, 1]
     with saved_figure(path, 12.0, 4.0, "dead zone") as figure:
         rate, clearance = figure.subplots(1, 2)
         for name, values in (

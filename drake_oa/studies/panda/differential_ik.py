@@ -25,7 +25,7 @@ import logging
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -77,25 +77,9 @@ KP, KD = 2500.0, 100.0
 """Stiffness [1/s^2] and damping [1/s] of the joint controller."""
 
 
-@dataclass(frozen=True)
-class KeptDistances:
-    """Distances that the program keeps.
-
-    Attributes:
-        tool: of the tool from obstacles [m].
-        arm: of the other links from obstacles, and of every link from the rest of the world [m].
-    """
-
-    tool: float = 0.03
-    arm: float = 0.02
-
-    @property
-    def safety(self) -> float:
-        """Distance that tool and arm both keep from obstacles [m]."""
-        return min(self.tool, self.arm)
-
-
-_DISTANCES = KeptDistances()
+TOOL_DISTANCE, ARM_DISTANCE = 0.03, 0.02
+"""Distance of the tool from obstacles, and of the other links from obstacles and of every link from
+the rest of the world [m]."""
 METHOD = "DifferentialInverseKinematics"
 """The log's `regulation`."""
 
@@ -147,29 +131,28 @@ def make_collision_checker(
 
 
 def make_differential_ik(
-    scenario: Scenario, checker: SceneGraphCollisionChecker, distances: KeptDistances
+    scenario: Scenario, checker: SceneGraphCollisionChecker, safety: float
 ) -> DifferentialInverseKinematicsSystem:
-    """Makes the system with its program, which runs every `scenario.policy.period`."""
+    """Makes the system with its program, which runs every `scenario.policy.period`.
+
+    Args:
+        scenario: with a robot.
+        checker: collision model with paddings.
+        safety: distance that every pair keeps besides its padding [m].
+    """
     System, plant = DifferentialInverseKinematicsSystem, checker.plant()
     dmp = make_dmp(scenario)
     planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
-    greatest_speed = float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
+    speed = SPEED_SHARE * float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
     active = DofMask.MakeFromModel(plant, plant.GetFrameByName(TOOL_FRAME).model_instance())
+    cost, limits = System.LeastSquaresCost, System.JointVelocityLimitConstraint
+    centering, collision = System.JointCenteringCost, System.CollisionConstraint
+    distances = collision.Config(safety_distance=safety, influence_distance=safety + INFLUENCE)
     recipe = System.Recipe()
-    for ingredient in (
-        System.LeastSquaresCost(System.LeastSquaresCost.Config(cartesian_qp_weight=WEIGHT)),
-        System.JointCenteringCost(System.JointCenteringCost.Config()),
-        System.JointVelocityLimitConstraint(
-            System.JointVelocityLimitConstraint.Config(), JointLimits(plant, active)
-        ),
-        System.CollisionConstraint(
-            System.CollisionConstraint.Config(
-                safety_distance=distances.safety,
-                influence_distance=distances.safety + INFLUENCE,
-            )
-        ),
-    ):
-        recipe.AddIngredient(ingredient)
+    recipe.AddIngredient(cost(cost.Config(cartesian_qp_weight=WEIGHT)))
+    recipe.AddIngredient(centering(centering.Config()))
+    recipe.AddIngredient(limits(limits.Config(), JointLimits(plant, active)))
+    recipe.AddIngredient(collision(distances))
     return System(
         recipe=recipe,
         task_frame=plant.world_frame().scoped_name().get_full(),
@@ -178,10 +161,7 @@ def make_differential_ik(
         time_step=HORIZON,
         # The system asks for gain (X - X_now) / time_step; the step is the policy's.
         K_VX=GAIN * HORIZON / scenario.policy.period,
-        Vd_TG_limit=SpatialVelocity(
-            w=np.full(3, ANGULAR_LIMIT),
-            v=np.full(3, SPEED_SHARE * greatest_speed),
-        ),
+        Vd_TG_limit=SpatialVelocity(w=np.full(3, ANGULAR_LIMIT), v=np.full(3, speed)),
     )
 
 
@@ -245,43 +225,30 @@ class CommandedJoints(LeafSystem):
         self._plant, self._arm = plant, len(robot.q_seed)
         tool_frame = plant.GetFrameByName(TOOL_FRAME)
         self._robot, self._tool = tool_frame.model_instance(), tool_frame.scoped_name().get_full()
-        self._inputs = {
-            name: self.DeclareVectorInputPort(name, size)
-            for name, size in (
-                ("joint_velocity", n),
-                ("desired_position", 3),
-                ("desired_velocity", 3),
-                ("desired_orientation", 4),
-                ("desired_angular_velocity", 3),
-                ("desired_posture", 2 * self._arm),
-                ("plant_state", plant.num_multibody_states()),
-            )
+        sizes = {
+            "joint_velocity": n,
+            "desired_position": 3,
+            "desired_velocity": 3,
+            "desired_orientation": 4,
+            "desired_angular_velocity": 3,
+            "desired_posture": 2 * self._arm,
+            "plant_state": plant.num_multibody_states(),
         }
-        of = {name: port.ticket() for name, port in self._inputs.items()}
+        self._inputs = {name: self.DeclareVectorInputPort(name, sizes[name]) for name in sizes}
+        # Without feedthrough of the velocity, which the program computes from these outputs.
+        needed = {port.ticket() for name, port in self._inputs.items() if name != "joint_velocity"}
+        needed.add(self.xd_ticket())
         self.DeclareDiscreteState(np.append(q_start, np.zeros(n)))
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, self._advance)
-        for name, size, calc, needed in (
+        for name, size, calc, tickets in (
             ("desired_joint_state", 2 * self._arm, self._calc_state, {self.xd_ticket()}),
             ("desired_joint_acceleration", self._arm, _calc_zeros, {self.nothing_ticket()}),
-            (
-                "position",
-                plant.num_positions(),
-                self._calc_position,
-                {self.xd_ticket(), of["plant_state"]},
-            ),
-            (
-                "nominal_posture",
-                plant.num_positions(),
-                self._calc_posture,
-                {of["desired_posture"]},
-            ),
+            ("position", plant.num_positions(), self._calc_position, needed),
+            ("nominal_posture", plant.num_positions(), self._calc_posture, needed),
         ):
-            self.DeclareVectorOutputPort(name, size, calc, needed)
+            self.DeclareVectorOutputPort(name, size, calc, tickets)
         self.DeclareAbstractOutputPort(
-            "desired_cartesian_poses",
-            lambda: Value(BusValue()),
-            self._calc_poses,
-            {ticket for name, ticket in of.items() if name != "joint_velocity"},
+            "desired_cartesian_poses", lambda: Value(BusValue()), self._calc_poses, needed
         )
 
     def _advance(self, context: Context, values: DiscreteValues) -> None:
@@ -294,18 +261,16 @@ class CommandedJoints(LeafSystem):
         output.SetFromVector(np.concatenate([part[: self._arm] for part in parts]))
 
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
-        p_WE, v_WE = (
-            self._inputs[name].Eval(context) for name in ("desired_position", "desired_velocity")
-        )
         R_WE = self._R_WE
         if self._inputs["desired_orientation"].HasValue(context):
-            quaternion = self._inputs["desired_orientation"].Eval(context)
             turning = self._inputs["desired_angular_velocity"].Eval(context)
+            quaternion = self._inputs["desired_orientation"].Eval(context)
             ahead = Rotation.from_rotvec(self._look_ahead * turning)
             R_WE = (ahead * Rotation.from_quat(quaternion, scalar_first=True)).as_matrix()
-        X_WE = RigidTransform(RotationMatrix(R_WE), p_WE + self._look_ahead * v_WE)
+        v_WE = self._inputs["desired_velocity"].Eval(context)
+        p_WE = self._inputs["desired_position"].Eval(context) + self._look_ahead * v_WE
         poses = BusValue()
-        poses.Set(self._tool, Value(X_WE))
+        poses.Set(self._tool, Value(RigidTransform(RotationMatrix(R_WE), p_WE)))
         output.set_value(poses)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
@@ -351,7 +316,8 @@ def simulate_differential_ik(
     scenario: Scenario,
     *,
     duration: float | None = None,
-    distances: KeptDistances = _DISTANCES,
+    tool: float = TOOL_DISTANCE,
+    arm: float = ARM_DISTANCE,
 ) -> MotionLog:
     """Runs one motion of the peer until it has ended as one of `simulate` does.
 
@@ -361,7 +327,8 @@ def simulate_differential_ik(
     Args:
         scenario: with a robot; its perception and regulation are not used.
         duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
-        distances: that are kept.
+        tool: distance of the tool from obstacles [m].
+        arm: distance of the other links from obstacles, and of all from the rest of the world [m].
 
     Returns:
         The log; `regulation` is `METHOD`, and there are no observations.
@@ -371,7 +338,7 @@ def simulate_differential_ik(
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
-    robot = robot_of(scenario)
+    robot, safety = robot_of(scenario), min(tool, arm)
     gains = replace(robot.gains, kp_position=KP, kd_position=KD, ki_position=0.0)
     stiff = replace(scenario, robot=replace(robot, gains=gains))
 
@@ -380,14 +347,13 @@ def simulate_differential_ik(
             return
         checker = make_collision_checker(
             scenario,
-            tool=distances.tool - distances.safety,
-            links=distances.arm - distances.safety,
-            world=distances.arm - distances.safety,
-            own=SELF_DISTANCE - distances.safety,
+            tool=tool - safety,
+            links=arm - safety,
+            world=arm - safety,
+            own=SELF_DISTANCE - safety,
         )
-        commanded = CommandedJoints(scenario, checker.plant(), cell.q_start)
-        program = make_differential_ik(scenario, checker, distances)
-        wires.add("commanded_joints", commanded)
+        wires.add("commanded_joints", CommandedJoints(scenario, checker.plant(), cell.q_start))
+        program = make_differential_ik(scenario, checker, safety)
         wires.add("differential_ik", program, offers={"commanded_velocity": "joint_velocity"})
 
     layers = replace(
@@ -396,8 +362,7 @@ def simulate_differential_ik(
         control=lambda wires, _, cell: add_control(wires, stiff, cell),
     )
     with _without_solver_messages():
-        log = simulate(scenario, duration=duration, layers=layers)
-    log = replace(log, regulation=METHOD)
+        log = replace(simulate(scenario, duration=duration, layers=layers), regulation=METHOD)
     if not len(log.desired_orientation):
         return log
     poses = make_robot_plant(robot).tool_poses(log.q)

@@ -53,7 +53,7 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.studies.panda.claims import run_violations
 from drake_oa.studies.panda.contacts import contact_events
-from drake_oa.studies.panda.differential_ik import KeptDistances, simulate_differential_ik
+from drake_oa.studies.panda.differential_ik import ARM_DISTANCE, simulate_differential_ik
 from drake_oa.studies.panda.drp_scenes import EPISODE
 from drake_oa.studies.panda.oracle import run_oracle
 from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
@@ -234,12 +234,9 @@ def run_and_judge(
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
     if method == DIFFERENTIAL_IK:
-        kept = KeptDistances()
         # No arm starts where it would have to keep more than it has.
-        kept = KeptDistances(
-            feasible_clearance_of(scenario), min(kept.arm, scenario.task.clearance)
-        )
-        return simulate_differential_ik(scenario, duration=duration, distances=kept)
+        tool, arm = feasible_clearance_of(scenario), min(ARM_DISTANCE, scenario.task.clearance)
+        return simulate_differential_ik(scenario, duration=duration, tool=tool, arm=arm)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 

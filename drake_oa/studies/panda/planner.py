@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.arm import inverse_kinematics, make_chain
 from drake_oa.robot.plant import make_robot_plant
@@ -106,9 +105,9 @@ def _connect(
     util.RNG.setSeed(1 + seed)
     n = len(limits[0])
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
-    for joint in range(n):
-        bounds.setLow(joint, float(limits[0][joint]))
-        bounds.setHigh(joint, float(limits[1][joint]))
+    for joint, (lower, upper) in enumerate(np.array(limits).T.tolist()):
+        bounds.setLow(joint, lower)
+        bounds.setHigh(joint, upper)
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
     information = setup.getSpaceInformation()
@@ -118,8 +117,8 @@ def _connect(
 
     def state_of(q: FloatArray) -> Any:
         state = space.allocState()
-        for joint in range(n):
-            state[joint] = float(np.clip(q[joint], limits[0][joint], limits[1][joint]))
+        for joint, value in enumerate(np.clip(q[:n], *limits).tolist()):
+            state[joint] = value
         return state
 
     setup.setStateValidityChecker(lambda state: is_free(positions(state)))
@@ -162,34 +161,29 @@ def run_planner(
     """
     begin, looked_at, path = perf_counter(), 0, None
     checker = make_collision_checker(scenario, tool=clearance, links=clearance, world=0.0, own=0.0)
-    robot_limits, n = make_robot_plant(robot_of(scenario)).limits, len(robot_of(scenario).q_seed)
+    of_robot, n = make_robot_plant(robot_of(scenario)).limits, len(robot_of(scenario).q_seed)
+    limits = of_robot.position_lower[:n], of_robot.position_upper[:n]
 
     def is_free(q: FloatArray) -> bool:
         nonlocal looked_at
         looked_at += 1
         return bool(checker.CheckConfigCollisionFree(q))
 
-    try:
-        q_start, q_goal = end_positions(scenario)
-        goals = [q for q in goal_positions(scenario, q_goal) if is_free(q)]
-        reason = f"no path found in {states} states"
-        if not is_free(q_start):
-            reason = "the start is not free"
-        elif not goals:
-            reason = "no configuration at the goal is free"
-        else:
-            limits = robot_limits.position_lower[:n], robot_limits.position_upper[:n]
-            last = looked_at + states
-            path = _connect(
-                is_free, lambda: looked_at >= last, limits, q_start, goals, scenario.seed
-            )
-    except ScenarioError as error:
-        reason = f"{error}"
+    q_start, q_goal = end_positions(scenario)
+    goals = [q for q in goal_positions(scenario, q_goal) if is_free(q)]
+    reason = f"no path found in {states} states"
+    if not is_free(q_start):
+        reason = "the start is not free"
+    elif not goals:
+        reason = "no configuration at the goal is free"
+    else:
+        last = looked_at + states
+        path = _connect(is_free, lambda: looked_at >= last, limits, q_start, goals, scenario.seed)
     found = {"states": looked_at, "wall_time": perf_counter() - begin}
     if path is None:
         return {"stop_reason": reason, "ended": MotionEnd.MISSED, **found}
     metrics = robot_metrics(scenario, path)
-    steps = np.abs(np.diff(path[:, :n], axis=0)) / (_SPEED * robot_limits.velocity_limit[:n])
+    steps = np.abs(np.diff(path[:, :n], axis=0)) / (_SPEED * of_robot.velocity_limit[:n])
     return {
         "contacts": list(metrics.contacts),
         "self_contacts": list(metrics.self_contacts),

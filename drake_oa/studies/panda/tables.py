@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from typing import Any, TypeVar
 
@@ -128,17 +128,20 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     violations (see `claims`), None where no obstacle moves. For levels of DRPBench
     `drp_contacts` and `drp_success`, by its rules.
 
-    Others: `success_rate`; `short_of_feasible_max`; `duration_median`, `duration_max` of the
-    motions [s]; `decision_cost` (see `cost_figures`), None where decisions take no
-    time; `tool_clearance_min`, `robot_clearance_min` [m]; `goal_error_max` of the scenes that were
-    not stopped [m]; `real_time_factor`, the median, and `real_time_factor_min`.
+    Others: `success_rate`; `duration_median` of the motions [s]; `decision_cost` of all decisions
+    (see `cost_figures`), None where they take no time; `tool_clearance_min`,
+    `robot_clearance_min` [m]; `goal_error_max` of the scenes that were not stopped [m];
+    `real_time_factor`, the median.
     """
     outcome = Counter(run["outcome"] for run in runs)
     events = [event for run in runs for event in run["contact_events"] or ()]
     claims = [run["claim_violations"] for run in runs if run["claim_violations"]]
-    arrived = [run["goal_error"] for run in runs if run["outcome"] != "stopped"]
     by_drp = Counter(run.get("drp_outcome") for run in runs)
     drp = {"drp_contacts": by_drp["contact"], "drp_success": by_drp["success"]}
+    reasons = Counter(run["reason"] for run in runs if run["outcome"] == "stopped")
+    # Each pair once in a scene, an obstacle's number left out.
+    touched = ({*run["self_contacts"], *map(_unnumbered, run["contacts"])} for run in runs)
+    pairs = Counter(pair for of in touched for pair in of)
 
     def of(statistic: Callable[..., Any], key: str) -> float | None:
         return over(statistic, (run[key] for run in runs))
@@ -149,53 +152,34 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "success": outcome["success"],
         "stopped": outcome["stopped"],
         "success_rate": over(np.mean, (run["outcome"] == "success" for run in runs)),
-        "stop_reasons": _counted(run["reason"] for run in runs if run["outcome"] == "stopped"),
-        "contact_pairs": _counted(
-            pair for run in runs for pair in (*_pairs(run["contacts"]), *set(run["self_contacts"]))
-        ),
+        "stop_reasons": dict(reasons.most_common()),
+        "contact_pairs": dict(sorted(pairs.items(), key=lambda item: (-item[1], item[0]))),
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
-        "avoidable_by_physics": sum(event["avoidable_by_physics"] for event in events),
-        "avoidable_by_view": sum(event["avoidable_by_view"] for event in events),
+        **{
+            key: sum(event[key] for event in events)
+            for key in ("avoidable_by_physics", "avoidable_by_view")
+        },
         "claim_A": over(sum, (found["A"] for found in claims)),
         "claim_B": over(sum, (found["B"] for found in claims)),
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
         "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
-        "short_of_feasible_max": of(max, "short_of_feasible"),
         "duration_median": of(np.median, "duration"),
-        "duration_max": of(max, "duration"),
-        "decision_cost": pooled_costs(runs),
+        "decision_cost": cost_figures(
+            [cost for run in runs for cost in run.get("decision_costs", ())], np.inf
+        ),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
         "robot_clearance_min": of(min, "robot_clearance_min"),
-        "goal_error_max": over(max, arrived),
+        "goal_error_max": over(
+            max, (run["goal_error"] for run in runs if run["outcome"] != "stopped")
+        ),
         "real_time_factor": of(np.median, "real_time_factor"),
-        "real_time_factor_min": of(min, "real_time_factor"),
         **(drp if set(by_drp) - {None} else {}),
     }
 
 
-def pooled_costs(runs: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
-    """Returns the `cost_figures` of all runs together; None without decisions.
-
-    Args:
-        runs: results, each with `decision_cost` and all its `decision_costs` [s].
-    """
-    decided = [run for run in runs if run["decision_cost"] is not None]
-    together = cost_figures([cost for run in decided for cost in run["decision_costs"]], np.inf)
-    if together is not None:
-        shares = [run["decision_cost"]["share_over_period"] for run in decided]
-        counts = [run["decision_cost"]["count"] for run in decided]
-        together["share_over_period"] = float(np.average(shares, weights=counts))
-    return together
-
-
-def _pairs(contacts: Sequence[str]) -> list[str]:
-    """Each pair once, an obstacle's number left out."""
-    return sorted({contact.rstrip("0123456789") for contact in contacts})
-
-
-def _counted(values: Iterable[str]) -> dict[str, int]:
-    return dict(Counter(values).most_common())
+def _unnumbered(contact: str) -> str:
+    return contact.rstrip("0123456789")
 
 
 def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.studies.scenes.scenes import Batch, Motions, Scenes, scene_distance
+from drake_oa.studies.scenes.scenes import Batch, Motions, Scenes, obstacle_distance
 
 SUBSTEPS = 4
 """Samples judged in each interval of a motion."""
@@ -30,10 +30,9 @@ class Judgement(Batch):
     """What N motions came to.
 
     Attributes:
-        kept_clearance: (N,) least signed distance to any obstacle over the whole motion,
-            negative inside; inf in a scene without obstacles [m].
-        feasible: (N,) min(Delta, distance of the start at t = 0, distance of the goal at
-            the end of the motion) [m].
+        kept_clearance: (N,) minimum signed distance to the obstacle over the whole motion,
+            negative inside [m].
+        feasible: (N,) min(Delta, distance of the start, distance of the goal) [m].
         goal_error: (N,) distance to the goal at the end [m].
         path_length: (N,) [m].
         baseline: (N,) distance from start to goal: the planned path's length [m].
@@ -87,8 +86,8 @@ def judge(scenes: Scenes, motions: Motions) -> Judgement:
     least, length = np.array(measured).reshape(N, 2).T
     goal = scenes.goal
     ends = (
-        scene_distance(scenes, np.zeros_like(goal), np.zeros(N)),
-        scene_distance(scenes, goal, motions.duration),
+        obstacle_distance(scenes, np.zeros_like(goal)),
+        obstacle_distance(scenes, goal),
     )
     return Judgement(
         kept_clearance=least,
@@ -102,24 +101,19 @@ def judge(scenes: Scenes, motions: Motions) -> Judgement:
 
 
 def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]:
-    """Returns the least signed distance to an obstacle (inf: none) and the length of one path."""
-    end, number = motions.duration[row], motions.steps
-    knots = np.linspace(0.0, end, number + 1)
+    """Returns the minimum signed distance to the obstacle and the length of one path [m]."""
+    knots = np.linspace(0.0, motions.duration[row], motions.steps + 1)
     curve = CubicHermiteSpline(knots, motions.path[row], motions.velocity[row])
-    times = np.linspace(0.0, end, number * SUBSTEPS + 1)
-    points = curve(times)
-    least = np.inf
-    for m in np.flatnonzero(scenes.present[row]):
-        body = scenes.center[row, m], scenes.R[row, m], scenes.semi_axes[row, m]
-        drift = scenes.velocity[row, m]
-        t, sampled = times, signed_distance(points - times[:, None] * drift, *body)
-        for _ in range(_REFINEMENTS):
-            nearest = int(np.argmin(sampled))
-            ends = t[max(nearest - 1, 0)], t[min(nearest + 1, len(t) - 1)]
-            t = np.linspace(*ends, _REFINED)
-            sampled = signed_distance(curve(t) - t[:, None] * drift, *body)
-        least = min(least, float(sampled.min()))
-    return least, float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    body = scenes.center[row], scenes.R[row], scenes.semi_axes[row]
+    t = np.linspace(0.0, knots[-1], motions.steps * SUBSTEPS + 1)
+    points = curve(t)
+    sampled = signed_distance(points, *body)
+    for _ in range(_REFINEMENTS):
+        nearest = int(np.argmin(sampled))
+        t = np.linspace(t[max(nearest - 1, 0)], t[min(nearest + 1, len(t) - 1)], _REFINED)
+        sampled = signed_distance(curve(t), *body)
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    return float(sampled.min()), float(length)
 
 
 def _check(motions: Motions, count: int) -> None:

@@ -6,7 +6,7 @@
 dimension, steps of 0.01 s, its compiled Runge-Kutta: all its defaults) imitates the straight
 minimum-jerk demonstration and is driven with its `CouplingTermObstacleAvoidance3D` at the published
 gains (gamma 1000, beta 20/pi). That term takes the position of a point obstacle: here the
-obstacle's centre, one term an obstacle, summed. (The paper by Ijspeert et al. that it follows
+obstacle's center. (The paper by Ijspeert et al. that it follows
 speaks of the nearest point as well; the package's interface and its examples have centres.) It
 knows neither the obstacle's size nor a clearance, and no scaling of the duration: the setting of an
 evaluation does not change it. Needs the extra `peers`: pip install 'drake_oa[peers]'.
@@ -14,7 +14,6 @@ evaluation does not change it. Needs the extra `peers`: pip install 'drake_oa[pe
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from functools import cache
@@ -31,7 +30,7 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene, ToolRollouts
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import TAU, ProposalNetwork, load_proposals
+from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
 from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.paper_method import run as run_paper
 from drake_oa.studies.scenes.paper_method import run_original
@@ -40,8 +39,8 @@ from drake_oa.studies.scenes.scenes import (
     Motions,
     Scenes,
     Setting,
+    make_scenes,
     posed_scenes,
-    single_obstacle,
 )
 
 Method = Callable[[Scenes, Setting], Motions]
@@ -62,7 +61,7 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
     Args:
         scenes: N scenes.
         setting: without `constrained`, `LEAST_CLEARANCE` is kept; without `scale_time`
-            tau is 1, which changes the path among moving obstacles only.
+            tau is 1.
 
     Returns:
         The motions, from rest until they have arrived.
@@ -74,13 +73,9 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
     path, velocity = np.empty((2, len(scenes), SAMPLES + 1, 3))
     for row, scene in enumerate(posed_scenes(scenes, clearance)):
         search, found = _searched(scene, network)
-        genes = found.genes[0]
-        if scene.moves:
-            tau = math.exp(genes[TAU]) if setting.scale_time else 1.0
-        else:
-            length = float(found.length[0]) / scene.baseline
-            tau = max(1.0, length) if setting.scale_time else 1.0
-        tool = search.tool_paths(genes[None])
+        length = float(found.length[0]) / scene.baseline
+        tau = max(1.0, length) if setting.scale_time else 1.0
+        tool = search.tool_paths(found.genes[:1])
         p, z = _resampled(tool)
         path[row], velocity[row] = p, z / (DURATION * tau)
         duration[row] = DURATION * tau * tool.steps[0] * tool.ds
@@ -106,32 +101,13 @@ def _resampled(tool: ToolRollouts) -> tuple[FloatArray, FloatArray]:
 def _warmed_up() -> ProposalNetwork:
     """Loads the network and the kernels, so that it does not count as computing time."""
     network = load_proposals(package_file(WEIGHTS))
-    scenes = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
+    scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
     _searched(posed_scenes(scenes, 0.05)[0], network)
     return network
 
 
 STEP = 0.01
 """The package's default step [s]."""
-
-
-class _ObstacleTerms:
-    """Sum of the package's obstacle terms, as one coupling term of its own kind."""
-
-    def __init__(self, center: FloatArray, velocity: FloatArray) -> None:
-        self._center = center
-        self._velocity = velocity
-        term = _movement_primitives().CouplingTermObstacleAvoidance3D
-        self._terms = [term(row.copy()) for row in center]
-
-    def move(self, t: float) -> None:
-        """Puts the centres where they are at time t [s]."""
-        for term, center, velocity in zip(self._terms, self._center, self._velocity, strict=True):
-            term.obstacle_position = center + t * velocity
-
-    def coupling(self, y: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Velocity and acceleration that the package adds, at position y and velocity yd."""
-        return np.zeros(3), sum((term.coupling(y, yd)[1] for term in self._terms), np.zeros(3))
 
 
 def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
@@ -143,17 +119,16 @@ def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
     N, steps = len(scenes), round(DURATION / STEP)
     path, velocity = np.zeros((2, N, steps + 1, 3))
     begin = time.perf_counter()
+    package = _movement_primitives()
     for row in range(N):
-        there = scenes.present[row]
-        obstacles = _ObstacleTerms(scenes.center[row, there], scenes.velocity[row, there])
-        dmp = _movement_primitives().DMP(n_dims=3, execution_time=DURATION, dt=STEP)
+        term = package.CouplingTermObstacleAvoidance3D(scenes.center[row].copy())
+        dmp = package.DMP(n_dims=3, execution_time=DURATION, dt=STEP)
         goal = (float(scenes.baseline[row]), 0.0, 0.0)
         demonstrated, t = minimum_jerk((0.0, 0.0, 0.0), goal, duration=DURATION, samples=steps + 1)
         dmp.imitate(t, demonstrated)
         p, v = np.zeros(3), np.zeros(3)
         for step in range(steps):
-            obstacles.move(step * STEP)
-            p, v = dmp.step(p, v, coupling_term=obstacles)
+            p, v = dmp.step(p, v, coupling_term=term)
             path[row, step + 1], velocity[row, step + 1] = p, v
     return Motions(path, velocity, np.full(N, DURATION), time.perf_counter() - begin)
 

@@ -86,19 +86,10 @@ def paper_chain(name: str) -> ChainWeights:
 
 
 def time_scale(scenes: Scenes) -> FloatArray:
-    """Computes (N,) tau from the obstacles as they stand at t = 0; 1 without obstacles.
-
-    For several obstacles the spectral norms of the matrices of centres from start and to goal
-    take the place of the distances, as in the released code.
-    """
-    there, goal = scenes.present[..., None], scenes.goal[:, None]
-    if not there.any():
-        return np.ones(len(scenes))
-    ways = (np.where(there, scenes.center, 0.0), np.where(there, goal - scenes.center, 0.0))
-    length = sum(np.linalg.norm(way, 2, axis=(1, 2)) for way in ways)
-    widest = np.where(there, scenes.semi_axes, 0.0).max(axis=(1, 2))
-    length = length + 2.0 * (widest + scenes.clearance)
-    return np.where(there.any(axis=(1, 2)), length / scenes.baseline, 1.0)
+    """Computes (N,) tau: the way through the center, past the greatest semi-axis and Delta."""
+    to_O, to_goal = scenes.center, scenes.goal - scenes.center
+    way = np.linalg.norm(to_O, axis=1) + np.linalg.norm(to_goal, axis=1)
+    return (way + 2.0 * (scenes.semi_axes.max(axis=1) + scenes.clearance)) / scenes.baseline
 
 
 def sections(scenes: Scenes) -> Scenes:
@@ -108,15 +99,14 @@ def sections(scenes: Scenes) -> Scenes:
     center on the baseline the horizontal one. In them the distance to a cylinder is that to the
     section.
     """
-    there = scenes.present
-    out = scenes.center[there] * (0.0, 1.0, 1.0)
+    out = scenes.center * (0.0, 1.0, 1.0)
     size = np.linalg.norm(out, axis=1, keepdims=True)
     out = np.where(size <= _PARALLEL, (0.0, 1.0, 0.0), out / np.where(size > 0.0, size, 1.0))
     e1 = np.tile((1.0, 0.0, 0.0), (len(out), 1))
-    cut = plane_section(scenes.R[there], scenes.semi_axes[there], e1, out)
-    R, semi_axes = scenes.R.copy(), scenes.semi_axes.copy()
-    R[there] = np.stack([cut.axes[:, 0], cut.axes[:, 1], np.cross(*np.moveaxis(cut.axes, 1, 0))], 2)
-    semi_axes[there] = np.column_stack([cut.semi_axes, np.full(len(cut.semi_axes), _ENDLESS)])
+    cut = plane_section(scenes.R, scenes.semi_axes, e1, out)
+    first, second = np.moveaxis(cut.axes, 1, 0)
+    R = np.stack([first, second, np.cross(first, second)], axis=2)
+    semi_axes = np.column_stack([cut.semi_axes, np.full(len(out), _ENDLESS)])
     return replace(scenes, R=R, semi_axes=semi_axes)
 
 
@@ -157,36 +147,34 @@ def released_motions(
     Args:
         scenes: N scenes.
         setting: of it, only whether tau scales the spring.
-        parameters: (3,), or (N, M, 3): alpha [rad/s], psi [rad] and kappa [1/m^2]; for the
-            original term gamma [1/s], beta [1/rad] and a value without a meaning.
+        parameters: (3,) alpha [rad/s], psi [rad] and kappa [1/m^2]; for the original term
+            gamma [1/s], beta [1/rad] and a value without a meaning.
         original: whether the term is that of (eq. 7).
         chain: gives the parameters in every step; None: they are constant.
         steps: time steps.
     """
-    begin, (number, h) = perf_counter(), steps
+    begin = perf_counter()
     tau = time_scale(scenes) if setting.scale_time else np.ones(len(scenes))
-    motions = ReleasedMotions(
-        scenes.baseline, scenes.center, scenes.velocity, tau, steps=steps, original=original
-    )
-    seen = np.zeros((*scenes.present.shape, 3))
-    parameters = np.broadcast_to(parameters, seen.shape).copy()
+    motions = ReleasedMotions(scenes.baseline, scenes.center, tau, steps=steps, original=original)
+    seen = np.zeros_like(scenes.center)
+    parameters = np.tile(parameters, (len(scenes), 1))
     path, velocity = [motions.position], [motions.velocity]
-    while motions.number < LONGEST * number and not motions.is_over.all():
+    while motions.number < LONGEST * steps.number and not motions.is_over.all():
         if chain is not None:
-            turned = np.abs(motions.normal - seen).max(axis=2) > _SAME
-            n, m = np.nonzero(turned & (motions.distance > 0.0))
-            seen[n, m] = normal = motions.normal[n, m]
-            to_O = scenes.center[n, m] + motions.number * h * scenes.velocity[n, m] - path[-1][n]
-            axes = section_axes(to_O, normal, scenes.R[n, m], scenes.semi_axes[n, m])
+            turned = np.abs(motions.normal - seen).max(axis=1) > _SAME
+            n = np.flatnonzero(turned & (motions.distance > 0.0))
+            seen[n] = normal = motions.normal[n]
+            to_O = scenes.center[n] - path[-1][n]
+            axes = section_axes(to_O, normal, scenes.R[n], scenes.semi_axes[n])
             inputs = np.column_stack([axes, scenes.clearance[n]])[:, : len(chain.lower)]
-            parameters[n, m] = chain.evaluate(inputs)
+            parameters[n] = chain.evaluate(inputs)
         motions.advance(parameters)
-        if motions.number >= number:
+        if motions.number >= steps.number:
             missing = np.linalg.norm(motions.position - scenes.goal, axis=1)
             motions.is_over |= missing <= ARRIVED
         path.append(motions.position)
         velocity.append(motions.velocity)
-    duration = np.full(len(scenes), motions.number * h)
+    duration = np.full(len(scenes), motions.number * steps.length)
     return Motions(
         np.stack(path, 1), np.stack(velocity, 1), duration, seconds=perf_counter() - begin
     )

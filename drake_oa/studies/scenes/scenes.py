@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, Frozen
+from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.rollout import Scene
 
@@ -40,73 +40,56 @@ class Batch(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class Scenes(Batch):
-    """N scenes of up to M ellipsoids; rows of absent obstacles are NaN.
+    """N scenes of an ellipsoid at rest each.
 
     Attributes:
         baseline: (N,) distance from start to goal [m].
-        center: (N, M, 3) centres at t = 0 [m].
-        semi_axes: (N, M, 3) semi-axes [m].
-        R: (N, M, 3, 3) rotations; the columns are the principal axes.
-        velocity: (N, M, 3) constant velocities of the centres [m/s].
-        clearance: (N,) clearance Delta asked for [m].
+        center: (N, 3) centers [m].
+        semi_axes: (N, 3) semi-axes [m].
+        R: (N, 3, 3) rotations; the columns are the principal axes.
+        clearance: (N,) requested clearance Delta [m].
     """
 
     baseline: FloatArray
     center: FloatArray
     semi_axes: FloatArray
     R: FloatArray
-    velocity: FloatArray
     clearance: FloatArray
 
     def __len__(self) -> int:
         return len(self.baseline)
 
     @property
-    def present(self) -> BoolArray:
-        """(N, M) which obstacles there are."""
-        return ~np.isnan(self.center[..., 0])
-
-    @property
     def goal(self) -> FloatArray:
         """(N, 3) goals [m]."""
-        goal = np.zeros((len(self), 3))
-        goal[:, 0] = self.baseline
-        return goal
+        return self.baseline[:, None] * (1.0, 0.0, 0.0)
 
 
-def single_obstacle(
-    baseline: ArrayLike,
+def make_scenes(
+    baseline: float,
     center: ArrayLike,
     semi_axes: ArrayLike,
     *,
-    R: ArrayLike | None = None,
-    velocity: ArrayLike | None = None,
+    R: FloatArray | None = None,
     clearance: float = 0.15,
 ) -> Scenes:
-    """Scenes of one ellipsoid each.
+    """Makes scenes of one baseline [m] and clearance [m].
 
     Args:
-        baseline: () or (N,) [m].
+        baseline: [m].
         center: (N, 3) [m].
         semi_axes: (N, 3) [m].
         R: (N, 3, 3); None: axis-aligned.
-        velocity: (N, 3) [m/s]; None: at rest.
         clearance: Delta [m].
-
-    Returns:
-        N scenes with M = 1.
     """
-    center = np.asarray(center, dtype=float)
-    N = len(center)
-    turned = np.eye(3) if R is None else np.asarray(R, dtype=float)
-    moving = np.zeros(3) if velocity is None else np.asarray(velocity, dtype=float)
+    center = np.array(center, dtype=float)
+    count = len(center)
     return Scenes(
-        baseline=np.broadcast_to(np.asarray(baseline, dtype=float), (N,)).copy(),
-        center=center[:, None, :].copy(),
-        semi_axes=np.asarray(semi_axes, dtype=float)[:, None, :].copy(),
-        R=np.broadcast_to(turned, (N, 3, 3))[:, None].copy(),
-        velocity=np.broadcast_to(moving, (N, 3))[:, None].copy(),
-        clearance=np.full(N, float(clearance)),
+        np.full(count, float(baseline)),
+        center,
+        np.array(semi_axes, dtype=float),
+        np.tile(np.eye(3), (count, 1, 1)) if R is None else R,
+        np.full(count, float(clearance)),
     )
 
 
@@ -117,46 +100,35 @@ def posed_scenes(scenes: Scenes, clearance: FloatArray | float) -> list[Scene]:
         scenes: N scenes.
         clearance: () or (N,) requested from every obstacle [m].
     """
-    posed = []
-    for row, asked in enumerate(np.broadcast_to(clearance, (len(scenes),))):
-        there = scenes.present[row]
-        seen = EllipsoidSet(
+    requested = np.broadcast_to(clearance, (len(scenes),))
+    seen = [
+        EllipsoidSet(
             stamp=0.0,
-            p_WO=scenes.center[row, there],
-            R_WO=scenes.R[row, there],
-            semi_axes=scenes.semi_axes[row, there],
-            v_WO=scenes.velocity[row, there],
-            ids=np.flatnonzero(there),
+            p_WO=scenes.center[row : row + 1],
+            R_WO=scenes.R[row : row + 1],
+            semi_axes=scenes.semi_axes[row : row + 1],
+            v_WO=np.zeros((1, 3)),
+            ids=np.zeros(1, dtype=np.int64),
         )
-        posed.append(
-            Scene(
-                p_WE=np.zeros(3),
-                z_W=np.zeros(3),
-                p_WG=scenes.goal[row],
-                R_WL=np.eye(3),
-                baseline=float(scenes.baseline[row]),
-                ellipsoids=seen,
-                clearance=np.full(len(seen), asked),
-            )
+        for row in range(len(scenes))
+    ]
+    return [
+        Scene(
+            p_WE=np.zeros(3),
+            z_W=np.zeros(3),
+            p_WG=scenes.goal[row],
+            R_WL=np.eye(3),
+            baseline=float(scenes.baseline[row]),
+            ellipsoids=seen[row],
+            clearance=requested[row : row + 1].copy(),
         )
-    return posed
+        for row in range(len(scenes))
+    ]
 
 
-def scene_distance(scenes: Scenes, points: FloatArray, time: FloatArray) -> FloatArray:
-    """Signed distance of a point (N, 3) a scene to its nearest obstacle at a time (N,).
-
-    Returns:
-        (N,) [m]; inf without obstacles.
-    """
-    center = scenes.center + time[:, None, None] * scenes.velocity
-    distance = np.full(center.shape[:2], np.inf)
-    there = scenes.present
-    p = np.broadcast_to(points[:, None, :], center.shape)
-    if there.any():
-        distance[there] = signed_distance(
-            p[there], center[there], scenes.R[there], scenes.semi_axes[there]
-        )
-    return distance.min(axis=1, initial=np.inf)
+def obstacle_distance(scenes: Scenes, points: FloatArray) -> FloatArray:
+    """Computes signed distances (N,) of a point (N, 3) in each scene to its obstacle [m]."""
+    return signed_distance(points, scenes.center, scenes.R, scenes.semi_axes)
 
 
 @dataclass(frozen=True)

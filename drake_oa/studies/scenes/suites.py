@@ -21,14 +21,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.dmp import minimum_jerk_share
 from drake_oa.studies.scenes.scenes import (
-    DURATION,
     Scenes,
     Setting,
-    scene_distance,
-    single_obstacle,
+    make_scenes,
+    obstacle_distance,
 )
 
 _THIRDS = 28
@@ -60,45 +57,19 @@ def random_rotations(rng: np.random.Generator, count: int) -> FloatArray:
     return Rotation.from_quat(np.column_stack([x, y, z, w])).as_matrix()
 
 
-def segment_distance(
-    begin: FloatArray, end: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
-) -> FloatArray:
-    """Least signed distance (N,) of segments (N, 3) to (N, 3) to N ellipsoids at rest [m]."""
-    low, high = np.zeros((len(center), 1)), np.ones((len(center), 1))
-
-    def distance(share: FloatArray) -> FloatArray:
-        return signed_distance(begin + share * (end - begin), center, R, semi_axes)
-
+def line_distance(scenes: Scenes) -> FloatArray:
+    """Computes signed distances (N,) of the lines from start to goal to the obstacles [m]."""
+    low, high = np.zeros((2, len(scenes), 1))
+    high += 1.0
     # Along a line the distance to a convex body is convex.
     for _ in range(_THIRDS):
         third = (high - low) / 3.0
-        nearer = (distance(low + third) < distance(high - third))[:, None]
+        nearer = obstacle_distance(scenes, (low + third) * scenes.goal) < obstacle_distance(
+            scenes, (high - third) * scenes.goal
+        )
+        nearer = nearer[:, None]
         low, high = np.where(nearer, low, low + third), np.where(nearer, high - third, high)
-    return distance(0.5 * (low + high))
-
-
-def line_distance(scenes: Scenes) -> FloatArray:
-    """Signed distance (N, M) of the straight line from start to goal to each obstacle.
-
-    The obstacles are taken as they stand at t = 0; inf for absent ones.
-    """
-    there = scenes.present
-    distance = np.full(there.shape, np.inf)
-    goal = np.broadcast_to(scenes.goal[:, None, :], scenes.center.shape)[there]
-    distance[there] = segment_distance(
-        np.zeros_like(goal), goal, scenes.center[there], scenes.R[there], scenes.semi_axes[there]
-    )
-    return distance
-
-
-def line_hits(scenes: Scenes) -> BoolArray:
-    """Whether the straight line from start to goal meets each obstacle at t = 0, (N, M)."""
-    turned = np.swapaxes(scenes.R, -1, -2)
-    begin = -np.einsum("nmij,nmj->nmi", turned, scenes.center) / scenes.semi_axes
-    way = turned[..., 0] * scenes.baseline[:, None, None] / scenes.semi_axes
-    along = -(begin * way).sum(axis=-1) / (way * way).sum(axis=-1)
-    nearest = begin + np.clip(along, 0.0, 1.0)[..., None] * way
-    return np.asarray((nearest * nearest).sum(axis=-1) < 1.0)
+    return obstacle_distance(scenes, 0.5 * (low + high) * scenes.goal)
 
 
 BASELINES = (0.5, 1.0, 1.5, 2.0)
@@ -111,7 +82,6 @@ POINT_RADIUS = 0.025
 
 _ASIDE = 0.4
 _SEMI_AXES = (0.025, 0.25)
-_SMALL_SEMI_AXES = (0.025, 0.10)
 
 
 @dataclass(frozen=True)
@@ -200,7 +170,7 @@ def _familiar(_: np.random.Generator, count: int) -> Scenes:
     lattice = np.linspace(*_SEMI_AXES, k)
     first, second = (grid.ravel() for grid in np.meshgrid(lattice, lattice, indexing="ij"))
     center = np.tile((0.5, 0.0, 0.0), (count, 1))
-    return single_obstacle(1.0, center, np.column_stack([first, second, second]))
+    return make_scenes(1.0, center, np.column_stack([first, second, second]))
 
 
 def _boxed(
@@ -228,7 +198,7 @@ def _boxed(
     center[:, 0] = MARGIN + extent + rng.random(count) * room
     # 1e-12: the longest one has no room but that of rounding.
     center[room < -1e-12] = np.nan
-    return single_obstacle(baseline, center, a, R=R, clearance=CLEARANCE)
+    return make_scenes(baseline, center, a, R=R, clearance=CLEARANCE)
 
 
 def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> Scenes:
@@ -242,89 +212,10 @@ def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> S
         if len(rows):
             draw = partial(_boxed, baseline=baseline, **box)
             parts.append(
-                accepted(rng, len(rows), draw, lambda scenes: line_distance(scenes)[:, 0] < limit)
+                accepted(rng, len(rows), draw, lambda scenes: line_distance(scenes) < limit)
             )
             places.append(rows)
     return Scenes.joined(parts).rows(np.argsort(np.concatenate(places)))
-
-
-def _clutter(rng: np.random.Generator, count: int) -> Scenes:
-    """Six ellipsoids on a 1 m baseline, at least one of them in its way.
-
-    Semi-axes of 2.5-10 cm, random poses, centres uniform over 0 <= x <= 1, |y|, |z| <= 0.4;
-    start and goal at least 5 cm from each. They may overlap each other.
-    """
-    number = 6
-
-    def one(rng: np.random.Generator, n: int) -> Scenes:
-        center = rng.uniform((0.0, -_ASIDE, -_ASIDE), (1.0, _ASIDE, _ASIDE), (n, 3))
-        a = rng.uniform(*_SMALL_SEMI_AXES, (n, 3))
-        return single_obstacle(1.0, center, a, R=random_rotations(rng, n), clearance=CLEARANCE)
-
-    def ends_free(scenes: Scenes) -> BoolArray:
-        now = np.zeros(len(scenes))
-        start = scene_distance(scenes, np.zeros((len(scenes), 3)), now)
-        return np.minimum(start, scene_distance(scenes, scenes.goal, now)) >= MARGIN
-
-    def six(rng: np.random.Generator, n: int) -> Scenes:
-        # Batches of many scenes would take memory in proportion.
-        n = min(n, 20_000)
-        flat = accepted(rng, number * n, one, ends_free)
-        grouped = (n, number)
-        return Scenes(
-            baseline=np.ones(n),
-            center=flat.center.reshape(*grouped, 3),
-            semi_axes=flat.semi_axes.reshape(*grouped, 3),
-            R=flat.R.reshape(*grouped, 3, 3),
-            velocity=flat.velocity.reshape(*grouped, 3),
-            clearance=np.full(n, CLEARANCE),
-        )
-
-    return accepted(rng, count, six, lambda scenes: np.asarray(line_hits(scenes).any(axis=1)))
-
-
-def _end_distance(scenes: Scenes, x: float, begin: float, end: float) -> FloatArray:
-    """Distance (N,) of (x, 0, 0) to the one obstacle while it moves from `begin` to `end` [s]."""
-    p = np.tile((x, 0.0, 0.0), (len(scenes), 1))
-    v = scenes.velocity[:, 0]
-    return segment_distance(
-        p - begin * v, p - end * v, scenes.center[:, 0], scenes.R[:, 0], scenes.semi_axes[:, 0]
-    )
-
-
-def _moving(rng: np.random.Generator, count: int) -> Scenes:
-    """One ellipsoid on a 1 m baseline that moves into the unmodulated robot.
-
-    Semi-axes of 2.5-10 cm, random pose, speed uniform in 0.1-0.4 m/s, direction uniform over
-    the sphere. It meets the unmodulated minimum-jerk motion (T = 3 s) at a time uniform in
-    0.3-0.7 T (16-84 % of the way): the robot is then at a point uniform in its volume. Kept
-    where it stays 5 cm or more from the goal over 3T/4 <= t <= 2T (any motion of tau <= 2 can
-    end), and, over 0 <= t <= T/4 (the robot has gone a tenth of the way then), 5 cm or more
-    from the start and no nearer to it than min(Delta, its distance at t = 0): what sweeps
-    over a robot that is only setting out leaves it no clearance to keep.
-    """
-
-    def draw(rng: np.random.Generator, n: int) -> Scenes:
-        a = rng.uniform(*_SMALL_SEMI_AXES, (n, 3))
-        R = random_rotations(rng, n)
-        direction = rng.standard_normal((n, 3))
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        velocity = rng.uniform(0.1, 0.4, (n, 1)) * direction
-        s = rng.uniform(0.3, 0.7, n)
-        inside = rng.standard_normal((n, 3))
-        inside *= np.cbrt(rng.random((n, 1))) / np.linalg.norm(inside, axis=1, keepdims=True)
-        met = np.zeros((n, 3))
-        met[:, 0] = minimum_jerk_share(s)
-        center = met + np.einsum("nij,nj->ni", R, a * inside) - (DURATION * s)[:, None] * velocity
-        return single_obstacle(1.0, center, a, R=R, velocity=velocity, clearance=CLEARANCE)
-
-    def ends_free(scenes: Scenes) -> BoolArray:
-        start = _end_distance(scenes, 0.0, 0.0, 0.25 * DURATION)
-        goal = _end_distance(scenes, 1.0, 0.75 * DURATION, 2.0 * DURATION)
-        asked = np.minimum(CLEARANCE, _end_distance(scenes, 0.0, 0.0, 0.0))
-        return (np.minimum(start, goal) >= MARGIN) & (start >= asked - 1e-9)
-
-    return accepted(rng, count, draw, ends_free)
 
 
 def _dead_zone(_: np.random.Generator, count: int) -> Scenes:
@@ -336,7 +227,7 @@ def _dead_zone(_: np.random.Generator, count: int) -> Scenes:
     """
     center = np.tile((0.5, 0.0, 0.0), (count, 1))
     center[1:, 1] = np.geomspace(1e-5, 0.1, count - 1)
-    return single_obstacle(1.0, center, np.full((count, 3), POINT_RADIUS), clearance=0.05)
+    return make_scenes(1.0, center, np.full((count, 3), POINT_RADIUS), clearance=0.05)
 
 
 def familiar_cases() -> tuple[Case, ...]:
@@ -356,8 +247,6 @@ def familiar_cases() -> tuple[Case, ...]:
 SUITES: dict[str, Suite] = {
     "novel": Suite(partial(_single, limit=CLEARANCE), 4000),
     "hit": Suite(partial(_single, limit=0.0, posed=True), 1000),
-    "clutter": Suite(_clutter, 1000),
-    "moving": Suite(_moving, 1000),
 }
 """Name of a suite -> the suite; `drake-oa evaluate --help` tells what each is."""
 

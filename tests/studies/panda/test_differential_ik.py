@@ -10,8 +10,8 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import (
     METHOD,
+    TOOL_DISTANCE,
     CommandedJoints,
-    KeptDistances,
     make_collision_checker,
     simulate_differential_ik,
 )
@@ -66,7 +66,7 @@ def test_moves_away_from_an_obstacle_nearer_than_the_tool_keeps() -> None:
     log = simulate_differential_ik(scenario, duration=0.3)
     assert log.stop_reason == "time limit of 0.3 s"
     clearance = robot_metrics(scenario, log.q[[0, -1]]).tool_clearance
-    assert 0.0 < clearance[0] < KeptDistances().tool
+    assert 0.0 < clearance[0] < TOOL_DISTANCE
     assert clearance[1] > clearance[0] + 1e-3
 
 
