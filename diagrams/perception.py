@@ -24,8 +24,6 @@ from drake_oa.perception.config import (
     DepthCamera,
     GroundTruth,
     LcmCamera,
-    LiveCameras,
-    RealSense,
     RecordedClouds,
     SegmentationConfig,
 )
@@ -162,7 +160,7 @@ def _add_depth_camera(
     cell = _of_robot(source, scenario, cell)
     cameras = {name: cell.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
-    live = source if isinstance(source, LiveCameras) else None
+    live = source if isinstance(source, LcmCamera) else None
     # The self filter takes the robot as it was when the images were taken.
     wires.otherwise("robot_state_at_image", "robot_state")
     for signal in map(partial(source.signal, ""), source.names) if live else [""]:
@@ -210,7 +208,6 @@ def _add_depth_camera(
 SOURCES |= {
     DepthCamera: _add_depth_camera,
     LcmCamera: _add_depth_camera,
-    RealSense: _add_depth_camera,
     GroundTruth: _add_ground_truth,
     RecordedClouds: _add_recorded_clouds,
     GivenEllipsoids: _add_given,

@@ -11,7 +11,7 @@ import numpy as np
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.perception.config import CameraSource, LiveCameras
+from drake_oa.perception.config import CameraSource, LcmCamera
 from drake_oa.robot.arm import Chain, make_chain
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
@@ -101,7 +101,7 @@ def add_station(
             if camera.image_time is not None and camera.plant_state is not None:
                 wires.offer(source.signal("image_stamp", name), camera.image_time)
                 at_image = "plant_state_at_image"
-                if isinstance(source, LiveCameras):
+                if isinstance(source, LcmCamera):
                     at_image = source.signal(at_image, name)
                 if at_image not in wires:
                     wires.offer(at_image, camera.plant_state)

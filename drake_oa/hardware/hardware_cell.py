@@ -78,7 +78,7 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Sc
     if isinstance(source, GroundTruth | RecordedClouds | GivenEllipsoids):
         raise ScenarioError(
             f"perception: !{type(source).__name__} does not see the world that the robot is in; "
-            "!LcmCamera or !RealSense does"
+            "!LcmCamera does"
         )
     if type(source) is DepthCamera:
         own = {item.name: getattr(source, item.name) for item in fields(DepthCamera)}

@@ -7,7 +7,7 @@ one cloud (N, 3) [m] an obstacle, velocities [m/s], names that stay, the table's
 
 Sources, one in place of the other (block `perception` of a scenario):
 
-- `DepthPerception` (`!DepthCamera`, `!LcmCamera`, `!RealSense`), at the camera's rate;
+- `DepthPerception` (`!DepthCamera`, `!LcmCamera`), at the camera's rate;
 - `GroundTruthPerception` (`!GroundTruth`), which asks SceneGraph, at 15 Hz;
 - `RecordedPerception` (`!RecordedClouds`), which plays back files (`recordings`), at 15 Hz.
 

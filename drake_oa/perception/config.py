@@ -168,9 +168,10 @@ class DepthCamera(CameraSource):
 
 
 @dataclass(config=BLOCK)
-class LiveCameras(CameraSource):
-    """Fields shared by the blocks of real cameras.
+class LcmCamera(CameraSource):
+    """Depth cameras whose images arrive as Drake's `lcmt_image_array` messages.
 
+    The channels are DRAKE_RGBD_CAMERA_IMAGES_<name of the camera>; stamps are wall-clock times.
     Size, intrinsics and pose are those of the scenario's field `cameras`.
     """
 
@@ -180,28 +181,10 @@ class LiveCameras(CameraSource):
     max_age: float = Field(default=0.2, gt=0.0, le=10.0)
     """Maximum age of an image on arrival [s]; older images are skipped, and a warning is logged
     when the last image is older. Raising it accepts older images."""
-    max_ahead: float = Field(default=0.01, ge=0.0, le=10.0)
-    """Maximum time by which the stamp of an image may be ahead of the local clock [s]. Raising it
-    accepts a larger clock offset."""
-    poll: float = Field(default=0.005, ge=1e-4, le=0.1)
-    """Time between two checks for a new image [s]. Raising it saves processor time and adds
-    delay."""
     together: float = Field(default=0.04, ge=0.0, le=1.0)
     """Maximum difference between the stamps of several cameras' images that are processed as one
     observation [s]; without hardware synchronization slightly more than the frame period. Raising
     it combines images that are further apart in time."""
-    pixel_center: float = Field(default=0.0, ge=-1.0, le=1.0)
-    """Image coordinate of the center of the first pixel [pixel]. Raising it moves the principal
-    point."""
-
-
-@dataclass(config=BLOCK)
-class LcmCamera(LiveCameras):
-    """Depth cameras whose images arrive as Drake's `lcmt_image_array` messages.
-
-    The channels are DRAKE_RGBD_CAMERA_IMAGES_<name of the camera>; stamps are wall-clock times.
-    """
-
     lcm_url: Annotated[str, AfterValidator(partial(check_lcm_url, field="LCM URL"))] = (
         "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
     )
@@ -210,21 +193,6 @@ class LcmCamera(LiveCameras):
     pixel_center: float = Field(default=0.5, ge=-1.0, le=1.0)
     """Image coordinate of the center of the first pixel [pixel]: 0.5 for images rendered by Drake
     (`drake-oa station`), 0 for a real camera. Raising it moves the principal point."""
-
-
-@dataclass(config=BLOCK)
-class RealSense(LiveCameras):
-    """Intel RealSense cameras on this machine; size and rate are those of the field `cameras`.
-
-    Requires `pip install 'drake_oa[realsense]'`.
-    """
-
-    serials: dict[str, str] = Field(default_factory=dict)
-    """Serial number, as text, of each camera by its name. A single camera may omit it and uses the
-    only connected device."""
-    tolerance: float = Field(default=1.0, ge=0.0, le=100.0)
-    """Maximum difference between the intrinsics of the scenario's camera and the device [pixel].
-    Raising it accepts a device with other intrinsics."""
 
 
 @dataclass(config=BLOCK)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.perception.config import LiveCameras
+from drake_oa.perception.config import LcmCamera
 from drake_oa.planning.search import SOURCES
 from drake_oa.policy.dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
@@ -109,7 +109,7 @@ def motion_report(
     )
     short = 0.0 if resting is None else max(feasible - resting, 0.0)
     verified = log.regulation == "Verified"
-    measured = nearest is not None or not isinstance(scenario.perception, LiveCameras)
+    measured = nearest is not None or not isinstance(scenario.perception, LcmCamera)
     return {
         "collisions": len(metrics.contacts) if measured or metrics.contacts else None,
         **{name: list(getattr(metrics, name)) for name in _CONTACTS},

@@ -8,7 +8,7 @@ from pydantic.dataclasses import dataclass
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.config import BLOCK, Angles, Vector3, length
-from drake_oa.perception.config import CameraSource, LiveCameras, RealSense
+from drake_oa.perception.config import CameraSource, LcmCamera
 
 _MAX_PIXELS = 4096
 """Maximum number of columns or rows of a simulated image."""
@@ -48,32 +48,8 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
                 yield f"cameras[{row}].{field}: {pixels} is outside [1, {_MAX_PIXELS}] [pixel]"
     if isinstance(perception, CameraSource):
         yield from _camera_problems(perception, cameras)
-    if isinstance(perception, LiveCameras) and perception.noise is not None:
-        yield (
-            f"perception.noise: images of !{type(perception).__name__} have their own; "
-            "leave it out, or null"
-        )
-    if isinstance(perception, RealSense):
-        yield from _serial_problems(perception)
-
-
-def _serial_problems(perception: RealSense) -> Iterator[str]:
-    """Yields one line for each camera without a device of its own."""
-    names, serials = perception.names, perception.serials
-    for name in serials:
-        if name not in names:
-            yield (
-                f"perception.serials.{name}: perception does not use camera '{name}', but "
-                f"{', '.join(names)}"
-            )
-    missing = [name for name in names if not serials.get(name)]
-    if missing and len(names) > 1:
-        yield (
-            f"perception.serials: '{missing[0]}' has none; of several cameras each needs the "
-            "serial number of its device"
-        )
-    if len(set(serials.values())) < len(serials):
-        yield "perception.serials: two cameras have the same; each is a device"
+    if isinstance(perception, LcmCamera) and perception.noise is not None:
+        yield "perception.noise: images of !LcmCamera have their own; leave it out, or null"
 
 
 def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:

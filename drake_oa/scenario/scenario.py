@@ -19,7 +19,6 @@ from drake_oa.perception.config import (
     DepthCamera,
     GroundTruth,
     LcmCamera,
-    RealSense,
     RecordedClouds,
 )
 from drake_oa.policy.config import Policy
@@ -71,7 +70,7 @@ class Scenario:
     cameras: list[Annotated[CameraConfig, DrakeStruct()]] = Field(default_factory=list)
     """Drake's camera configurations, each with its own name."""
     perception: Annotated[
-        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera | RealSense,
+        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera,
         Tagged(),
     ] = Field(default_factory=GroundTruth)
     """Source of the obstacles."""

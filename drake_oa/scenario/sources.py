@@ -9,7 +9,7 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import EllipsoidSet, TablePlane
-from drake_oa.perception.config import CameraSource, DepthCamera, LiveCameras, RecordedClouds
+from drake_oa.perception.config import CameraSource, DepthCamera, LcmCamera, RecordedClouds
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
@@ -39,7 +39,7 @@ def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfi
 def simulated(scenario: Scenario) -> Scenario:
     """The scenario with simulated cameras in the place of those outside the simulation."""
     source = scenario.perception
-    if not isinstance(source, LiveCameras):
+    if not isinstance(source, LcmCamera):
         return scenario
     shared = {item.name: getattr(source, item.name) for item in dc.fields(DepthCamera)}
     return dc.replace(scenario, perception=DepthCamera(**shared))

@@ -9,8 +9,8 @@ torques [N m]. Frames: W world, C camera (x right, y down, z forward).
   `ObstacleMover` drives one on its course, at the plant's step.
 - `cameras` renders in a scene graph of its own. `LateCamera` takes an image every period and
   hands it out some time after; it is rendered meanwhile in a thread.
-- `LiveCamera` hands out the images of a camera outside the simulation (`!LcmCamera`,
-  `!RealSense` by `realsense`), with the time and the state they belong to. `depth_messages` packs
+- `LiveCamera` hands out the images of a camera outside the simulation (`!LcmCamera`),
+  with the time and the state they belong to. `depth_messages` packs
   depth images as LCM messages, and unpacks and receives them.
 - `DepthNoise` makes of a true depth image what a structured-light camera tells (Nguyen, Izadi and
   Lovell 2012; Khoshelham and Oude Elberink 2012): steps of disparity, axial noise smooth over a

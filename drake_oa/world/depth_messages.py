@@ -9,7 +9,7 @@ from __future__ import annotations
 import weakref
 import zlib
 from collections import deque
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from drake import lcmt_header, lcmt_image, lcmt_image_array
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from pydrake.lcm import DrakeLcm
 
 from drake_oa.common.config import field_errors
-from drake_oa.world.live_camera import Frame
 
 CHANNEL = "DRAKE_RGBD_CAMERA_IMAGES_{}"
 """Of a camera's images."""
@@ -58,12 +57,20 @@ def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_i
     return message
 
 
-def unpack_depth(message: lcmt_image_array) -> tuple[NDArray[np.float32], int]:
-    """The depth image of a message, zlib or uncompressed, and when it was taken.
+class Frame(NamedTuple):
+    """Depth image of a camera.
 
-    Returns:
-        (H, W) along the optical axis [m], inf is too far, NaN missing or too near; and the
-        stamp [us].
+    Attributes:
+        depth: (H, W) along the optical axis [m]; inf is too far, NaN missing.
+        stamp: time at which it was taken, by the wall clock [s].
+    """
+
+    depth: NDArray[np.float32]
+    stamp: float
+
+
+def unpack_depth(message: lcmt_image_array) -> Frame:
+    """Reads the depth image of a message, zlib or uncompressed, 16U [mm] or 32F [m].
 
     Raises:
         ValueError: if it holds no depth image, or one that cannot be unpacked.
@@ -72,33 +79,23 @@ def unpack_depth(message: lcmt_image_array) -> tuple[NDArray[np.float32], int]:
     if len(depths) != 1:
         raise ValueError(f"message of {len(depths)} depth images; it must hold one")
     (image,) = depths
-    kind = _TYPES.get(image.channel_type)
-    if kind is None:
-        raise ValueError(f"depth of channel type {image.channel_type}; 16U or 32F is read")
-    kind = kind.newbyteorder(">" if image.bigendian else "<")
     data = bytes(image.data)
-    count = image.height * image.row_stride
-    if image.compression_method == lcmt_image.COMPRESSION_METHOD_ZLIB:
-        try:
-            data = zlib.decompressobj().decompress(data, count + 1)
-        except zlib.error as error:
-            raise ValueError(f"depth image cannot be unpacked: {error}") from None
-    elif image.compression_method != lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
+    try:
+        if image.compression_method == lcmt_image.COMPRESSION_METHOD_ZLIB:
+            data = zlib.decompressobj().decompress(data, image.height * image.row_stride + 1)
+        values = np.frombuffer(data, _TYPES[image.channel_type])
+        values = values.reshape(image.height, image.width)
+    except (KeyError, ValueError, zlib.error) as error:
         raise ValueError(
-            f"depth image of compression method {image.compression_method}; zlib or none is read"
-        )
-    if len(data) != count or image.row_stride < image.width * kind.itemsize:
-        raise ValueError(
-            f"depth image of {len(data)} bytes, where {image.width} x {image.height} need {count}"
-        )
-    rows = np.frombuffer(data, np.uint8).reshape(image.height, image.row_stride)
-    values = np.ascontiguousarray(rows[:, : image.width * kind.itemsize]).view(kind)
+            f"depth image cannot be unpacked, must be {image.width} x {image.height} of 16U or "
+            f"32F, zlib or uncompressed: {error}"
+        ) from None
     depth = values.astype(np.float32)
-    if kind.itemsize == 2:
+    if values.dtype == np.uint16:
         depth *= _MILLIMETRE
         depth[values == _FAR] = np.inf
     depth[values == 0] = np.nan
-    return depth, int(image.header.utime)
+    return Frame(depth, image.header.utime * _MICROSECOND)
 
 
 _buses: weakref.WeakValueDictionary[str, DrakeLcm] = weakref.WeakValueDictionary()
@@ -117,7 +114,7 @@ def lcm_bus(url: str) -> DrakeLcm:
 
 
 class LcmFrames:
-    """A camera's images as they come by LCM: a `drake_oa.world.live_camera.FrameSource`.
+    """A camera's images as they come by LCM.
 
     Attributes:
         name: channel and URL.
@@ -168,8 +165,7 @@ class LcmFrames:
             message = lcmt_image_array.decode(self._received.pop())
         except Exception as error:  # The kind of exception depends on the damage.
             raise ValueError(f"message is no lcmt_image_array: {error}") from None
-        depth, utime = unpack_depth(message)
-        return Frame(depth, utime * _MICROSECOND)
+        return unpack_depth(message)
 
     def close(self) -> None:
         """Releases the bus, without its last image."""

@@ -15,253 +15,126 @@ image over a plane and proportional to the disparity.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
+from scipy.ndimage import uniform_filter
 
-from drake_oa.common.messages import IntArray
 from drake_oa.common.ports import read_value
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraNoise
 
-_FRAMES = 2**63
 _PATCH = 4
 """Side of the patches of pixels whose edges move, and are missing, together [pixel]."""
 _BAND = 2
-"""Distance from an edge up to which its uncertain position changes pixels [pixel]."""
-
-_ROWS = 32
-"""Rows of an image whose intermediate results stay in the processor's cache."""
+"""Maximum distance by which an edge moves along each axis [pixel]."""
 
 _Image = NDArray[np.float32]
 
 
 def add_depth_noise(
     depth: NDArray[np.floating],
-    K: ArrayLike,
-    parameters: CameraNoise | None = None,
+    time: float,
     *,
+    K: Iterable[float],
+    parameters: CameraNoise | None = None,
     seed: int = 0,
-    frame: int = 0,
 ) -> _Image:
     """Returns the depth image that a structured-light camera would have measured.
 
-    The result depends on the arguments only: the same seed, frame and image have the same
-    noise; other frames have independent noise.
+    The result depends on the arguments only: the same seed, time and image have the same
+    noise; other times have independent noise.
 
     Args:
         depth: (H, W) true depth along the optical axis [m]; 0 is too near, inf too far,
             NaN missing.
+        time: time of the image, counted in whole microseconds [s].
         K: (4,) fx, fy, cx, cy [pixel].
         parameters: of the camera; None for the defaults.
-        seed: integer in [0, 2^63).
-        frame: integer in [0, 2^63) that distinguishes images, such as their time in
-            microseconds.
+        seed: integer >= 0.
 
     Returns:
         (H, W) measured depth [m]; NaN is missing.
-
-    Raises:
-        ValueError: for a wrong shape, intrinsics that are not finite or have a focal
-            length that is not positive, or a seed or frame out of range.
     """
     p = parameters or CameraNoise()
-    if depth.ndim != 2 or min(depth.shape) < 1:
-        raise ValueError(f"depth must be an image (H, W), not of shape {depth.shape}")
-    camera = np.array(K, dtype=np.float32)
-    if camera.shape != (4,) or not np.isfinite(camera).all() or (camera[:2] <= 0.0).any():
-        raise ValueError(f"K must be [fx, fy, cx, cy] in pixels, not {K!r}")
-    for name, value in (("seed", seed), ("frame", frame)):
-        if not 0 <= value < _FRAMES:
-            raise ValueError(f"{name} must lie in [0, 2^63), not {value}")
-    rng = np.random.default_rng([int(seed), int(frame)])
+    rng = np.random.default_rng([seed, max(round(1e6 * time), 0)])
+    fx, fy, cx, cy = map(float, K)
     depth = np.asarray(depth, dtype=np.float32)
-    height, width = depth.shape
-    in_reach = depth <= p.far
+    row, column = (np.arange(count, dtype=np.float32) for count in depth.shape)
+    row = row[:, None]
     # Pixels closer than `near` are missing, too, but still cast a shadow.
-    w = 1.0 / np.maximum(depth, p.near)
-    w[~in_reach] = 0.0
-    w = np.pad(w, 1, "reflect", reflect_type="odd")
-    valid = in_reach & (depth >= p.near)
-    edges, measured = np.empty_like(valid), np.empty_like(depth)
-    disparity = float(camera[0]) * p.baseline
-    step = 1.0 / (p.subpixels * disparity)
-    # The axial noise is interpolated between the nodes of a lattice.
-    row, down = _lattice(rng, height, p.correlation_v)
-    column, across = _lattice(rng, width, p.correlation_u)
-    nodes = rng.standard_normal((row[-1] + 2, column[-1] + 2), dtype=np.float32)
-    lines = across[0] * nodes[:, column] + across[1] * nodes[:, column + 1]
+    w = np.where(depth <= p.far, 1.0 / np.maximum(depth, p.near), 0.0).astype(np.float32)
+    valid = (depth >= p.near) & (depth <= p.far)
+    if p.shadows:
+        # From the right, points are further and further left in the image of the projector on
+        # the right; otherwise a nearer surface intercepts its light.
+        position = column - fx * p.baseline * w
+        valid &= position <= np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
+    (slope_x, jump_x), (slope_y, jump_y) = _differences(w, 1), _differences(w, 0)
+    jump = np.where(np.abs(jump_x) > np.abs(jump_y), jump_x, jump_y)
+    x, y = (column - cx) / fx, (row - cy) / fy
+    normal = fx * slope_x, fy * slope_y, w - fx * slope_x * x - fy * slope_y * y
+    length = sum(part * part for part in normal) * (1.0 + x * x + y * y)
+    theta = np.arccos(np.clip(w / np.sqrt(length + 1e-20), 0.02, 1.0))
     # Pixels of grazing incidence are lost in squares of two by two.
-    kept = rng.random((height // 2 + 1, width // 2 + 1), dtype=np.float32)
-    start, end = math.cos(p.grazing_start), math.cos(p.grazing_end)
-    for first in range(0, height, _ROWS):
-        block = slice(first, min(first + _ROWS, height))
-        around = w[block.start : block.stop + 2]
-        middle = around[1:-1, 1:-1]
-        if p.shadows:
-            valid[block] &= _illuminated(middle, disparity)
-        cosine, contrast = _incidence(around, camera, first)
-        edges[block] = contrast > p.edge_jump * middle
-        steepness = 0.5 * np.pi / np.arcsin(np.clip(cosine, 0.02, 1.0)) - 1.0
-        above, below = lines[row[block]], lines[row[block] + 1]
-        g = down[0, block, None] * above + down[1, block, None] * below
-        part = _measured(middle, steepness, g, step, p)
-        part[~valid[block]] = np.nan
-        r, c = _places(valid[block] & (cosine < start))
-        lost = kept[(first + r) // 2, c // 2] < (start - cosine[r, c]) / (start - end)
-        part[r[lost], c[lost]] = np.nan
-        measured[block] = part
-    _disturb_edges(rng, measured, w, valid, edges, step, p)
-    return measured
+    lost = _patches(rng.random, depth.shape, 2) * (p.grazing_end - p.grazing_start)
+    valid &= (theta <= p.grazing_start) | (theta < p.grazing_start + lost)
 
+    at_edge = (np.abs(jump) > p.edge_jump * w) & valid
+    valid &= ~(at_edge & (_patches(rng.random, depth.shape, _PATCH) < p.edge_dropout))
+    flying = np.flatnonzero(at_edge & (w + jump > 1.0 / p.far))
+    flying = flying[rng.random(len(flying)) < p.flying]
+    w.flat[flying] += rng.random(len(flying), dtype=np.float32) * jump.flat[flying]
+    down, across = (
+        np.clip(
+            np.rint(p.lateral * _patches(rng.standard_normal, depth.shape, _PATCH)), -_BAND, _BAND
+        )
+        for _ in range(2)
+    )
+    r = np.clip(row + down, 0, depth.shape[0] - 1)
+    c = np.clip(column + across, 0, depth.shape[1] - 1)
+    moved = (r * depth.shape[1] + c).astype(np.int32)
+    there, valid = w.ravel()[moved], valid.ravel()[moved]
+    w = np.where(np.abs(there - w) > p.edge_jump * np.maximum(w, there), there, w)
 
-def _places(mask: NDArray[np.bool_]) -> tuple[IntArray, IntArray]:
-    """Returns rows and columns of a mask's pixels, several times faster than `np.nonzero`."""
-    return np.divmod(np.flatnonzero(mask), mask.shape[1])
-
-
-def _illuminated(w: _Image, disparity: float) -> NDArray[np.bool_]:
-    """Returns whether the projector, on the right, illuminates each pixel.
-
-    Along a row from the right an illuminated point is further left in the projector's image
-    than all points before it; otherwise a nearer surface intercepts the light.
-
-    Args:
-        w: (H, W) inverse depth [1/m].
-        disparity: focal length times baseline [pixel m].
-    """
-    position = np.arange(w.shape[1], dtype=np.float32) - disparity * w
-    leftmost = np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
-    return position <= leftmost
-
-
-def _incidence(w: _Image, camera: _Image, first: int) -> tuple[_Image, _Image]:
-    """Returns the cosine of incidence and the largest difference to a neighbor, (H, W) each.
-
-    Args:
-        w: (H + 2, W + 2) inverse depth, with a pixel more on each side [1/m].
-        camera: (4,) fx, fy, cx, cy [pixel].
-        first: row of the image at which the result begins.
-    """
-    across, down = np.diff(w[1:-1], axis=1), np.diff(w[:, 1:-1], axis=0)
-    before, after = np.stack([across[:, :-1], down[:-1]]), np.stack([across[:, 1:], down[1:]])
-    # The smaller one of both differences: the other one may be across an edge.
-    size, size_after = np.abs(before), np.abs(after)
-    slope_x, slope_y = np.where(size < size_after, before, after)
-    middle = w[1:-1, 1:-1]
-    height, width = middle.shape
-    x = (np.arange(width, dtype=np.float32) - camera[2]) / camera[0]
-    y = (np.arange(first, first + height, dtype=np.float32)[:, None] - camera[3]) / camera[1]
-    normal_x, normal_y = camera[0] * slope_x, camera[1] * slope_y
-    normal_z = middle - normal_x * x - normal_y * y
-    length = (normal_x**2 + normal_y**2 + normal_z**2) * (1.0 + x**2 + y**2)
-    contrast = np.maximum(size, size_after).max(axis=0)
-    return middle / np.sqrt(length + np.float32(1e-20)), contrast
-
-
-def _lattice(
-    rng: np.random.Generator, size: int, spacing: int
-) -> tuple[IntArray, NDArray[np.float32]]:
-    """Returns the nodes (size,) before the pixels along an axis, and the weights (2, size) of
-    these nodes and the next ones, with which interpolated noise has unit variance."""
-    # A lattice at rest would be visible in a mean over frames.
-    node, offset = np.divmod(np.arange(size) + rng.integers(spacing), spacing)
-    t = (offset / spacing).astype(np.float32)
-    return node, np.stack([1.0 - t, t]) / np.hypot(1.0 - t, t)
-
-
-def _measured(w: _Image, steepness: Any, g: Any, step: float, p: CameraNoise) -> _Image:
-    """Returns the measured depth [m]: noise, then steps of the disparity and of the unit.
-
-    Args:
-        w: (...) inverse depth, 0 beyond reach [1/m].
-        steepness: theta / (pi/2 - theta) at angles of incidence theta, of w's shape or one.
-        g: standard normal numbers, of w's shape or one.
-        step: of the inverse depth between neighboring disparities [1/m].
-        p: of the camera.
-    """
     z = 1.0 / np.maximum(w, 1.0 / p.far)
     sigma = p.axial_offset + p.axial_growth * (z - p.axial_depth) ** 2
-    sigma += p.axial_angle / np.sqrt(z) * steepness**2
+    sigma += p.axial_angle / np.sqrt(z) * (theta / (0.5 * np.pi - theta)) ** 2
     # The published deviation is that of measured depths, rounding included.
+    step = 1.0 / (p.subpixels * fx * p.baseline)
     rounding = ((step * z * z) ** 2 + p.unit**2) / 12.0
-    noisy = z + g * np.sqrt(np.maximum(sigma**2 - rounding, 0.0))
-    levels = np.maximum(np.rint(1.0 / (step * np.maximum(noisy, 0.5 * z))), 1.0)
-    return np.rint(1.0 / (step * p.unit * levels)) * np.float32(p.unit)
+    smooth = p.correlation_v, p.correlation_u
+    g = rng.standard_normal(depth.shape, dtype=np.float32)
+    g = uniform_filter(g, smooth, mode="wrap") * float(np.sqrt(np.prod(smooth)))
+    z = np.maximum(z + g * np.sqrt(np.maximum(sigma**2 - rounding, 0.0)), 0.5 * z)
+    levels = np.maximum(np.rint(1.0 / (step * z)), 1.0)
+    measured = np.rint(1.0 / (step * p.unit * levels)) * p.unit
+    return np.where(valid, measured, np.nan).astype(np.float32)
 
 
-def _disturb_edges(
-    rng: np.random.Generator,
-    measured: _Image,
-    w: _Image,
-    valid: NDArray[np.bool_],
-    edges: NDArray[np.bool_],
-    step: float,
-    p: CameraNoise,
-) -> None:
-    """Moves edges by patches, and adds missing and flying pixels, in the measured image."""
-    near = np.pad(edges, _BAND)
-    for _ in range(_BAND):
-        near[1:-1] |= near[:-2] | near[2:]
-        near[:, 1:-1] |= near[:, :-2] | near[:, 2:]
-    height, width = valid.shape
-    rows, columns = _places(near[_BAND:-_BAND, _BAND:-_BAND])
-    patches = height // _PATCH + 1, width // _PATCH + 1
-    patch = rows // _PATCH, columns // _PATCH
-    down = rng.standard_normal(patches, dtype=np.float32)[patch]
-    across = rng.standard_normal(patches, dtype=np.float32)[patch]
-    hole = rng.random(patches, dtype=np.float32)[patch] < p.edge_dropout
-    r = np.clip(rows + np.rint(p.lateral * down).astype(int), 0, height - 1)
-    c = np.clip(columns + np.rint(p.lateral * across).astype(int), 0, width - 1)
-    here, there = w[rows + 1, columns + 1], w[r + 1, c + 1]
-    moved = np.abs(there - here) > p.edge_jump * np.maximum(here, there)
-    moved |= valid[r, c] != valid[rows, columns]
-    g = rng.standard_normal(len(there), dtype=np.float32)
-    seen = np.where(valid[r, c], _measured(there, 0.0, g, step, p), np.nan)
-    measured[rows[moved], columns[moved]] = seen[moved]
-
-    at_edge = edges[rows, columns] & valid[rows, columns]
-    flying = at_edge & (rng.random(len(rows)) < p.flying)
-    r, c, here = rows[flying], columns[flying], here[flying]
-    neighbors = np.stack([w[r, c + 1], w[r + 2, c + 1], w[r + 1, c], w[r + 1, c + 2]])
-    neighbors = np.where(neighbors >= 1.0 / p.far, neighbors, here)
-    other = np.argmax(np.abs(neighbors - here), axis=0)
-    change = neighbors[other, np.arange(len(r))] - here
-    between = here + rng.random(len(r), dtype=np.float32) * change
-    measured[r, c] = _measured(between, 0.0, 0.0, step, p)
-    hole &= at_edge
-    measured[rows[hole], columns[hole]] = np.nan
+def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
+    """Returns the smaller difference between neighbors, and that to the most different neighbor."""
+    change = np.diff(w, axis=axis)
+    before, after = (
+        np.pad(change, [side if k == axis else (0, 0) for k in range(2)], "edge")
+        for side in ((1, 0), (0, 1))
+    )
+    # The smaller one is not across an edge. A product is quicker than a choice by pixel.
+    smaller = np.abs(before) < np.abs(after)
+    return after + smaller * (before - after), smaller * (before + after) - before
 
 
-class FrameNoise:
-    """Noise of the images of one camera, which differs with their time."""
-
-    def __init__(
-        self, K: ArrayLike, parameters: CameraNoise | None = None, *, seed: int = 0
-    ) -> None:
-        """Keeps the arguments of `add_depth_noise` that all images share.
-
-        Args:
-            K: (4,) fx, fy, cx, cy [pixel].
-            parameters: of the camera; None for the defaults.
-            seed: of the noise.
-
-        Raises:
-            ValueError: for invalid intrinsics or a negative seed.
-        """
-        self._shared: dict[str, Any] = {"K": K, "parameters": parameters, "seed": seed}
-        # Raises errors here and not at the first frame.
-        self(np.ones((2, 2), dtype=np.float32), 0.0)
-
-    def __call__(self, depth: NDArray[np.floating], time: float) -> _Image:
-        """Returns the measured image of a time [s], counted in whole microseconds."""
-        return add_depth_noise(depth, frame=max(round(1e6 * time), 0), **self._shared)
+def _patches(draw: Any, shape: tuple[int, ...], size: int) -> _Image:
+    """Returns random numbers (H, W), one for each square of so many pixels."""
+    count = [side // size + 1 for side in shape]
+    drawn = draw(count, dtype=np.float32).repeat(size, axis=0).repeat(size, axis=1)
+    return np.asarray(drawn[: shape[0], : shape[1]])
 
 
 class DepthNoise(LeafSystem):
@@ -289,7 +162,7 @@ class DepthNoise(LeafSystem):
 
     def __init__(
         self,
-        camera: CameraInfo | Sequence[float],
+        camera: CameraInfo,
         *,
         parameters: CameraNoise | None = None,
         seed: int = 0,
@@ -297,16 +170,12 @@ class DepthNoise(LeafSystem):
         """Declares the ports.
 
         Args:
-            camera: the depth camera's intrinsics, or [fx, fy, cx, cy] [pixel].
+            camera: the depth camera's intrinsics.
             parameters: of the noise; None for the defaults.
             seed: of the noise.
-
-        Raises:
-            ValueError: for invalid intrinsics or a negative seed.
         """
         super().__init__()
-        K = pinhole(camera) if isinstance(camera, CameraInfo) else camera
-        self._noise = FrameNoise(K, parameters, seed=seed)
+        self._noise = partial(add_depth_noise, K=pinhole(camera), parameters=parameters, seed=seed)
         self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
         self.DeclareAbstractOutputPort(
             "depth_image",

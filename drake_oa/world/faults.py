@@ -2,13 +2,11 @@
 
     faults: [!CameraDropout {start: 1.0, duration: 0.5}, !TorqueSaturation {start: 2.0}]
 
-A fault lasts for start <= t < start + duration. Frames are counted from time 0, when the first
-is taken.
+A fault lasts for start <= t < start + duration.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,10 +24,13 @@ from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 
-_FRAME_TOLERANCE = 1e-6
-"""Rounding error of a number of frames."""
-_TIME_TOLERANCE = 1e-9
+_TIME_TOLERANCE = 1e-6
 """Rounding error of a time [s]."""
+
+
+def _lasts(fault: CameraDropout | Push | TorqueSaturation, context: Context) -> bool:
+    """Checks whether a fault lasts at the time of a Context."""
+    return 0.0 <= context.get_time() + _TIME_TOLERANCE - fault.start < fault.duration
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class _Frame(Frozen):
     """An image and the robot's state when it was taken."""
 
     stamp: float
-    depth: NDArray[np.float32]
+    data: NDArray[np.float32]
     robot_state: FloatArray
 
 
@@ -62,9 +63,8 @@ class CameraFaults(LeafSystem):
     - image_stamp: (1,) time at which that image was taken [s]; -inf while there was none.
     - robot_state (out): the robot's state at that time, as a driver pairs them.
 
-    Without a dropout the outputs are the inputs. A frame is taken every `period`, and the
-    images that are asked for between are live as well. The last frame before a dropout is kept
-    in the Context.
+    Without a dropout the outputs are the inputs. The last frame, one of which is taken every
+    `period`, is kept in the Context.
     """
 
     def __init__(
@@ -88,12 +88,9 @@ class CameraFaults(LeafSystem):
         """
         super().__init__()
         self._faults = tuple(faults)
-        self._period = period = valid_period(period)
-        nothing = _Frame(
-            -np.inf,
-            np.full((camera.height(), camera.width()), np.nan, dtype=np.float32),
-            np.zeros(num_states),
-        )
+        period = valid_period(period)
+        missing = np.full((camera.height(), camera.width(), 1), np.nan, dtype=np.float32)
+        nothing = _Frame(-np.inf, missing, np.zeros(num_states))
         self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
         self._robot_port = self.DeclareVectorInputPort("robot_state", num_states)
         self._last = self.DeclareAbstractState(Value(nothing))
@@ -111,45 +108,29 @@ class CameraFaults(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._keep)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._keep)
 
-    def _is_lost(self, context: Context, later: int = 0) -> bool:
-        """Returns whether the frame taken last, or so many frames later, does not arrive."""
-        frame = math.floor(context.get_time() / self._period + _FRAME_TOLERANCE) + later
-
-        def first_frame(time: float) -> int:
-            return math.ceil(time / self._period - _FRAME_TOLERANCE)
-
-        return any(
-            first_frame(fault.start) <= frame < first_frame(fault.start + fault.duration)
-            for fault in self._faults
-        )
-
     def _last_frame(self, context: Context) -> _Frame | None:
-        """The frame that stands in for the one taken at this time; None: that one arrives."""
-        if not self._is_lost(context):
+        """The frame that stands in for the present one; None: that one arrives."""
+        if not any(_lasts(fault, context) for fault in self._faults):
             return None
         frame: _Frame = context.get_abstract_state(int(self._last)).get_value()
         return frame
 
     def _keep(self, context: Context, state: State) -> None:
-        if self._is_lost(context) or not self._is_lost(context, 1):
-            return
-        image: Any = read_value(self, self._image_port, context, ImageDepth32F)
-        state.get_mutable_abstract_state(int(self._last)).set_value(
-            _Frame(
-                context.get_time(),
-                image.data[:, :, 0].copy(),
-                np.array(self._robot_port.Eval(context)),
-            )
-        )
+        if self._last_frame(context) is None:
+            image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+            x = np.array(self._robot_port.Eval(context))
+            frame = _Frame(context.get_time(), image.data.copy(), x)
+            state.get_mutable_abstract_state(int(self._last)).set_value(frame)
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
         last = self._last_frame(context)
         if last is None:
             output.set_value(read_value(self, self._image_port, context, ImageDepth32F))
             return
-        image: Any = ImageDepth32F(last.depth.shape[1], last.depth.shape[0])
-        image.mutable_data[:, :, 0] = last.depth
-        output.set_value(image)
+        height, width, _ = last.data.shape
+        image: Any = output.get_mutable_value()
+        image.resize(width, height)
+        image.mutable_data[:] = last.data
 
     def _calc_stamp(self, context: Context, output: BasicVector) -> None:
         last = self._last_frame(context)
@@ -194,8 +175,7 @@ class ExternalPush(LeafSystem):
     def _calc(self, context: Context, output: AbstractValue) -> None:
         forces = []
         for push, body in self._pushes:
-            now = context.get_time() + _TIME_TOLERANCE
-            scale = float(push.start <= now < push.start + push.duration)
+            scale = float(_lasts(push, context))
             applied = ExternallyAppliedSpatialForce()
             applied.body_index = body
             applied.p_BoBq_B = np.zeros(3)
@@ -240,12 +220,6 @@ class WeakActuators(LeafSystem):
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        requested = self._requested.Eval(context)
-        now = context.get_time()
-        scales = [
-            fault.scale
-            for fault in self._faults
-            if fault.start <= now < fault.start + fault.duration
-        ]
+        scales = [fault.scale for fault in self._faults if _lasts(fault, context)]
         limit = min(scales, default=np.inf) * self._limits
-        output.SetFromVector(np.clip(requested, -limit, limit))
+        output.SetFromVector(np.clip(self._requested.Eval(context), -limit, limit))

@@ -16,7 +16,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,17 +31,17 @@ from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import valid_period
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import TimedCamera, add_camera, add_camera_world
-from drake_oa.world.depth_noise import FrameNoise
 
 _T = TypeVar("_T")
 
+Noise = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
+"""Makes a measured image of a true one and its time [s]."""
 _KEPT = 4
 """Images that are kept for being asked for again."""
 
 
-@dataclass(frozen=True)
-class Rendered:
-    """An image.
+class Rendered(NamedTuple):
+    """Depth image and the pose of its camera.
 
     Attributes:
         depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing.
@@ -91,7 +91,7 @@ class BackgroundCamera:
     """
 
     def __init__(
-        self, scenario: Scenario, config: CameraConfig, noise: FrameNoise | None = None
+        self, scenario: Scenario, config: CameraConfig, noise: Noise | None = None
     ) -> None:
         """Builds the world.
 
@@ -110,10 +110,10 @@ class BackgroundCamera:
     def _built(self) -> list[_CameraWorld]:
         world: list[_CameraWorld] = []
         scenario, config = self._scenario, self._config
+        _thread.worlds.append(world)
         _thread.submit(lambda: world.append(_CameraWorld(scenario, config))).result()
-        _thread.remember(world)
         # The engine must end in its own thread as well.
-        weakref.finalize(self, _thread.forget, world)
+        weakref.finalize(self, _thread.end, world)
         return world
 
     def release(self) -> None:
@@ -121,7 +121,7 @@ class BackgroundCamera:
 
         A diagram of Python systems is never collected, and would keep them for ever.
         """
-        _thread.forget(self._world)
+        _thread.end(self._world)
         self._world = []
         self._images.clear()
 
@@ -136,15 +136,16 @@ class BackgroundCamera:
         if key not in self._images:
             self._world = self._world or self._built()
             world, asked = self._world, np.array(state)
-            self._images[key] = _thread.submit(lambda: self._measured(world[0].render(asked), time))
+            noise = self._noise
+
+            def measure() -> Rendered:
+                image = world[0].render(asked)
+                return image._replace(depth=noise(image.depth, time)) if noise else image
+
+            self._images[key] = _thread.submit(measure)
             if len(self._images) > _KEPT:
                 self._images.popitem(last=False)
         return self._images[key]
-
-    def _measured(self, image: Rendered, time: float) -> Rendered:
-        if self._noise is not None:
-            image.depth[:] = self._noise(image.depth, time)
-        return image
 
 
 class _RenderThread:
@@ -153,7 +154,7 @@ class _RenderThread:
     def __init__(self) -> None:
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._worlds: list[list[_CameraWorld]] = []
+        self.worlds: list[list[_CameraWorld]] = []
 
     def submit(self, call: Callable[[], _T]) -> Future[_T]:
         """Runs a function there."""
@@ -179,19 +180,14 @@ class _RenderThread:
         self._tasks.put(run)
         return future
 
-    def remember(self, world: list[_CameraWorld]) -> None:
-        """Keeps a world in mind, to be ended when the interpreter ends."""
-        self._worlds.append(world)
-
-    def forget(self, world: list[_CameraWorld]) -> None:
+    def end(self, world: list[_CameraWorld]) -> None:
         """Ends a world; again, it does nothing."""
-        self._worlds = [one for one in self._worlds if one is not world]
         self._tasks.put(world.clear)
 
     def close(self) -> None:
         """Ends all worlds, and the thread."""
-        for world in self._worlds:
-            self._tasks.put(world.clear)
+        for world in self.worlds:
+            self.end(world)
         self._tasks.put(None)
         if self._thread is not None:
             self._thread.join(timeout=10.0)

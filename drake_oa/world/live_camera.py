@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,53 +21,18 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.messages import FloatArray, Frozen, zeros
-from drake_oa.common.ports import valid_period
 from drake_oa.perception.depth_perception import log_change
 from drake_oa.world.cameras import TimedCamera
+from drake_oa.world.depth_messages import Frame, LcmFrames
 
 _REMEMBERED = 0.5
 """How far back states are known, at least [s] of the wall clock."""
+_MAX_AHEAD = 0.01
+"""Maximum time by which the stamp of an image may be ahead of the wall clock [s]."""
+_POLL = 0.005
+"""Time between two checks for a new image [s]."""
 _PAUSE = 0.002
 """Between two looks for the first image [s]."""
-
-
-class Frame(NamedTuple):
-    """A depth image as it comes.
-
-    Attributes:
-        depth: (H, W) along the optical axis [m]; inf is too far, NaN missing.
-        stamp: when it was taken, by the wall clock [s].
-    """
-
-    depth: NDArray[np.float32]
-    stamp: float
-
-
-class FrameSource(Protocol):
-    """What images of one camera come from.
-
-    Attributes:
-        name: what it is called where something is wrong with it.
-    """
-
-    name: str
-
-    def open(self) -> None:
-        """Begins to take images; opened already, it does nothing.
-
-        Raises:
-            ScenarioError: if it cannot, saying why.
-        """
-
-    def latest(self) -> Frame | None:
-        """The newest image that has come since it was asked last; None: none has.
-
-        Raises:
-            ValueError: for one that cannot be read, saying why.
-        """
-
-    def close(self) -> None:
-        """Lets go of device or channel; it may be opened again."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +105,7 @@ class LiveCamera(TimedCamera):
     - plant_state (out): (n,) the state then, between the two that were known about that moment.
 
     At initialization, or where it is read before, the source is opened and the first image waited
-    for; every `poll` the newest
+    for; every 5 ms the newest
     one is taken into the Context. The wall clock is set against the Context's by where the Context
     was ahead most of late, if nothing better is known: a simulator that keeps real time falls
     behind for moments, in which images go on to be taken. An image that does not fit is passed
@@ -149,15 +114,13 @@ class LiveCamera(TimedCamera):
 
     def __init__(
         self,
-        source: FrameSource,
+        source: LcmFrames,
         intrinsics: CameraInfo,
         X_WC: RigidTransform,
         *,
         num_states: int,
         wait: float = 0.0,
         max_age: float = 0.2,
-        max_ahead: float = 0.01,
-        poll: float = 0.005,
         outside: Outside | None = None,
     ) -> None:
         """Declares ports, state and events.
@@ -169,22 +132,16 @@ class LiveCamera(TimedCamera):
             num_states: size n of the plant's state.
             wait: how long the first image is waited for [s]; 0: not at all.
             max_age: age at which an image that comes is passed over [s] of the wall clock.
-            max_ahead: how far ahead of the wall clock a stamp may be [s].
-            poll: time between looks for an image [s].
             outside: the clocks; None: `Outside()`. Its `plant_state` is not read here.
-
-        Raises:
-            ValueError: for a period that is not positive.
         """
         super().__init__(intrinsics, num_states, _Seen())
         outside = outside or Outside()
         self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), outside.clock
-        self._wait, self._max_age, self._max_ahead = wait, max_age, max_ahead
+        self._wait, self._max_age = wait, max_age
         self._to_simulated, self._pause = outside.to_simulated, outside.wait
         self._first: _Seen | None = None
-        poll = valid_period(poll)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(poll, poll, self._poll)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(_POLL, _POLL, self._poll)
 
     def release(self) -> None:
         """Closes the source; the next initialization opens it again."""
@@ -277,8 +234,8 @@ class LiveCamera(TimedCamera):
                 f"images are more than {self._max_age:g} s old by this clock when they come: are "
                 "both clocks set alike?"
             )
-        if not frame.stamp <= now + self._max_ahead:
-            return f"image's stamp is more than {self._max_ahead:g} s ahead of the clock here"
+        if not frame.stamp <= now + _MAX_AHEAD:
+            return f"image's stamp is more than {_MAX_AHEAD:g} s ahead of the clock here"
         return ""
 
     def image(self, context: Context) -> NDArray[np.float32] | float:

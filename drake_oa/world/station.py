@@ -7,8 +7,8 @@ controller and the self filter know it.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
+from functools import partial
 
 from pydrake.geometry import CollisionFilterDeclaration, SceneGraph
 from pydrake.multibody.plant import (
@@ -21,7 +21,7 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras, RealSense
+from drake_oa.perception.config import DepthCamera, LcmCamera
 from drake_oa.robot.grasped_object import part_carried
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
@@ -35,14 +35,11 @@ from drake_oa.world.cameras import (
     depth_intrinsics,
 )
 from drake_oa.world.depth_messages import LcmFrames
-from drake_oa.world.depth_noise import FrameNoise
-from drake_oa.world.late_camera import BackgroundCamera, LateCamera
-from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
+from drake_oa.world.depth_noise import add_depth_noise
+from drake_oa.world.late_camera import BackgroundCamera, LateCamera, Noise
+from drake_oa.world.live_camera import LiveCamera, Outside, standing_pose
 from drake_oa.world.obstacles import obstacle_instances
-from drake_oa.world.realsense import RealSenseFrames
 from drake_oa.world.world_model import add_world
-
-_logger = logging.getLogger("drake_oa")
 
 
 def add_cameras(
@@ -64,7 +61,7 @@ def add_cameras(
     Raises:
         ScenarioError: naming the camera that does not fit.
     """
-    if isinstance(scenario.perception, LiveCameras):
+    if isinstance(scenario.perception, LcmCamera):
         source, outside = scenario.perception, outside or Outside()
         return {
             config.name: _live_camera(builder, source, plant, config, outside)
@@ -108,18 +105,9 @@ def _late_camera(
     return system.camera(config.output_delay)
 
 
-def _frame_source(source: LiveCameras, config: CameraConfig, intrinsics: CameraInfo) -> FrameSource:
-    if isinstance(source, LcmCamera):
-        return LcmFrames(source.lcm_url, config.name)
-    if isinstance(source, RealSense):
-        serial = source.serials.get(config.name, "")
-        return RealSenseFrames(intrinsics, config.fps, serial=serial, tolerance=source.tolerance)
-    raise ScenarioError(f"perception: nothing reads images of !{type(source).__name__}")
-
-
 def _live_camera(
     builder: DiagramBuilder,
-    source: LiveCameras,
+    source: LcmCamera,
     plant: MultibodyPlant,
     config: CameraConfig,
     outside: Outside,
@@ -127,14 +115,12 @@ def _live_camera(
     X_WC = standing_pose(plant, config)
     intrinsics = depth_intrinsics(config)
     system = LiveCamera(
-        _frame_source(source, config, intrinsics),
+        LcmFrames(source.lcm_url, config.name),
         intrinsics,
         X_WC,
         num_states=plant.num_multibody_states(),
         wait=source.wait,
         max_age=source.max_age,
-        max_ahead=source.max_ahead,
-        poll=source.poll,
         outside=outside,
     )
     builder.AddNamedSystem(f"live_{config.name}", system)
@@ -144,23 +130,19 @@ def _live_camera(
 
 
 def release_cameras(diagram: Diagram) -> None:
-    """Ends what cameras of a diagram hold outside it: render engines, devices, channels."""
+    """Releases the render engines and channels of a diagram's cameras."""
     for system in diagram.GetSystems():
         if isinstance(system, TimedCamera):
-            try:
-                system.release()
-            except RuntimeError as error:
-                # As of a device that was unplugged: what ran is not lost for it.
-                _logger.warning("%s: %s", system.get_name(), error)
+            system.release()
 
 
-def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> FrameNoise | None:
-    """Of a camera that perception looks through; None for another, or an ideal one."""
+def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> Noise | None:
+    """Noise of a camera that perception looks through; None for another, or an ideal one."""
     source = scenario.perception
     if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
         return None
     seed = noise_seed(scenario, config.name)
-    return FrameNoise(pinhole(intrinsics), source.noise, seed=seed)
+    return partial(add_depth_noise, K=pinhole(intrinsics), parameters=source.noise, seed=seed)
 
 
 @dataclass(frozen=True)

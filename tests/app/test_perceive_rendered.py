@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.perception.config import CameraNoise
 from drake_oa.perception.segmentation import Segmentation, segment_depth
-from drake_oa.world.depth_noise import FrameNoise
+from drake_oa.world.depth_noise import add_depth_noise
 from tests.reference.depth_images import look_at, rays_of
 
 SIZE = (480, 640)
@@ -166,8 +166,7 @@ def _rendered(meshes, X_WC, rng, given) -> Scene:
     hit = caster.cast_rays(np.concatenate([origin, rays], axis=-1).astype(np.float32))
     exact = hit["t_hit"].numpy().astype(float)
     label = names[np.minimum(hit["geometry_ids"].numpy(), len(meshes))]
-    noise = FrameNoise(K, NOISE, seed=int(rng.integers(2**31)))
-    depth = noise(exact.astype(np.float32), 0.0)
+    depth = add_depth_noise(exact, 0.0, K=K, parameters=NOISE, seed=int(rng.integers(2**31)))
     missing = np.zeros(SIZE, dtype=bool)
     if given["cropped"]:
         missing |= (label != TABLE) & (label < FIRST)

