@@ -5,14 +5,11 @@ it is imported when it is asked for.
 """
 
 from importlib import import_module as _import_module
-from pathlib import Path as _Path
 
 from drake_oa.common.numba_tools import pin_processor_target as _pin_processor_target
-from drake_oa.common.numba_tools import provide_kernel_cache as _provide_kernel_cache
 
 # Before any module that compiles is imported.
 _pin_processor_target()
-_KERNEL_CACHE = _provide_kernel_cache(_Path(__file__).parent)
 
 _SYSTEMS = {
     "DepthPerception": "perception.depth_perception",

@@ -4,7 +4,9 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -111,3 +113,30 @@ def test_installed_code_loads_where_nothing_can_be_written(site: Path, tmp_path:
     (frozen / "drake_oa" / "__pycache__").touch()  # Not a folder: not even root can fill it.
     nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "NUMBA_CACHE_DIR": ""}
     assert "tabletop_box" in installed(frozen, tmp_path, "scenarios", **nowhere)
+
+
+@pytest.mark.slow
+def test_a_wheel_with_compiled_kernels_compiles_nothing(tmp_path: Path) -> None:
+    """The fresh environment shares the other packages of this one, but not this checkout."""
+    stamp = f"{sys.prefix}/.installed-dev"
+    quiet_run(
+        "make", "-C", str(ROOT), "wheel", f"VENV={sys.prefix}", "-o", stamp, f"DIST={tmp_path}"
+    )
+    (built,) = tmp_path.glob("*.whl")
+    assert not built.name.endswith("-any.whl")
+    venv.create(tmp_path / "env")
+    (packages,) = (tmp_path / "env").glob("lib/python*/site-packages")
+    (packages / "others.pth").write_text(sysconfig.get_path("purelib"))
+    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
+    quiet_run(*install, "--target", str(packages), str(built))
+    answer = quiet_run(
+        str(tmp_path / "env" / "bin" / "python"),
+        *("-m", "drake_oa.app.main", "run", "tabletop_box", "--no-log"),
+        cwd=tmp_path,
+        env=os.environ | {"NUMBA_DEBUG_CACHE": "1", "PYTHONPATH": ""},
+    )
+    loaded = [line for line in answer.stdout.splitlines() if "data loaded from" in line]
+    assert len(loaded) > 20
+    assert all(str(packages) in line for line in loaded)
+    assert "data saved to" not in answer.stdout
+    assert "compiling" not in answer.stderr

@@ -1,4 +1,4 @@
-"""What all layers share; it imports none of them.
+"""Shared modules of all layers; they import none of them.
 
 - `messages`: the frozen values on the abstract ports between layers: `ObstacleClouds`,
   `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Arrays
@@ -8,8 +8,9 @@
 - `config`: fields of configuration blocks with unit and range, and YAML data held against them.
 - `thinking`: what a decision costs in simulated time (`Thinking`, block `thinking`), and what is
   in force until it is made (`Thoughts`).
-- `numba_tools`: where compiled kernels are kept, and arrays as kernels take them.
-- `files`: files replaced whole, memory that is there, versions and source that made a result.
+- `compiled`: decorators of kernels, and the place of their compiled code; `numba_tools`: its
+  processor target.
+- `files`: atomic replacement of files, versions and source of a result.
 - `console`: exit statuses and errors of the commands.
 
 Units are SI, frames monogram notation: p_WE is the tool point E in the world W, R_WO the

@@ -1,19 +1,93 @@
-"""The decorators of compiled functions, and what runs them on all cores."""
+"""Decorators of compiled functions, the place of what they compile, and threads for all cores."""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from numba import njit
+from numba.core.caching import CacheImpl, InTreeCacheLocator
+from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike, NDArray
 
+from drake_oa.common.files import user_cache
+
 CORES = max(len(os.sched_getaffinity(0)), 1)
-"""That this process may use."""
+"""Number of cores that this process may use."""
+
+
+class KernelCacheLocator(InTreeCacheLocator):
+    """Place and stamp of the compiled code of the package's kernels.
+
+    The place is beside the source; where that cannot be written, the user's cache, with a copy of
+    the code beside the source; else a temporary folder. Numba's stamp covers the file of a kernel
+    alone, and it would run former code of the kernels that it calls: this one covers those, too,
+    and the constants that it uses.
+    """
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        """Finds the place of a kernel's code."""
+        super().__init__(py_func, py_file)
+        self._used = [py_func.__globals__.get(name) for name in py_func.__code__.co_names]
+        self._cache_path = _kernel_folder(super().get_cache_path())
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelCacheLocator | None:
+        """Returns a locator; None for functions of other packages, or if the user names a place."""
+        is_own = py_func.__module__.startswith(f"{__package__.partition('.')[0]}.")
+        return cls(py_func, py_file) if is_own and not numba.config.CACHE_DIR else None
+
+    def get_source_stamp(self) -> str:
+        """Computes a digest of the source that the compiled code depends on."""
+        stamps = [super().get_source_stamp()]
+        for value in self._used:
+            if isinstance(value, Dispatcher) and hasattr(value._cache, "_cache_file"):
+                stamps.append(value._cache._cache_file._source_stamp)
+            elif isinstance(value, int | float | np.ndarray):
+                stamps.append(np.asarray(value).tobytes())
+        return hashlib.sha256(repr(stamps).encode()).hexdigest()
+
+
+@cache
+def _kernel_folder(beside: str) -> str:
+    """Returns the folder for the compiled code of modules whose own folder for it is given."""
+    user = user_cache("kernels") / hashlib.sha256(beside.encode()).hexdigest()[:16]
+    with suppress(OSError):
+        Path(beside).mkdir(exist_ok=True)
+        tempfile.TemporaryFile(dir=beside).close()
+        return beside
+    with suppress(OSError):
+        user.parent.mkdir(parents=True, exist_ok=True)
+        if not user.is_dir():
+            # Renamed when it is complete: another process may be starting, too.
+            made = tempfile.mkdtemp(dir=user.parent)
+            if os.path.isdir(beside):
+                shutil.copytree(beside, made, dirs_exist_ok=True)
+            Path(made).rename(user)
+        return str(user)
+    return str(Path(_temporary_folder().name) / user.name)
+
+
+@cache
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    # Not a fixed name in a shared folder: compiled code is read back without checks.
+    return tempfile.TemporaryDirectory(prefix="drake_oa-kernels-")
+
+
+numba.config.CACHE_LOCATOR_CLASSES = ",".join(
+    f"{locator.__module__}.{locator.__name__}"
+    for locator in (KernelCacheLocator, *CacheImpl._locator_classes)
+)
 
 # Said for each: one that says nothing of fastmath takes its caller's, if that is the first to
 # have it compiled, and the cache then hands it to everyone, where 0 * inf may be anything.
