@@ -195,7 +195,6 @@ def station(
     overrides: Overrides = (),
     lcm_url: str = LCM_URL,
     rate: float = 1.0,
-    expiry: Positive = 0.1,
     wait: bool = False,
     no_images: bool = False,
     duration: Positive | None = None,
@@ -214,7 +213,6 @@ def station(
         lcm_url: of the bus; the default one stays on this machine.
         rate: simulated seconds in one of the wall clock, at most 1; smaller where a machine
             cannot keep up.
-        expiry: how long a command is in force [s].
         wait: let the world begin when the arm follows a command, and end when the commander is
             done and all has come to rest.
         no_images: render and send none.
@@ -232,7 +230,6 @@ def station(
         arm = PandaStation(
             chosen,
             lcm,
-            expiry=expiry,
             images=not no_images,
             rate=rate,
             waits=wait,
@@ -262,8 +259,8 @@ def station(
     print(
         f"simulated {pace.simulated:.2f} s in {pace.wall:.2f} s, "
         f"{pace.simulated / max(pace.wall, 1e-9):.2f} of real time; "
-        f"statuses {pace.statuses}, longest pause {1e3 * pace.longest_pause:.0f} ms; "
-        f"images {pace.images}; commands followed {pace.followed}, not followed {pace.rejected}"
+        f"statuses {pace.statuses}; images {pace.images}; "
+        f"commands followed {pace.followed}, not followed {pace.rejected}"
     )
     if isinstance(failure, Exception):
         complain(f"cut short: {type(failure).__name__}: {failure}")

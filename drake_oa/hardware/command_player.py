@@ -15,6 +15,7 @@ import os
 import signal
 import time
 from collections import deque
+from contextlib import suppress
 from enum import IntEnum
 
 import numpy as np
@@ -45,11 +46,11 @@ _NOT_FREE = {
 """Modes of the arm in which it cannot be driven."""
 
 _ROWS = 4096
-"""Instants that are kept of what is to be, and of what was measured."""
+"""Capacity of the shared buffers of planned and measured positions."""
 _NOTE = 400
-"""Bytes of the longest note."""
+"""Size of the longest note [byte]."""
 _REMEMBERED = 400
-"""Commands of our own that are told from somebody else's."""
+"""Number of sent commands that are compared with received commands and statuses."""
 
 
 COMMAND_PERIOD = 0.004
@@ -67,6 +68,9 @@ _RESTART_TOLERANCE = 0.03
 """Maximum distance of a joint from its command when the motion resumes from rest [rad]."""
 _ASTRAY, _ASTRAY_TIME = 0.1, 0.2
 """Distance of a joint from its command that stops the run [rad], and its duration [s]."""
+EXPIRY = 0.1
+"""Time for which the arm follows a command, and maximum difference of its stamp from the wall clock
+[s]. The vendor's driver has the same."""
 SPEED_SHARE = 1.2
 """Maximum speed between two accepted commands, relative to the joint's limit [1]."""
 SLACK = 0.01
@@ -89,7 +93,7 @@ def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
 
 
 class PlayerState(IntEnum):
-    """What the player does."""
+    """Activity of the player."""
 
     LISTENING = 0
     """No status has come."""
@@ -110,7 +114,6 @@ class SharedMotion(ctypes.Structure):
     Attributes:
         played: simulated time that the arm is at [s].
         end: 1 once the player is to end.
-        longest_pause: longest time between two commands [s].
         commands: number of commands.
         farthest: greatest distance of a joint from its commands [rad].
     """
@@ -118,13 +121,12 @@ class SharedMotion(ctypes.Structure):
     _fields_ = (
         ("_planned", ctypes.c_double * (1 + ARM_JOINTS) * _ROWS),
         ("_planned_count", ctypes.c_int64),
-        ("_measured", ctypes.c_double * (1 + 2 * ARM_JOINTS) * _ROWS),
+        ("_measured", ctypes.c_double * (2 * ARM_JOINTS) * _ROWS),
         ("_measured_count", ctypes.c_int64),
         ("_state", ctypes.c_int),
         ("_note", ctypes.c_char * _NOTE),
         ("played", ctypes.c_double),
         ("end", ctypes.c_double),
-        ("longest_pause", ctypes.c_double),
         ("commands", ctypes.c_double),
         ("farthest", ctypes.c_double),
     )
@@ -134,9 +136,9 @@ class SharedMotion(ctypes.Structure):
         self._planned[self._planned_count % _ROWS][:] = [t, *q]
         self._planned_count += 1
 
-    def write_measured(self, stamp: float, q: FloatArray, v: FloatArray) -> None:
-        """Adds the state of the joints (7,) in a status of the wall clock [s, rad, rad/s]."""
-        self._measured[self._measured_count % _ROWS][:] = [stamp, *q, *v]
+    def write_measured(self, q: FloatArray, v: FloatArray) -> None:
+        """Adds positions and speeds of the joints (7,) in a status [rad, rad/s]."""
+        self._measured[self._measured_count % _ROWS][:] = [*q, *v]
         self._measured_count += 1
 
     @property
@@ -153,26 +155,26 @@ class SharedMotion(ctypes.Structure):
         return np.array([np.interp(t, times, joint) for joint in joints])
 
     @property
-    def measured(self) -> tuple[float, FloatArray, FloatArray]:
-        """Stamp [s], positions and speeds (7,) of the last status; NaN before the first."""
-        count, row = self._measured_count, np.full(1 + 2 * ARM_JOINTS, np.nan)
+    def measured(self) -> tuple[FloatArray, FloatArray]:
+        """Positions and speeds (7,) in the last status; NaN before the first [rad, rad/s]."""
+        count, row = self._measured_count, np.full(2 * ARM_JOINTS, np.nan)
         if count:
             row[:] = self._measured[(count - 1) % _ROWS]
-        return float(row[0]), row[1 : 1 + ARM_JOINTS], row[1 + ARM_JOINTS :]
+        return row[:ARM_JOINTS], row[ARM_JOINTS:]
 
-    def tell(self, state: PlayerState, note: str) -> None:
-        """Says what the player does, and why."""
+    def set_state(self, state: PlayerState, note: str) -> None:
+        """Sets what the player does, and why."""
         self._note = note.encode()[: _NOTE - 1]
         self._state = state
 
     @property
     def state(self) -> PlayerState:
-        """What the player does."""
+        """Activity of the player."""
         return PlayerState(self._state)
 
     @property
     def note(self) -> str:
-        """Why."""
+        """Reason of the state."""
         return bytes(self._note).decode(errors="replace")
 
 
@@ -181,8 +183,12 @@ def shared_motion() -> SharedMotion:
     return multiprocessing.get_context("spawn").RawValue(SharedMotion)
 
 
+class _StoppedError(Exception):
+    """A condition that stops the arm for good; the message says why."""
+
+
 class CommandPlayer:
-    """Commands what is in a `SharedMotion`, watches the arm, and stops it where it must.
+    """Commands the positions in a `SharedMotion`, monitors the arm, and stops it where necessary.
 
     Simulated time is played at `rate` seconds in one of the wall clock, more slowly where less
     than half of `LEAD` is written, and not at all where the arm is silent, astray or
@@ -190,11 +196,11 @@ class CommandPlayer:
     """
 
     def __init__(self, motion: SharedMotion, lcm: DrakeLcm, rate: float) -> None:
-        """Listens.
+        """Subscribes to statuses and commands.
 
         Args:
-            motion: what is to be.
-            lcm: what messages come and go by.
+            motion: shared with the diagram.
+            lcm: the bus of the messages.
             rate: simulated seconds in one of the wall clock, at most.
 
         Raises:
@@ -202,15 +208,12 @@ class CommandPlayer:
         """
         check_rate(rate)
         self._motion, self._lcm, self._rate = motion, lcm, rate
-        self._pace = self._played = 0.0
-        self._heard = self._last = self._commanded = -math.inf
+        # Speed of simulated time, and when each was last: a status, a step, each by a clock that
+        # is never set.
+        self._pace, self._heard, self._stepped = 0.0, -math.inf, -math.inf
         self._trouble_since = self._astray_since = math.inf
-        self._sent: deque[int] = deque(maxlen=_REMEMBERED)
-        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED)
-        # Whether the arm is where it is to be has to be looked at before it moves.
-        self._from_rest = True
-        self._apart = 0.0
-        self._stop = self._passed = ""
+        self._rejected = "no status has come"
+        self._sent: deque[tuple[float, int, FloatArray]] = deque(maxlen=_REMEMBERED)
         self._statuses: list[bytes] = []
         self._commands: list[bytes] = []
         lcm.Subscribe(STATUS_CHANNEL, self._statuses.append)
@@ -218,208 +221,159 @@ class CommandPlayer:
 
     @property
     def finished(self) -> bool:
-        """Whether it was told to end, and the arm is at rest as far as it is commanded."""
-        if not self._motion.end:
-            return False
-        stopped = self._motion.state is PlayerState.STOPPED
-        return stopped or self._pace < 1e-3 or self._motion.planned_until <= self._played
+        """True if it was told to end, and the arm is at rest as far as it is commanded."""
+        motion = self._motion
+        rests = self._pace < 1e-3 or motion.planned_until <= motion.played
+        return bool(motion.end) and (motion.state is PlayerState.STOPPED or rests)
 
     def step(self, now: float, tick: float | None = None) -> None:
-        """Hears what has come, and sends the next command.
+        """Handles received messages, and sends the next command.
 
         Args:
             now: the wall clock, which may be set [s].
-            tick: one that is never set [s]; None: the wall clock is not.
+            tick: a clock that is never set [s]; None: the wall clock is not.
         """
-        tick = now if tick is None else tick
+        try:
+            self._step(now, now if tick is None else tick)
+        except _StoppedError as error:
+            self._set_state(PlayerState.STOPPED, str(error))
+
+    def _step(self, now: float, tick: float) -> None:
         motion = self._motion
         while self._lcm.HandleSubscriptions(0):
             pass
-        self._take_statuses(now, tick)
-        self._take_commands()
-        elapsed, self._last = tick - self._last, tick
         if motion.state is PlayerState.STOPPED:
             return
-        trouble = self._trouble(tick)
-        self._say(tick, trouble)
-        begun = self._commanded > -math.inf
-        if self._stopped() or motion.planned_until == -math.inf or (trouble and not begun):
+        self._check_status(now, tick)
+        self._check_commands()
+        trouble = self._update_state(tick)
+        elapsed, self._stepped = tick - self._stepped, tick
+        if motion.planned_until == -math.inf or (trouble and not self._sent):
             return
-        if trouble or elapsed > SILENCE:
-            self._from_rest = True
         if elapsed > SILENCE:
-            # The arm holds by now.
+            # By now the arm holds.
             self._pace = 0.0
-        slow = bool(trouble) or motion.end > 0.0
-        if self._from_rest and not trouble:
-            if self._moved_away():
-                return
-            self._from_rest = False
-        self._play(min(elapsed, 3.0 * COMMAND_PERIOD), slow)
-        self._send(now, tick)
-
-    def _stopped(self) -> bool:
-        return self._motion.state is PlayerState.STOPPED
-
-    def _moved_away(self) -> bool:
-        """Stops for good if the arm, at rest, is not where it is to be."""
-        _, q, _ = self._motion.measured
-        off = float(np.abs(q - self._motion.planned(self._played)).max())
-        if off > _RESTART_TOLERANCE:
-            self._tell(PlayerState.STOPPED, f"the arm is {off:.3g} rad from where it was left")
-        return self._stopped()
+        if self._pace == 0.0 and not trouble:
+            off = float(np.abs(motion.measured[0] - motion.planned(motion.played)).max())
+            if off > _RESTART_TOLERANCE:
+                raise _StoppedError(f"the arm is {off:.3g} rad from where it was left")
+        self._play(min(elapsed, 3.0 * COMMAND_PERIOD), bool(trouble) or motion.end > 0.0)
+        self._send(now)
 
     def _play(self, elapsed: float, slow: bool) -> None:
         motion = self._motion
-        lead = motion.planned_until - self._played
-        most = self._rate * min(1.0, max(0.0, lead / (0.5 * LEAD)))
+        lead = motion.planned_until - motion.played
         change = self._rate * elapsed / _RAMP
-        wanted = max(0.0, self._pace - change) if slow else self._pace + change
-        self._pace = min(wanted, most)
-        self._played = min(self._played + self._pace * elapsed, motion.planned_until)
-        motion.played = self._played
+        pace = max(0.0, self._pace - change) if slow else self._pace + change
+        self._pace = min(pace, self._rate * min(1.0, max(0.0, lead / (0.5 * LEAD))))
+        motion.played = min(motion.played + self._pace * elapsed, motion.planned_until)
 
-    def _send(self, now: float, tick: float) -> None:
-        motion = self._motion
-        q = motion.planned(self._played)
+    def _send(self, now: float) -> None:
+        q = self._motion.planned(self._motion.played)
         message = lcmt_panda_command()
         message.utime = round(now / MICROSECOND)
-        message.num_joint_velocity = 0
         message.control_mode_expected = POSITION_MODE
         message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
-        self._sent.append(message.utime)
-        self._past.append((now, q))
+        self._sent.append((now, message.utime, q))
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
-        if self._commanded > -math.inf:
-            pause = tick - self._commanded
-            motion.longest_pause = max(motion.longest_pause, pause)
-        self._commanded = tick
-        motion.commands += 1.0
+        self._motion.commands += 1.0
 
-    def _take_statuses(self, now: float, tick: float) -> None:
-        # Handlers may not raise: what has come is looked at here. The last one counts.
-        for data in self._statuses[-1:]:
-            try:
-                status = lcmt_panda_status.decode(data)
-                q, v = np.array(status.joint_position), np.array(status.joint_velocity)
-            except Exception as error:
-                self._passed = f"what comes is no lcmt_panda_status: {error}"
-                continue
-            age = now - MICROSECOND * status.utime
-            if q.shape != (ARM_JOINTS,) or v.shape != q.shape or not np.isfinite([q, v]).all():
-                self._passed = f"statuses hold no {ARM_JOINTS} finite positions and speeds"
-            elif abs(age) > SILENCE:
-                self._passed = (
-                    f"statuses are {age:.3f} s old by this clock, at most {SILENCE:g} "
-                    "may be: are both clocks set alike?"
-                )
-            else:
-                self._heard, self._passed = tick, ""
-                self._check_modes(status)
-                self._motion.write_measured(now - age, q, v)
-                self._watch(tick, now - age, q)
-        self._statuses.clear()
-
-    def _check_modes(self, status: lcmt_panda_status) -> None:
+    def _check_status(self, now: float, tick: float) -> None:
+        # Handlers may not raise: messages are decoded here. The last one counts.
+        data, self._statuses[:] = self._statuses[-1:], []
+        if not data:
+            return
+        try:
+            status = lcmt_panda_status.decode(data[0])
+            q, v = np.array([status.joint_position, status.joint_velocity])
+        except Exception as error:
+            self._rejected = f"not an lcmt_panda_status: {error}"
+            return
+        age = now - MICROSECOND * status.utime
+        if q.shape != (ARM_JOINTS,) or not np.isfinite([q, v]).all():
+            self._rejected = f"statuses hold no {ARM_JOINTS} finite positions and speeds"
+            return
+        if abs(age) > SILENCE:
+            self._rejected = (
+                f"statuses are {age:.3f} s old by this clock, at most {SILENCE:g} "
+                "may be: are both clocks set alike?"
+            )
+            return
+        self._heard, self._rejected = tick, f"no status on {STATUS_CHANNEL} for {SILENCE:g} s"
         if status.robot_mode in _NOT_FREE:
             name = _NOT_FREE[status.robot_mode]
-            self._stop = f"the arm is {name}; it has to be free to move"
-        # Zero, of who does not tell.
+            raise _StoppedError(f"the arm is {name}; it has to be free to move")
+        # Zero is the mode of a driver that does not state it.
         if status.control_mode not in (0, POSITION_MODE):
-            self._stop = "the arm does not take positions; start it in position mode"
-
-    def _watch(self, tick: float, stamp: float, q: FloatArray) -> None:
-        """How far the arm is from the nearest of what it was sent lately."""
-        motion = self._motion
-        sent = [at for when, at in self._past if stamp - _ASTRAY_TIME <= when <= stamp]
-        if not sent:
+            raise _StoppedError("the arm does not take positions; start it in position mode")
+        self._motion.write_measured(q, v)
+        stamp = now - age
+        recent = [at for when, _, at in self._sent if stamp - _ASTRAY_TIME <= when <= stamp]
+        if not recent:
             return
-        self._apart = float(np.abs(np.array(sent) - q).max(axis=1).min())
-        motion.farthest = max(motion.farthest, self._apart)
-        astray = self._apart > _ASTRAY
-        self._astray_since = min(self._astray_since, tick) if astray else math.inf
-
-    def _take_commands(self) -> None:
-        for data in self._commands:
-            try:
-                utime = lcmt_panda_command.decode(data).utime
-            except Exception:
-                utime = 0
-            if utime not in self._sent:
-                self._stop = f"somebody else commands on {COMMAND_CHANNEL}"
-        self._commands.clear()
-
-    def _trouble(self, tick: float) -> str:
-        """What is wrong and may pass; what may not stops for good."""
+        off = float(np.abs(np.array(recent) - q).max(axis=1).min())
+        self._motion.farthest = max(self._motion.farthest, off)
+        self._astray_since = min(self._astray_since, tick) if off > _ASTRAY else math.inf
         if tick - self._astray_since > _ASTRAY_TIME:
-            self._stop = f"the arm is {self._apart:.3g} rad from where it was sent"
-        if self._stop:
-            self._tell(PlayerState.STOPPED, self._stop)
-        if tick - self._heard <= SILENCE:
-            return ""
-        since = f" for {SILENCE:g} s" if self._heard > -math.inf else ""
-        return self._passed or f"no status on {STATUS_CHANNEL}{since}"
+            raise _StoppedError(f"the arm is {off:.3g} rad from where it was sent")
 
-    def _say(self, tick: float, trouble: str) -> None:
-        """Tells what is done about it."""
-        if self._stopped():
-            return
+    def _check_commands(self) -> None:
+        own = {utime for _, utime, _ in self._sent}
+        received, self._commands[:] = self._commands[:], []
+        for data in received:
+            with suppress(Exception):
+                if lcmt_panda_command.decode(data).utime in own:
+                    continue
+            raise _StoppedError(f"somebody else commands on {COMMAND_CHANNEL}")
+
+    def _update_state(self, tick: float) -> str:
+        """Sets the state; returns the trouble that may pass, or "" if there is none."""
+        trouble = self._rejected if tick - self._heard > SILENCE else ""
         self._trouble_since = min(self._trouble_since, tick) if trouble else math.inf
         if trouble and self._heard == -math.inf:
-            self._tell(PlayerState.LISTENING, trouble)
+            self._set_state(PlayerState.LISTENING, trouble)
         elif tick - self._trouble_since > _PATIENCE:
-            self._tell(PlayerState.STOPPED, trouble)
+            raise _StoppedError(trouble)
         elif trouble:
-            self._tell(PlayerState.HOLDING, trouble)
+            self._set_state(PlayerState.HOLDING, trouble)
         elif self._motion.planned_until == -math.inf:
-            self._tell(PlayerState.READY, "")
+            self._set_state(PlayerState.READY, "")
         else:
-            self._tell(PlayerState.PLAYING, "")
+            self._set_state(PlayerState.PLAYING, "")
+        return trouble
 
-    def _tell(self, state: PlayerState, note: str) -> None:
+    def _set_state(self, state: PlayerState, note: str) -> None:
         motion, before = self._motion, self._motion.state
         if (state, note) == (before, motion.note):
             return
-        motion.tell(state, note)
-        if state is PlayerState.STOPPED:
-            _logger.warning("stopped: %s", note)
-        elif state is PlayerState.HOLDING:
-            _logger.warning("holds: %s", note)
+        motion.set_state(state, note)
+        if state in (PlayerState.STOPPED, PlayerState.HOLDING):
+            _logger.warning("%s: %s", state.name.lower(), note)
         elif before is PlayerState.HOLDING:
-            _logger.warning("goes on")
-
-
-def _hurry() -> None:
-    """Has this process go before others, as far as the system allows it."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-    except OSError:
-        try:
-            os.setpriority(os.PRIO_PROCESS, 0, -10)
-        except OSError:
-            _logger.info("commands have no priority: others may make them pause")
+            _logger.warning("resumed")
 
 
 def play(motion: SharedMotion, lcm_url: str, rate: float, parent: int) -> None:
-    """Plays until it was told to end, or who decides is no more: the body of a process.
+    """Streams commands until told to stop or until the parent process ends.
 
     Args:
-        motion: shared with who decides.
+        motion: shared with the parent process.
         lcm_url: of the bus.
         rate: simulated seconds in one of the wall clock, at most.
-        parent: process that decides.
+        parent: process that computes the motion.
     """
-    # Told by who decides, or by its end: a signal to the whole group would stop it at full speed.
+    # A signal to the whole group would stop the arm at full speed.
     for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(kind, signal.SIG_IGN)
     logging.basicConfig(format="%(levelname)s: arm: %(message)s")
     gc.disable()
-    _hurry()
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
     player = CommandPlayer(motion, DrakeLcm(lcm_url), rate)
     due = time.monotonic()
     while not player.finished:
         if os.getppid() != parent and not motion.end:
-            _logger.warning("who decides is no more: the arm is stopped")
+            _logger.warning("parent process ended: stopping the arm")
             motion.end = 1.0
         player.step(time.time(), time.monotonic())
         due = max(due + COMMAND_PERIOD, time.monotonic())
@@ -429,127 +383,89 @@ def play(motion: SharedMotion, lcm_url: str, rate: float, parent: int) -> None:
 class CommandGuard:
     """Follows one commander, and holds where there is none, or more than one.
 
-    Old commands are passed over. After one that is out of limits, jumps, is of another mode or of
-    a second commander, the arm holds the last position that was in order, until nobody has
-    commanded for `expiry`, and goes on from there.
+    Old commands are ignored. After one that is out of limits, jumps, is of another mode or of
+    a second commander, the arm holds the last accepted position, until nobody has commanded for
+    `EXPIRY`, and goes on from there.
 
     Attributes:
         events: message whenever its behavior changed.
     """
 
-    def __init__(self, q: FloatArray, limits: RobotLimits, expiry: float = 0.1) -> None:
+    def __init__(self, q: FloatArray, limits: RobotLimits) -> None:
         """Holds.
 
         Args:
-            q: (n,) where the arm is [rad].
+            q: (n,) positions of the arm [rad].
             limits: of its joints, in the same order.
-            expiry: time for which a command is valid, after which the arm holds; maximum difference
-                of its stamp from the wall clock [s]. The vendor's driver has the same.
-
-        Raises:
-            ValueError: if the limits are of another number of joints, or the expiry is not between
-                1 ms and 10 s.
         """
-        if not 1e-3 <= expiry <= 10.0:
-            raise ValueError(f"expiry must be between 0.001 and 10 s, not {expiry}")
-        if limits.position_lower.shape != q.shape:
-            raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")
         self._q = np.array(q, dtype=float)
         self._v = np.zeros_like(self._q)
-        self._limits, self._expiry = limits, expiry
+        self._limits = limits
         self._accepted = self._heard = -np.inf
         self._stamp: int | None = None
-        self._refused: FloatArray | None = None
         self._latched = False
         self.events: list[str] = []
 
     def receive(self, command: lcmt_panda_command, now: float) -> bool:
-        """Takes a command, or says why not.
-
-        Args:
-            command: what came.
-            now: the wall clock [s].
-
-        Returns:
-            Whether the arm follows it.
-        """
-        self._look(now)
+        """Checks a command at a time of the wall clock [s]; returns whether the arm follows it."""
+        self._update(now)
         age = now - MICROSECOND * command.utime
-        if abs(age) > self._expiry:
-            self._log(f"command passed over: its stamp is {age:.3f} s before the wall clock")
+        if abs(age) > EXPIRY:
+            self._log(f"command ignored: its stamp is {age:.3f} s before the wall clock")
             return False
-        why = self._why_not(command)
         self._heard = now
-        if why or self._latched:
-            self._refuse(command, why)
+        if self._latched:
             return False
+        if why := self._problem(command):
+            self._latched = True
+            self._hold(f"holding: command refused: {why}")
+            return False
+        q = np.array(command.joint_position)
         if self._stamp is None:
             self._log("following")
-        q = np.array(command.joint_position)
-        self._v[:] = 0.0
-        if self._stamp is not None:
+            self._v[:] = 0.0
+        else:
             self._v = (q - self._q) / (MICROSECOND * (command.utime - self._stamp))
-        self._q = q
-        self._stamp, self._accepted = command.utime, now
+        self._q, self._stamp, self._accepted = q, command.utime, now
         return True
 
     def desired(self, now: float) -> tuple[FloatArray, FloatArray]:
-        """(n,) positions [rad] and (n,) speeds [rad/s] that the arm is to have now."""
-        self._look(now)
+        """Returns desired positions [rad] and speeds [rad/s], (n,) each, at a time [s]."""
+        self._update(now)
         return self._q, self._v
 
     @property
     def holding(self) -> bool:
-        """Whether nothing is followed."""
+        """True if no command is followed."""
         return self._stamp is None
 
-    def _look(self, now: float) -> None:
+    def _update(self, now: float) -> None:
         """Holds when the last command has expired; listens again when all are silent."""
-        if self._stamp is not None and now - self._accepted > self._expiry:
-            self._hold(f"holding: no command for {self._expiry:g} s")
-        if self._latched and now - self._heard > self._expiry:
-            self._latched, self._refused = False, None
+        if self._stamp is not None and now - self._accepted > EXPIRY:
+            self._hold(f"holding: no command for {EXPIRY:g} s")
+        if self._latched and now - self._heard > EXPIRY:
+            self._latched = False
             self._log("holding: nobody commands; the next commander may begin here")
 
-    def _why_not(self, command: lcmt_panda_command) -> str:
-        n = len(self._q)
-        only = (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque)
-        if only != (n, 0, 0) or command.control_mode_expected != POSITION_MODE:
+    def _problem(self, command: lcmt_panda_command) -> str:
+        n, limits, elapsed = len(self._q), self._limits, 0.0
+        sizes = (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque)
+        if sizes != (n, 0, 0) or command.control_mode_expected != POSITION_MODE:
             return f"not {n} positions in position mode"
-        if self._stamp is not None and command.utime <= self._stamp:
-            before = 1e-3 * (self._stamp - command.utime)
-            return f"a second commander: its stamp is {before:.1f} ms before the last"
-        return self._position_out(command)
-
-    def _position_out(self, command: lcmt_panda_command) -> str:
-        q = np.array(command.joint_position)
-        if beyond := beyond_limits(q, self._limits):
-            return beyond
-        elapsed = 0.0
         if self._stamp is not None:
             elapsed = MICROSECOND * (command.utime - self._stamp)
+            if elapsed <= 0.0:
+                return f"a second commander: its stamp is {-1e3 * elapsed:.1f} ms before the last"
+        q = np.array(command.joint_position)
+        if beyond := beyond_limits(q, limits):
+            return beyond
         step = np.abs(q - self._q)
-        allowed = SLACK + SPEED_SHARE * elapsed * self._limits.velocity_limit
-        if (step > allowed).any():
-            j = int(np.argmax(step - allowed))
-            return (
-                f"{self._limits.position_name[j]} jumps by {step[j]:.3g} rad, "
-                f"{allowed[j]:.3g} are possible"
-            )
-        return ""
-
-    def _refuse(self, command: lcmt_panda_command, why: str) -> None:
-        if not self._latched:
-            self._latched = True
-            self._refused = np.array(command.joint_position)
-            self._hold(f"holding: command refused: {why}")
-        elif not why and self._refused is not None and len(self._refused) == len(self._q):
-            # Whoever jumped would go on from there: this one is somebody else.
-            apart = np.abs(np.array(command.joint_position) - self._refused).max()
-            self._log(
-                f"holding: command refused: a second commander, {apart:.3g} rad from the first"
-            )
-            self._refused = None
+        allowed = SLACK + SPEED_SHARE * elapsed * limits.velocity_limit
+        j = int(np.argmax(step - allowed))
+        if step[j] <= allowed[j]:
+            return ""
+        name = limits.position_name[j]
+        return f"{name} jumps by {step[j]:.3g} rad, {allowed[j]:.3g} are possible"
 
     def _hold(self, why: str) -> None:
         self._v, self._stamp = np.zeros_like(self._q), None

@@ -1,10 +1,9 @@
-"""A scenario's cell on hardware: its robot and cameras are messages, its obstacles unknown."""
+"""Station of a scenario on hardware: robot and cameras are messages, obstacles are unknown."""
 
 from __future__ import annotations
 
 from dataclasses import fields, replace
 
-import numpy as np
 from pydrake.multibody.parsing import ModelDirective
 
 from drake_oa.common.config import ScenarioError
@@ -23,17 +22,12 @@ from drake_oa.scenario.sources import perception_period, table_plane
 from drake_oa.world.live_camera import Outside
 from drake_oa.world.world_model import flat_directives
 
-_LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
-_UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
-"""How far a Panda's joints go, by its maker [rad]."""
-_SLACK = 0.02
-
 
 def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
     """Returns the places of the arm's joints in the robot's positions, and their limits.
 
     Raises:
-        ScenarioError: for an arm that the messages are not of, or without a robot.
+        ScenarioError: for an arm without seven joints, or without a robot.
     """
     robot_plant = make_robot_plant(robot_of(scenario))
     joints = joints_to(robot_plant.plant, robot_plant.tool_frame)
@@ -43,25 +37,16 @@ def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
             f"robot.model: an arm of {len(arm)} joints; a Panda's messages are of {ARM_JOINTS}"
         )
     limits = robot_plant.limits
-    lower, upper = limits.position_lower[arm], limits.position_upper[arm]
-    if (lower < _LOWER - _SLACK).any() or (upper > _UPPER + _SLACK).any():
-        raise ScenarioError(
-            "robot.model: its joints reach beyond a Panda's, which the messages are of"
-        )
-    names = tuple(limits.position_name[i] for i in arm)
-    return arm, replace(
-        limits,
-        position_name=names,
-        position_lower=lower,
-        position_upper=upper,
+    return arm, RobotLimits(
+        position_name=tuple(limits.position_name[i] for i in arm),
+        position_lower=limits.position_lower[arm],
+        position_upper=limits.position_upper[arm],
         velocity_limit=limits.velocity_limit[arm],
-        actuator_name=names,
-        effort_limit=limits.effort_limit[[limits.actuator_name.index(name) for name in names]],
     )
 
 
 def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Scenario:
-    """The scenario as a run on hardware knows it: what is an obstacle there is to be seen.
+    """Returns a scenario as a run on hardware knows it, without its obstacles.
 
     Args:
         scenario: whose `!DepthCamera` becomes an `!LcmCamera`.
@@ -101,7 +86,7 @@ def add_hardware(
     link: RobotLink,
     q_measured: FloatArray,
 ) -> Cell:
-    """Adds the robot and cameras that messages tell of, in place of the simulated ones.
+    """Adds the robot and cameras of messages, in place of the simulated ones.
 
     What is simulated is the robot's model alone, which makes positions of torques: where it is,
     the arm is to be.
@@ -129,14 +114,11 @@ def add_hardware(
 
 
 def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """What stands in the world, written out, but for models that are named as obstacles."""
-
-    def of_obstacle(directive: ModelDirective) -> bool:
+    """Returns the models in the world, one by one, except those named as obstacles."""
+    kept = []
+    for directive in flat_directives(directives):
         model, weld = directive.add_model, directive.add_weld
-        if model is not None:
-            return str(model.name).startswith(OBSTACLE_PREFIX)
-        return weld is not None and any(
-            str(frame).startswith(OBSTACLE_PREFIX) for frame in (weld.parent, weld.child)
-        )
-
-    return [one for one in flat_directives(directives) if not of_obstacle(one)]
+        names = [model.name] if model else [weld.parent, weld.child] if weld else []
+        if not any(str(name).startswith(OBSTACLE_PREFIX) for name in names):
+            kept.append(directive)
+    return kept

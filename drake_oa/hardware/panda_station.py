@@ -43,34 +43,32 @@ from drake_oa.world.late_camera import LateCamera
 from drake_oa.world.station import make_station, release_cameras
 
 _STIFFNESS = 400.0
-"""Of each joint, critically damped: what a position that is off accelerates [1/s^2]."""
+"""Stiffness of each joint, critically damped [1/s^2]."""
 _PATIENCE = 0.9
-"""Share of a camera's period that an image may be late before it is waited for."""
+"""Share of a camera's period for which a late image is not waited for [1]."""
 _AT_REST, _REST_TIME = 0.01, 1.0
-"""Joints are slower than this [rad/s, m/s], for so long [s]."""
+"""Speed below which joints are at rest [rad/s, m/s], and time for which they must be [s]."""
 _CATCH_UP = 0.02
-"""What a station that was late makes up for [s]."""
+"""Maximum delay that later steps make up for [s]."""
 
 _logger = logging.getLogger("drake_oa")
 
 
 @dataclass
 class Pace:
-    """How a station kept time.
+    """Timing and counts of a station.
 
     Attributes:
         simulated: time that was simulated [s].
         wall: time that it took [s].
-        longest_pause: longest time between two statuses [s].
-        statuses: how many were sent.
-        images: how many were sent.
-        followed: commands that the arm followed.
-        rejected: commands that it did not.
+        statuses: number of sent statuses.
+        images: number of sent images.
+        followed: number of commands that the arm followed.
+        rejected: number of commands that it did not.
     """
 
     simulated: float = 0.0
     wall: float = 0.0
-    longest_pause: float = 0.0
     statuses: int = 0
     images: int = 0
     followed: int = 0
@@ -82,42 +80,36 @@ class _ImageSender:
 
     def __init__(self, name: str, camera: Camera, period: float) -> None:
         self._name, self._camera, self._period = name, camera, period
-        self._count = 0
-        self._seq = 0
+        self._system = camera.depth_image.get_system()
+        self._count = self._seq = 0
         self._sent = -math.inf
 
-    def due(self, root: Context) -> bool:
-        """Whether one has come that was not sent, and need not be waited for.
+    def is_due(self, root: Context, now: float, stands: bool) -> bool:
+        """Returns whether an image is to be sent, at a time of the wall clock [s].
 
-        For most of a period it is not: the status must not pause. Then the camera is slower
-        than its rate, and the station as slow as the camera.
+        While the world stands, the same image is repeated. Else a late image is not waited for
+        during most of a period, as the status must not pause; then the camera is slower than its
+        rate, and the station as slow as the camera.
         """
+        if stands:
+            return now - self._sent >= self._period
         late = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
-        system = self._camera.depth_image.get_system()
-        if late < 0.0 or not isinstance(system, LateCamera) or late > _PATIENCE * self._period:
+        if late < 0.0 or late > _PATIENCE * self._period:
             return late >= 0.0
-        return system.ready(system.GetMyContextFromRoot(root))
+        if not isinstance(self._system, LateCamera):
+            return True
+        return self._system.ready(self._system.GetMyContextFromRoot(root))
 
-    def again(self, now: float) -> bool:
-        """Whether another image of a world that stands still is due."""
-        if now - self._sent < self._period:
-            return False
-        self._count -= 1
-        return True
-
-    def send(self, root: Context, lcm: DrakeLcm, to_wall: Callable[[float], float]) -> None:
-        """Sends the image that came last."""
-        camera = self._camera
-        system = camera.depth_image.get_system()
-        context = system.GetMyContextFromRoot(root)
-        image = camera.depth_image.Eval(context)
-        taken = context.get_time()
+    def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, stands: bool) -> None:
+        """Sends the latest image."""
+        camera, context = self._camera, self._system.GetMyContextFromRoot(root)
+        image, age = camera.depth_image.Eval(context), 0.0
         if camera.image_time is not None:
-            (taken,) = camera.image_time.Eval(context)
-        self._count += 1
-        self._sent = to_wall(root.get_time())
+            age = root.get_time() - camera.image_time.Eval(context)[0]
+        self._count += not stands
+        self._sent = now
         message = pack_depth(
-            image.data[:, :, 0], camera=self._name, utime=round(to_wall(taken) / MICROSECOND)
+            image.data[:, :, 0], camera=self._name, utime=round((now - age / rate) / MICROSECOND)
         )
         message.header.seq = self._seq
         self._seq += 1
@@ -133,10 +125,10 @@ class PandaStation:
     speeds: at half the rate the arm can go half as fast.
 
     Attributes:
-        guard: what judges commands.
+        guard: accepts or refuses commands.
         event_times: simulated times of its events [s].
         num_positions: of the whole plant.
-        pace: how it kept time.
+        pace: timing and counts.
     """
 
     def __init__(
@@ -144,7 +136,6 @@ class PandaStation:
         scenario: Scenario,
         lcm: DrakeLcm,
         *,
-        expiry: float = 0.1,
         images: bool = True,
         rate: float = 1.0,
         waits: bool = False,
@@ -156,7 +147,6 @@ class PandaStation:
         Args:
             scenario: with a Panda.
             lcm: what messages come and go by.
-            expiry: how long a command is in force [s].
             images: whether cameras send theirs.
             rate: simulated seconds in one of the wall clock, at most.
             waits: whether the world stands still until the arm follows a command, so that courses
@@ -177,20 +167,19 @@ class PandaStation:
         self._q_start = start_positions(scenario)
         plant, self._robot = station.plant, station.robot
         plant.SetDefaultPositions(self._robot, self._q_start)
-        n = len(self._q_start)
-        kp = np.full(n, _STIFFNESS)
-        self._controller = builder.AddNamedSystem(
+        kp = np.full(len(self._q_start), _STIFFNESS)
+        controller = builder.AddNamedSystem(
             "joint_controller",
             InverseDynamicsController(
                 make_robot_plant(robot_of(scenario)).plant,
                 kp,
-                np.zeros(n),
+                0.0 * kp,
                 2.0 * np.sqrt(kp),
                 has_reference_acceleration=False,
             ),
         )
         state = plant.get_state_output_port(self._robot)
-        builder.Connect(state, self._controller.get_input_port_estimated_state())
+        builder.Connect(state, controller.get_input_port_estimated_state())
         for name, mover in make_obstacle_movers(scenario, station).items():
             instance = plant.GetModelInstanceByName(name)
             builder.AddNamedSystem(f"mover_{name}", mover)
@@ -198,12 +187,11 @@ class PandaStation:
                 plant.get_state_output_port(instance), mover.GetInputPort("obstacle_state")
             )
             builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
-        builder.ExportInput(self._controller.get_input_port_desired_state(), "desired_state")
-        builder.Connect(
-            self._controller.get_output_port_control(), plant.get_actuation_input_port(self._robot)
-        )
+        torque = controller.get_output_port_control()
+        builder.Connect(torque, plant.get_actuation_input_port(self._robot))
+        builder.ExportInput(controller.get_input_port_desired_state(), "desired_state")
         builder.ExportOutput(state, "robot_state")
-        builder.ExportOutput(self._controller.get_output_port_control(), "actuation")
+        builder.ExportOutput(torque, "actuation")
         self._logged = {}
         if log:
             ports = {
@@ -218,7 +206,7 @@ class PandaStation:
         self._simulator = Simulator(self._diagram)
         # Of the wall clock's seconds, as all that is in messages.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
-        self.guard = CommandGuard(self._q_start[self._arm], limits, expiry)
+        self.guard = CommandGuard(self._q_start[self._arm], limits)
         self.pace = Pace()
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._waits = self._ends = waits
@@ -253,13 +241,13 @@ class PandaStation:
         self._lcm.Publish(STATUS_CHANNEL, self.status(now).encode())
         self.pace.statuses += 1
         for sender in self._senders:
-            if sender.again(now) if still else sender.due(context):
-                sender.send(context, self._lcm, lambda t: now - (simulated - t) / self._rate)
+            if sender.is_due(context, now, still):
+                sender.send(context, self._lcm, now, self._rate, still)
                 self.pace.images += 1
 
     @property
     def finished(self) -> bool:
-        """Whether it waited for a commander, who is done, and all has been at rest since."""
+        """True if it waited for a commander that is done, and all has been at rest since."""
         root = self._simulator.get_context()
         state = self._diagram.GetOutputPort("robot_state").Eval(root)
         if not self.guard.holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
@@ -289,24 +277,18 @@ class PandaStation:
         with suppress(OSError):
             # A real arm shares its computer with nobody.
             os.setpriority(os.PRIO_PROCESS, 0, -10)
-        period = self._step / self._rate
-        started = self._clock()
-        due = last = started
-        begin = self._simulator.get_context().get_time()
+        context = self._simulator.get_context()
+        started = due = self._clock()
+        begin = context.get_time()
         try:
-            while self._simulator.get_context().get_time() - begin < duration - 0.5 * self._step:
+            while context.get_time() - begin < duration - 0.5 * self._step and not self.finished:
                 self.step()
-                if self.finished:
-                    break
-                now = self._clock()
-                self.pace.longest_pause = max(self.pace.longest_pause, now - last)
-                last = now
                 if each_step is not None:
                     each_step()
-                due = max(due + period, now - _CATCH_UP)
+                due = max(due + self._step / self._rate, self._clock() - _CATCH_UP)
                 time.sleep(max(0.0, due - self._clock()))
         finally:
-            self.pace.simulated += self._simulator.get_context().get_time() - begin
+            self.pace.simulated += context.get_time() - begin
             self.pace.wall += self._clock() - started
             release_cameras(self._diagram)
         return self.pace
@@ -318,17 +300,14 @@ class PandaStation:
         return np.array(state[self._arm])
 
     def _take(self, data: bytes) -> None:
+        follows = False
         # Drake forbids a handler to raise.
         try:
-            command = lcmt_panda_command.decode(data)
+            follows = self.guard.receive(lcmt_panda_command.decode(data), self._clock())
         except Exception as error:
             _logger.warning("station: %s holds no lcmt_panda_command: %s", COMMAND_CHANNEL, error)
-            self.pace.rejected += 1
-            return
-        if self.guard.receive(command, self._clock()):
-            self.pace.followed += 1
-        else:
-            self.pace.rejected += 1
+        self.pace.followed += follows
+        self.pace.rejected += not follows
 
     def _actuate(self) -> None:
         """Sets the desired state until the next step."""
@@ -341,25 +320,21 @@ class PandaStation:
             self._simulator.get_mutable_context(), desired
         )
 
-    def status(self, now: float | None = None) -> lcmt_panda_status:
-        """What the arm says of itself, by the wall clock [s]; None: now."""
-        now = self._clock() if now is None else now
+    def status(self, now: float) -> lcmt_panda_status:
+        """Returns the message about the arm at a time of the wall clock [s]."""
         context = self._simulator.get_context()
         state = self._diagram.GetOutputPort("robot_state").Eval(context)
-        n = len(self._q_start)
+        tau = self._diagram.GetOutputPort("actuation").Eval(context)[self._arm]
         q, v = self.guard.desired(now)
         zero = [0.0] * ARM_JOINTS
         status = lcmt_panda_status()
         status.utime = round(now / MICROSECOND)
         status.num_joints = ARM_JOINTS
-        status.joint_position = list(state[self._arm])
-        status.joint_position_desired = list(q)
-        status.joint_velocity = list(self._rate * state[[n + i for i in self._arm]])
-        status.joint_velocity_desired = list(v)
-        status.joint_acceleration_desired = zero
-        tau = self._diagram.GetOutputPort("actuation").Eval(context)[self._arm]
+        status.joint_position, status.joint_position_desired = list(state[self._arm]), list(q)
+        speed = self._rate * state[len(self._q_start) + np.array(self._arm)]
+        status.joint_velocity, status.joint_velocity_desired = list(speed), list(v)
+        status.joint_acceleration_desired = status.joint_torque_external = zero
         status.joint_torque = status.joint_torque_desired = list(tau)
-        status.joint_torque_external = zero
         status.control_command_success_rate = 1.0
         status.robot_utime = round(context.get_time() / MICROSECOND)
         status.control_mode = POSITION_MODE

@@ -1,4 +1,4 @@
-"""The robot's messages as systems: what a diagram has in place of the simulated world."""
+"""The robot's messages as systems, in place of the simulated world of a diagram."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from drake_oa.hardware.command_player import (
 from drake_oa.robot.plant import RobotLimits
 
 _NAP = 5e-4
-"""Between two looks at the player [s]."""
+"""Time between two checks of the player's progress [s]."""
 START_UP = 30.0
-"""In which the player's process has to begin [s]."""
+"""Maximum time in which the player's process begins [s]."""
 _START_TOLERANCE, _START_SPEED = 0.1, 0.05
 """Maximum distance of a joint from the scenario's start before the motion [rad], and maximum speed
 [rad/s]."""
@@ -43,7 +43,7 @@ angle between them [rad]."""
 
 
 class HardwareError(Exception):
-    """The robot is not driven, or not any more, and why."""
+    """Reason for which the robot is not driven, or not any more."""
 
 
 class RobotLink:
@@ -57,9 +57,9 @@ class RobotLink:
         rate: simulated seconds in one of the wall clock, at most.
         url: of the bus.
         clock: the wall clock [s].
-        wait: what is done while something is waited for.
+        wait: called repeatedly during waits.
         player: in this process, or None.
-        events: (simulated time [s], what the arm's player said) whenever that changed.
+        events: (simulated time [s], message about the player's state) at each change.
     """
 
     def __init__(
@@ -118,17 +118,13 @@ class RobotLink:
     def summary(self) -> str:
         """Counts and extremes of the commands sent until now."""
         motion = self.motion
-        return (
-            f"commands {motion.commands:.0f}, "
-            f"longest pause {1e3 * motion.longest_pause:.0f} ms; "
-            f"the arm was at most {motion.farthest:.3f} rad off"
-        )
+        return f"commands {motion.commands:.0f}; the arm was at most {motion.farthest:.3f} rad off"
 
     @contextmanager
     def rehearsal(self) -> Iterator[None]:
-        """Within it nothing that is written is commanded; simulated time goes by the clock.
+        """Suppresses commands in the block, where simulated time follows the clock.
 
-        What is slow the first time is done then: kernels are loaded, images awaited.
+        Slow first-time work is done then: kernels are loaded, images awaited.
         """
         self._rehearsed_since = self.clock()
         try:
@@ -137,13 +133,13 @@ class RobotLink:
             self._rehearsed_since = math.nan
 
     def to_simulated(self, stamp: float) -> float:
-        """The simulated time that the arm is at, at a time of the wall clock just now [s]."""
+        """Computes the simulated time of the arm at a recent time of the wall clock [s]."""
         if not math.isnan(self._rehearsed_since):
             return self.rate * (stamp - self._rehearsed_since)
         return self.motion.played - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
-        """Where the arm is, once it may be moved from there.
+        """Waits until the arm may be moved, and returns its positions.
 
         Args:
             q_start: (7,) where the scenario begins [rad].
@@ -157,35 +153,33 @@ class RobotLink:
         """
         since = self.clock()
         while self.motion.state is PlayerState.LISTENING and self.clock() - since < START_UP:
-            if self._process is not None and not self._process.is_alive():
-                raise HardwareError("the command player did not start")
+            self._check_player()
             self._raise_if_asked()
             self.wait()
-        # Whoever else commands is heard by now.
+        # By then any other commander is heard.
         listened = self.clock()
         while self.clock() - listened < 2.0 * SILENCE:
             self.wait()
         if self.motion.state is not PlayerState.READY:
             raise HardwareError(f"{self.motion.note or 'no status of the arm'} ({self.url})")
-        _, q, v = self.motion.measured
+        q, v = self.motion.measured
         if beyond := beyond_limits(q, limits):
             raise HardwareError(beyond)
-        name = limits.position_name
+        name, off = limits.position_name, np.abs(q - q_start)
         if np.abs(v).max() > _START_SPEED:
             j = int(np.argmax(np.abs(v)))
             raise HardwareError(f"{name[j]} moves at {v[j]:.3g} rad/s; the arm has to rest")
-        away = np.abs(q - q_start)
-        if away.max() > _START_TOLERANCE:
-            j = int(np.argmax(away))
+        if off.max() > _START_TOLERANCE:
+            j = int(np.argmax(off))
             raise HardwareError(
-                f"{name[j]} is at {q[j]:.4g} rad, {away[j]:.3g} from where the scenario begins; "
+                f"{name[j]} is at {q[j]:.4g} rad, {off[j]:.3g} from where the scenario begins; "
                 f"move the arm to {np.round(q_start, 4).tolist()} rad, to within "
                 f"{_START_TOLERANCE:g}"
             )
         return q
 
     def write(self, t: float, q: FloatArray) -> None:
-        """Says where the joints are to be, and waits until the player is near.
+        """Plans positions of the joints, and waits until the player is near.
 
         Args:
             t: simulated time [s].
@@ -199,34 +193,33 @@ class RobotLink:
                 self.wait()
             self._raise_if_asked()
             return
-        motion = self.motion
-        motion.write_planned(t, q)
-        self._hear(t)
-        while t > motion.played + LEAD:
+        self.motion.write_planned(t, q)
+        self._check_player(t)
+        while t > self.motion.played + LEAD:
             try:
                 self._raise_if_asked()
             except KeyboardInterrupt:
-                # Who looks after the simulation's steps raises it there.
+                # The monitor of the simulation's steps raises it there.
                 return
             self.wait()
-            self._hear(t)
+            self._check_player(t)
 
-    def _hear(self, t: float) -> None:
-        """Takes down what the player says; raises if it has stopped the arm."""
-        motion = self.motion
-        state, note = motion.state, motion.note
+    def _check_player(self, t: float = 0.0) -> None:
+        """Records changes of the player's state at a simulated time; raises if it has stopped."""
+        state, note = self.motion.state, self.motion.note
+        last = self.events[-1][1] if self.events else ""
         if state is PlayerState.STOPPED:
             note = f"arm stopped: {note}"
         elif state is PlayerState.HOLDING:
             note = f"arm holds: {note}"
         else:
-            note = "arm goes on" if self.events else ""
-        if note != (self.events[-1][1] if self.events else ""):
+            note = "arm resumed" if last else ""
+        if note != last:
             self.events.append((t, note))
         if state is PlayerState.STOPPED:
             raise HardwareError(note)
         if self._process is not None and not self._process.is_alive():
-            raise HardwareError("arm stopped: the command player is no more")
+            raise HardwareError("arm stopped: the command player has ended")
 
 
 class CommandStream(LeafSystem):
@@ -281,7 +274,7 @@ class CommandStream(LeafSystem):
 
 
 def check_table(seen: ObstacleClouds, table: TablePlane | None) -> None:
-    """Whether the camera sees the table where it is, as one whose pose is right does.
+    """Checks that the camera sees the table where it is, as one with the right pose does.
 
     Raises:
         HardwareError: if it is somewhere else, or not seen.
@@ -302,7 +295,7 @@ def check_table(seen: ObstacleClouds, table: TablePlane | None) -> None:
 
 
 class MeasuredState(LeafSystem):
-    """What the last status says of the robot, in place of the state of a simulated one.
+    """Measured state of the robot, in place of the state of a simulated one.
 
     .. pydrake_system::
 
@@ -331,8 +324,8 @@ class MeasuredState(LeafSystem):
     def _calc(self, _: Context, output: BasicVector) -> None:
         n = len(self._q)
         state: Any = np.concatenate([self._q, np.zeros(n)])
-        _, q, v = self._link.motion.measured
+        q, v = self._link.motion.measured
         if np.isfinite(q).all():
             state[self._arm] = q
-            state[n + np.array(self._arm)] = self._link.rate and v / self._link.rate
+            state[n + np.array(self._arm)] = v / self._link.rate
         output.SetFromVector(state)

@@ -78,18 +78,6 @@ def test_holds_after_a_command_that_is_not_in_order(
     assert held.receive(command(before, now + 0.2), now + 0.2)
 
 
-def test_two_commanders_interleaved_are_told_from_one_that_jumps() -> None:
-    both, alone = guard(), guard()
-    now, q = moving(both)
-    moving(alone)
-    for k in range(1, 10):
-        at = now + k * PERIOD
-        both.receive(command(q if k % 2 else q + 0.4, at), at)
-        alone.receive(command(q + 0.4, at), at)
-    assert "a second commander, 0.4 rad from the first" in both.events[-1]
-    assert not any("second" in event for event in alone.events)
-
-
 @pytest.mark.parametrize("shift", [-1.0, -0.2, 0.2, 1e9])
 def test_passes_over_what_is_not_of_now(shift: float) -> None:
     fresh = guard()

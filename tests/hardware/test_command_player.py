@@ -69,7 +69,7 @@ def test_an_arm_that_was_moved_since_it_was_looked_at_is_not_driven() -> None:
 )
 def test_a_status_that_does_not_fit_is_told(spoil: dict[str, Any], why: str) -> None:
     both = Lockstep()
-    status, both.alive = both.station.status(), False
+    status, both.alive = both.station.status(both.clock.now), False
 
     def send() -> None:
         status.utime = round(1e6 * both.clock.now)
@@ -119,7 +119,7 @@ def test_holds_while_statuses_are_lost_and_goes_on_where_it_was() -> None:
     np.testing.assert_allclose(both.station.q, goal, atol=2e-3)
     assert 50 < seen.count(PlayerState.HOLDING) < 100
     told = [note for _, note in both.link.events]
-    assert told == ["arm holds: no status on PANDA_STATUS for 0.1 s", "arm goes on"]
+    assert told == ["arm holds: no status on PANDA_STATUS for 0.1 s", "arm resumed"]
 
 
 def test_stops_when_the_station_stays_silent() -> None:
