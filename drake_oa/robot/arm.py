@@ -45,8 +45,8 @@ _SAME = 0.1
 """Configurations are the same whose joints all differ by less [rad]."""
 FARTHEST = 0.3
 """Largest distance at which a free pose is sought instead of an occupied one [m]."""
-_SHELL, _HALVINGS = 0.02, 3
-"""Distance between the shells in which it is sought [m], and bisections of the last one."""
+_SHELL = 0.01
+"""Distance between the shells in which it is sought [m]."""
 
 
 class Chain(NamedTuple):
@@ -121,27 +121,26 @@ def make_chain(
     plant.SetPositions(context, q)
     joints = joints_to(plant, tool_frame)
     index = np.array([joint.position_start() for joint in joints], dtype=np.int64)
-    X_WJ = [joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint) for joint in joints]
-    before = RigidTransform()
-    X_PJ = np.zeros((len(joints) + 1, 4, 4))
-    for i in range(len(joints)):
-        turned = RigidTransform(RotationMatrix.MakeZRotation(q[index[i]]), np.zeros(3))
-        X_PJ[i] = (before.inverse() @ X_WJ[i] @ turned.inverse()).GetAsMatrix4()
-        before = X_WJ[i]
-    X_PJ[-1] = (before.inverse() @ tool_frame.CalcPoseInWorld(context)).GetAsMatrix4()
-    step = np.linalg.norm(X_PJ[:, :3, 3], axis=1)
+    before, X_PJ = RigidTransform(), []
+    for joint, angle in zip(joints, q[index], strict=True):
+        X_WJ = joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint)
+        back = RigidTransform(RotationMatrix.MakeZRotation(-angle), [0.0, 0.0, 0.0])
+        X_PJ.append((before.inverse() @ X_WJ @ back).GetAsMatrix4())
+        before = X_WJ
+    X_PJ.append((before.inverse() @ tool_frame.CalcPoseInWorld(context)).GetAsMatrix4())
     reach = np.zeros(len(joints))
     if spheres is not None:
         far = np.linalg.norm(spheres.p_JS, axis=1) + spheres.radius
+        step = np.linalg.norm(np.array(X_PJ)[:, :3, 3], axis=1)
         for last in range(len(joints)):
             farthest = far[spheres.joint == last].max(initial=-np.inf)
-            for joint in range(last + 1):
-                reach[joint] = max(reach[joint], step[joint + 1 : last + 1].sum() + farthest)
+            for k in range(last + 1):
+                reach[k] = max(reach[k], step[k + 1 : last + 1].sum() + farthest)
     lower, upper = plant.GetPositionLowerLimits()[index], plant.GetPositionUpperLimits()[index]
     lower = np.where(np.isfinite(lower), lower, q[index] - 2.0 * math.pi)
     upper = np.where(np.isfinite(upper), upper, q[index] + 2.0 * math.pi)
     speed = plant.GetVelocityUpperLimits()[[joint.velocity_start() for joint in joints]]
-    return Chain(X_PJ, lower, upper, speed, reach, index)
+    return Chain(np.array(X_PJ), lower, upper, speed, reach, index)
 
 
 def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
@@ -538,12 +537,7 @@ def nearest_free_place(
         return any(map(is_free, postures))
 
     for distance in np.arange(_SHELL, FARTHEST, _SHELL):
-        free = [direction for direction in DIRECTIONS if held(distance, direction)]
-        if not free:
-            continue
-        back = 0.5 * _SHELL
-        for _ in range(_HALVINGS):
-            nearer = [direction for direction in free if held(distance - back, direction)]
-            free, distance, back = nearer or free, distance - back * bool(nearer), 0.5 * back
-        return np.asarray(X_WE[9:] + distance * free[0])
+        for direction in DIRECTIONS:
+            if held(distance, direction):
+                return np.asarray(X_WE[9:] + distance * direction)
     return None

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
-from pydrake.multibody.plant import (
-    AddMultibodyPlantSceneGraph,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.config import ScenarioError, field_errors
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray, zeros
 from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import outline_corners, read_solid
@@ -25,12 +23,12 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.model_file import (
     add_installed_package,
-    drake_model,
-    named,
+    changed_model,
     named_warnings,
+    with_file_name,
 )
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
-from drake_oa.robot.inertias import read_inertias, with_inertias
+from drake_oa.robot.inertias import set_inertias
 
 TOOL_FRAME = "tool_point"
 
@@ -38,7 +36,7 @@ TOOL_FRAME = "tool_point"
 def known_packages() -> PackageMap:
     """Returns Drake's packages and `package://drake_oa`."""
     packages = PackageMap()
-    packages.AddPackageXml(str(Path(str(resources.files("drake_oa.models"))) / "package.xml"))
+    packages.AddPackageXml(str(package_file("package://drake_oa/package.xml")))
     return packages
 
 
@@ -52,20 +50,24 @@ def make_parser(plant: MultibodyPlant) -> Parser:
 def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> ModelInstanceIndex:
     """Adds the arm, welds its base to the world, adds the tool frame E; see `make_robot_plant`."""
     parser = make_parser(plant)
-    file = model_file(robot, parser.package_map())
+    packages = parser.package_map()
+    add_installed_package(packages, robot.model)
+    with field_errors(f"robot.model: cannot load '{robot.model}'", RuntimeError):
+        file = Path(packages.ResolveUrl(_url(robot.model)))
+    root = changed_model(file, packages)
+    if inertias:
+        field = f"faults: !ModelError.inertias: '{inertias}'"
+        with field_errors(field, RuntimeError, OSError, ScenarioError):
+            set_inertias(root, Path(packages.ResolveUrl(_url(inertias))))
     try:
-        text = drake_model(file, parser.package_map())
-        if inertias:
-            text = _replaced(text or file.read_text(), parser, inertias)
         with named_warnings(file):
-            if text is None:
+            if root is None:
                 (instance,) = parser.AddModels(str(file))
             else:
+                text = ElementTree.tostring(root, encoding="unicode")
                 (instance,) = parser.AddModelsFromString(text, file.suffix[1:].lower())
-    except ScenarioError:
-        raise
-    except (OSError, RuntimeError, ValueError) as error:
-        reason = named(str(error), file)
+    except (RuntimeError, ValueError) as error:
+        reason = with_file_name(str(error), file)
         raise ScenarioError(f"robot.model: cannot load '{robot.model}': {reason}") from None
     for name, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
         if not plant.HasBodyNamed(link, instance):
@@ -103,23 +105,6 @@ def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Rob
         joint.set_velocity_limits(-limit, limit)
 
 
-def model_file(robot: Robot, packages: PackageMap | None = None) -> Path:
-    """Finds the file that the robot's model is read from.
-
-    Args:
-        robot: its `model` may be of an installed package of Python.
-        packages: where packages are; None: those that the project's parser knows.
-
-    Raises:
-        ScenarioError: if the package of the model's URL is unknown.
-    """
-    packages = packages or known_packages()
-    url = _url(robot.model)
-    add_installed_package(packages, url)
-    with field_errors(f"robot.model: cannot load '{robot.model}'", RuntimeError):
-        return Path(packages.ResolveUrl(url))
-
-
 def base_pose(robot: Robot | None) -> RigidTransform:
     """X_WB; the identity without a robot."""
     return RigidTransform() if robot is None else pose(robot.X_WB)
@@ -127,13 +112,6 @@ def base_pose(robot: Robot | None) -> RigidTransform:
 
 def _url(url_or_file: str) -> str:
     return url_or_file if "://" in url_or_file else Path(url_or_file).absolute().as_uri()
-
-
-def _replaced(urdf: str, parser: Parser, inertias: str) -> str:
-    """The text of a URDF with the inertias of a file."""
-    with field_errors("faults: !ModelError.inertias", RuntimeError, ScenarioError):
-        file = Path(parser.package_map().ResolveUrl(_url(inertias)))
-        return with_inertias(urdf, read_inertias(file))
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,15 +197,14 @@ _PARSED = (
     "carried_mass",
 )
 """Fields of the robot's block that its plant depends on."""
-_PLANTS: dict[tuple[str, str, bytes], RobotPlant] = {}
-"""Robots of this process by fields, file of inertias, and content of the model's file."""
+_PLANTS: dict[tuple[str, str], RobotPlant] = {}
+"""Robots of this process by fields and file of inertias."""
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     """Returns the robot alone, welded to the world as in the station.
 
-    It is parsed once a process for each value of the block and content of the model's file, and
-    shared.
+    It is parsed once a process for each value of the block, and shared.
 
     Args:
         robot: the model, and its base.
@@ -237,9 +214,7 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     Raises:
         ScenarioError: naming the field of the robot that does not fit.
     """
-    with field_errors(f"robot.model: cannot load '{robot.model}'", OSError):
-        model = model_file(robot).read_bytes()
-    key = (repr([getattr(robot, name) for name in _PARSED]), inertias, model)
+    key = repr([getattr(robot, name) for name in _PARSED]), inertias
     if key not in _PLANTS:
         _PLANTS[key] = _parse(robot, inertias)
     return _PLANTS[key]
@@ -274,26 +249,25 @@ def tool_corners(robot: Robot) -> FloatArray:
 def tool_link_corners(robot: Robot) -> list[FloatArray]:
     """Computes the corners of each tool link, see `tool_corners`: (K_i, 3) each [m]."""
     robot_plant = make_robot_plant(robot)
-    plant = robot_plant.plant
-    inspector = robot_plant.scene_graph.model_inspector()
+    plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, robot_plant.instance, home_positions(robot))
-    X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    X_EW = robot_plant.tool_frame.CalcPoseInWorld(context).inverse()
     corners = []
     for link in tool_links(robot):
         if not plant.HasBodyNamed(link, robot_plant.instance):
             raise ScenarioError(f"robot.tool_links: '{robot.model}' has no link '{link}'")
         body = plant.GetBodyByName(link, robot_plant.instance)
-        X_EB = X_WE.inverse() @ plant.EvalBodyPoseInWorld(context, body)
-        of_link = []
-        for geometry in plant.GetCollisionGeometriesForBody(body):
-            with field_errors("robot.tool_links", ValueError):
-                solid = read_solid(inspector, geometry)
-                p_BQ = solid.placed(outline_corners(solid))
-            of_link.append((R_WE @ X_EB.multiply(p_BQ.T)).T)
-        if of_link:
-            corners.append(np.concatenate(of_link))
+        X_EB = X_EW @ plant.EvalBodyPoseInWorld(context, body)
+        with field_errors("robot.tool_links", ValueError):
+            solids = [
+                read_solid(inspector, geometry)
+                for geometry in plant.GetCollisionGeometriesForBody(body)
+            ]
+            points = [solid.placed(outline_corners(solid)).T for solid in solids]
+        if points:
+            corners.append(np.hstack([R_WE @ X_EB.multiply(p_BQ) for p_BQ in points]).T)
     if not corners:
         raise ScenarioError(
             f"robot.tool_links: {robot.tool_links} have no collision geometry; the model needs a "

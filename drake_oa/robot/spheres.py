@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from pydrake.geometry import GeometryId, SceneGraphInspector
+from pydrake.geometry import GeometryId
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex, RevoluteJoint, RigidBody
-from pydrake.systems.framework import Context
+from pydrake.multibody.tree import BodyIndex
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.compiled import compiled
-from drake_oa.common.console import ProgressLines
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.geometry.solids import read_solid
-from drake_oa.robot.arm import Chain, Spheres, axis_frame, chain_poses, joints_to, moved_by
+from drake_oa.robot.arm import (
+    Chain,
+    Spheres,
+    axis_frame,
+    chain_poses,
+    joints_to,
+    make_chain,
+    moved_by,
+)
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_cover import Cover, known_cover
@@ -27,11 +32,12 @@ _ROUNDED = 1e-9
 """Added to bounding spheres [m]."""
 _CLUSTER = 8
 """Spheres of a cluster at most."""
-_BALL_STEPS = 300
 _LOW, _FEW = 0.05, 30
 """What of the postures is not most of them, and how many tell too little."""
 _MOST = 200
 """Most spheres of a body; where more are needed they stick out farther."""
+_BALL_STEPS = 300
+"""Steps towards the smallest ball that holds others."""
 _ALWAYS = 0.95
 """Share of the random postures in which the shapes of neighbours touch."""
 _OFTEN = 0.02
@@ -119,55 +125,38 @@ def make_arm_spheres(
     is_tool = np.array([name in tool_links for name in group_names])
     geometries = [plant.GetCollisionGeometriesForBody(body) for body in bodies]
 
-    root = robot.diagram.CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
+    context = plant.CreateDefaultContext()
     plant.SetPositions(context, q)
-    X_WJ = _joint_frames([(joint.child_body(), axis_frame(joint)) for joint in joints], context)
+    X_WJ = [joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint) for joint in joints]
+    X_WJ.append(RigidTransform())
     covers, X_JB = [], []
-    # Covers in the user's cache are read in less time than the first line waits.
-    model = plant.GetModelInstanceName(robot.instance)
-    work = f"covering the links of {model} with spheres"
-    progress = ProgressLines(work, len(bodies), last=time.monotonic())
+    announce = f"covering the links of {plant.GetModelInstanceName(robot.instance)} with spheres"
     for row, body in enumerate(bodies):
-        progress.update(row + 1)
         solids = [read_solid(inspector, geometry) for geometry in geometries[row]]
-        asked = parameters.overshoot if joint[row] >= 0 else parameters.fixed_overshoot
+        overshoot = parameters.overshoot if joint[row] >= 0 else parameters.fixed_overshoot
         if is_tool[row]:
-            asked = parameters.tool_overshoot
-        covers.append(known_cover(solids, asked, max(_MOST, len(solids))))
-        X_JW = RigidTransform(X_WJ[joint[row]]).inverse()
-        X_JB.append((X_JW @ body.EvalPoseInWorld(context)).GetAsMatrix4())
-    arrays = _laid(covers, X_JB, joint, is_tool, _candidates(inspector, geometries, joint))
-    arrays = _with_pairs_found(robot, joints, geometries, q, arrays, parameters)
+            overshoot = parameters.tool_overshoot
+        covers.append(known_cover(solids, overshoot, max(_MOST, len(solids)), announce))
+        X_JB.append((X_WJ[joint[row]].inverse() @ body.EvalPoseInWorld(context)).GetAsMatrix4())
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(len(joint)), 2)
+        if abs(joint[i] - joint[j]) > 1
+        and any(not inspector.CollisionFiltered(a, b) for a in geometries[i] for b in geometries[j])
+    ]
+    arrays = _joined(covers, X_JB, joint, is_tool, pairs)
+    arrays = _with_pairs_found(robot, q, geometries, arrays, parameters)
     return ArmSpheres(arrays, group_names, np.array([found.overshoot for found in covers]))
 
 
-def _joint_frames(
-    frames: Sequence[tuple[RigidBody, RigidTransform]], context: Context
-) -> FloatArray:
-    """Computes the poses of the joints' frames J.
-
-    Args:
-        frames: of each joint its child body B, and X_BJ.
-        context: of the plant.
-
-    Returns:
-        (n + 1, 4, 4) poses in the world, the last the identity.
-    """
-    X_WJ = np.tile(np.eye(4), (len(frames) + 1, 1, 1))
-    for i, (body, X_BJ) in enumerate(frames):
-        X_WJ[i] = (body.EvalPoseInWorld(context) @ X_BJ).GetAsMatrix4()
-    return X_WJ
-
-
-def _laid(
+def _joined(
     covers: Sequence[Cover],
     X_JB: Sequence[FloatArray],
     joint: IntArray,
     is_tool: BoolArray,
     pairs: list[tuple[int, int]],
 ) -> Spheres:
-    """All the groups' spheres in a row, in the frames of their joints, neighbours together."""
+    """Returns the spheres of all groups in a row, in the frames of their joints, by clusters."""
     centers, radii, clusters = [], [], []
     for found, X in zip(covers, X_JB, strict=True):
         p_JS = found.centers @ X[:3, :3].T + X[:3, 3]
@@ -175,27 +164,27 @@ def _laid(
         order = np.concatenate(rows)
         centers.append(p_JS[order])
         radii.append(found.radii[order])
-        clusters.append([(p_JS[row], found.radii[row]) for row in rows])
-    counts = np.array([len(found.radii) for found in covers])
-    sizes = [len(r) for of_group in clusters for _, r in of_group]
+        clusters.append([_ball(p_JS[row], found.radii[row]) for row in rows])
+    counts = [len(found.radii) for found in covers]
+    sizes = [len(row) for p_JS in centers for row in _clusters(p_JS, np.arange(len(p_JS)))]
     return Spheres(
         joint=np.repeat(joint, counts),
         p_JS=np.concatenate(centers),
         radius=np.concatenate(radii),
         of_tool=np.repeat(is_tool, counts),
-        first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        first=np.cumsum([0, *counts], dtype=np.int64),
         group_joint=joint,
         bound=np.array([_ball(p, r) for p, r in zip(centers, radii, strict=True)]),
-        cluster=np.cumsum([0] + [len(of_group) for of_group in clusters], dtype=np.int64),
+        cluster=np.cumsum([0, *map(len, clusters)], dtype=np.int64),
         cluster_first=np.cumsum([0, *sizes], dtype=np.int64),
-        cluster_bound=np.array([_ball(p, r) for of_group in clusters for p, r in of_group]),
+        cluster_bound=np.concatenate(clusters),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         allowance=np.zeros(len(pairs)),
     )
 
 
 def _clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
-    """Rows of points (N, 3) in clusters of neighbours, halved along their longest extent."""
+    """Divides rows of points (N, 3) into clusters of neighbors, by halves of the longest extent."""
     if len(rows) <= _CLUSTER:
         return [rows]
     axis = int(np.ptp(p[rows], axis=0).argmax())
@@ -205,109 +194,74 @@ def _clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
 
 
 def _ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
-    """(4,) centre and radius of a small ball that holds others (K, 3), (K,).
+    """Returns center and radius (4,) of a small ball that holds others (K, 3), (K,).
 
-    The centre goes towards the farthest by ever smaller steps. M. Badoiu and K. L. Clarkson,
+    The center moves towards the farthest by ever smaller steps. M. Badoiu and K. L. Clarkson,
     Smaller core-sets for balls, 2003.
     """
     middle = centers.mean(axis=0)
-    for i in range(_BALL_STEPS):
+    for i in range(1 + _BALL_STEPS):
         reach = np.linalg.norm(centers - middle, axis=1) + radii
-        middle = middle + (centers[reach.argmax()] - middle) / (i + 2.0)
-    reach = np.linalg.norm(centers - middle, axis=1) + radii
+        if i < _BALL_STEPS:
+            middle = middle + (centers[reach.argmax()] - middle) / (i + 2.0)
     return np.append(middle, reach.max() + _ROUNDED)
-
-
-def _candidates(
-    inspector: SceneGraphInspector, geometries: Sequence[Sequence[GeometryId]], joint: IntArray
-) -> list[tuple[int, int]]:
-    """Groups that more than one joint parts and that the model's filters let touch."""
-    return [
-        (i, j)
-        for i, j in combinations(range(len(joint)), 2)
-        if abs(joint[i] - joint[j]) > 1
-        and any(not inspector.CollisionFiltered(a, b) for a in geometries[i] for b in geometries[j])
-    ]
 
 
 def _with_pairs_found(
     robot: RobotPlant,
-    joints: list[RevoluteJoint],
-    geometries: Sequence[Sequence[GeometryId]],
     q: FloatArray,
+    geometries: Sequence[Sequence[GeometryId]],
     spheres: Spheres,
     parameters: SphereParameters,
 ) -> Spheres:
-    """Leaves out pairs that always touch, and finds what overlap means nothing.
+    """Removes pairs of groups that always touch, and finds how much overlap is harmless.
 
-    Random postures tell, as in MoveIt's setup assistant. Where spheres overlap, SceneGraph tells
-    whether the shapes touch. A pair whose spheres overlap often while its shapes do not touch
-    gets as an allowance the least by which its shapes were farther apart than its spheres, of all
-    those postures; less, for what they do not tell, as much as that is below most of them.
+    Random postures tell, as in MoveIt's setup assistant. Where spheres overlap, SceneGraph gives
+    the distance of the shapes. A pair whose spheres overlap often while its shapes do not touch
+    gets as an allowance the least by which its shapes were farther apart than its spheres;
+    less, for postures that were not drawn, as much as that is below most of them.
     """
-    plant = robot.plant
-    index = np.array([joint.position_start() for joint in joints])
-    lower, upper = plant.GetPositionLowerLimits()[index], plant.GetPositionUpperLimits()[index]
-    # Joints without limits, or with those of more than a turn, go once round.
-    is_round = ~(upper - lower < 2.0 * np.pi)
-    lower, upper = np.where(is_round, -np.pi, lower), np.where(is_round, np.pi, upper)
+    chain = make_chain(robot.plant, robot.tool_frame, q)
+    # Joints without limits, or with those of more than a turn, turn once.
+    is_round = ~(chain.upper - chain.lower < 2.0 * np.pi)
+    lower, upper = np.where(is_round, -np.pi, chain.lower), np.where(is_round, np.pi, chain.upper)
     random = np.random.default_rng(parameters.seed)
-    postures = random.uniform(lower, upper, (parameters.postures, len(joints)))
+    postures = random.uniform(lower, upper, (parameters.postures, len(lower)))
+    p_WS = sphere_centers(chain, spheres, postures)
+    bounds = spheres._replace(joint=spheres.group_joint, p_JS=spheres.bound[:, :3])
+    p_WG = sphere_centers(chain, bounds, postures)
     root = robot.diagram.CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
+    context = robot.plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
-    group = {geometry: g for g, of_body in enumerate(geometries) for geometry in of_body}
-    row = {(int(i), int(j)): k for k, (i, j) in enumerate(spheres.pairs)}
-    frames = [(joint.child_body(), axis_frame(joint)) for joint in joints]
-    apart = np.zeros((len(postures), len(row)))
-    touch = np.zeros(apart.shape, dtype=bool)
     full = q.copy()
-    for k, posture in enumerate(postures):
-        full[index] = posture
-        plant.SetPositions(context, full)
-        _lower_pair_distances(_joint_frames(frames, context), spheres, apart[k])
-        if (apart[k] < 0.0).any():
+    kept, allowance = [], []
+    for pair in spheres.pairs:
+        i, j = pair
+        apart = np.linalg.norm(p_WG[:, i] - p_WG[:, j], axis=1) - spheres.bound[pair, 3].sum()
+        a, b = (slice(spheres.first[g], spheres.first[g + 1]) for g in pair)
+        for k in np.flatnonzero(apart < 0.0):
+            between = cdist(p_WS[k, a], p_WS[k, b]) - spheres.radius[a, None] - spheres.radius[b]
+            apart[k] = between.min()
+        rows = np.flatnonzero(apart < 0.0)
+        shape_distance = np.empty(len(rows))
+        for n, k in enumerate(rows):
+            full[chain.q_index] = postures[k]
+            robot.plant.SetPositions(context, full)
             query = robot.scene_graph.get_query_output_port().Eval(of_scene)
-            for found in query.ComputePointPairPenetration():
-                i, j = sorted((group.get(found.id_A, -1), group.get(found.id_B, -1)))
-                if (i, j) in row:
-                    touch[k, row[i, j]] = True
-
-    def true_distance(k: int, i: int, j: int) -> float:
-        full[index] = postures[k]
-        plant.SetPositions(context, full)
-        query = robot.scene_graph.get_query_output_port().Eval(of_scene)
-        return min(
-            query.ComputeSignedDistancePairClosestPoints(a, b).distance
-            for a in geometries[i]
-            for b in geometries[j]
+            shape_distance[n] = min(
+                query.ComputeSignedDistancePairClosestPoints(one, other).distance
+                for one in geometries[i]
+                for other in geometries[j]
+            )
+        is_free = shape_distance > 0.0
+        if (~is_free).sum() >= _ALWAYS * len(postures):
+            continue
+        kept.append(pair)
+        slack = (shape_distance - apart[rows])[is_free]
+        is_frequent = len(slack) >= max(_FEW, _OFTEN * len(postures))
+        allowance.append(
+            max(0.0, 2.0 * slack.min() - np.quantile(slack, _LOW)) if is_frequent else 0.0
         )
-
-    allowance, kept = np.zeros(len(row)), touch.mean(axis=0) < _ALWAYS
-    for (i, j), p in row.items():
-        overlap = np.flatnonzero((apart[:, p] < 0.0) & ~touch[:, p])
-        if kept[p] and len(overlap) >= max(_FEW, _OFTEN * len(postures)):
-            slack = [true_distance(int(k), i, j) - float(apart[k, p]) for k in overlap]
-            allowance[p] = max(0.0, 2.0 * min(slack) - float(np.quantile(slack, _LOW)))
-    found_pairs = np.ascontiguousarray(spheres.pairs[kept])
-    return spheres._replace(pairs=found_pairs, allowance=allowance[kept])
-
-
-def _lower_pair_distances(X_WJ: FloatArray, spheres: Spheres, apart: FloatArray) -> None:
-    """Lowers apart (P,) to the distances of the pairs of groups that are less [m].
-
-    Args:
-        X_WJ: (n + 1, 4, 4) from `_joint_frames`.
-        spheres: of the arm.
-        apart: (P,) changed.
-    """
-    first, bound = spheres.first, spheres.bound
-    of_sphere, of_group = X_WJ[spheres.joint], X_WJ[spheres.group_joint]
-    centers = np.einsum("sij,sj->si", of_sphere[:, :3, :3], spheres.p_JS) + of_sphere[:, :3, 3]
-    at = np.einsum("gij,gj->gi", of_group[:, :3, :3], bound[:, :3]) + of_group[:, :3, 3]
-    one, other = spheres.pairs.T
-    away = np.linalg.norm(at[one] - at[other], axis=1) - bound[one, 3] - bound[other, 3]
-    for p in np.flatnonzero(away < apart):
-        a, b = (slice(first[g], first[g + 1]) for g in spheres.pairs[p])
-        between = cdist(centers[a], centers[b]) - spheres.radius[a, None] - spheres.radius[b]
-        apart[p] = min(apart[p], between.min())
+    return spheres._replace(
+        pairs=np.array(kept, dtype=np.int64).reshape(-1, 2), allowance=np.array(allowance)
+    )

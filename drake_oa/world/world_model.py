@@ -86,7 +86,7 @@ def _check_directives(
         if directive.add_model is not None:
             # What is no XML is refused by Drake.
             with contextlib.suppress(ElementTree.ParseError, OSError):
-                check_links(ElementTree.parse(file).getroot(), file, packages, where)
+                check_links(ElementTree.parse(file).getroot(), file, where)
         elif file in chain:
             names = " -> ".join(map(str, (*chain, file)))
             raise ScenarioError(f"directives: files must not include themselves: {names}")

@@ -8,7 +8,6 @@ import pytest
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
-from drake_oa.robot.inertias import Inertia, with_inertias
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.faults import ModelError
 
@@ -35,15 +34,15 @@ def test_it_is_drakes_panda_and_as_far_off_as_known(reference: Callable[[str], P
     assert 1.8 < np.max(gravity_error) < 2.1
 
 
-def test_another_robot_is_refused() -> None:
-    link = Inertia(1.0, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    with pytest.raises(ScenarioError, match=r"robot\.model has not: panda_link0; it has base"):
-        with_inertias("<robot name='x'><link name='base'/></robot>", {"panda_link0": link})
-
-
 def test_a_file_that_does_not_fit_is_named(tmp_path: Path) -> None:
     file = tmp_path / "inertias.yaml"
-    for said in ("does not exist", r"inertias\.link\.com: is missing"):
-        with pytest.raises(ScenarioError, match=rf"(?s)!ModelError\.inertias: .*{file}.*{said}"):
+    values = "{mass: 1, com: [0, 0, 0], inertia: [1, 1, 1, 0, 0, 0]}"
+    for content, message in (
+        (None, "does not exist"),
+        ("panda_link0: {mass: 1}", r"inertias\.panda_link0\.com: is missing"),
+        (f"base: {values}", r"robot\.model has no link base; it has panda_link0"),
+    ):
+        if content is not None:
+            file.write_text(content)
+        with pytest.raises(ScenarioError, match=rf"(?s)!ModelError\.inertias: .*{file}.*{message}"):
             make_robot_plant(Robot(), inertias=str(file))
-        file.write_text("link: {mass: 1}")

@@ -1,11 +1,10 @@
-"""The file of a robot's model, and its text as Drake takes it."""
+"""The file of a robot's model, and its text as Drake reads it."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import re
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,24 +13,23 @@ from pydrake.multibody.parsing import PackageMap
 
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import installed_package
-from drake_oa.robot.formats.meshes import ModelMeshes, check_vertices
-from drake_oa.robot.formats.mjcf import drake_mjcf
-from drake_oa.robot.formats.urdf import drake_links
+from drake_oa.robot.formats.mjcf import change_mjcf
+from drake_oa.robot.formats.urdf import change_urdf
 
+# Under another name Drake does not know the namespace.
+ElementTree.register_namespace("drake", "http://drake.mit.edu")
+_CHANGES = {".urdf": change_urdf, ".xml": change_mjcf}
 _LENGTHS = ("size", "radius", "length", "radii")
-_warned: set[str] = set()
+_logged: set[str] = set()
 """Drake's warnings about model files that this process has logged."""
-_CHANGES = {".urdf": drake_links, ".sdf": drake_links, ".xml": drake_mjcf}
 
 
 def add_installed_package(packages: PackageMap, url: str, field: str = "robot.model") -> None:
-    """Tells where the package of a URL is, if it is an installed package of Python.
-
-    A package that is known already stays where it is.
+    """Adds the folder of the package in a URL, if it is an installed package of Python.
 
     Args:
-        packages: is told.
-        url: package://NAME/..., or another, which is left alone.
+        packages: to be changed; a package that it has already stays where it is.
+        url: package://NAME/..., or another, which is ignored.
         field: of the scenario, for the error.
 
     Raises:
@@ -49,35 +47,38 @@ def add_installed_package(packages: PackageMap, url: str, field: str = "robot.mo
     packages.Add(name, str(folder))
 
 
-def drake_model(file: Path, packages: PackageMap) -> str | None:
-    """The text of a URDF, SDF or MJCF as Drake takes it; None: Drake takes the file as it is.
+def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
+    """Returns the root of a URDF or MJCF, changed to what Drake reads; None for an SDF.
 
     Raises:
-        ScenarioError: for a collision mesh that cannot be read, or a file that is no XML.
+        ScenarioError: for a mesh that cannot be read, a wrong value, or a file that is no XML.
     """
+    with field_errors(f"robot.model: '{file}'", ElementTree.ParseError, OSError):
+        root = ElementTree.parse(file).getroot()
+    check_links(root, file)
     change = _CHANGES.get(file.suffix.lower())
     if change is None:
         return None
-    with field_errors(f"robot.model: '{file}'", ElementTree.ParseError, OSError):
-        root = ElementTree.parse(file).getroot()
-    check_links(root, file, packages)
-    count = sum(1 for _ in root.iter("mesh"))
-    if change(root, ModelMeshes(file.stem, count, lambda url: _resolved(url, file, packages))):
-        return ElementTree.tostring(root, encoding="unicode")
-    return None
+
+    def find(url: str) -> Path:
+        if "://" not in url:
+            return file.parent / url
+        add_installed_package(packages, url)
+        with field_errors(f"robot.model: '{file}'", RuntimeError):
+            return Path(packages.ResolveUrl(url))
+
+    change(root, find)
+    return root
 
 
-def check_links(
-    root: ElementTree.Element, file: Path, packages: PackageMap, field: str = "robot.model"
-) -> None:
-    """Refuses solids without a size, negative masses and vertices of an .obj that are not finite.
+def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model") -> None:
+    """Checks that the links of a model have solids with a size, and no negative masses.
 
-    Drake replaces them by values of its own, or aborts.
+    Drake replaces such values by its own, or aborts.
 
     Args:
         root: of a URDF or SDF; that of an MJCF has no links.
         file: of the model.
-        packages: of its URLs.
         field: of the scenario, for the error.
 
     Raises:
@@ -96,22 +97,18 @@ def check_links(
                     raise ScenarioError(
                         f"{where}: {name} of <{solid.tag}> must be positive [m], not {text}"
                     )
-            url = solid.get("filename", solid.findtext("uri", "")).strip()
-            if solid.tag == "mesh" and url.lower().endswith(".obj"):
-                with field_errors(where, OSError, ValueError):
-                    check_vertices(_resolved(url, file, packages, field))
 
 
 def _numbers(text: str | None) -> list[float]:
-    """Numbers of a text; empty where Drake refuses it."""
+    """Returns the numbers of a text; none where Drake refuses it."""
     try:
         return [float(word) for word in (text or "").split()]
     except ValueError:
         return []
 
 
-def named(message: str, file: Path | str) -> str:
-    """Puts the name of a model's file where Drake says that it was parsed from a text."""
+def with_file_name(message: str, file: Path | str) -> str:
+    """Replaces Drake's name for a text that it parses by the name of a model's file."""
     # The line is that of the changed text, not of the file.
     return re.sub(r"<literal-string>(\.\w+)?(:\d+)?", str(file), message)
 
@@ -121,16 +118,13 @@ def named_warnings(file: Path | str = "") -> Iterator[None]:
     """Logs each of Drake's warnings about models once a process, with the name of the file.
 
     Args:
-        file: of the model that is parsed in here.
+        file: of the model that is parsed in the block.
     """
-    thread = threading.get_ident()
 
     def is_new(record: logging.LogRecord) -> bool:
-        if threading.get_ident() != thread:
-            return True
-        record.msg = named(str(record.msg), file)
-        new = record.msg not in _warned
-        _warned.add(record.msg)
+        record.msg = with_file_name(str(record.msg), file)
+        new = record.msg not in _logged
+        _logged.add(record.msg)
         return new
 
     logger = logging.getLogger("drake")
@@ -139,12 +133,3 @@ def named_warnings(file: Path | str = "") -> Iterator[None]:
         yield
     finally:
         logger.removeFilter(is_new)
-
-
-def _resolved(url: str, file: Path, packages: PackageMap, field: str = "robot.model") -> Path:
-    """The file of a mesh, which may be named relative to that of its model."""
-    if "://" not in url:
-        return file.parent / url
-    add_installed_package(packages, url, field)
-    with field_errors(f"{field}: '{file}'", RuntimeError):
-        return Path(packages.ResolveUrl(url))

@@ -1,18 +1,18 @@
-"""Models of SDF and MJCF, with .dae, and of packages of Python, as Drake takes them."""
+"""Models with meshes, joints and packages that Drake does not read as they are."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import installed_package
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.meshes import as_objs
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.robot.plant import add_robot, home_positions, make_robot_plant
 
-SIZE = np.array([0.1, 0.2, 0.3])
+BOX = [0.04, 0.04, 0.04]
 
 
 @pytest.fixture(autouse=True)
@@ -20,23 +20,27 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
-def stl(file: Path) -> Path:
+def stl(file: Path, *boxes: tuple[list[float], list[float]], missing: int = 0) -> Path:
+    """Writes boxes, each by corner and size, without some triangles."""
     import open3d
 
-    mesh = open3d.geometry.TriangleMesh.create_box(*SIZE).compute_triangle_normals()
-    open3d.io.write_triangle_mesh(str(file), mesh)
+    mesh = open3d.geometry.TriangleMesh()
+    for corner, size in boxes or (([0.0] * 3, BOX),):
+        mesh += open3d.geometry.TriangleMesh.create_box(*size).translate(corner)
+    mesh.remove_triangles_by_index(list(range(missing)))
+    open3d.io.write_triangle_mesh(str(file), mesh.compute_triangle_normals())
     return file
 
 
-def dae(file: Path, meter: str = "0.001") -> Path:
-    """The same box in millimetres, moved by its node by 1 m along x."""
+def dae(file: Path) -> Path:
+    """Writes a box of 0.1, 0.2 and 0.3 m in millimeters, moved by its node by 1 m along x."""
     corners = [[x, y, z] for z in (0, 300) for y in (0, 200) for x in (0, 100)]
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     text = " ".join(str(v) for corner in corners for v in corner)
     file.write_text(f"""<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><created>2020-01-01T00:00:00</created><modified>2020-01-01T00:00:00</modified>
-<unit name="u" meter="{meter}"/><up_axis>Y_UP</up_axis></asset>
+<unit name="u" meter="0.001"/><up_axis>Y_UP</up_axis></asset>
 <library_geometries><geometry id="g"><mesh>
 <source id="p"><float_array id="a" count="24">{text}</float_array><technique_common>
 <accessor source="#a" count="8" stride="3"><param name="X" type="float"/>
@@ -56,62 +60,48 @@ def corners(obj: Path) -> np.ndarray:
     return np.array(rows, dtype=float)
 
 
-def tool(robot: RobotPlant, config: Robot) -> RigidTransform:
-    context = robot.plant.CreateDefaultContext()
-    robot.plant.SetPositions(context, home_positions(config))
-    return robot.tool_frame.CalcPoseInWorld(context)
+INERTIAL = """<inertial><mass value="1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
+FINGER = """<link name="{0}">{1}</link><joint name="{0}" type="revolute"><parent link="link6"/>
+    <child link="{0}"/><axis xyz="0 0 1"/>{2}<limit effort="1" lower="0" upper="1" velocity="1"/>
+    </joint>"""
 
 
-@pytest.mark.parametrize("hulls", [True, False])
-def test_a_dae_counts_with_its_unit_and_its_nodes(tmp_path: Path, hulls: bool) -> None:
-    pytest.importorskip("collada", reason="pip install 'drake_oa[robots]'")
-    (made,) = as_objs(dae(tmp_path / "box.dae"), hulls=hulls)
-    found = corners(made)
-    assert len(found) == 8
-    np.testing.assert_allclose(found.min(axis=0), [1.0, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(found.max(axis=0), SIZE + [1.0, 0.0, 0.0], atol=1e-7)
-    # Cameras refuse a mesh without normals.
-    assert made.read_text().count("vn ") == made.read_text().count("f ") == 12
-
-
-def test_a_dae_that_nothing_reads_names_what_would(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "collada", None)
-    with pytest.raises(ValueError, match=r"takes the package pycollada: .*drake_oa\[robots\]"):
-        as_objs(dae(tmp_path / "box.dae"), hulls=True)
-
-
-_SDF = """<sdf version="1.9"><model name="six">
-<joint name="stand" type="fixed"><parent>world</parent><child>link0</child></joint>"""
-
-
-def sdf(folder: Path) -> Robot:
-    text = _SDF
-    for i in range(7):
-        text += f"""<link name="link{i}"><pose>0 0 {0.2 * i} 0 0 0</pose>
-<inertial><mass>1</mass></inertial><collision name="c"><geometry><mesh><uri>box.stl</uri></mesh>
-</geometry></collision><visual name="v"><geometry><mesh><uri>no.dae</uri></mesh></geometry>
-</visual></link>"""
-    for i in range(1, 7):
-        axis = "1 0 0" if i % 2 else "0 0 1"
-        text += f"""<joint name="j{i}" type="revolute"><parent>link{i - 1}</parent>
-<child>link{i}</child><axis><xyz>{axis}</xyz><limit><lower>-2</lower><upper>2</upper>
-<effort>50</effort><velocity>3</velocity></limit></axis></joint>"""
-    (folder / "six.sdf").write_text(text + "</model></sdf>")
-    stl(folder / "box.stl")
+def arm(folder: Path, mesh: str, more: str = "") -> Robot:
+    """Writes an arm of six joints, fixed to a link `world`, without transmissions."""
+    links = "".join(
+        f"""<link name="link{i}">{INERTIAL}
+        <visual><geometry><mesh filename="{mesh}"/></geometry></visual>
+        <collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>"""
+        for i in range(7)
+    )
+    joints = "".join(
+        f"""<joint name="joint{i}" type="revolute"><parent link="link{i - 1}"/>
+        <child link="link{i}"/><origin xyz="0 0 0.2"/><axis xyz="{i % 2} 0 {1 - i % 2}"/>
+        <limit effort="{10 * i}" lower="-3" upper="3" velocity="3"/></joint>"""
+        for i in range(1, 7)
+    )
+    base = """<link name="world"/><joint name="fixed" type="fixed"><parent link="world"/>
+        <child link="link0"/></joint>"""
+    file = folder / "arm.urdf"
+    file.write_text(f'<robot name="arm">{base}{links}{joints}{more}</robot>')
     return Robot(
-        model=str(folder / "six.sdf"), base_link="link0", hand_link="link6",
-        tool_links=["link6"], q_seed=[0.1] * 6,
+        model=str(file), base_link="link0", hand_link="link6", tool_links=["link6"],
+        q_seed=[0.1] * 6,
     )  # fmt: skip
 
 
-def test_an_sdf_with_meshes_is_taken(tmp_path: Path) -> None:
-    config = sdf(tmp_path)
+def test_meshes_are_converted_joints_driven_and_the_base_placed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = arm(tmp_path, stl(tmp_path / "link.stl").name)
     config.X_WB.translation = [1.0, 2.0, 3.0]
+    config.joint_speed = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     robot = make_robot_plant(config)
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     assert plant.num_positions() == plant.num_actuators() == 6
+    np.testing.assert_allclose(robot.limits.effort_limit, [10, 20, 30, 40, 50, 60])
+    np.testing.assert_allclose(robot.limits.velocity_limit, [1.0, 2.0, 3.0, 3.0, 3.0, 3.0])
     for i in range(7):
         body = plant.GetBodyByName(f"link{i}")
         (shape,) = plant.GetCollisionGeometriesForBody(body)
@@ -119,23 +109,88 @@ def test_an_sdf_with_meshes_is_taken(tmp_path: Path) -> None:
         assert len(plant.GetVisualGeometriesForBody(body)) == 1
     base = plant.GetBodyByName("link0").EvalPoseInWorld(plant.CreateDefaultContext())
     np.testing.assert_allclose(base.translation(), [1.0, 2.0, 3.0])
-    assert not list(tmp_path.glob("*.obj"))
-
-
-def test_speeds_that_the_model_has_not_are_of_the_scenario(tmp_path: Path) -> None:
-    config = sdf(tmp_path)
-    config.joint_speed = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    robot = make_robot_plant(config)
-    limits = robot.limits
-    np.testing.assert_allclose(limits.velocity_limit, [1.0, 2.0, 3.0, 3.0, 3.0, 3.0])
+    assert capsys.readouterr().err == f"converting meshes of {tmp_path} (first use only) ...\n"
+    assert make_robot_plant(config) is robot
     config.joint_speed = [1.0]
     with pytest.raises(ScenarioError, match=r"robot\.joint_speed: expected 6 numbers"):
         make_robot_plant(config)
 
 
-# The second joint's axis is that of the outer class, which its own class says nothing of.
+def test_transmissions_of_the_model_are_kept_and_a_linkage_is_fixed(tmp_path: Path) -> None:
+    mesh = stl(tmp_path / "link.stl").name
+    more = FINGER.format("left", INERTIAL, "")
+    more += FINGER.format("right", INERTIAL, '<mimic joint="left"/>')
+    for joint in ("joint3", "left"):
+        more += f"""<transmission name="t{joint}">
+        <type>transmission_interface/SimpleTransmission</type><joint name="{joint}"/>
+        <actuator name="m{joint}"/></transmission>"""
+    plant = make_robot_plant(arm(tmp_path, mesh, more)).plant
+    assert (plant.num_positions(), plant.num_actuators()) == (6, 1)
+    for name in ("left", "right"):
+        assert plant.GetJointByName(name).type_name() == "weld"
+
+
+def test_a_dae_is_read_with_its_unit_and_its_nodes(tmp_path: Path) -> None:
+    pytest.importorskip("collada", reason="pip install 'drake_oa[robots]'")
+    for hulls in (True, False):
+        (made,) = as_objs(dae(tmp_path / "box.dae"), hulls=hulls)
+        np.testing.assert_allclose(corners(made).min(axis=0), [1.0, 0.0, 0.0], atol=1e-9)
+        np.testing.assert_allclose(corners(made).max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
+    # Cameras refuse a mesh without normals.
+    assert "\nvn " in made.read_text()
+
+
+def test_a_mesh_is_split_where_a_hull_would_fill_much(tmp_path: Path) -> None:
+    size = [0.1] * 3
+    one, beside, between = (
+        ([0.0] * 3, size),
+        ([0.3, 0.0, 0.0], size),
+        ([0.1, 0.0, 0.0], [0.2, *size[:2]]),
+    )
+    assert len(as_objs(stl(tmp_path / "a.stl", one, beside), hulls=True)) == 2
+    assert len(as_objs(stl(tmp_path / "b.stl", one, between, beside), hulls=True)) == 1
+    assert len(as_objs(stl(tmp_path / "c.stl", one, beside, missing=1), hulls=True)) == 1
+    # Converted again after a change.
+    (changed,) = as_objs(stl(tmp_path / "a.stl", one), hulls=True)
+    np.testing.assert_allclose(np.ptp(corners(changed), axis=0), size)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("link.stl", "no mesh", "of link0: .*cannot be read as a mesh"),
+        ("link.stl", None, "of link0: .*No such file"),
+        ("link.dae", "<a/>", "of link0: .*cannot be read as a mesh"),
+        ("package://nowhere/link.stl", None, r"'nowhere', .* pip install 'drake_oa\[robots\]'"),
+    ],
+)
+def test_a_mesh_that_cannot_be_read_is_named(
+    tmp_path: Path, name: str, content: str | None, message: str
+) -> None:
+    if name.endswith(".dae"):
+        pytest.importorskip("collada", reason="pip install 'drake_oa[robots]'")
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(ScenarioError, match=message):
+        make_robot_plant(arm(tmp_path, name))
+
+
+def test_errors_and_warnings_of_drake_name_the_file(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mesh = stl(tmp_path / "link.stl").name
+    robot = arm(tmp_path, mesh, FINGER.format("left", INERTIAL, '<dynamics friction="1"/>'))
+    for _ in range(2):
+        add_robot(MultibodyPlant(0.001), robot)
+    (warning,) = (text for text in caplog.messages if "friction" in text)
+    assert warning.startswith(str(tmp_path / "arm.urdf"))
+    broken = arm(tmp_path, mesh, '<joint name="j" type="fixed"/>')
+    with pytest.raises(ScenarioError, match=r"cannot load .*: .*arm\.urdf: error"):
+        add_robot(MultibodyPlant(0.001), broken)
+
+
+# The second joint's axis is that of the outer class, which its own class does not state.
 _MJCF = """<mujoco model="two"><compiler angle="radian" autolimits="true" meshdir="meshes"/>
-<option integrator="implicitfast"/>
 <default><default class="arm"><joint axis="0 1 0" range="-2 2"/>
 <general forcerange="-150 150"/><default class="weak"><general forcerange="-28 28"/></default>
 <default class="seen"><geom type="mesh" contype="0" conaffinity="0" group="2"/></default>
@@ -154,28 +209,22 @@ _MJCF = """<mujoco model="two"><compiler angle="radian" autolimits="true" meshdi
 def test_an_mjcf_keeps_what_its_classes_inherit(tmp_path: Path) -> None:
     (tmp_path / "meshes").mkdir()
     stl(tmp_path / "meshes" / "box.stl")
-    file = tmp_path / "two.xml"
-    file.write_text(_MJCF)
+    (tmp_path / "two.xml").write_text(_MJCF)
     config = Robot(
-        model=str(file), base_link="base", hand_link="two", tool_links=["two"],
+        model=str(tmp_path / "two.xml"), base_link="base", hand_link="two", tool_links=["two"],
         q_seed=[0.3, 0.4], p_HE=[0.0, 0.0, 0.1],
     )  # fmt: skip
     config.X_WB.translation = [1.0, 0.0, 0.0]
     robot = make_robot_plant(config)
-    limits = robot.limits
-    assert limits.actuator_name == ("j1", "j2")
-    np.testing.assert_allclose(limits.effort_limit, [150.0, 28.0])
-    np.testing.assert_allclose(limits.position_upper, [2.0, 2.0])
-    X_WE = tool(robot, config)
+    np.testing.assert_allclose(robot.limits.effort_limit, [150.0, 28.0])
+    np.testing.assert_allclose(robot.limits.position_upper, [2.0, 2.0])
     # Both turn about y.
-    turn = RollPitchYaw(0.0, 0.7, 0.0).ToRotationMatrix().matrix()
-    np.testing.assert_allclose(X_WE.rotation().matrix(), turn, atol=1e-9)
     x, z = 0.5 * np.sin(0.3) + 0.1 * np.sin(0.7), 0.5 + 0.5 * np.cos(0.3) + 0.1 * np.cos(0.7)
-    np.testing.assert_allclose(X_WE.translation(), [1.0 + x, 0.0, z], atol=1e-9)
-    plant = robot.plant
-    one, two = (plant.GetBodyByName(name) for name in ("one", "two"))
-    assert len(plant.GetCollisionGeometriesForBody(one)) == 1
-    (shape,) = plant.GetCollisionGeometriesForBody(two)
+    p_WE = robot.tool_path(home_positions(config)[None])[0]
+    np.testing.assert_allclose(p_WE, [1.0 + x, 0.0, z], atol=1e-9)
+    one, two = (robot.plant.GetBodyByName(name) for name in ("one", "two"))
+    assert len(robot.plant.GetCollisionGeometriesForBody(one)) == 1
+    (shape,) = robot.plant.GetCollisionGeometriesForBody(two)
     assert robot.scene_graph.model_inspector().GetConvexHull(shape).num_vertices() == 8
 
 
@@ -183,16 +232,11 @@ def test_a_model_of_a_package_of_python_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     package = tmp_path / "some_arms"
-    (package / "six").mkdir(parents=True)
+    package.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('it is not imported')")
-    config = sdf(package / "six")
+    config = arm(package, stl(package / "link.stl").name)
     monkeypatch.syspath_prepend(tmp_path)
     assert installed_package("some_arms") == package
-    config.model = "package://some_arms/six/six.sdf"
+    config.model = "package://some_arms/arm.urdf"
     assert make_robot_plant(config).plant.num_positions() == 6
-
-
-def test_a_package_that_is_not_there_is_named() -> None:
     assert installed_package("no_such_arms") is None
-    with pytest.raises(ScenarioError, match=r"'no_such_arms', .* pip install 'drake_oa\[robots\]'"):
-        make_robot_plant(Robot(model="package://no_such_arms/arm.urdf"))
