@@ -19,6 +19,7 @@ from pydrake.systems.primitives import (
 
 from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.config import ScenarioError
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell, make_posture_guide
@@ -39,7 +40,6 @@ from drake_oa.scenario.demonstration import demonstrated_path, primitive_constan
 from drake_oa.scenario.end_poses import end_rotations, start_positions, tool_orientation
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.task import goal_trajectory
 

@@ -6,13 +6,13 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource, LogVectorOutput
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.route.cost_ring_selector import CostRingSelector
-from drake_oa.scenario.shipped import package_file
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 CLEARANCE = 0.1

@@ -6,6 +6,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.policy.config import Policy
@@ -14,7 +15,6 @@ from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import load_proposals, side_rows
-from drake_oa.scenario.shipped import package_file
 
 START, GOAL, CLEARANCE, DURATION = np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.1, 4.0
 CENTERS, RADIUS = np.array([[0.5, 0.0, -0.02], [0.6, 0.0, 0.35]]), 0.1

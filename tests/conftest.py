@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from drake_oa.common.files import package_file
 from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import load_scenario, scenario_text
-from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting
 
 # Torch built for CUDA loads triton when it first differentiates, and triton crashes a process that

@@ -115,8 +115,8 @@ def new(name: str, /, *, like: str | None = None) -> int:
         name: of the scenario, or its file; files that exist are left alone.
         like: a shipped scenario to begin with, in place of a box and a pole.
     """
+    from drake_oa.common.files import package_file
     from drake_oa.scenario.loading import scenario_path, scenario_schema
-    from drake_oa.scenario.shipped import package_file
 
     stem = scenario_name(name)
     if not re.fullmatch(r"[\w.-]+", stem):

@@ -33,8 +33,6 @@ from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load
 
 _LCM_PROVIDERS = ("udpm", "tcpq", "memq")
 """Providers of LCM that transport messages in both directions; `file` only records or replays."""
-_MAX_VALUES = 100_000
-"""Maximum number of values of a YAML text; the target of an alias counts at each use."""
 
 BLOCK = ConfigDict(
     extra="forbid",
@@ -330,7 +328,6 @@ def read_yaml(text: str) -> Any:
         if root is None:
             # Drake takes an empty text for no text at all.
             return None
-        check_size(root)
         _check_nodes(root)
         return yaml_load(data=text)
     except ScenarioError:
@@ -339,26 +336,6 @@ def read_yaml(text: str) -> Any:
         raise ScenarioError("not valid YAML: too many blocks or lists within each other") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ScenarioError(f"not valid YAML: {error}") from None
-
-
-def check_size(root: yaml.Node) -> None:
-    """Checks that aliases do not expand to too many values, or to an endless structure.
-
-    Raises:
-        ScenarioError: if there are more than `_MAX_VALUES` values.
-    """
-    count, left = 0, [root]
-    while left:
-        node = left.pop()
-        count += 1
-        if count > _MAX_VALUES:
-            raise ScenarioError(
-                f"holds more than {_MAX_VALUES} values (what an alias repeats is counted again)"
-            )
-        if isinstance(node, yaml.MappingNode):
-            left += [item for pair in node.value for item in pair]
-        elif isinstance(node, yaml.SequenceNode):
-            left += node.value
 
 
 def _check_nodes(node: yaml.Node, where: str = "") -> None:

@@ -7,10 +7,10 @@ import logging
 import math
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 from rich import box
@@ -22,8 +22,6 @@ from rich.text import Text
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit statuses other than 0."""
 
-_PROGRESS_PERIOD = 2.0
-"""Least time between two lines of progress [s]."""
 _LONGEST = 2000
 _WIDE = 100_000
 
@@ -46,25 +44,10 @@ def write_all(*writes: Callable[[], object]) -> bool:
     return written
 
 
-class ProgressLines:
-    """Lines on stderr about work that is done at first use, on a terminal and elsewhere."""
-
-    def __init__(self, work: str, count: int, *, last: float = -math.inf) -> None:
-        """Prints nothing yet.
-
-        Args:
-            work: what is done.
-            count: number of its parts.
-            last: time of `time.monotonic` from which on the first line waits its turn [s].
-        """
-        self._work, self._count, self._last = work, count, last
-
-    def update(self, row: int) -> None:
-        """Prints that a part, counted from 1, begins; nothing soon after another line."""
-        now = time.monotonic()
-        if now >= self._last + _PROGRESS_PERIOD:
-            self._last = now
-            print(f"{self._work} (first use only): {row} of {self._count}", file=sys.stderr)
+@cache
+def announce_first_use(work: str) -> None:
+    """Prints a line on stderr about work whose result is kept; once a process for the same work."""
+    print(f"{work} (first use only) ...", file=sys.stderr)
 
 
 class Column(NamedTuple):
@@ -98,8 +81,6 @@ class Column(NamedTuple):
 class TextTable:
     """Table with notes below it: ruled and colored on a terminal, aligned text elsewhere.
 
-    On a terminal that is too narrow for the table, rows and columns are exchanged where that fits.
-
     Attributes:
         columns: specification of each column; a column whose key no row has is omitted, and the
             headings if all are empty.
@@ -118,30 +99,23 @@ class TextTable:
         columns = [
             [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)] for of in known
         ]
-        grid: _Grid = columns if self.transposed else list(zip(*columns, strict=True))
+        grid = columns if self.transposed else list(zip(*columns, strict=True))
         header, *cells = grid or [()]
-        ruled = console.is_terminal and any(header)
-        turned = self.transposed
-        if ruled and _width(grid) > options.max_width:
-            other: _Grid = list(zip(*grid, strict=True))
-            header = [_folded(*column) for column in other]
-            if _width([header, *cells]) > options.max_width >= _width(other):
-                header, *cells = other
-                turned = not turned
+        terminal, has_header = console.is_terminal, any(header)
         table = Table(
-            box=box.SIMPLE_HEAD if ruled else None,
-            show_header=any(header),
-            header_style="bold" if ruled else "",
+            box=box.SIMPLE_HEAD if terminal and has_header else None,
+            show_header=has_header,
+            header_style="bold" if terminal else "",
             pad_edge=False,
-            padding=(0, 1 if ruled else 2, 0, 0),
+            padding=(0, 1 if terminal else 2, 0, 0),
         )
         for number, heading in enumerate(header):
-            side = None if turned else known[number].side
+            side = None if self.transposed else known[number].side
             # Text, as a cell's brackets are no markup.
             table.add_column(
                 Text(heading),
                 justify=side or ("right" if number else "left"),
-                style="cyan" if console.is_terminal and number == 0 else "",
+                style="cyan" if terminal and number == 0 else "",
                 overflow="fold",
             )
         for row in cells:
@@ -157,21 +131,6 @@ class TextTable:
         with console.capture() as captured:
             console.print(self)
         return "\n".join(line.rstrip() for line in captured.get().rstrip("\n").splitlines())
-
-
-_Grid = Sequence[Sequence[str]]
-"""Headings, and the cells of each row."""
-
-
-def _width(grid: _Grid) -> int:
-    """Returns the width of a table on a terminal [character]."""
-    columns = zip(*grid, strict=True)
-    return sum(2 + max(len(line) for of in column for line in of.split("\n")) for column in columns)
-
-
-def _folded(heading: str, *cells: str) -> str:
-    """Returns a heading in lines no longer than the cells below it, or than its longest word."""
-    return textwrap.fill(heading, max(map(len, [*heading.split(), *cells, " "])))
 
 
 def show(*tables: TextTable) -> None:

@@ -1,15 +1,12 @@
-"""Files: checked before a long computation, replaced whole, and what a result was made with."""
+"""File helpers: output checks before long computations, atomic replacement, software versions."""
 
 from __future__ import annotations
 
 import contextlib
-import glob
 import hashlib
 import itertools
 import json
 import os
-import platform
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
@@ -23,10 +20,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
-
-# With the machine's name: in a shared folder, a process id of another machine says nothing here.
-_PART = f".{platform.node()}.part"
-"""Suffix of an unfinished file, after its process id."""
 
 _SOURCES = {
     "drake_oa": ("*.py",),
@@ -112,8 +105,7 @@ def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
     """Writes a file, and its folder, in one piece: an earlier file stays whole until then.
 
-    What is no regular file, as /dev/stdout, is written to. Unfinished files that killed processes
-    of this machine left in the folder are removed.
+    A file that is not regular, as /dev/stdout, is written to.
 
     Args:
         path: the file.
@@ -129,9 +121,8 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
             return
         target = path.resolve()
         target.parent.mkdir(parents=True, exist_ok=True)
-        _remove_stale_parts(target.parent)
         # Of this process alone: another may be writing the same file.
-        beside = target.with_name(f"{target.name}.{os.getpid()}{_PART}")
+        beside = target.with_name(f"{target.name}.{os.getpid()}.part")
         try:
             write(beside)
             os.replace(beside, target)
@@ -140,17 +131,6 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
             raise
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-def _remove_stale_parts(folder: Path) -> None:
-    """Removes unfinished files whose process no longer exists."""
-    for part in folder.glob(f"*{glob.escape(_PART)}"):
-        number = part.name.removesuffix(_PART).rpartition(".")[2]
-        with contextlib.suppress(OSError, ValueError):
-            try:
-                os.kill(int(number), 0)
-            except ProcessLookupError:
-                part.unlink()
 
 
 def replace_text(path: Path, text: str) -> None:
@@ -190,16 +170,12 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     Raises:
         OSError: if the file cannot be opened.
-        ValueError: if it is not such an archive, is damaged, holds Python objects, or needs more
-            memory than is available.
+        ValueError: if it is not such an archive, is damaged, or holds Python objects.
     """
     import numpy as np
 
     with path.open("rb") as file:
         try:
-            with zipfile.ZipFile(file) as archive:
-                check_memory("its arrays", sum(entry.file_size for entry in archive.infolist()))
-            file.seek(0)
             with np.load(file, allow_pickle=False) as arrays:
                 return dict(arrays)
         except Exception as error:
@@ -241,6 +217,14 @@ def user_cache(name: str) -> Path:
     """A folder of the user's for what is made once and can be made again; it need not be there."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "drake_oa" / name
+
+
+def package_file(url_or_file: str) -> Path:
+    """Returns the file of a `package://drake_oa/...` URL, or the path itself."""
+    name = url_or_file.removeprefix("package://drake_oa/")
+    return (
+        Path(str(resources.files("drake_oa.models"))) / name if name != url_or_file else Path(name)
+    )
 
 
 def installed_package(name: str) -> Path | None:
@@ -295,29 +279,12 @@ def software_versions() -> tuple[str, ...]:
     return (*found, f"date {made['date']}", f"source_digest {made['source_digest']}")
 
 
-def available_memory() -> int | None:
-    """Returns the memory that can be used [byte], at most that of the container; None: unknown."""
-    found, container = [], Path("/sys/fs/cgroup")
-    with contextlib.suppress(KeyError, OSError, ValueError):
-        found.append(1024 * _numbers(Path("/proc/meminfo"))["MemAvailable:"])
-    with contextlib.suppress(KeyError, OSError, ValueError):
-        limit, used = (int((container / f"memory.{n}").read_text()) for n in ("max", "current"))
-        stat = _numbers(container / "memory.stat")
-        # The cache of files gives way.
-        found.append(max(limit - used + stat["active_file"] + stat["inactive_file"], 0))
-    return min(found, default=None)
-
-
-def _numbers(path: Path) -> dict[str, int]:
-    """Returns the number in each line of a file by the word before it."""
-    return {word: int(number) for word, number, *_ in map(str.split, path.read_text().splitlines())}
-
-
 def check_memory(what: str, size: int) -> None:
-    """Raises ValueError when `size` bytes for `what` are more than there are."""
-    there = available_memory()
-    if there is not None and size > there:
+    """Raises ValueError when `size` bytes for `what` are more than available."""
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    available = 1024 * next(int(line.split()[1]) for line in lines if "MemAvailable" in line)
+    if size > available:
         raise ValueError(
-            f"{what}: would take about {size / 1e9:.3g} GB of memory; {there / 1e9:.3g} GB "
+            f"{what}: would take about {size / 1e9:.3g} GB of memory; {available / 1e9:.3g} GB "
             f"are available"
         )

@@ -1,4 +1,4 @@
-"""A diagram's signals by name: who offers each, who reads it, and what is put between.
+"""Signals of a diagram by name: their sources, their readers, and systems put between.
 
 A system offers its outputs, and reads its inputs, under the names of their ports; all is
 connected at the end, so that the order in which systems are added does not matter. A signal
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, OutputPort, System
-from pydrake.systems.primitives import VectorLogSink
+from pydrake.systems.primitives import LogVectorOutput
 
 LOG_PERIOD = 0.004
 """Time between logged instants [s]."""
@@ -35,17 +35,19 @@ class _Wired:
     if_read: bool = False
 
     def inputs(self) -> dict[str, InputPort]:
-        ports = map(self.system.get_input_port, range(self.system.num_input_ports()))
-        return self._named({port.get_name(): port for port in ports}, self.reads)
+        """Returns signal -> input port."""
+        count = self.system.num_input_ports()
+        return self._named(list(map(self.system.get_input_port, range(count))), self.reads)
 
     def outputs(self) -> dict[str, OutputPort]:
-        ports = map(self.system.get_output_port, range(self.system.num_output_ports()))
-        return self._named({port.get_name(): port for port in ports}, self.offers)
+        """Returns signal -> output port."""
+        count = self.system.num_output_ports()
+        return self._named(list(map(self.system.get_output_port, range(count))), self.offers)
 
-    def _named(self, ports: dict[str, _Port], names: Names) -> dict[str, _Port]:
+    def _named(self, ports: list[_Port], names: Names) -> dict[str, _Port]:
         if len(ports) == 1 == len(self.behind) and not names:
-            return dict(zip(self.behind, ports.values(), strict=True))
-        signals = {names.get(name, name): port for name, port in ports.items()}
+            return {self.behind[0]: ports[0]}
+        signals = {names.get(port.get_name(), port.get_name()): port for port in ports}
         return {signal: port for signal, port in signals.items() if signal is not None}
 
 
@@ -80,7 +82,7 @@ class Wires:
         self._taken.append((signal, port))
 
     def otherwise(self, signal: str, instead: str) -> None:
-        """Has those who read a signal that nobody offers read another one."""
+        """Connects readers of a signal without a source to another signal."""
         self._otherwise[signal] = instead
 
     def add(
@@ -107,8 +109,6 @@ class Wires:
         Raises:
             ValueError: if there is a subsystem of that name, or a signal has a source.
         """
-        if name in self._systems or self.builder.HasSubsystemNamed(name):
-            raise ValueError(f"there is a system '{name}' already; Wires.replace takes its place")
         self._add(name, _Wired(system, reads or {}, offers or {}, if_read=if_read))
         return system
 
@@ -128,15 +128,13 @@ class Wires:
         """
         if name not in self._systems:
             raise ValueError(f"there is no system '{name}'; there are {', '.join(self._systems)}")
-        following = list(self._systems)
-        following = following[following.index(name) + 1 :]
+        names = list(self._systems)
         before = self._systems.pop(name)
         reads = before.reads if reads is None else reads
         offers = before.offers if offers is None else offers
         self._add(name, _Wired(system, reads, offers, before.behind))
         # In the place of the one before, which is that of its events at equal times.
-        for later in following:
-            self._systems[later] = self._systems.pop(later)
+        self._systems = {each: self._systems[each] for each in names}
         return system
 
     def interpose(
@@ -171,8 +169,6 @@ class Wires:
                     f"'{name}' cannot be put behind '{one}': it offers "
                     f"{', '.join(wired.outputs()) or 'nothing'}"
                 )
-        if name in self._systems or self.builder.HasSubsystemNamed(name):
-            raise ValueError(f"there is a system '{name}' already")
         self._add(name, wired)
         return system
 
@@ -185,7 +181,7 @@ class Wires:
         self._exported += signals
 
     def __contains__(self, signal: str) -> bool:
-        """Whether anybody offers a signal so far."""
+        """Returns whether a signal has a source so far."""
         return self._source(signal) is not None
 
     def connect(self) -> None:
@@ -212,14 +208,14 @@ class Wires:
                 self.builder.Connect(source, port)
         for signal in self._logged:
             if (source := self._source(signal)) is not None:
-                sink = VectorLogSink(source.size(), LOG_PERIOD)
-                self.builder.AddNamedSystem(f"log_{signal}", sink)
-                self.builder.Connect(source, sink.get_input_port())
+                LogVectorOutput(source, self.builder, LOG_PERIOD).set_name(f"log_{signal}")
         for signal in self._exported:
             if (source := self._source(signal)) is not None:
                 self.builder.ExportOutput(source, signal)
 
     def _add(self, name: str, wired: _Wired) -> None:
+        if name in self._systems or self.builder.HasSubsystemNamed(name):
+            raise ValueError(f"there is a system '{name}' already; Wires.replace takes its place")
         for signal in wired.outputs():
             if signal not in wired.behind:
                 self._refuse_second(signal)
@@ -241,9 +237,10 @@ class Wires:
                 del self._systems[name]
 
     def _signals(self) -> set[str]:
-        systems = self._systems.values()
-        offered = {s for wired in systems for s in wired.outputs() if s not in wired.behind}
-        return offered | set(self._offered)
+        offered = set(self._offered)
+        for wired in self._systems.values():
+            offered |= wired.outputs().keys() - set(wired.behind)
+        return offered
 
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
         """The port that a signal comes from; as `before` reads it, which is put behind it."""

@@ -1,16 +1,16 @@
-"""The demonstrated motions of a scenario: read from their files, and averaged."""
+"""Demonstrated motions of a scenario: read from their files, and averaged."""
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drake_oa.common.config import ScenarioError, field_errors
-from drake_oa.common.files import read_arrays
+from drake_oa.common.files import package_file, read_arrays
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.averaging import STILL, average_orientations, average_paths
 from drake_oa.policy.config import Policy
@@ -23,7 +23,6 @@ from drake_oa.policy.dmp import (
     imitate_orientation,
 )
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.task import LONGEST, Task
 
 MOST_SAMPLES = 1_000_000
@@ -38,12 +37,11 @@ _CSV = (
     f"it must be a CSV whose first line names its columns, {_HEADER}, and every other line has a "
     "number for each of them"
 )
-_LONGEST_HEADER = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """What somebody showed once.
+    """One demonstrated motion.
 
     Attributes:
         path: (T, 3) positions [m].
@@ -104,7 +102,7 @@ def read_demonstrations(task: Task) -> list[Demonstration]:
 
 
 def demonstrated_path(scenario: Scenario) -> Dmp:
-    """The movement primitive of the demonstrated positions.
+    """Makes the movement primitive of the demonstrated positions.
 
     Raises:
         ScenarioError: naming the files, if they cannot be imitated.
@@ -118,7 +116,7 @@ def demonstrated_path(scenario: Scenario) -> Dmp:
 
 
 def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
-    """The movement primitive of the demonstrated orientations; None: there are none.
+    """Makes the movement primitive of the demonstrated orientations; None: there are none.
 
     Raises:
         ScenarioError: naming the files, if they cannot be imitated.
@@ -133,7 +131,7 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:
-    """What position and orientation are both learnt with."""
+    """Returns the constants that position and orientation share."""
     names = ("n_basis", "alpha_x", "beta_x", "alpha_k")
     return {name: getattr(policy, name) for name in names}
 
@@ -143,74 +141,43 @@ def _files(task: Task) -> str:
 
 
 def _of_archive(path: Path) -> dict[str, FloatArray]:
-    """The arrays of an .npz that are of a demonstration."""
+    """Returns the arrays of an .npz that are of a demonstration."""
     arrays = read_arrays(path)
-    _check_count(max((len(array) for array in arrays.values() if array.ndim), default=0))
     if "path" not in arrays:
         raise ValueError("it has no `path`")
-    names = ("path", "t", "quaternion", "R")
-    return {name: arrays[name] for name in names if name in arrays}
+    return {name: arrays[name] for name in ("path", "t", "quaternion", "R") if name in arrays}
 
 
 def _of_csv(path: Path) -> dict[str, FloatArray]:
-    """The columns of a CSV, as an .npz would have them."""
+    """Returns the columns of a CSV, as an .npz would have them."""
     with path.open(encoding="utf-8-sig") as file:
-        header = file.readline(_LONGEST_HEADER).strip()
+        header = file.readline(1000).strip()
         names = [name.strip() for name in header.split(",")]
-        known = ("t", "x", "y", "z", *_TURN)
-        unknown = [name for name in names if name not in known]
-        if all(map(_is_number, names)):
-            raise ValueError(f"it has no header: its first line is {header[:80]!r}")
-        if unknown:
-            raise ValueError(f"its header has an unknown column {unknown[0][:80]!r}")
-        if len(set(names)) < len(names) or not {"x", "y", "z"} <= set(names):
-            raise ValueError(f"its header is {header!r}")
-        turned = [name for name in _TURN if name in names]
-        if turned and len(turned) < len(_TURN):
-            raise ValueError(f"of a quaternion it has {', '.join(turned)} alone")
-        table = array("d")
-        for number, line in enumerate(map(str.strip, file), start=2):
-            if not line and not any(map(str.strip, file)):
+        for columns in ("x y z", "t x y z", "x y z qw qx qy qz", "t x y z qw qx qy qz"):
+            if sorted(names) == sorted(columns.split()):
                 break
-            cells = line.split(",")
-            try:
-                table.extend(map(float, cells))
-            except ValueError:
-                cells = []
-            if len(cells) != len(names):
-                raise ValueError(f"line {number} is not {len(names)} numbers, but {line[:80]!r}")
-            _check_count(number - 1)
-    rows = np.array(table, dtype=float).reshape(-1, len(names))
-    column = dict(zip(names, rows.T, strict=True))
+        else:
+            raise ValueError(f"its first line is {header[:80]!r}")
+        table = np.loadtxt(islice(file, MOST_SAMPLES + 1), delimiter=",", ndmin=2)
+    column = dict(zip(names, table.T, strict=True))
     found = {"path": np.stack([column[name] for name in "xyz"], axis=1)}
     if "t" in column:
         found["t"] = column["t"]
-    if turned:
+    if _TURN[0] in column:
         found["quaternion"] = np.stack([column[name] for name in _TURN], axis=1)
     return found
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _check_count(count: int) -> None:
-    if count > MOST_SAMPLES:
+def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
+    """Returns the arrays of a file as a demonstration that can be imitated."""
+    path = arrays["path"]
+    if path.ndim != 2 or path.shape[1] != 3:
+        raise ValueError(f"its path is {path.shape}; {_CONTENTS}")
+    if len(path) > MOST_SAMPLES:
         raise ValueError(
             f"it has more than {MOST_SAMPLES} samples, which is {MOST_SAMPLES // 1000} s at 1 kHz: "
             "cut it, or keep every so many"
         )
-
-
-def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
-    """What was read, as something that can be imitated."""
-    path = arrays["path"]
-    if path.ndim != 2 or path.shape[1] != 3:
-        raise ValueError(f"its path is {path.shape}; {_CONTENTS}")
     given = [arrays[name] for name in ("quaternion", "R") if name in arrays]
     if len(given) > 1:
         raise ValueError("it has both `quaternion` and `R`; leave one of the two out")

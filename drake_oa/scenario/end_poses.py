@@ -20,7 +20,7 @@ from drake_oa.policy.dmp import (
 )
 from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_constants
 from drake_oa.scenario.scenario import Scenario, robot_of
 
@@ -31,7 +31,7 @@ _FEWEST = 5
 
 @dc.dataclass(frozen=True, eq=False)
 class ToolOrientation:
-    """The orientation along the motion.
+    """Orientation of the tool along the motion.
 
     Attributes:
         primitive: its movement primitive.
@@ -44,11 +44,11 @@ class ToolOrientation:
     R_WG: FloatArray
 
     def along(self, s: FloatArray) -> FloatArray:
-        """(T, 3, 3) orientations at normalised times (T,)."""
+        """Returns orientations (T, 3, 3) at normalized times (T,)."""
         return orientation_along(self.primitive, self.R_WS, self.R_WG, s)
 
     def samples(self) -> FloatArray:
-        """(N, 3, 3) orientations of the whole way, from start to goal."""
+        """Returns orientations (N, 3, 3) of the whole way, from start to goal."""
         R = self.along(np.linspace(0.0, 1.0, 201))
         # The angle between one and the next, from the trace of the rotation between them.
         cosine = 0.5 * (np.einsum("tij,tij->t", R[1:], R[:-1]) - 1.0)
@@ -59,7 +59,7 @@ class ToolOrientation:
 
 
 def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
-    """The orientation along the motion; None: it stays `robot.rpy_WE`, or there is no robot.
+    """Returns the orientation along the motion; None: it is constant, or there is no robot.
 
     Start and goal are `task.rpy_start` and `task.rpy_goal`; where one is not given, what the
     demonstration has there, or without orientations in it `robot.rpy_WE`.
@@ -90,7 +90,7 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
 
 
 def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
-    """R_WE at start and goal.
+    """Returns R_WE at start and goal.
 
     Raises:
         ScenarioError: if the scenario has no robot, or as `tool_orientation`.
@@ -106,7 +106,7 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
 
 
 def held_robots(scenario: Scenario) -> list[Robot]:
-    """The robot with each orientation that stands for the way as its `rpy_WE`; the start's first.
+    """Returns the robot with orientations of the whole way as its `rpy_WE`; the start's first.
 
     Empty without a robot, of one item where the orientation stays.
     """
@@ -125,8 +125,8 @@ def held_robots(scenario: Scenario) -> list[Robot]:
     ]
 
 
-_POSITION_TOLERANCE, _ANGLE_TOLERANCE = 1e-3, 0.01
-"""Maximum difference between a given pose and that of the given joints [m, rad]."""
+_TOLERANCE = 1e-3
+"""Maximum difference of the elements of a given pose from those of the given joints [m, 1]."""
 _ENDS = ("start", "goal")
 
 
@@ -185,39 +185,8 @@ def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
             setattr(task, f"rpy_{end}", RollPitchYaw(X_WE.rotation()).vector().tolist())
 
 
-def _check_agreement(
-    robot_plant: RobotPlant, end: str, q: FloatArray, X_WE: RigidTransform
-) -> None:
-    """Refuses a pose of the task that is not that of its joints.
-
-    Args:
-        robot_plant: the robot alone.
-        end: "start" or "goal".
-        q: (nq,) the robot's positions there.
-        X_WE: the pose that the task asks for.
-
-    Raises:
-        ScenarioError: naming the field.
-    """
-    (of_joints,) = robot_plant.tool_poses(q[None])
-    apart = float(np.linalg.norm(of_joints.translation() - X_WE.translation()))
-    if apart > _POSITION_TOLERANCE:
-        raise ScenarioError(
-            f"task.{end}: {np.round(X_WE.translation(), 4).tolist()} is {1e3 * apart:.1f} mm from "
-            f"where task.q_{end} has the tool, {np.round(of_joints.translation(), 4).tolist()} m; "
-            "leave one of the two out"
-        )
-    off = of_joints.rotation().InvertAndCompose(X_WE.rotation()).ToAngleAxis().angle()
-    if off > _ANGLE_TOLERANCE:
-        rpy = np.round(RollPitchYaw(of_joints.rotation()).vector(), 4).tolist()
-        raise ScenarioError(
-            f"task.rpy_{end}: the orientation is {np.rad2deg(off):.1f} degrees from that of "
-            f"task.q_{end}, {rpy} rad; leave one of the two out"
-        )
-
-
 def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> FloatArray:
-    """(T, n) postures from start to goal at normalised times (T,), of minimum jerk."""
+    """Returns postures (T, n) from start to goal at normalized times (T,), of minimum jerk."""
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)
 
@@ -244,7 +213,14 @@ def end_positions(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     for name, place in places.items():
         X_WE = RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place))
         if name in found:
-            _check_agreement(robot_plant, name, found[name], X_WE)
+            (of_joints,) = robot_plant.tool_poses(found[name][None])
+            if not of_joints.IsNearlyEqualTo(X_WE, _TOLERANCE):
+                p = np.round(of_joints.translation(), 4).tolist()
+                rpy = np.round(RollPitchYaw(of_joints.rotation()).vector(), 4).tolist()
+                raise ScenarioError(
+                    f"task.{name}, task.rpy_{name}: task.q_{name} has the tool at {p} m, {rpy} "
+                    "rad; leave one of the two out"
+                )
             continue
         with field_errors(f"task.{name}", ValueError):
             found[name] = solve_tool_pose(

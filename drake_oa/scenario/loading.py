@@ -63,7 +63,9 @@ def load_scenario(name_or_file: str, overrides: Sequence[str] = ()) -> Scenario:
     """
     path = scenario_path(name_or_file)
     try:
-        return _build(_read(path, overrides))
+        return parse_scenario(path.read_text("utf-8"), overrides, folder=path.parent)
+    except UnicodeDecodeError as error:
+        raise ScenarioError(str(error), file=path.name) from None
     except ScenarioError as error:
         raise error.of_file(path.name) from None
 
@@ -72,15 +74,11 @@ def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[
     """Returns one line for each wrong field of a scenario, without building its diagram.
 
     Raises:
-        ScenarioError: for a file that does not exist, or that is not YAML.
+        ScenarioError: for a file that does not exist.
     """
-    path = scenario_path(name_or_file)
+    scenario_path(name_or_file)
     try:
-        data = _read(path, overrides)
-    except ScenarioError as error:
-        raise error.of_file(path.name) from None
-    try:
-        _build(data)
+        load_scenario(name_or_file, overrides)
     except ScenarioError as error:
         return list(error.problems)
     return []
@@ -97,33 +95,16 @@ def parse_scenario(
     Raises:
         ScenarioError: listing every wrong field.
     """
-    return _build(_plain(text, overrides, folder or Path()))
-
-
-def _read(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
-    try:
-        text = path.read_text("utf-8")
-    except UnicodeDecodeError as error:
-        raise ScenarioError(str(error)) from None
-    return _plain(text, overrides, path.parent)
-
-
-def _plain(text: str, overrides: Sequence[str], folder: Path) -> dict[str, Any]:
-    """Returns the plain data of a scenario's text, with absolute file names."""
     data = read_yaml(text)
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise ScenarioError(
             f"expected a block of field: value, not the {type(data).__name__} {data!r}"
         )
-    _resolve_files(data, folder)
+    _resolve_files(data, folder or Path())
     for override in overrides:
         apply_override(data, override)
     _resolve_files(data, Path())
-    return data
-
-
-def _build(data: dict[str, Any]) -> Scenario:
     scenario: Scenario = validate(Scenario, data)
     problems = [
         *perception_problems(scenario.perception, scenario.cameras),
@@ -134,10 +115,8 @@ def _build(data: dict[str, Any]) -> Scenario:
     ]
     if problems:
         raise ScenarioError(*problems)
-    follow_joints(
-        scenario,
-        {name for name, value in (data.get("task") or {}).items() if value is not None},
-    )
+    stated = data.get("task") or {}
+    follow_joints(scenario, {name for name, value in stated.items() if value is not None})
     return scenario
 
 

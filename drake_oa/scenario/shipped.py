@@ -42,11 +42,3 @@ def _text(path: Path, *fields: str) -> str:
         pairs = node.value if isinstance(node, yaml.MappingNode) else ()
         node = next((value for key, value in pairs if key.value == field), None)
     return node.value if isinstance(node, yaml.ScalarNode) else ""
-
-
-def package_file(url_or_file: str) -> Path:
-    """The file behind a `package://drake_oa/...` URL, or the path itself."""
-    prefix = "package://drake_oa/"
-    if url_or_file.startswith(prefix):
-        return Path(str(resources.files("drake_oa.models"))) / url_or_file.removeprefix(prefix)
-    return Path(url_or_file)

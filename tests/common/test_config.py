@@ -12,12 +12,13 @@ import pytest
 from pydantic import ValidationError
 
 from drake_oa.common.config import ScenarioError, json_schema, read_yaml, validate
+from drake_oa.common.files import package_file
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inertias import Inertia
 from drake_oa.scenario.loading import parse_scenario, scenario_schema
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.shipped import package_file, shipped_scenarios
+from drake_oa.scenario.shipped import shipped_scenarios
 
 SCHEMA = scenario_schema()
 

@@ -50,17 +50,6 @@ def test_on_a_terminal_it_is_ruled_and_fits() -> None:
     assert set(rule[0]) == {"─"}
     assert [row[0] for row in rows] == ["paper", "verified"]
     assert note == ["note:", "all"]
-    goal, error, last, _, first, *_ = on_terminal(TABLE, 36)
-    assert (goal, error, last) == (["goal"], ["error"], ["method", "[mm]", "scenes", "note"])
-    assert first == ["paper", "0.4", "12", "-"]
-
-
-def test_on_a_narrow_terminal_rows_and_columns_change_places() -> None:
-    rows = [{"": "one", **dict.fromkeys("abcdefgh", 1.23)}, {"": "two"}]
-    table = TextTable([Column(key) for key in ("", *"abcdefgh")], rows)
-    heading, _, *turned = on_terminal(table, 40)
-    assert heading == ["one", "two"]
-    assert turned == [[key, "1.23", "-"] for key in "abcdefgh"]
 
 
 def test_progress_is_for_terminals(

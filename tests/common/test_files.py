@@ -1,8 +1,6 @@
 """Checking and replacing the files that commands write."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -87,19 +85,6 @@ def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -
         replace_file(file, fail)
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> None:
-    file = tmp_path / "run.npz"
-    script = (
-        "import os, pathlib, sys, drake_oa.common.files as files\n"
-        "def write(path): path.write_text('half'); os.kill(os.getpid(), 9)\n"
-        "files.replace_file(pathlib.Path(sys.argv[1]), write)"
-    )
-    subprocess.run([sys.executable, "-c", script, file], check=False)
-    assert [part.suffix for part in tmp_path.iterdir()] == [".part"]
-    replace_text(tmp_path / "other.json", "{}")
-    assert [path.name for path in tmp_path.iterdir()] == ["other.json"]
 
 
 def test_the_source_digest_covers_what_a_motion_depends_on(

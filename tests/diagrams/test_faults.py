@@ -16,6 +16,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, LeafSystem, State
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import (
     DECIDING,
     EllipsoidSet,
@@ -31,7 +32,6 @@ from drake_oa.runs.simulation import MotionInterruptedError, simulate
 from drake_oa.scenario.faults import ModelError
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.shipped import package_file
 from tests.builders import balls
 from tests.diagrams.fault_systems import Customize, missing_table, nan_frames
 

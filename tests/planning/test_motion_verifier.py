@@ -14,6 +14,7 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import (
     BoolArray,
     CouplingParameters,
@@ -41,7 +42,6 @@ from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import tool_poses
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import Ring
-from drake_oa.scenario.shipped import package_file
 from tests.builders import balls
 from tests.planning.arms import ArmAlone, box_at
 

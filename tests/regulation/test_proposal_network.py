@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.proposals import (
@@ -24,7 +25,6 @@ from drake_oa.regulation.proposals import (
     save_proposals,
     strengths,
 )
-from drake_oa.scenario.shipped import package_file
 
 
 def some_scene(seed: int, M: int = 4) -> Scene:

@@ -3,10 +3,10 @@
 import numpy as np
 from pydrake.common.value import Value
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import PolicyState
 from drake_oa.regulation.regressor import load_chain, section_extents
 from drake_oa.regulation.regressor_chain import RegressorChain
-from drake_oa.scenario.shipped import package_file
 from tests.builders import balls
 
 WEIGHTS = load_chain(package_file("package://drake_oa/weights/paper_chain_running.safetensors"))

@@ -1,6 +1,5 @@
 """Reading scenarios: what is valid, and what each error says."""
 
-import itertools
 from pathlib import Path
 
 import pytest
@@ -122,20 +121,10 @@ def test_a_file_that_states_nothing_is_all_defaults(text: str, tmp_path: Path) -
     assert load_scenario(str(file)) == Scenario()
 
 
-def alias_bomb(levels: int = 9, width: int = 9) -> str:
-    """Lists of aliases of lists: width^levels values in a few lines."""
-    names = [f"a{k}" for k in range(levels)]
-    rows = [f"a0: &a0 [{', '.join('x' * width)}]"]
-    for inner, name in itertools.pairwise(names):
-        rows.append(f"{name}: &{name} [{', '.join([f'*{inner}'] * width)}]")
-    return "\n".join(rows) + "\n"
-
-
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (alias_bomb().encode(), "more than 100000 values"),
-        (b"task: &a {goal: *a}", "more than 100000 values"),
+        (b"task: &a {goal: *a}", "too many blocks or lists within each other"),
         (b"cameras: " + b"[" * 3000 + b"]" * 3000, "too many blocks or lists within each other"),
         (b"\x7fELF\xc5\x00", "can't decode byte 0xc5"),
     ],

@@ -29,7 +29,7 @@ import yaml
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_oa.common.config import ScenarioError, check_size, validate
+from drake_oa.common.config import ScenarioError, validate
 from drake_oa.robot.config import Robot
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
@@ -174,9 +174,6 @@ def parse_problem(text: ProblemText) -> Problem:
 
 def _read(text: str) -> Any:
     try:
-        root = yaml.compose(text, Loader=yaml.CSafeLoader)
-        if root is not None:
-            check_size(root)
         return yaml.load(text, Loader=yaml.CSafeLoader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"not valid YAML: {error}") from None

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.planning.search import Ranked
@@ -31,7 +32,6 @@ from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene, ToolRollouts
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
-from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.paper_method import run as run_paper
 from drake_oa.studies.scenes.paper_method import run_original
 from drake_oa.studies.scenes.scenes import (

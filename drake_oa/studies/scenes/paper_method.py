@@ -28,10 +28,10 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.regulation.regressor import ChainWeights, load_chain
-from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.training.released_law import STEPS, ReleasedMotions, Steps
 
