@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, IntArray
 
 HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
-"""What an image shows where a point should be: something before it, something at its
-depth, only what is behind it, nothing at all, or nothing far around it either: as before a
-background that is too far away to be measured."""
-_AROUND = 12  # how far around it [pixel]: shadows beside what stands before it are narrower
+"""State of a point by an image: occluded, at the depth of a surface, free, without depth or outside
+the image, or without depth far around it: before a background too far to be measured."""
+_AROUND = 12
+"""Distance of the pixels far around it [pixel]: shadows beside nearer objects are narrower."""
+_STEPS = np.indices((3, 3)).reshape(2, -1) - 1
+"""Row and column (2, 9) of a pixel and its neighbors from the pixel."""
 
 
 class View(NamedTuple):
@@ -34,12 +35,6 @@ class View(NamedTuple):
     z: NDArray[np.float32]
     K: FloatArray
     X_WC: FloatArray
-
-    @staticmethod
-    def of(depth: NDArray[np.floating], K: FloatArray, X_WC: FloatArray) -> View:
-        """The arrays as kernels take them: writable, C-contiguous, of one type each."""
-        z = np.require(depth, np.float32, ["C", "W"])
-        return View(z, *(np.require(a, np.float64, ["C", "W"]) for a in (K, X_WC)))
 
 
 def pinhole(camera: CameraInfo) -> list[float]:
@@ -75,70 +70,39 @@ def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray
     return np.where(inside, row * shape[1] + column, -1).astype(np.int64)
 
 
-@compiled
-def shown(points: FloatArray, view: View, margin: float, pixel: IntArray) -> IntArray:
-    """What a depth image shows where points should be.
+def shown(points: FloatArray, view: View, margin: float) -> tuple[IntArray, IntArray]:
+    """Classifies points by a depth image.
 
-    Nine pixels are asked about each point, so that one that is missing, or flies,
-    decides nothing.
+    Nine pixels around each point decide, so that one that is missing, or flies, does not.
 
     Args:
         points: (N, 3) in the world frame [m].
         view: the depth image.
-        margin: depth difference that tells "before" and "behind" from "at" [m].
-        pixel: (N,) written: flat index of each point's pixel, -1 outside the image.
+        margin: depth difference that separates "before" and "behind" from "at" [m].
 
     Returns:
-        (N,) HIDDEN, AT, FREE, OUT or EMPTY.
+        (N,) HIDDEN, AT, FREE, OUT or EMPTY, and (N,) flat index of each point's pixel, -1 outside
+        the image.
     """
-    z, K, X_WC = view
-    rows, columns = z.shape
-    seen = np.full(len(points), OUT, dtype=np.int64)
-    p = np.empty(3)
-    for i in range(len(points)):
-        pixel[i] = -1
-        for k in range(3):
-            p[k] = 0.0
-            for m in range(3):
-                p[k] += X_WC[m, k] * (points[i, m] - X_WC[m, 3])
-        if p[2] < 1e-6:
-            continue
-        u = int(np.floor(K[0] * p[0] / p[2] + K[2] + 0.5))
-        v = int(np.floor(K[1] * p[1] / p[2] + K[3] + 0.5))
-        if u < 0 or u >= columns or v < 0 or v >= rows:
-            continue
-        pixel[i] = v * columns + u
-        at, before, behind = 0, 0, 0
-        for row in range(max(0, v - 1), min(rows, v + 2)):
-            for column in range(max(0, u - 1), min(columns, u + 2)):
-                depth = z[row, column]
-                if not depth > 0.0:
-                    continue
-                beyond = depth - p[2]
-                if beyond > margin:
-                    behind += 1
-                elif beyond < -margin:
-                    before += 1
-                else:
-                    at += 1
-        if at > 0:
-            seen[i] = AT
-        elif before > 0:
-            seen[i] = HIDDEN
-        elif behind > 2:
-            seen[i] = FREE
-        elif behind == 0 and _is_empty(z, v, u):
-            seen[i] = EMPTY
-    return seen
-
-
-@compiled
-def _is_empty(z: NDArray[np.float32], row: int, column: int) -> bool:
-    """Whether pixels all around a pixel have no depth; not where the image ends."""
-    rows, columns = z.shape
-    for i in range(-2, 3):
-        for j in range(-2, 3):
-            v, u = row + i * _AROUND // 2, column + j * _AROUND // 2
-            if v < 0 or v >= rows or u < 0 or u >= columns or z[v, u] > 0.0:
-                return False
-    return True
+    p_C = (points - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
+    z, (rows, columns) = view.z, view.z.shape
+    pixel = pixel_at(p_C, z.shape, view.K)
+    row, column = np.divmod(pixel, columns)
+    near = _STEPS[:, :, None]
+    depth = z[np.clip(row + near[0], 0, rows - 1), np.clip(column + near[1], 0, columns - 1)]
+    is_measured = depth > 0.0
+    with np.errstate(invalid="ignore"):
+        beyond = depth - p_C[:, 2]
+        behind = (is_measured & (beyond > margin)).sum(axis=0)
+        is_before = (is_measured & (beyond < -margin)).any(axis=0)
+        is_at = (is_measured & (np.abs(beyond) <= margin)).any(axis=0)
+    # Whether pixels far around it have no depth either; not at the border of the image.
+    far = _AROUND * near
+    is_inside = (row >= _AROUND) & (row < rows - _AROUND)
+    is_inside &= (column >= _AROUND) & (column < columns - _AROUND)
+    around = z[np.clip(row + far[0], 0, rows - 1), np.clip(column + far[1], 0, columns - 1)]
+    is_empty = is_inside & ~is_measured.any(axis=0) & ~(around > 0.0).any(axis=0)
+    seen = np.select(
+        [pixel < 0, is_at, is_before, behind > 2, is_empty], [OUT, AT, HIDDEN, FREE, EMPTY], OUT
+    )
+    return seen, pixel

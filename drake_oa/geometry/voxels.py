@@ -10,21 +10,6 @@ from drake_oa.common.messages import FloatArray, IntArray
 _STRIDES = np.array([1 << 42, 1 << 21, 1])
 
 
-@compiled
-def members_of(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Sorts members by group: begin of each group (C + 1,), and members (N,), ascending in each."""
-    begin = np.zeros(count + 1, dtype=np.int64)
-    for i in range(len(group)):
-        begin[group[i] + 1] += 1
-    for g in range(count):
-        begin[g + 1] += begin[g]
-    members, place = np.empty(len(group), dtype=np.int64), begin.copy()
-    for i in range(len(group)):
-        members[place[group[i]]] = i
-        place[group[i]] += 1
-    return begin, members
-
-
 def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
     """Averages points (N, 3) by voxel [m].
 
@@ -73,6 +58,7 @@ def connected_clusters(
 ) -> IntArray:
     """Labels (N,) of points (N, 3): those within the tolerance [m] share one.
 
+    Labels are in the order of the first points.
     Points of equal ``groups`` (N,) share one too, at any distance.
     """
     if not len(points):
@@ -84,6 +70,7 @@ def connected_clusters(
         _, first, group = np.unique(groups[order], return_index=True, return_inverse=True)
         parent = first[group]
     _unite(np.roll(points[order], -longest, axis=1), float(tolerance), parent)
-    label = np.empty(len(points), dtype=np.int64)
-    label[order] = np.unique(parent, return_inverse=True)[1]
-    return label
+    root = np.empty(len(points), dtype=np.int64)
+    root[order] = parent
+    _, first, label = np.unique(root, return_index=True, return_inverse=True)
+    return np.asarray(first.argsort().argsort()[label])

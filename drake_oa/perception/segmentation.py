@@ -470,7 +470,7 @@ def _merged(
             pixel = pixel_at(p_C, view.z.shape, view.K)
             is_behind = (pixel >= 0) & (view.z.ravel()[pixel] > p_C[..., 2] + config.voxel)
             is_open |= (is_behind & ~np.isin(owner[pixel], (one, other))).any(axis=0)
-        if len(bridges) and 4 * np.count_nonzero(is_open) <= len(bridges):
+        if len(bridges) and 2 * np.count_nonzero(is_open) <= len(bridges):
             merged[merged == merged[other]] = merged[one]
     return merged[label]
 

@@ -446,7 +446,7 @@ class _Step:
     def _look(self) -> _Look:
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
         radius, near = _MATCH_RADIUS, SUPPORT_RADIUS
-        nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
+        nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius)
         looked = shown_at(
             p_WQ,
             distance >= near,
@@ -489,8 +489,8 @@ class _Step:
     def _behind_itself(self, association: Association, look: _Look) -> BoolArray:
         if not self.complete:
             return np.zeros(len(self.points), dtype=bool)
-        pixels = [self.frame.pixels_in(image) for image in range(len(self.frame.views))]
-        return hidden_by_itself(look.looked, self.points.owner, association.cluster_row, pixels)
+        rows = association.cluster_row
+        return hidden_by_itself(look.looked, self.points.owner, rows, self.frame)
 
     def _doubt(self, look: _Look, behind: BoolArray) -> None:
         """How much of each obstacle is not where it is remembered."""
@@ -621,7 +621,7 @@ class _Step:
         for row, label, seen in parts:
             mine = np.flatnonzero(self.points.owner == row)
             p_WQ = self.points.p_OQ[mine] + self.tracks.shift_W[row]
-            nearest, _, _ = mutual_nearest(p_WQ, seen, UNSEEN_GAP, 0.0)
+            nearest, _, _ = mutual_nearest(p_WQ, seen, UNSEEN_GAP)
             part = np.append(label, -1)[nearest]
             for name in np.unique(part[part >= 0]):
                 new = len(self.tracks)

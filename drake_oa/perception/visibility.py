@@ -24,13 +24,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleClouds
 from drake_oa.geometry.distance_field import VOXEL
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, View, shown
 from drake_oa.geometry.solids import Solids, least_distances
-from drake_oa.geometry.voxels import members_of
+from drake_oa.perception.segmentation import Segmentation
 
 _CERTAIN = 4
 """The most evidence that a point can have."""
@@ -40,7 +40,6 @@ SUPPORT_RADIUS = 0.012
 """Distance at which a point of a frame supports the remembered point [m]."""
 SAME_RADIUS = 0.008
 """Distance at which a seen and a remembered point are the same point [m]."""
-_CELLS = 60  # the most cells along an axis
 _SAYS = np.array([1, 3, 4, 0, 2])
 """How much HIDDEN, AT, FREE, OUT and EMPTY say: of several images the one counts that says most."""
 
@@ -59,88 +58,24 @@ class Looked(NamedTuple):
     pixel: IntArray
 
 
-@compiled
 def mutual_nearest(
-    query: FloatArray, points: FloatArray, radius: float, near: float
+    query: FloatArray, points: FloatArray, radius: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The nearest point to each query in reach, and how near any query is to each point.
+    """Finds the nearest point to each query within a radius, and the nearest query to each point.
 
     Args:
         query: (Q, 3) [m].
         points: (N, 3) [m].
-        radius: a point is in reach of a query when it is nearer than this [m].
-        near: a query is in reach of a point when it is nearer than this, <= radius [m];
-            one that is farther may be overlooked.
+        radius: maximum distance [m].
 
     Returns:
-        (Q,) index of the nearest point, -1 where none is in reach; (Q,) its distance and
-        (N,) the distance of the nearest query, ``radius`` where there is none [m].
+        (Q,) index of the nearest point, -1 without one in the radius; (Q,) its distance and
+        (N,) the distance of the nearest query, ``radius`` without one [m].
     """
-    nearest = np.full(len(query), -1, dtype=np.int64)
-    from_query = np.full(len(query), radius * radius)
-    from_point = np.full(len(points), radius * radius)
-    if len(points) == 0:
-        return nearest, np.sqrt(from_query), np.sqrt(from_point)
-    # Cells of a grid round the points: what is in reach is in the 27 about a query.
-    low, high = points[0].copy(), points[0].copy()
-    for i in range(len(points)):
-        for k in range(3):
-            low[k], high[k] = min(low[k], points[i, k]), max(high[k], points[i, k])
-    edge = (1.0 + 1e-9) * radius
-    for k in range(3):
-        edge = max(edge, (high[k] - low[k]) / _CELLS)
-    rows, columns, layers = (
-        int((high[0] - low[0]) / edge) + 1,
-        int((high[1] - low[1]) / edge) + 1,
-        int((high[2] - low[2]) / edge) + 1,
-    )
-    cell_of = np.empty(len(points), dtype=np.int64)
-    for i in range(len(points)):
-        a, b = int((points[i, 0] - low[0]) / edge), int((points[i, 1] - low[1]) / edge)
-        cell_of[i] = (a * columns + b) * layers + int((points[i, 2] - low[2]) / edge)
-    begin, members = members_of(cell_of, rows * columns * layers)
-    ordered = np.empty((len(points), 3))
-    for place in range(len(points)):
-        for k in range(3):
-            ordered[place, k] = points[members[place], k]
-    least = np.full(len(points), radius * radius)
-    # The own column first: what it holds mostly rules out the others.
-    steps = (0, -1, 1)
-    for q in range(len(query)):
-        x, y, z = query[q, 0], query[q, 1], query[q, 2]
-        a = int(np.floor((x - low[0]) / edge))
-        b = int(np.floor((y - low[1]) / edge))
-        c = int(np.floor((z - low[2]) / edge))
-        first, last = max(c - 1, 0), min(c + 2, layers)
-        if first >= last:
-            continue
-        below_x, below_y = x - low[0] - a * edge, y - low[1] - b * edge
-        gap_x = (0.0, below_x * below_x, (edge - below_x) ** 2)
-        gap_y = (0.0, below_y * below_y, (edge - below_y) ** 2)
-        best, found = radius * radius, -1
-        for i in range(3):
-            row = a + steps[i]
-            for j in range(3):
-                column = b + steps[j]
-                if gap_x[i] + gap_y[j] >= max(best, near * near):
-                    continue
-                if row < 0 or row >= rows or column < 0 or column >= columns:
-                    continue
-                base = (row * columns + column) * layers
-                # The cells above each other are one run.
-                for place in range(begin[base + first], begin[base + last]):
-                    d2 = (ordered[place, 0] - x) ** 2
-                    d2 += (ordered[place, 1] - y) ** 2
-                    d2 += (ordered[place, 2] - z) ** 2
-                    least[place] = d2 if d2 < least[place] else least[place]
-                    if d2 < best:
-                        best, found = d2, place
-        from_query[q] = best
-        if found >= 0:
-            nearest[q] = members[found]
-    for place in range(len(points)):
-        from_point[members[place]] = least[place]
-    return nearest, np.sqrt(from_query), np.sqrt(from_point)
+    from_query, nearest = cKDTree(points).query(query, distance_upper_bound=radius)
+    from_point, _ = cKDTree(query).query(points, distance_upper_bound=radius)
+    nearest = np.where(np.isfinite(from_query), nearest, -1)
+    return nearest, np.minimum(from_query, radius), np.minimum(from_point, radius)
 
 
 def hidden_beyond(
@@ -238,12 +173,10 @@ def shown_at(
     As `shown`; a cloud (no images) is taken to show every point. Those that no point of the frame
     supports, `missed` (N,), are not asked for where the robot is within its margin [m].
     """
-    pixel = np.full((len(views), len(p_WQ)), -1, dtype=np.int64)
-    each = np.empty_like(pixel)
-    for row, view in enumerate(views):
-        each[row] = shown(p_WQ, view, margin, pixel[row])
     if not len(views):
-        return Looked(np.full(len(p_WQ), AT, dtype=np.int64), each, pixel)
+        none = np.zeros((0, len(p_WQ)), dtype=np.int64)
+        return Looked(np.full(len(p_WQ), AT), none, none)
+    each, pixel = np.stack([shown(p_WQ, view, margin) for view in views], axis=1)
     shows = each[_SAYS[each].argmax(axis=0), np.arange(len(p_WQ))]
     if robot is not None:
         # Only what seems to be gone needs the robot's excuse.
@@ -254,29 +187,26 @@ def shown_at(
 
 
 def hidden_by_itself(
-    looked: Looked, owner: IntArray, cluster_row: IntArray, pixels: Sequence[Sequence[IntArray]]
+    looked: Looked, owner: IntArray, cluster_row: IntArray, frame: Segmentation
 ) -> BoolArray:
-    """Which hidden points (N,) have their own obstacle before them: it moved or turned.
+    """Finds hidden points (N,) behind their own obstacle: it moved or turned.
 
-    They have so in each image that shows where they should be; another one may have seen them
+    They are so in each image that shows their place; another one may have seen them
     from behind.
 
     Args:
         looked: from `shown_at`.
         owner: (N,) their obstacles.
         cluster_row: (C,) obstacle of each cluster.
-        pixels: for each image the ascending pixels of each cluster.
+        frame: the frame.
     """
     before = np.zeros(looked.each.shape, dtype=bool)
-    for own, each, pixel, shown_by in zip(before, looked.each, looked.pixel, pixels, strict=True):
-        hidden = np.flatnonzero(each == HIDDEN)
-        if not len(hidden):
-            continue
-        for row, surface in zip(cluster_row.tolist(), shown_by, strict=True):
-            mine = hidden[owner[hidden] == row]
-            if len(mine) and len(surface):
-                place = np.minimum(np.searchsorted(surface, pixel[mine]), len(surface) - 1)
-                own[mine] |= surface[place] == pixel[mine]
+    for image, view in enumerate(frame.views):
+        row_at = np.full(view.z.size, -1)
+        for row, surface in zip(cluster_row.tolist(), frame.pixels_in(image), strict=True):
+            row_at[surface] = row
+        is_own = row_at[looked.pixel[image]] == owner
+        before[image] = (looked.each[image] == HIDDEN) & is_own
     return np.asarray(before.any(axis=0) & (before | (looked.pixel < 0)).all(axis=0))
 
 

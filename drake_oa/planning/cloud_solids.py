@@ -224,10 +224,9 @@ def _made(
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
     """Which points (N, 3) [m] any of the images sees through."""
-    points, pixel = np.require(p_WQ, np.float64, ["C", "W"]), np.empty(len(p_WQ), dtype=np.int64)
     free = np.zeros(len(p_WQ), dtype=bool)
     for view in views:
-        free |= shown(points, view, _SEEN_FREE, pixel) == FREE
+        free |= shown(p_WQ, view, _SEEN_FREE)[0] == FREE
     return free
 
 

@@ -215,7 +215,7 @@ OTHER = look_at([1.5, 0.1, 0.8], [0.8, 0.0, 0.0])
 
 def both(boxes, table=(0.8, 0.0, 0.5, 0.4)) -> list[View]:
     """Images of the boxes from both sides."""
-    return [View.of(ray_cast(X, boxes, table), K, X) for X in (X_WC, OTHER)]
+    return [View(ray_cast(X, boxes, table), K, X) for X in (X_WC, OTHER)]
 
 
 def test_images_of_one_instant_are_one_frame():
@@ -242,7 +242,7 @@ def test_an_image_without_the_table_shows_it_as_the_others_do():
     alone = ray_cast(OTHER, TWO, NOWHERE)
     # By itself it takes the top of a box for it.
     assert segment_depth(alone, K, OTHER).clouds_W == ()
-    found = segment_views([views[0], View.of(alone, K, OTHER)])
+    found = segment_views([views[0], View(alone, K, OTHER)])
     assert found.blind == {}
     assert len(found.clouds_W) == 2
     assert min(map(len, found.pixels_in(1))) > 50
@@ -251,7 +251,7 @@ def test_an_image_without_the_table_shows_it_as_the_others_do():
 @pytest.mark.parametrize("config", [None, NO_TABLE])
 def test_a_blind_image_is_left_out_and_told_of(config):
     views = both(TWO)
-    nothing = View.of(np.full(SIZE, np.nan), K, OTHER)
+    nothing = View(np.full(SIZE, np.nan), K, OTHER)
     found = segment_views([nothing, views[0]], config)
     assert list(found.blind) == [0]
     assert found.usable

@@ -617,7 +617,7 @@ def views(things, rng=None) -> list[View]:
     drawn = [render(*things, X_WC=X) for X in (X_WC, OPPOSITE)]
     if rng is not None:
         drawn = [noisy(depth, rng) for depth in drawn]
-    return [View.of(depth, K, X) for depth, X in zip(drawn, (X_WC, OPPOSITE), strict=True)]
+    return [View(depth, K, X) for depth, X in zip(drawn, (X_WC, OPPOSITE), strict=True)]
 
 
 def play_both(*frames, memory=None, start=0.0, robot=None, cameras=2, **options):

@@ -280,7 +280,7 @@ def whole(half=HALF, center=CENTER, spacing=0.004):
 def image(eye, *boxes):
     """Of boxes (low, high) on a table, from a place that looks at their middle."""
     X_WC = look_at(eye, [0.4, 0.0, 0.1])
-    return View.of(ray_cast(X_WC, boxes), K, X_WC)
+    return View(ray_cast(X_WC, boxes), K, X_WC)
 
 
 # 1 cm thin, 20 cm broad: from one camera it may be 8 cm deep.

@@ -50,7 +50,7 @@ def moving_ball(p_WO: FloatArray, v_WO: tuple[float, float, float] = (0.0, 0.0, 
 def seen(depth: float) -> FreeSpace:
     """Every pixel has this depth [m]."""
     image = np.full((240, 320), depth, dtype=np.float32)
-    return FreeSpace((View.of(image, K, X_WC),), 0.0)
+    return FreeSpace((View(image, K, X_WC),), 0.0)
 
 
 @pytest.mark.parametrize(
