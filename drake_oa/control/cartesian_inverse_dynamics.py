@@ -16,7 +16,8 @@ from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.geometry.rotation import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
-"""Error of the tool position above which the integral rests: another cause is likely then [m]."""
+"""Error of the tool position along an axis above which the integral rests: another cause is likely
+then [m]."""
 LARGEST_ACCELERATION = 2.0
 """Largest acceleration by which the integral corrects each axis [m/s^2]; a wrong model of the Panda
 needs less than 1."""
@@ -81,13 +82,10 @@ class CartesianInverseDynamics(InverseDynamics):
 
     and the posture acceleration
 
-        a_0 = kp_posture (q_posture - q) + kd_posture (v_posture - v)
-              + kp_limit M^-1 diag(M) (clip(q) - q),
-
-    where clip(q) keeps `limit_margin` away from the limits: the last term is a torque away from
-    them, so its share in the null space never points towards the limit.
+        a_0 = kp_posture (q_posture - q) + kd_posture (v_posture - v).
     """
 
+    largest_error = np.repeat([0.0, LARGEST_ERROR], 3)
     max_correction = LARGEST_ACCELERATION
 
     def __init__(
@@ -103,27 +101,13 @@ class CartesianInverseDynamics(InverseDynamics):
         Args:
             plant: as of `InverseDynamics`, like all other arguments.
             R_WE_desired: orientation of the tool, held where no other is asked for.
-            q_posture: posture that the null space is drawn to, where no other is asked for:
-                the arm's joints, or all positions of the plant [rad].
-
-        Raises:
-            ValueError: if the plant is not such a robot, has no such frame, or the
-                posture has the wrong size.
+            q_posture: (nq,) positions of the plant, to whose arm the null space is drawn, where no
+                other posture is asked for [rad, m].
         """
         super().__init__(plant, **options)
-        q = np.array(q_posture, dtype=float)
-        if q.shape not in ((self._n,), (self._m,)) or not np.isfinite(q).all():
-            raise ValueError(
-                f"q_posture: shape {q.shape} with values {q}; it must hold {self._n} (the arm) or "
-                f"{self._m} (all positions) finite numbers"
-            )
-        q = q if len(q) == self._n else q[self._arm]
         gains = self._gains
-        margin = gains.limit_margin
         self._kp = np.repeat([gains.kp_orientation, gains.kp_position], 3)
         self._kd = np.repeat([gains.kd_orientation, gains.kd_position], 3)
-        self._q_lower = plant.GetPositionLowerLimits()[self._arm] + margin
-        self._q_upper = plant.GetPositionUpperLimits()[self._arm] - margin
         self._desired = [
             self.DeclareVectorInputPort(f"desired_{name}", 3)
             for name in ("position", "velocity", "acceleration")
@@ -132,7 +116,7 @@ class CartesianInverseDynamics(InverseDynamics):
             "orientation": R_WE_desired.ToQuaternion().wxyz(),
             "angular_velocity": np.zeros(3),
             "angular_acceleration": np.zeros(3),
-            "posture": np.append(q, np.zeros(self._n)),
+            "posture": np.append(np.asarray(q_posture)[self._arm], np.zeros(self._n)),
         }
         self._optional = [
             (self.DeclareVectorInputPort(f"desired_{name}", len(default)), default)
@@ -145,8 +129,8 @@ class CartesianInverseDynamics(InverseDynamics):
     def _drive(
         self, context: Context, model: Context, M: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        x, gains, arm = self._state.Eval(context), self._gains, self._arm
-        q, v = x[: self._m][arm], x[self._m :][arm]
+        gains, arm = self._gains, self._arm
+        q, v = np.reshape(self._state.Eval(context), (2, -1))[:, arm]
         p_d, v_d, a_d = (port.Eval(context) for port in self._desired)
         quaternion, w_d, alpha_d, posture = (
             port.Eval(context) if port.HasValue(context) else default
@@ -167,14 +151,6 @@ class CartesianInverseDynamics(InverseDynamics):
             + correction
             - bias.get_coeffs()
         )
-        q_error, v_error = posture[: self._n] - q, posture[self._n :] - v
-        a_0 = gains.kp_posture * q_error + gains.kd_posture * v_error
-        # Repulsion is a torque: as an acceleration, the inertia that couples the joints could turn
-        # it towards the limit.
-        inside = np.minimum(np.maximum(q, self._q_lower), self._q_upper)
-        repulsion = gains.kp_limit * M.diagonal() * (inside - q)
-        return operational_space_drive(M, J, task, a_0, repulsion, gains), error
-
-    def _integrand(self, error: FloatArray) -> FloatArray:
-        position = np.append(np.zeros(3), error[3:])
-        return position if np.linalg.norm(position) <= LARGEST_ERROR else np.zeros(6)
+        q_posture, v_posture = np.split(posture, 2)
+        a_0 = gains.kp_posture * (q_posture - q) + gains.kd_posture * (v_posture - v)
+        return operational_space_drive(M, J, task, a_0, gains), error

@@ -72,6 +72,8 @@ class InverseDynamics(LeafSystem):
     torque is evaluated once for all outputs; the robot's model is a cache entry of the Context.
     """
 
+    largest_error: FloatArray | float
+    """Magnitude of a component of the error above which its integral does not grow."""
     max_correction: float
     """Largest acceleration by which the integral corrects a component of the error."""
 
@@ -94,27 +96,18 @@ class InverseDynamics(LeafSystem):
             finger_opening: set point of each joint that does not move the tool [m].
             period: of the integral [s].
 
-        Raises:
-            ValueError: if the plant is not such a robot or has no such frame.
         """
         super().__init__()
-        if not plant.is_finalized():
-            raise ValueError("plant: it must be finalized: call plant.Finalize() first")
-        if not plant.HasFrameNamed(tool_frame):
-            raise ValueError(f"tool_frame: the plant has no frame '{tool_frame}'")
-        if not math.isfinite(finger_opening):
-            raise ValueError(f"finger_opening {finger_opening} must be finite [m]")
         self._plant, self._frame = plant, plant.GetFrameByName(tool_frame)
         self._gains, self._opening = gains or Gains(), finger_opening
-        self._period = valid_period(period)
+        self._period, self._m = valid_period(period), plant.num_velocities()
         actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
         self._order = [actuator.joint().velocity_start() for actuator in actuators]
-        self._arm = find_arm(plant, self._frame, self._order)
-        self._m = plant.num_velocities()
-        self._n = self._arm.stop - self._arm.start
-        self._hand = np.delete(np.arange(self._m), self._arm)
         self._effort = np.empty(self._m)
         self._effort[self._order] = plant.GetEffortUpperLimits()
+        self._arm = find_arm(plant, self._frame)
+        self._n = self._arm.stop - self._arm.start
+        self._hand = np.delete(np.arange(self._m), self._arm)
         self._state = self.DeclareVectorInputPort("robot_state", 2 * self._m)
         self._model = ModelContext(self, plant)
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, self._period, self._integrate)
@@ -156,29 +149,24 @@ class InverseDynamics(LeafSystem):
             (n,) torques tau - h [N m], not finite if an input is not; and (k,) the control error.
         """
 
-    @abstractmethod
-    def _integrand(self, error: FloatArray) -> FloatArray:
-        """Returns the control error (k,), with zeros where it is too large to be integrated."""
-
     def _integrate(self, context: Context, values: DiscreteValues) -> None:
-        correction = context.get_discrete_state_vector().value()
-        rate = self._gains.ki_position * self._integrand(self._evaluate(context).error)
-        limit = self.max_correction
-        values.set_value(np.clip(correction + self._period * rate, -limit, limit))
+        error = self._evaluate(context).error
+        known = np.where(np.abs(error) <= self.largest_error, error, 0.0)
+        rate = self._period * self._gains.ki_position
+        correction = context.get_discrete_state_vector().value() + rate * known
+        values.set_value(np.clip(correction, -self.max_correction, self.max_correction))
 
     # Values that are not finite are an expected input; the sum of the drive shows them.
     @np.errstate(over="ignore", invalid="ignore")
     def _calc_command(self, context: Context, value: AbstractValue) -> None:
         plant, arm, hand, effort = self._plant, self._arm, self._hand, self._effort
-        x = self._state.Eval(context)
-        q, v = x[: self._m], x[self._m :]
+        q, v = np.split(self._state.Eval(context), 2)
         correction = context.get_discrete_state_vector().value()
         unknown = np.full(len(correction), np.inf)
         tau, saturated, stopping, error = np.zeros(self._m), False, True, unknown
         spring = FINGER_STIFFNESS * (self._opening - q[hand]) - FINGER_DAMPING * v[hand]
-        spring[~np.isfinite(spring)] = 0.0
-        tau[hand] = np.minimum(np.maximum(spring, -effort[hand]), effort[hand])
-        if np.abs(x).max() < LARGEST_STATE:
+        tau[hand] = np.clip(np.nan_to_num(spring), -effort[hand], effort[hand])
+        if np.abs([q, v]).max() < LARGEST_STATE:
             model = self._model.at(context, q, v)
             forces = MultibodyForces(plant)
             plant.CalcForceElementsContribution(model, forces)
@@ -222,7 +210,7 @@ class JointInverseDynamics(InverseDynamics):
     and outputs NaN for a state that is not finite.
     """
 
-    max_correction = LARGEST_ACCELERATION
+    largest_error, max_correction = LARGEST_ERROR, LARGEST_ACCELERATION
 
     def __init__(self, plant: MultibodyPlant, **options: Any) -> None:
         """Declares ports and state; the arguments are those of `InverseDynamics`."""
@@ -234,9 +222,8 @@ class JointInverseDynamics(InverseDynamics):
     def _drive(
         self, context: Context, model: Context, M: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        x, desired, gains = self._state.Eval(context), self._desired.Eval(context), self._gains
-        error = desired[: self._n] - x[: self._m][self._arm]
-        error_rate = desired[self._n :] - x[self._m :][self._arm]
+        state, gains = np.reshape(self._state.Eval(context), (2, -1)), self._gains
+        error, error_rate = np.reshape(self._desired.Eval(context), (2, -1)) - state[:, self._arm]
         acceleration = (
             self._acceleration.Eval(context)
             + gains.kp_position * error
@@ -245,36 +232,19 @@ class JointInverseDynamics(InverseDynamics):
         )
         return M @ acceleration, error
 
-    def _integrand(self, error: FloatArray) -> FloatArray:
-        return np.where(np.abs(error) <= LARGEST_ERROR, error, 0.0)
 
-
-def find_arm(plant: MultibodyPlant, frame: Frame, actuated: list[int]) -> slice:
+def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
     """Finds the joints that move the tool, by their indices in the velocities of the plant.
 
-    Args:
-        plant: finalized.
-        frame: of the tool.
-        actuated: indices of the joints with an actuator.
-
     Raises:
-        ValueError: if a joint has several degrees of freedom or no actuator, no joint moves the
-            tool, or those that do are not consecutive.
+        ValueError: if no joint moves it, or those that do are not consecutive.
     """
     joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
-    moving = [joint for joint in joints if joint.num_velocities() > 0]
-    for joint in moving:
-        if joint.num_velocities() != 1 or joint.velocity_start() not in actuated:
-            raise ValueError(
-                f"plant: joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom"
-                f"{'' if joint.velocity_start() in actuated else ' and no actuator'}; every joint "
-                "must have one and be actuated, and the base be welded to the world"
-            )
-    tool = frame.body().index()
     arm = [
         joint.velocity_start()
-        for joint in moving
-        if tool in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+        for joint in joints
+        if joint.num_velocities()
+        and frame.body().index() in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
     ]
     if not arm or arm != list(range(arm[0], arm[0] + len(arm))):
         raise ValueError(
@@ -302,13 +272,8 @@ def limit_torque(
     Returns:
         (n,) torques within the limits, and whether a joint needed more.
     """
-    tau = bias + drive
-    saturated: BoolArray = np.abs(tau) > effort
-    if not saturated.any():
-        return tau, False
-    # A drive that unloads a joint whose bias is beyond the limit may stay.
-    sense = np.sign(tau)
-    limiting = saturated & (sense * drive > 0.0)
-    room = (effort - sense * bias)[limiting]
-    factor = max((room / np.abs(drive[limiting])).min(initial=1.0), 0.0)
-    return np.minimum(np.maximum(bias + factor * drive, -effort), effort), True
+    saturated: BoolArray = np.abs(bias + drive) > effort
+    acts = drive != 0.0
+    room = (np.sign(drive) * effort - bias)[acts] / drive[acts]
+    factor = np.clip(room.min(initial=1.0), 0.0, 1.0)
+    return np.clip(bias + factor * drive, -effort, effort), bool(saturated.any())

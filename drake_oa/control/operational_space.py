@@ -23,28 +23,26 @@ def operational_space_drive(
     J: FloatArray,
     task: FloatArray,
     posture: FloatArray,
-    repulsion: FloatArray,
     gains: Gains,
 ) -> FloatArray:
-    """Computes M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0), a_0 = posture + M^-1 repulsion.
+    """Computes M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0).
 
     Args:
         M: (n, n) mass matrix [kg m^2].
         J: (6, n) Jacobian of the tool.
         task: (6,) A_c - dJ/dt v [rad/s^2, m/s^2].
         posture: (n,) acceleration towards the posture [rad/s^2].
-        repulsion: (n,) torques away from the joint limits [N m].
         gains: `max_effective_mass` and `rotation_length`.
 
     Returns:
         (n,) torques tau - h [N m]; not finite if an argument is not.
     """
     J_by_M = np.linalg.solve(M, J.T).T
-    remaining = task - J @ posture - J_by_M @ repulsion
+    remaining = task - J @ posture
     force = damped_task_force(
         J_by_M @ J.T, remaining, gains.max_effective_mass, gains.rotation_length
     )
-    drive: FloatArray = M @ posture + repulsion + J.T @ force
+    drive: FloatArray = M @ posture + J.T @ force
     return drive
 
 

@@ -8,9 +8,10 @@ evenly spaced knots whose coefficients c minimize
     mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 
 (P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996), with the first three and the last
-three coefficients equal: it begins and ends at rest, as a primitive does. ds_di is the time that a
-sample stands for: each recording counts the same, however often it was sampled. The forcing term
-is linear in a motion, so its regression over all recordings is that of their mean.
+three coefficients at the recordings' mean ends: it begins and ends at rest, as a primitive does.
+ds_di is the time that a sample stands for: each recording counts the same, however often it was
+sampled. The forcing term is linear in a motion, so its regression over all recordings is that of
+their mean.
 """
 
 from __future__ import annotations
@@ -162,13 +163,15 @@ def _regressed(
     breaks = np.linspace(0.0, 1.0, max(round(_SPANS_PER_BASIS * n_basis), 1) + 1)
     knots = np.concatenate([np.zeros(5), breaks, np.ones(5)])
     count = len(breaks) + 4
-    # At rest at both ends: three coefficients are one.
-    free = np.repeat(np.eye(count - 4), [3, *[1] * (count - 6), 3], axis=0)
+    # At rest at the mean of the recordings' ends: three coefficients are one.
+    coefficients = np.zeros((count, values[0].shape[1]))
+    coefficients[:3] = np.mean([x[0] for x in values], axis=0)
+    coefficients[-3:] = np.mean([x[-1] for x in values], axis=0)
     basis = BSpline.design_matrix(np.concatenate(times), knots, 5).toarray()
     root = np.sqrt(np.concatenate(shares) / len(values))[:, None]
     rows = np.concatenate([root * basis, math.sqrt(_PENALTY) * np.diff(np.eye(count), 3, axis=0)])
-    target = np.zeros((len(rows), values[0].shape[1]))
-    target[: len(root)] = root * np.concatenate(parts)
-    coefficients = np.linalg.lstsq(rows @ free, target, rcond=None)[0]
+    target = -rows @ coefficients
+    target[: len(root)] += root * np.concatenate(parts)
+    coefficients[3:-3] = np.linalg.lstsq(rows[:, 3:-3], target, rcond=None)[0]
     mean_stamps = at * float(np.mean([t[-1] - t[0] for t in stamps]))
-    return BSpline(knots, free @ coefficients, 5)(at), mean_stamps
+    return BSpline(knots, coefficients, 5)(at), mean_stamps

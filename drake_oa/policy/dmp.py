@@ -284,7 +284,9 @@ def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatAr
         raise ValueError(f"t must be one stamp a sample, ({len(path)},), not {t.shape}")
     _refuse(~np.isfinite(path).all(axis=1), "path must be finite: sample {} is not")
     _refuse(~np.isfinite(t), "t must be finite: sample {} is not")
-    _refuse(np.append(False, np.diff(t) <= 0.0), "stamps must increase: that of sample {} does not")
+    row = int(np.append(np.diff(t) <= 0.0, True).argmax()) + 1
+    if row < len(t):
+        raise ValueError(f"stamps must increase: sample {row} at {t[row]} s follows {t[row - 1]} s")
     return path, t
 
 
@@ -536,7 +538,7 @@ def checked_rotations(orientations: ArrayLike) -> FloatArray:
     between = Rotation.from_matrix(given[:-1].transpose(0, 2, 1) @ given[1:]).magnitude()
     _refuse(
         between > _HALF_TURN,
-        "orientations: sample {} is half a turn from the next one, which leaves open which way "
+        "orientations: sample {} and the next are half a turn apart, which leaves open which way "
         "round; sample more often",
     )
     return given

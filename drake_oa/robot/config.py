@@ -49,11 +49,6 @@ class Gains:
     posture more stiffly."""
     kd_posture: float = Field(default=10.0, ge=0.0, le=1e4)
     """Derivative gain of the posture in the null space of the task [1/s]. Raising it damps more."""
-    kp_limit: float = Field(default=100.0, ge=0.0, le=1e5)
-    """Gain of the repulsion from joint limits in the null space [1/s^2]; 0: none. Raising it keeps
-    joints farther from their limits."""
-    limit_margin: float = Field(default=0.1, ge=0.0, le=math.pi)
-    """Distance to a joint limit within which the repulsion acts [rad]. Raising it acts earlier."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
     """Effective mass above which the inverse is damped, near singularities [kg]. Raising it tracks
     exactly closer to singularities."""

@@ -45,7 +45,7 @@ def test_one_recording_loses_its_tremor_keeps_its_way_and_ends_at_rest() -> None
     assert mean.shape == (POINTS, 3)
     assert stamps[-1] == pytest.approx(5.0)
     way = trajectory(imitate(mean, stamps, still=STILL), START, GOAL, steps=1000, end=2.0)
-    assert np.linalg.norm(way.p - arc(np.minimum(way.s, 1.0)), axis=1).max() < 1e-3
+    assert np.linalg.norm(way.p - arc(np.minimum(way.s, 1.0)), axis=1).max() < 2e-3
     assert np.linalg.norm(way.p[500:] - GOAL, axis=1).max() < 4e-4
     # What a spline through every sample learns is far off: of the tremor's acceleration.
     raw = trajectory(imitate(path, t), START, GOAL, steps=1000, end=2.0)
@@ -88,7 +88,7 @@ def test_a_few_points_are_gone_through_and_a_gap_is_bridged() -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda p, t: (p, np.append(t[:-1], t[-2])), "that of sample 499"),
+        (lambda p, t: (p, np.append(t[:-1], t[-2])), "sample 499 at .* follows"),
         (lambda p, t: (np.vstack([p, p[::-1]]), np.arange(1000.0)), "show it in two parts"),
     ],
 )

@@ -136,9 +136,13 @@ def test_a_goal_half_a_turn_away_is_approached_as_demonstrated() -> None:
         ([[1.0, 0, 0, 0], [0, 0, 0, 0]], None, "quaternion of sample 1 is 0"),
         ([[1.0, 0, 0, 0], [np.nan, 0, 0, 0]], None, "sample 1 is not"),
         ([np.eye(3), 2.0 * np.eye(3)], None, "sample 1 is no rotation matrix"),
-        ([np.eye(3), np.diag([1.0, -1.0, -1.0])], None, "sample 0 is half a turn from the next"),
+        (
+            [np.eye(3), np.diag([1.0, -1.0, -1.0])],
+            None,
+            "sample 0 and the next are half a turn apart",
+        ),
         (turned(np.outer(SHARE, [0.0, 0.0, 12.0])), None, "at most 300 degrees can be imitated"),
-        ([START, START, START], [0.0, 1.0, 1.0], "that of sample 2"),
+        ([START, START, START], [0.0, 1.0, 1.0], "sample 2 at 1.0 s follows 1.0 s"),
     ],
 )
 def test_a_bad_demonstration_says_what_and_where(

@@ -102,7 +102,7 @@ def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
         (["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,0,0,0"], ["quaternion of sample 1 is 0"]),
         (
             ["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,1,0,0"],
-            ["0 and 1 are half a turn apart"],
+            ["sample 0 and the next are half a turn apart"],
         ),
     ],
 )
