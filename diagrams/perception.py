@@ -194,7 +194,6 @@ def _add_depth_camera(
         pixel_center=live.pixel_center if live else PIXEL_CENTER,
         period=perception_period(scenario),
         delay=first.delay,
-        all_needed=source.all_needed,
         together=live.together if live else 0.0,
         unsaid=live.max_age if live else 0.0,
         depth_range=(

@@ -45,8 +45,7 @@ def perceive(
 
       .npz        depth (H, W) [m] and K = [fx, fy, cx, cy], or points (N, 3) [m];
                   optionally X_WC (4, 4)
-      .pcd .ply   a cloud [m]; an organized .pcd (HEIGHT above 1) in the camera's frame is
-                  read as the depth image it is
+      .pcd .ply   a cloud [m]
       .png        16-bit depth, 0 where missing; with --intrinsics, or a file beside it:
                   NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ... that holds
                   fx, fy, cx, cy or K, camera_matrix (ROS), and optionally depth_scale

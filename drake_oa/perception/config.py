@@ -143,9 +143,6 @@ class CameraSource:
     cameras: list[str] = Field(default_factory=list)
     """Names of several cameras with synchronized images, in place of `camera`. A point that any
     camera sees is visible; occluded space is occluded from all."""
-    all_needed: bool = True
-    """Whether the observation is as old as the last image of the camera that has been silent for
-    the longest time; if false, as the newest image of any camera."""
     noise: CameraNoise | None = None
     """Noise of the simulated cameras, {} for the published values; null: no noise."""
     segmentation: SegmentationConfig = Field(default_factory=SegmentationConfig)

@@ -200,8 +200,7 @@ class DepthPerception(LeafSystem):
     newest one's time, and without the robot where it was at any of them. A camera that has no such
     image, or one that tells nothing, is left out of it and named in `note`; the others' sight
     counts, and the obstacles' stamp is that of the last image of the camera that has been missing
-    for longest: where nobody looks anything may have come meanwhile. With `all_needed` false it is
-    the newest.
+    for longest: obstacles may have entered where no camera looks.
     """
 
     def __init__(
@@ -213,7 +212,6 @@ class DepthPerception(LeafSystem):
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
         delay: float = 0.0,
-        all_needed: bool = True,
         together: float = 0.0,
         unsaid: float = 0.0,
         depth_range: tuple[float, float] = (0.0, np.inf),
@@ -231,8 +229,6 @@ class DepthPerception(LeafSystem):
                 turns the scene by half a pixel where it is not allowed for.
             period: time between frames [s].
             delay: how long after a period's beginning its images come [s].
-            all_needed: whether obstacles are as old as the oldest camera's image, or as the
-                newest.
             together: images of several cameras whose stamps differ by no more are taken as of one
                 instant, that of the newest [s].
             unsaid: how old a camera's last image may be before `note` says that there is no new
@@ -251,7 +247,7 @@ class DepthPerception(LeafSystem):
             for one in cameras.values()
         ]
         self._config = config or SegmentationConfig()
-        self._robot, self._all_needed = robot, all_needed
+        self._robot = robot
         self._together, self._unsaid = together, unsaid
         period = valid_period(period)
         several = len(cameras) > 1
@@ -316,9 +312,7 @@ class DepthPerception(LeafSystem):
                 if row in blind or self._overdue(stamps[row], time)
             ]
             note = "; ".join([*why, *filter(None, [note])])
-            if self._all_needed:
-                obstacles = as_of(memory.obstacles, float(told.min()))
-                memory = replace(memory, obstacles=obstacles)
+            memory = replace(memory, obstacles=as_of(memory.obstacles, float(told.min())))
         if frame.usable:
             seen = dict(zip(seeing, frame.views, strict=True))
             views = tuple(seen.get(row) for row in range(len(stamps)))

@@ -5,8 +5,7 @@ A file is one frame:
 - ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
   (N, 3) [m]; in either case optionally ``X_WC`` (4, 4), ``stamp`` [s] and
   ``robot_state`` [q, v], by which the robot is taken out of the frame;
-- ``.pcd`` or ``.ply``: a cloud. One with the rows and columns of a depth image (a
-  .pcd file's HEIGHT above 1) is read as that image, its K being fitted to the points;
+- ``.pcd`` or ``.ply``: a cloud;
 - ``.png``: a 16-bit depth image whose K stands in a file beside it: for ``scene.png`` in
   ``scene.json``, ``intrinsics.json`` or ``camera_info.json`` (or ``.yaml``, ``.yml``). It holds
   ``fx, fy, cx, cy``, or a row-major 3 x 3 matrix ``K``, ``k``, ``camera_matrix`` (ROS: with
@@ -55,8 +54,8 @@ _SHAPES: dict[str, tuple[int | None, ...]] = {
 }
 """Shapes of the arrays of a .npz file; None: any length."""
 
-_HEADER = re.compile(rb"^(POINTS|WIDTH|HEIGHT|DATA|element vertex)\s+(\d+|binary)", re.MULTILINE)
-"""Fields of the header of a .pcd or .ply file that are checked."""
+_HEADER = re.compile(rb"^(?:POINTS|element vertex)\s+(\d+)", re.MULTILINE)
+"""Number of points in the header of a .pcd or .ply file."""
 
 _POINTS_PER_BYTE = 88
 """Upper bound of the number of points in a byte of a file: LZF compresses no better."""
@@ -66,9 +65,6 @@ _DAMAGED = (
     "must follow; write it again as .pcd or .ply with fields x, y and z"
 )
 """Error message for a cloud that cannot be read."""
-
-_PINHOLE_TOLERANCE = 0.5
-"""RMS error up to which an organized cloud counts as a depth image [pixel]."""
 
 _STAMP = re.compile(r"(?:^|[^0-9.])([0-9]+\.[0-9]+)$")
 
@@ -178,20 +174,16 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
     if ("depth" in data) == ("points" in data) or ("depth" in data and "K" not in data):
         raise ValueError(f"'{path}' must hold either 'depth' and 'K' or 'points'")
     for name, array in data.items():
-        shape = _SHAPES[name]
-        measured = name in ("depth", "points")
-        if (
-            array.dtype.kind not in ("f" if measured else "fiu")
-            or array.ndim != len(shape)
-            or any(need not in (None, size) for need, size in zip(shape, array.shape, strict=True))
-            or not (array.size if measured else np.isfinite(array).all())
-        ):
+        shape, measured = _SHAPES[name], name in ("depth", "points")
+        sizes = tuple(need or size for need, size in zip(shape, array.shape, strict=False))
+        kinds = "f" if measured else "fiu"
+        is_valid = array.dtype.kind in kinds and array.shape == sizes and array.ndim == len(shape)
+        if not (is_valid and (array.size if measured else np.isfinite(array).all())):
             raise ValueError(
                 f"'{name}' in '{path}' must be {'floats [m]' if measured else 'finite numbers'} "
                 f"of shape {shape}, not {array.dtype} {array.shape}"
             )
-        if not measured:
-            data[name] = array.astype(float)
+        data[name] = array if measured else array.astype(float)
     if "K" in data:
         checked_intrinsics(data["K"], f"'{path}': 'K'")
     if "X_WC" in data:
@@ -204,7 +196,14 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
 def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
     import open3d
 
-    columns, rows = _check_cloud(path)
+    # Open3D allocates memory for all points of the header, and leaves that of missing lines of a
+    # .pcd file as it is.
+    data = path.read_bytes()
+    promised = int((_HEADER.findall(data[:65536]) or [b"0"])[0])
+    lines = data.partition(b"DATA ascii\n")[2] if path.suffix.lower() == ".pcd" else b""
+    held = lines.count(b"\n") if lines else len(data) * _POINTS_PER_BYTE
+    if not 0 < promised <= held:
+        raise ValueError(_DAMAGED.format(path))
     # Open3D only warns, on standard output, about a file that it cannot read.
     warnings = io.StringIO()
     with (
@@ -214,52 +213,7 @@ def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
         points = np.array(open3d.io.read_point_cloud(path).points, dtype=float)
     if warnings.getvalue() or not np.isfinite(points).all(axis=1).any():
         raise ValueError(_DAMAGED.format(path))
-    if rows > 1 and columns * rows == len(points):
-        image = _as_depth_image(points.reshape(rows, columns, 3))
-        if image is not None:
-            return RecordedFrame(path, stamp, *image)
     return RecordedFrame(path, stamp, points=points)
-
-
-def _check_cloud(path: Path) -> tuple[int, int]:
-    """Raises ValueError where fewer points follow the header of a cloud than it promises.
-
-    Open3D allocates memory for all of them, and returns it as it is where lines of a .pcd file
-    are missing.
-
-    Returns:
-        Columns and rows of an organized .pcd file; zeros of a file that does not give them.
-    """
-    data = path.read_bytes()
-    header: dict[bytes, bytes] = dict(_HEADER.findall(data[:65536]))
-    promised = int(header.get(b"POINTS", header.get(b"element vertex", b"0")))
-    held = len(data) * _POINTS_PER_BYTE
-    if path.suffix.lower() == ".pcd" and header.get(b"DATA") != b"binary":
-        lines = [line.split() for line in data.partition(b"DATA ascii")[2].splitlines()]
-        held = sum(len(line) == len(lines[1]) for line in lines[1:])
-    if not 0 < promised <= held:
-        raise ValueError(_DAMAGED.format(path))
-    return int(header.get(b"WIDTH", b"0")), int(header.get(b"HEIGHT", b"0"))
-
-
-def _as_depth_image(points: FloatArray) -> tuple[NDArray[np.float32], FloatArray] | None:
-    """Computes depth and K of a cloud (H, W, 3) in the camera's frame; None: in another frame.
-
-    A pinhole camera sees a point in column u = fx x / z + cx and row v = fy y / z + cy.
-    """
-    z = points[..., 2]
-    seen = np.isfinite(points).all(axis=2) & (z > 1e-3)
-    if np.count_nonzero(seen) < 10:
-        return None
-    K = np.zeros(4)
-    rows, columns = np.nonzero(seen)
-    for k, pixel in enumerate((columns, rows)):
-        ratio = points[rows, columns, k] / z[seen]
-        K[k], K[2 + k] = np.polyfit(ratio, pixel, 1)
-        error = K[k] * ratio + K[2 + k] - pixel
-        if K[k] <= 1.0 or np.sqrt(np.mean(error**2)) > _PINHOLE_TOLERANCE:
-            return None
-    return np.where(seen, z, np.nan).astype(np.float32), K
 
 
 def _read_depth_png(

@@ -111,24 +111,6 @@ def test_an_image_without_intrinsics_or_scale_is_refused(image):
         read_frame(image, K=K, depth_scale=-1.0)
 
 
-def test_an_organized_cloud_of_a_camera_is_its_depth_image(tmp_path):
-    z = DEPTH.astype(float)
-    z[2, 3] = np.nan
-    v, u = np.mgrid[:8, :10]
-    points = np.stack([(u - K[2]) / K[0] * z, (v - K[3]) / K[1] * z, z], axis=-1).reshape(-1, 3)
-    for name, mirror in (("a", 1.0), ("b", -1.0)):
-        path = tmp_path / f"{name}.pcd"
-        write_cloud(path, points * [1.0, 1.0, mirror], write_ascii=True)
-        text = path.read_text().replace("WIDTH 80", "WIDTH 10").replace("HEIGHT 1", "HEIGHT 8")
-        path.write_text(text)
-    image, cloud = read_recording(tmp_path)
-    np.testing.assert_allclose(image.depth, z, rtol=1e-5)
-    np.testing.assert_allclose(image.K, K, rtol=1e-4)
-    # Behind the camera: in another frame, so it stays a cloud.
-    assert cloud.depth is None
-    assert np.isfinite(cloud.points).all(axis=1).sum() == 79
-
-
 @pytest.mark.parametrize("name", CLOUDS)
 def test_a_cloud_that_is_cut_short_or_promises_too_much_is_refused(name, tmp_path, capfd):
     path = tmp_path / name
