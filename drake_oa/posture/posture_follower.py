@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
@@ -9,7 +11,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from drake_oa.common.messages import FloatArray, PlannedMotion, PolicyState
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
 from drake_oa.policy.dmp import normalised_time
-from drake_oa.posture.posture_course import PostureCourse
+from drake_oa.posture.posture_course import PostureCourse, course_of
 
 
 class PostureFollower(LeafSystem):
@@ -49,30 +51,18 @@ class PostureFollower(LeafSystem):
             alpha_k: decay of the policy's phase.
             period: time between looks at the plan [s].
 
-        Raises:
-            ValueError: if the posture is not n finite numbers, or one of the others is not
-                positive.
         """
         super().__init__()
-        q_rest = np.array(q_rest, dtype=float)
-        if q_rest.ndim != 1 or not len(q_rest) or not np.isfinite(q_rest).all():
-            raise ValueError(f"q_rest must be finite numbers [rad], not {q_rest}")
-        if not 0.0 < alpha_k < np.inf:
-            raise ValueError(f"alpha_k must be positive and finite, not {alpha_k}")
         period = valid_period(period)
-        self._alpha_k = float(alpha_k)
+        self._rest, self._alpha_k = np.array(q_rest, dtype=float), alpha_k
         self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
-        self._course = self.DeclareAbstractState(Value(PostureCourse(q_rest)))
+        self._course = self.DeclareAbstractState(Value(course_of(PlannedMotion(), self._rest)))
         self.DeclareVectorOutputPort(
             "desired_posture",
-            2 * len(q_rest),
+            2 * len(self._rest),
             self._calc,
-            {
-                self.time_ticket(),
-                self._policy.ticket(),
-                self.abstract_state_ticket(self._course),
-            },
+            {self.time_ticket(), self._policy.ticket(), self.abstract_state_ticket(self._course)},
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._take_over)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 2.0 * DECISION_OFFSET, self._take_over)
@@ -95,13 +85,14 @@ class PostureFollower(LeafSystem):
     def _take_over(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
         motion = read_value(self, self._motion, context, PlannedMotion)
-        now, after = self._now(context, motion), before
-        if motion is not before.motion:
-            left = before.at(*self._now(context, before.motion))
-            after = before.with_motion(motion, *now, left)
-        if after is before:
+        if motion is before.motion or not (len(motion.q) or len(before.motion.q)):
             return EventStatus.DidNothing()
-        state.get_mutable_abstract_state(self._course).set_value(after)
+        after = course_of(motion, self._rest)
+        left = before.at(*self._now(context, before.motion))
+        left -= after.at(*self._now(context, motion))
+        state.get_mutable_abstract_state(self._course).set_value(
+            replace(after, away=left, since=context.get_time())
+        )
         return EventStatus.Succeeded()
 
     def _calc(self, context: Context, output: BasicVector) -> None:

@@ -35,7 +35,6 @@ from drake_oa.common.messages import (
     SIDE,
     BoolArray,
     CouplingParameters,
-    EllipsoidSet,
     FloatArray,
     Frozen,
     IntArray,
@@ -178,9 +177,8 @@ def ladder(count: int, sides: int) -> tuple[IntArray, FloatArray]:
     return np.repeat(np.arange(len(numbers)), numbers), np.concatenate(shares)
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
-    """The random numbers of a round of n candidates."""
+class Draws(NamedTuple):
+    """Random numbers of a round of n candidates."""
 
     step: FloatArray  # (n, 7)
     first: IntArray  # (n,)
@@ -244,19 +242,9 @@ _FORMAT = "drake_oa proposal network 1"
 Floats32 = NDArray[np.float32]
 
 
-class Layers(NamedTuple):
-    """The matrices (n_in, n_out) and biases (n_out,) of `LAYERS`."""
-
-    each_1: Floats32
-    each_1_bias: Floats32
-    each_2: Floats32
-    each_2_bias: Floats32
-    all_1: Floats32
-    all_1_bias: Floats32
-    all_2: Floats32
-    all_2_bias: Floats32
-    out: Floats32
-    out_bias: Floats32
+Layers = tuple[Floats32, ...]
+"""Matrix (n_in, n_out) and bias (n_out,) of each of `LAYERS`."""
+_NAMES = tuple(f"{layer}{part}" for layer in LAYERS for part in ("", "_bias"))
 
 
 def describe(scene: Scene, duration: float, angles: FloatArray) -> tuple[Floats32, Floats32]:
@@ -306,7 +294,7 @@ class ProposalNetwork(Frozen):
     def sides(
         self, scene: Scene, duration: float, angles: FloatArray = SIDES
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Evaluates a scene from A sides; without an obstacle as if a ball stood midway.
+        """Evaluates a scene from A sides; without an obstacle there are none.
 
         Args:
             scene: the motion and the obstacles.
@@ -317,16 +305,16 @@ class ProposalNetwork(Frozen):
             Genes (A, 7), lengths over L (A,), and probabilities that the requested clearance is
             achieved (A,).
         """
-        each, state = describe(_with_stand_in(scene), duration, angles)
-        net = self.layers
-        y = np.maximum(each @ net.each_1 + net.each_1_bias, 0.0)
-        y = np.maximum(y @ net.each_2 + net.each_2_bias, 0.0)
-        y = np.concatenate([y.sum(axis=1), y.max(axis=1), state], axis=1)
-        y = np.maximum(y @ net.all_1 + net.all_1_bias, 0.0)
-        y = np.maximum(y @ net.all_2 + net.all_2_bias, 0.0)
-        out = (y @ net.out + net.out_bias).astype(float)
+        y, state = describe(scene, duration, angles[: len(angles) * bool(len(scene.ellipsoids))])
+        layers = list(zip(self.layers[::2], self.layers[1::2], strict=True))
+        for matrix, bias in layers[:2]:
+            y = np.maximum(y @ matrix + bias, 0.0)
+        y = np.concatenate([y.sum(axis=1), y.max(axis=1, initial=0.0), state], axis=1)
+        for matrix, bias in layers[2:-1]:
+            y = np.maximum(y @ matrix + bias, 0.0)
+        out = (y @ layers[-1][0] + layers[-1][1]).astype(float)
         genes = out[:, :N_GENES] * GENE_SCALE + GENE_MEAN
-        genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF) + angles
+        genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF) + angles[: len(out)]
         length = np.exp(np.clip(out[:, N_GENES], 0.0, 3.0))
         likely = 1.0 / (1.0 + np.exp(-np.clip(out[:, N_GENES + 1], -50.0, 50.0)))
         return genes, length, likely
@@ -341,32 +329,13 @@ class ProposalNetwork(Frozen):
         return side_rows(scene, *self.sides(scene, duration))
 
 
-_STAND_IN = (0.15, 0.1)
-"""Radius and asked clearance of the ball that stands for what is not known, in baselines."""
-
-
-def _with_stand_in(scene: Scene) -> Scene:
-    """Returns the scene, with a ball midway if it has no obstacle: something is in the way."""
-    if len(scene.ellipsoids):
-        return scene
-    radius, clearance = (np.full(1, share * scene.baseline) for share in _STAND_IN)
-    ball = EllipsoidSet(
-        p_WO=(scene.p_WG - 0.5 * scene.baseline * scene.R_WL[:, 0])[None],
-        R_WO=np.eye(3)[None],
-        semi_axes=np.tile(radius, (1, 3)),
-        v_WO=np.zeros((1, 3)),
-        ids=np.zeros(1, dtype=np.int64),
-    )
-    return replace(scene, ellipsoids=ball, clearance=clearance)
-
-
 def save_proposals(network: ProposalNetwork, path: str | Path) -> None:
     """Writes a network as .safetensors, its metadata inside.
 
     Raises:
         ValueError: for any other file name extension.
     """
-    write_weights(path, network.layers._asdict(), network.metadata, _FORMAT)
+    write_weights(path, dict(zip(_NAMES, network.layers, strict=True)), network.metadata, _FORMAT)
 
 
 def load_proposals(path: str | Path) -> ProposalNetwork:
@@ -381,8 +350,7 @@ def load_proposals(path: str | Path) -> ProposalNetwork:
     n_in, found = N_OBSTACLE + N_STATE, []
     for name in LAYERS:
         matrix = array_of(path, arrays, name, (n_in, N_OUTPUTS if name == "out" else None))
-        n_out = matrix.shape[1]
-        bias = array_of(path, arrays, f"{name}_bias", (n_out,))
+        bias = array_of(path, arrays, f"{name}_bias", matrix.shape[1:])
         found += [np.ascontiguousarray(one, np.float32) for one in (matrix, bias)]
-        n_in = 2 * n_out + N_STATE if name == "each_2" else n_out
-    return ProposalNetwork(Layers(*found), metadata)
+        n_in = 2 * len(bias) + N_STATE if name == "each_2" else len(bias)
+    return ProposalNetwork(tuple(found), metadata)

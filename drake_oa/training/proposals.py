@@ -304,7 +304,7 @@ class SetNetwork(nn.Module):
         for layer in (*self.each, *self.all):
             found.append(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T))
             found.append(np.array(layer.bias.detach().cpu().numpy()))
-        return Layers(*found)
+        return tuple(found)
 
 
 class Scores(NamedTuple):

@@ -89,15 +89,16 @@ def test_a_scene_that_is_moved_turned_scaled_or_permuted_is_the_same(
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
-def test_every_side_has_a_proposal_without_obstacles_too(proposer: ProposalNetwork) -> None:
-    for scene in (some_scene(1), some_scene(1, 0)):
-        genes, length, likely = proposer.sides(scene, 3.0)
-        assert genes.shape == (N_SIDES, N_GENES)
-        assert np.isfinite(genes).all()
-        assert (length >= 1.0).all()
-        assert ((likely >= 0.0) & (likely <= 1.0)).all()
-        off = genes[:, ANGLE] - 2.0 * HALF * np.arange(N_SIDES)
-        assert np.abs(off).max() <= HALF + 1e-12
+def test_every_side_has_a_proposal(proposer: ProposalNetwork) -> None:
+    genes, length, likely = proposer.sides(some_scene(1), 3.0)
+    assert genes.shape == (N_SIDES, N_GENES)
+    assert np.isfinite(genes).all()
+    assert (length >= 1.0).all()
+    assert ((likely >= 0.0) & (likely <= 1.0)).all()
+    off = genes[:, ANGLE] - 2.0 * HALF * np.arange(N_SIDES)
+    assert np.abs(off).max() <= HALF + 1e-12
+    # Without obstacles there is none.
+    assert len(proposer.rows(some_scene(1, 0), 3.0)) == 0
 
 
 @given(st.integers(1, 300), st.integers(1, 16))
@@ -131,7 +132,7 @@ def test_what_does_not_fit_is_named(proposer: ProposalNetwork, tmp_path: Path) -
     with pytest.raises(ValueError, match="is of the format 'drake_oa regressor chain 1'"):
         load_proposals(package_file("package://drake_oa/weights/paper_chain_running.safetensors"))
     path = tmp_path / "mine.safetensors"
-    layers = proposer.layers._replace(each_2=np.zeros((3, 64), np.float32))
+    layers = (*proposer.layers[:2], np.zeros((3, 64), np.float32), *proposer.layers[3:])
     save_proposals(replace(proposer, layers=layers), path)
     with pytest.raises(ValueError, match=r"'each_2' has the shape \(3, 64\)"):
         load_proposals(path)
