@@ -189,23 +189,14 @@ def exceeds(world: ArmWorld, q: FloatArray) -> bool:
 
 
 @compiled
-def share_clear(
-    world: ArmWorld, one: FloatArray, other: FloatArray, step: float, far: float
-) -> tuple[float, int]:
-    """What share of the straight way in the joints, from one configuration to another, is clear.
+def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[float, int]:
+    """Computes the share of the straight way between two configurations (n,) that is clear.
 
-    No step moves a sphere by more than what is kept beyond what is asked, or `step`: of what
-    is asked, no more than half of it can be lost between two steps.
-
-    Args:
-        world: the arm, and what it is to keep clear of.
-        one: (n,) where the way begins [rad].
-        other: (n,) where it ends [rad].
-        step: shortest bound on the movement of a sphere in a step, such as `STRIDE` [m].
-        far: by how much more than asked a clearance need not be known, such as `FAR` [m].
+    No step moves a sphere by more than the excess over the requested clearances, or `STRIDE`: at
+    most half of it can be lost between two steps.
 
     Returns:
-        The share, 1 for all of it, and how many configurations were looked at.
+        The share, 1 for all of it, and the number of checked configurations.
     """
     n = len(one)
     X, center, q = np.empty((n + 2, 12)), np.empty((len(world.spheres.group_joint), 3)), np.empty(n)
@@ -214,17 +205,17 @@ def share_clear(
         bound += world.chain.reach[i] * abs(other[i] - one[i])
     if bound == 0.0:
         return 1.0, 0
-    stride = step / bound
-    share, clear, looked_at = min(stride, 1.0), 0.0, 0
+    stride = STRIDE / bound
+    share, clear, checked = min(stride, 1.0), 0.0, 0
     while True:
         for i in range(n):
             q[i] = one[i] + share * (other[i] - one[i])
-        kept = excess(world, q, world.now, far, X, center)
-        looked_at += 1
+        kept = excess(world, q, world.now, FAR, X, center)
+        checked += 1
         if kept < 0.0:
-            return clear, looked_at
+            return clear, checked
         if share == 1.0:
-            return 1.0, looked_at
+            return 1.0, checked
         clear, share = share, min(share + max(stride, kept / bound), 1.0)
 
 
@@ -256,81 +247,39 @@ def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
 
 @compiled
 def group_distances(
-    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float, most: float
-) -> FloatArray:
+    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float, most: float,
+    dt: float = 0.0,
+) -> FloatArray:  # fmt: skip
     """Computes the least distances (G, K) of groups to solids along configurations (T, n) [m].
 
-    Distances above `most` are not computed exactly.
+    Args:
+        chain, spheres, solids: see `ArmWorld`.
+        q: (T, n) configurations [rad].
+        t: time of the first one [s].
+        most: distance above which none is computed exactly [m].
+        dt: time from each to the next [s].
     """
     found = np.full((len(spheres.group_joint), len(solids.ball)), most)
     X = np.empty((q.shape[1] + 2, 12))
     for row in range(len(q)):
         chain_poses(q[row], chain.X_PJ, X)
+        time = t + row * dt
         for g in range(len(spheres.group_joint)):
             frame = spheres.group_joint[g] + 1
             x, y, z = placed(X, frame, spheres.bound, g)
             for k in range(len(solids.ball)):
                 far = found[g, k] + spheres.bound[g, 3]
-                if ball_bound(solids, k, x, y, z, t) >= far:
+                if ball_bound(solids, k, x, y, z, time) >= far:
                     continue
-                if solid_distance(solids, k, x, y, z, t) >= far:
+                if solid_distance(solids, k, x, y, z, time) >= far:
                     continue
                 for m in range(spheres.cluster[g], spheres.cluster[g + 1]):
                     u, v, w = placed(X, frame, spheres.cluster_bound, m)
-                    near = solid_distance(solids, k, u, v, w, t) - spheres.cluster_bound[m, 3]
+                    near = solid_distance(solids, k, u, v, w, time) - spheres.cluster_bound[m, 3]
                     if near >= found[g, k]:
                         continue
                     for i in range(spheres.cluster_first[m], spheres.cluster_first[m + 1]):
                         u, v, w = placed(X, frame, spheres.p_JS, i)
-                        d = solid_distance(solids, k, u, v, w, t) - spheres.radius[i]
+                        d = solid_distance(solids, k, u, v, w, time) - spheres.radius[i]
                         found[g, k] = min(found[g, k], d)
     return found
-
-
-@compiled
-def kept_along(world: ArmWorld, q: FloatArray, t: FloatArray) -> tuple[FloatArray, int]:
-    """(2,) least distances of tool and moving links to the solids [m], and to which, or -1.
-
-    Of configurations (T, n) at times (T,); whatever is asked.
-    """
-    chain, spheres, solids = world.chain, world.spheres, world.solids
-    least, near, X = np.full(2, np.inf), -1, np.empty((q.shape[1] + 2, 12))
-    for row in range(len(q)):
-        chain_poses(q[row], chain.X_PJ, X)
-        for g in range(len(spheres.group_joint)):
-            frame = spheres.group_joint[g] + 1
-            if frame == 0:
-                continue
-            part = TOOL if world.asked.is_tool[g] else LINKS
-            x, y, z = placed(X, frame, spheres.bound, g)
-            for k in range(len(solids.ball)):
-                far = spheres.bound[g, 3] + least[part]
-                if ball_bound(solids, k, x, y, z, t[row]) >= far:
-                    continue
-                if solid_distance(solids, k, x, y, z, t[row]) >= far:
-                    continue
-                for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
-                    u, v, w = placed(X, frame, spheres.cluster_bound, c)
-                    far = spheres.cluster_bound[c, 3] + least[part]
-                    if solid_distance(solids, k, u, v, w, t[row]) >= far:
-                        continue
-                    for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
-                        u, v, w = placed(X, frame, spheres.p_JS, i)
-                        d = solid_distance(solids, k, u, v, w, t[row]) - spheres.radius[i]
-                        if d < least[part]:
-                            near = k if d < min(least[TOOL], least[LINKS]) else near
-                            least[part] = d
-    return least, near
-
-
-@compiled
-def lacking_along(world: ArmWorld, q: FloatArray) -> float:
-    """By how much configurations (T, n) are short of what is asked of solids now, at most [m]."""
-    n, least = q.shape[1], np.zeros(3)
-    X, center = np.empty((n + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
-    # The arm itself is not asked.
-    least[SELF] = -np.inf
-    for row in range(len(q)):
-        chain_poses(q[row], world.chain.X_PJ, X)
-        lower_excess(X, world.now, world.spheres, world.solids, world.asked, center, least, -np.inf)
-    return -min(least[TOOL], least[LINKS])

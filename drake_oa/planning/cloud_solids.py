@@ -1,12 +1,11 @@
 """Solids as perception sees them: a distance field an obstacle, made anew where it has to be.
 
-A field costs some milliseconds, and a new one has every motion looked for again. Perception hands
-on other points in each frame, if only by its noise. So a field is kept, moved with its obstacle,
-as long as the new cloud says nothing that the field does not:
+A field costs some milliseconds, and with a new one every motion is searched again. Perception
+hands on other points in each frame, if only by its noise. So a field is kept, moved with its
+obstacle, as long as the new cloud says nothing that the field does not:
 
-- of the eight nodes round each point one is occupied: a point may be at least half a voxel from
-  where it was, which is three deviations of a camera's noise at 1 m, and at a flat side the
-  distance is still at most one voxel too large, at an edge or a corner two;
+- no point is farther from it than a voxel: a point may be at least half a voxel from where it
+  was, which is three deviations of a camera's noise at 1 m;
 - of the points that it was made from, all but a few have a new one beside them;
 - what is hidden of it is still the same: the view has hardly turned, the table is where it was,
   and it is as deep as before.
@@ -23,17 +22,15 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from scipy.spatial import KDTree
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import (
     BoolArray,
     FloatArray,
     Frozen,
-    IntArray,
     ObstacleClouds,
     TablePlane,
     zeros,
@@ -41,7 +38,14 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.pinhole import FREE, View, shown
-from drake_oa.geometry.solids import Solid, SolidScene, cloud_solid, table_solid
+from drake_oa.geometry.solids import (
+    Solid,
+    SolidScene,
+    cloud_solid,
+    least_distances,
+    solids_of,
+    table_solid,
+)
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.perception.tracking import held_table
 from drake_oa.perception.visibility import ImageRange, with_unseen_ends
@@ -50,14 +54,13 @@ _logger = logging.getLogger("drake_oa")
 
 _DEEPEST_MOVED = 0.15
 """So deep is what moves or has moved [m]: no link has to pass close behind it."""
-_GONE = 0.05
-"""Share of the points of a field that may have no new one beside them."""
+_GONE, _CHECKED = 0.05, 500
+"""Share of the points of a field that may have no new one beside them, and number of points that
+are checked."""
 _TURNED = 0.1
 """A view that has turned by more shows another side [rad]."""
 _TABLE_SHIFT = 0.003
 """The table is where it was if it has moved by no more within 1 m [m]."""
-_SAME = 1e-9
-"""Clouds differ by a shift if all points do by the same, within this [m]."""
 _SEEN_FREE = 0.01
 """An image sees through a point if what it shows there is farther behind it [m]."""
 _MOST_ASKED = 400
@@ -75,7 +78,6 @@ class SeenField(Frozen):
     Attributes:
         solid: where it is now, and how fast.
         made_of: (N, 3) points [m].
-        seen: (M, 3) points that were looked at last [m].
         view_W: (n, 3) unit directions in which it was seen, of each camera.
         deepest: what is hidden was taken to be at most so deep [m].
         inside: (K, 3) some nodes within it, in O [m]; none of what one camera sees.
@@ -83,7 +85,6 @@ class SeenField(Frozen):
 
     solid: Solid
     made_of: FloatArray
-    seen: FloatArray
     view_W: FloatArray
     deepest: float
     inside: FloatArray = zeros(0, 3)
@@ -131,7 +132,8 @@ def looked_at(
             filled.
         views: images of several cameras: what any of them sees through is not filled.
     """
-    note = _unreadable(obstacles, viewpoints_W)
+    is_readable = _is_readable(obstacles, viewpoints_W)
+    note = "" if is_readable else "obstacles_W holds what is not finite"
     if note or obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
         scene = before.scene
         if (said := note or obstacles.note) != scene.note:
@@ -141,17 +143,17 @@ def looked_at(
     if obstacles.table is not None:
         table = held_table(table, obstacles.table, _TABLE_SHIFT)
     moved = names_moved(obstacles, before.moved)
-    known = {seen.solid.name: row for row, seen in enumerate(before.fields)}
+    known = {seen.solid.name: seen for seen in before.fields}
     fields = []
     for cloud, name, v_WO in zip(obstacles.clouds_W, obstacles.ids, obstacles.v_WO, strict=True):
         if not len(cloud):
             continue
-        row = known.get(int(name), -1)
+        last = known.get(int(name))
         deepest = _DEEPEST_MOVED if int(name) in moved else DEEPEST
         kept = None
-        if row >= 0 and table is before.table and before.fields[row].deepest == deepest:
+        if last is not None and table is before.table and last.deepest == deepest:
             after = max(0.0, obstacles.stamp - before.scene.stamp)
-            kept = _kept(before.fields[row], cloud, after * v_WO, viewpoints_W, views)
+            kept = _kept(last, cloud, after * v_WO, viewpoints_W, views)
         made = kept or _made(int(name), cloud, viewpoints_W, deepest, table, views)
         at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
         fields.append(replace(made, solid=at_rest))
@@ -172,15 +174,12 @@ def _of_table(table: TablePlane | None) -> list[Solid]:
     return [] if table is None else [table_solid(table)]
 
 
-def _unreadable(obstacles: ObstacleClouds, viewpoints_W: FloatArray) -> str:
-    """Why an observation does not count; empty: it does."""
+def _is_readable(obstacles: ObstacleClouds, viewpoints_W: FloatArray) -> bool:
     numbers = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
     if obstacles.table is not None:
         numbers += [obstacles.table.normal_W, np.array([obstacles.table.offset])]
     # NaN is not below anything.
-    if all(float(np.abs(part).max(initial=0.0)) <= _FARTHEST for part in numbers):
-        return ""
-    return "obstacles_W holds what is not finite"
+    return all(float(np.abs(part).max(initial=0.0)) <= _FARTHEST for part in numbers)
 
 
 def _all_rest_as_before(before: tuple[SeenField, ...], now: list[SeenField]) -> bool:
@@ -214,7 +213,7 @@ def _made(
         seen_free=partial(seen_free, views) if views else None,
     )
     solid = cloud_solid(grid, name=name, label=f"obstacle {name}")
-    made = SeenField(solid, cloud, cloud, _view(solid, viewpoints_W), deepest)
+    made = SeenField(solid, cloud, _view(solid, viewpoints_W), deepest)
     if len(viewpoints_W) < 2:
         return made
     nodes = np.argwhere(grid.values < 0.0)
@@ -269,75 +268,20 @@ def _kept(
         views: images that may see through what was taken to be within it.
     """
     grid, X_WO = kept.grid, np.array(kept.solid.X_WO)
-    same = cloud is kept.seen
-    if not same:
-        X_WO[:3, 3] += expected
-        if len(cloud) == len(kept.made_of):
-            apart = cloud - kept.made_of
-            if float(np.ptp(apart, axis=0).max()) <= _SAME:
-                same, X_WO[:3, 3] = True, grid.p_WO + apart[0]
-    moved = replace(kept, solid=replace(kept.solid, X_WO=X_WO), seen=cloud)
+    X_WO[:3, 3] += expected
+    moved = replace(kept, solid=replace(kept.solid, X_WO=X_WO))
     view = _view(moved.solid, viewpoints_W)
     if len(view) != len(kept.view_W) or np.abs(view - kept.view_W).max(initial=0.0) > _TURNED:
         return None
     if views and np.sum(seen_free(views, X_WO[:3, 3] + kept.inside)) > _GONE * len(kept.inside):
         return None
-    if same:
-        return moved
+    solids, far = solids_of([moved.solid]), 2.0 * grid.voxel
     points = np.require(cloud, np.float64, ["C", "W"])
-    now = points - X_WO[:3, 3]
-    if _outside(now, grid.voxel, grid.values):
+    if least_distances(solids, points, moved.solid.stamp, far, -1.0).max() > grid.voxel:
         return None
-    was = kept.made_of - grid.p_WO
-    low = np.minimum(was.min(axis=0), grid.low) - grid.voxel
-    shape = np.ceil((was.max(axis=0) - low) / grid.voxel).astype(np.int64) + 2
-    lost = _without_neighbour(was, now, low, grid.voxel, shape)
-    return moved if lost <= _GONE * len(was) else None
-
-
-@compiled
-def _outside(points: FloatArray, voxel: float, values: NDArray[np.float32]) -> bool:
-    """Whether a point (N, 3), in O, has only free nodes round it."""
-    for n in range(len(points)):
-        i = math.floor(points[n, 0] / voxel)
-        j = math.floor(points[n, 1] / voxel)
-        k = math.floor(points[n, 2] / voxel)
-        free = True
-        for a in range(max(i, 0), min(i + 2, values.shape[0])):
-            for b in range(max(j, 0), min(j + 2, values.shape[1])):
-                for c in range(max(k, 0), min(k + 2, values.shape[2])):
-                    free = free and values[a, b, c] > 0.0
-        if free:
-            return True
-    return False
-
-
-@compiled
-def _without_neighbour(
-    old: FloatArray, new: FloatArray, low: FloatArray, voxel: float, shape: IntArray
-) -> int:
-    """How many of the old points (N, 3) have none of the new (M, 3) in their voxel or beside it.
-
-    The grid of that shape begins at low (3,) and holds the old ones.
-    """
-    there = np.zeros((shape[0], shape[1], shape[2]), dtype=np.uint8)
-    at = np.empty(3, dtype=np.int64)
-    for n in range(len(new)):
-        inside = True
-        for m in range(3):
-            at[m] = math.floor((new[n, m] - low[m]) / voxel)
-            inside = inside and -1 <= at[m] <= shape[m]
-        if inside:
-            for i in range(max(at[0] - 1, 0), min(at[0] + 2, shape[0])):
-                for j in range(max(at[1] - 1, 0), min(at[1] + 2, shape[1])):
-                    for k in range(max(at[2] - 1, 0), min(at[2] + 2, shape[2])):
-                        there[i, j, k] = 1
-    count = 0
-    for n in range(len(old)):
-        for m in range(3):
-            at[m] = math.floor((old[n, m] - low[m]) / voxel)
-        count += there[at[0], at[1], at[2]] == 0
-    return count
+    was = kept.made_of[:: max(1, len(kept.made_of) // _CHECKED)] + X_WO[:3, 3] - grid.p_WO
+    beside, _ = KDTree(points).query(was, p=math.inf, distance_upper_bound=1.5 * grid.voxel)
+    return moved if np.isinf(beside).sum() <= _GONE * len(was) else None
 
 
 class CloudSolids(LeafSystem):
@@ -454,8 +398,6 @@ class CloudSolids(LeafSystem):
 def _log_change(before: SeenSolids, after: SeenSolids, time: float) -> None:
     if after.note and not before.note:
         _logger.warning("t=%.3f s: %s; the solids seen before are kept", time, after.note)
-    if before.note and not after.note:
-        _logger.info("t=%.3f s: obstacles_W is finite again", time)
     told = {seen.solid.name for seen in before.fields if seen.grid.note}
     for seen in after.fields:
         if seen.grid.note and seen.solid.name not in told:

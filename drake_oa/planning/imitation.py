@@ -14,10 +14,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import (
-    ArmWorld,
-    excess_along,
-)
+from drake_oa.planning.arm_world import ArmWorld, excess_along
 from drake_oa.policy.dmp import (
     ALPHA_K,
     Demonstration,
@@ -48,7 +45,7 @@ def demonstration(
     longest: float = math.inf,
     alpha_k: float = ALPHA_K,
 ) -> Demonstration:
-    """What a path of corners becomes: rounded, in minimum-jerk time, and imitated.
+    """Imitates a path of corners, rounded and in minimum-jerk time.
 
     Args:
         world: in which its corners may be rounded as far as the clearance is kept.
@@ -95,7 +92,7 @@ def _rounded(world: ArmWorld, q: FloatArray) -> FloatArray:
         sigma = width * len(q)
         far = min(int(4.0 * sigma) + 1, len(q) - 1)
         # Mirrored through the ends, so that these stay.
-        longer = np.concatenate([2.0 * q[0] - q[far:0:-1], q, 2.0 * q[-1] - q[-2 : -far - 2 : -1]])
+        longer = np.pad(q, ((far, far), (0, 0)), mode="reflect", reflect_type="odd")
         smooth = gaussian_filter1d(longer, sigma, axis=0)[far:-far]
         if excess_along(world, smooth) >= least:
             return np.asarray(smooth)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import Value
@@ -13,7 +13,6 @@ from drake_oa.common.messages import (
     DECIDING,
     CouplingParameters,
     EllipsoidSet,
-    Frozen,
     HoldCause,
     PlannedMotion,
     PolicyState,
@@ -27,16 +26,6 @@ from drake_oa.planning.search import SOURCES
 from drake_oa.policy.dmp import Demonstration
 
 _logger = logging.getLogger("drake_oa")
-
-
-@dataclass(frozen=True, eq=False)
-class _State(Frozen):
-    thoughts: Thoughts[SelectedMotion] = field(default_factory=lambda: Thoughts(SelectedMotion()))
-
-    @property
-    def choice(self) -> SelectedMotion:
-        """What is in force."""
-        return self.thoughts.in_force
 
 
 class MotionVerifier(LeafSystem):
@@ -129,14 +118,14 @@ class MotionVerifier(LeafSystem):
             "coupling_parameters", Value(CouplingParameters())
         )
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
-        self._chosen = self.DeclareAbstractState(Value(_State()))
+        self._chosen = self.DeclareAbstractState(Value(Thoughts(SelectedMotion())))
         chosen = {self.abstract_state_ticket(self._chosen)}
         for name, kind, of in (
             ("coupling_parameters", CouplingParameters, self._coupling),
-            ("route", Route, lambda state: state.choice.command.route),
-            ("demonstration", Demonstration, lambda state: state.choice.command.demonstration),
-            ("motion", PlannedMotion, lambda state: state.choice.prediction.motion),
-            ("sides", Route, lambda state: state.choice.prediction.sides),
+            ("route", Route, lambda state: state.in_force.command.route),
+            ("demonstration", Demonstration, lambda state: state.in_force.command.demonstration),
+            ("motion", PlannedMotion, lambda state: state.in_force.prediction.motion),
+            ("sides", Route, lambda state: state.in_force.prediction.sides),
         ):
             self.DeclareAbstractOutputPort(
                 name,
@@ -145,11 +134,11 @@ class MotionVerifier(LeafSystem):
                 chosen,
             )
         for name, size, number in (
-            ("shortfall", 1, lambda state: [state.choice.prediction.shortfall]),
-            ("lowered", 1, lambda state: [state.choice.prediction.lowered]),
-            ("decision", 2, lambda state: state.thoughts.last),
-            ("source", 1, lambda state: [state.choice.command.source]),
-            ("candidates", len(SOURCES), lambda state: state.choice.memory.counts),
+            ("shortfall", 1, lambda state: [state.in_force.prediction.shortfall]),
+            ("lowered", 1, lambda state: [state.in_force.prediction.lowered]),
+            ("decision", 2, lambda state: state.last),
+            ("source", 1, lambda state: [state.in_force.command.source]),
+            ("candidates", len(SOURCES), lambda state: state.in_force.counts),
         ):
             self.DeclareVectorOutputPort(
                 name,
@@ -169,26 +158,26 @@ class MotionVerifier(LeafSystem):
                 step, step - min(DECISION_OFFSET, 0.5 * step), self._take_effect
             )
 
-    def _read(self, context: Context) -> _State:
+    def _read(self, context: Context) -> Thoughts[SelectedMotion]:
         return context.get_abstract_state(self._chosen).get_value()
 
     def _choose(self, context: Context, state: State) -> EventStatus:
         # Not the Context's: the other event of the same instant may have come first.
         held = state.get_mutable_abstract_state(self._chosen)
-        kept: _State = held.get_value()
+        kept: Thoughts[SelectedMotion] = held.get_value()
         time = context.get_time()
         policy = read_value(self, self._policy, context, PolicyState)
         if policy.baseline == 0.0:
             # There is no motion yet to choose for.
             return EventStatus.DidNothing()
         sight = self.sight(context)
-        thoughts = kept.thoughts.thought(
+        thoughts = kept.thought(
             lambda before: self._search.decide(before, sight), time, self._thinking
         )
-        if thoughts is kept.thoughts:
+        if thoughts is kept:
             return EventStatus.DidNothing()
-        _log_change(kept.choice, thoughts.in_force, time)
-        held.set_value(_State(thoughts))
+        _log_change(kept.in_force, thoughts.in_force, time)
+        held.set_value(thoughts)
         return EventStatus.Succeeded()
 
     @property
@@ -215,29 +204,29 @@ class MotionVerifier(LeafSystem):
 
     def _take_effect(self, context: Context, state: State) -> EventStatus:
         held = state.get_mutable_abstract_state(self._chosen)
-        kept: _State = held.get_value()
+        kept: Thoughts[SelectedMotion] = held.get_value()
         time = context.get_time()
-        made = kept.thoughts.made(time)
+        made = kept.made(time)
         if made is None:
             return EventStatus.DidNothing()
         policy = read_value(self, self._policy, context, PolicyState)
-        other = not made.key.fits(policy, self._goal.Eval(context))
+        other = not made.fits(policy, self._goal.Eval(context))
         if (
             other
             or (made.command.restart and policy.speed > 0.0)
-            or self._is_late(made, kept.choice, context)
+            or self._is_late(made, kept.in_force, context)
         ):
-            _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.thoughts.begun)
-            held.set_value(_State(kept.thoughts.dropped()))
+            _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.begun)
+            held.set_value(kept.dropped())
             return EventStatus.Succeeded()
-        _log_change(kept.choice, made, time)
-        held.set_value(_State(kept.thoughts.taken()))
+        _log_change(kept.in_force, made, time)
+        held.set_value(kept.taken())
         return EventStatus.Succeeded()
 
     def _is_late(self, made: SelectedMotion, in_force: SelectedMotion, context: Context) -> bool:
         """Whether a choice no more does from where the motion is now, and the one in force does."""
         is_short = in_force.prediction.shortfall > 0.0 or in_force.command.note
-        if is_short or not in_force.key.scene.same_as(made.key.scene):
+        if is_short or not in_force.scene.same_as(made.scene):
             return False
         sight = self.sight(context)
         # During a maneuver of MotionGuard neither may.
@@ -245,8 +234,8 @@ class MotionVerifier(LeafSystem):
             in_force, sight
         )
 
-    def _coupling(self, state: _State) -> CouplingParameters:
-        command = state.choice.command
+    def _coupling(self, state: Thoughts[SelectedMotion]) -> CouplingParameters:
+        command = state.in_force.command
         coupling = command.coupling()
         if command.tau == 0.0 and self._thinking is not None:
             return replace(coupling, hold=HoldCause.DECIDING, note=DECIDING)

@@ -1,7 +1,7 @@
-"""Joint motions in time: tracking of the tool's motion, time-optimal legs, and their clearance.
+"""Joint motions in time: tracking of the tool's motion, legs of maneuvers, and their clearance.
 
 A maneuver consists of two legs. In each leg every joint moves to its own target at bounded speed
-and acceleration (trapezoidal velocity), and stays there: each leg ends at rest by itself.
+and acceleration, and stays there: each leg ends at rest by itself.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ _DRAWN = 1e-4
 """Damping of the velocity of a tracked motion [m^2]."""
 _DEPTH = 0.03
 """Depth of a contact that costs twice as much as a touch [m]."""
-_AT_LIMIT = 1e-3
-"""Distance beyond a joint's limit that is only an error of interpolation [rad]."""
 _EACH = 8
 """Motions for which another thread pays."""
 
@@ -36,7 +34,7 @@ def track(
     posture: FloatArray,
     step: float,
     rate: float,
-) -> tuple[FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray]:
     """Computes the joint state with the tool at a pose and velocity one step later.
 
     Args:
@@ -49,8 +47,7 @@ def track(
         rate: at which the null space converges to the posture [1/s].
 
     Returns:
-        (n,) positions [rad] and (n,) velocities [rad/s] after the step, and the error of the tool
-        [m, rad].
+        (n,) positions [rad] and (n,) velocities [rad/s] after the step.
     """
     n, room, pull = len(q), scratch(len(q)), 1.0 - math.exp(-rate * step)
     guide = np.empty((2, n))
@@ -64,104 +61,65 @@ def track(
         X_next[6 + k] += wx * y - wy * x
         X_next[9 + k] += step * V_WE[3 + k]
     after = q.copy()
-    missed = follow(after, X_next, guide, 1, pull, chain, room)
+    follow(after, X_next, guide, 1, pull, chain, room)
     ahead = after.copy()
     room.e[:] = step * V_WE
     room.lead[:] = step * (posture[n:] + rate * (posture[:n] - after))
     step_toward(ahead, _DRAWN, chain, room)
-    return after, (ahead - after) / step, missed
-
-
-@leaf
-def advance_leg(
-    q: FloatArray, v: FloatArray, target: FloatArray, speed: FloatArray, acceleration: FloatArray,
-    step: float,
-) -> None:  # fmt: skip
-    """Moves joints q (n,) at velocities v (n,), in place, by one step toward a target.
-
-    Args:
-        q, v: positions [rad] and velocities [rad/s].
-        target: (n,) positions at which the joints come to rest [rad].
-        speed: (n,) limits of the speeds in this leg [rad/s].
-        acceleration: (n,) limits of the accelerations [rad/s^2].
-        step: length of the step [s].
-    """
-    for i in range(len(q)):
-        way, change = target[i] - q[i], acceleration[i] * step
-        # Speed from which the joint still stops at the target, in steps of this length.
-        most = math.sqrt(0.25 * change * change + 2.0 * acceleration[i] * abs(way)) - 0.5 * change
-        wanted = math.copysign(min(most, speed[i]), way)
-        after = v[i] + min(max(wanted - v[i], -change), change)
-        moved = 0.5 * (v[i] + after) * step
-        if abs(way) <= 0.25 * change * step and abs(v[i]) <= change:
-            q[i], v[i] = target[i], 0.0
-        else:
-            q[i], v[i] = q[i] + moved, after
+    return after, (ahead - after) / step
 
 
 _CONVERGENCE = 30.0
 """Rate at which joints converge to a path that they can follow [1/s]."""
 
 
-def approach(
-    x: FloatArray, path: FloatArray, speed: FloatArray, acceleration: float, step: float
-) -> FloatArray:
-    """Computes the joint state one step later of joints that follow a path.
+@leaf
+def advance(
+    q: FloatArray, v: FloatArray, q_path: FloatArray, v_path: FloatArray, speed: FloatArray,
+    acceleration: float, step: float,
+) -> None:  # fmt: skip
+    """Moves joints, in place, by one step toward a path.
 
     Args:
-        x: (2n,) positions [rad] and velocities [rad/s] now.
-        path: (2n,) those of the path after the step.
+        q, v: (n,) positions [rad] and velocities [rad/s].
+        q_path, v_path: (n,) those of the path after the step.
         speed: (n,) limits of the speeds [rad/s].
         acceleration: limit of the accelerations [rad/s^2].
         step: length of the step [s].
     """
-    n, change = len(speed), acceleration * step
-    q, v = x[:n], x[n:]
-    way = path[:n] - q - 0.5 * step * (v + path[n:])
-    closing = np.minimum(_CONVERGENCE * np.abs(way), np.sqrt(acceleration * np.abs(way)))
-    wanted = np.clip(path[n:] + np.copysign(closing, way), -speed, speed)
-    after = v + np.clip(wanted - v, -change, change)
-    return np.append(q + 0.5 * step * (v + after), after)
-
-
-class Legs(NamedTuple):
-    """N maneuvers of two legs each.
-
-    Attributes:
-        target: (N, 2, n) where each leg ends [rad].
-        speed: (N, 2, n) limits of the joint speeds [rad/s].
-        switch: (N,) time at which the second leg begins, from the beginning [s].
-    """
-
-    target: FloatArray
-    speed: FloatArray
-    switch: FloatArray
+    change = acceleration * step
+    for i in range(len(q)):
+        way = q_path[i] - q[i] - 0.5 * step * (v[i] + v_path[i])
+        closing = min(_CONVERGENCE * abs(way), math.sqrt(acceleration * abs(way)))
+        wanted = v_path[i] + math.copysign(closing, way)
+        wanted = min(max(wanted, -speed[i]), speed[i])
+        after = v[i] + min(max(wanted - v[i], -change), change)
+        q[i] += 0.5 * step * (v[i] + after)
+        v[i] = after
 
 
 @compiled
 def roll_out_legs(
-    q: FloatArray, v: FloatArray, legs: Legs, acceleration: FloatArray, step: float, every: int,
-    samples: int,
+    q: FloatArray, v: FloatArray, target: FloatArray, speed: FloatArray, switch: float,
+    acceleration: float, step: float, every: int, samples: int,
 ) -> FloatArray:  # fmt: skip
-    """Computes joint positions (N, samples, n) along maneuvers, every so many steps [rad].
+    """Computes joint positions (samples, n) along a maneuver, every so many steps [rad].
 
     Args:
-        q, v: (n,) joint state at the beginning [rad, rad/s].
-        legs: the maneuvers.
-        acceleration: (n,) limits [rad/s^2].
+        q, v: (n,) joint state at the beginning, changed in place [rad, rad/s].
+        target: (2, n) ends of the legs [rad].
+        speed: (2, n) limits of the joint speeds [rad/s].
+        switch: time at which the second leg begins, from the beginning [s].
+        acceleration: limit of the accelerations [rad/s^2].
         step: length of a step [s].
         every: number of steps between two samples, the first of which is after so many steps.
         samples: number of samples.
     """
-    N, n = len(legs.target), len(q)
-    found = np.empty((N, samples, n))
-    for i in range(N):
-        p, w = q.copy(), v.copy()
-        for k in range(samples * every):
-            leg = 1 if k * step >= legs.switch[i] else 0
-            advance_leg(p, w, legs.target[i, leg], legs.speed[i, leg], acceleration, step)
-            if (k + 1) % every == 0:
-                found[i, k // every] = p
+    found, rest = np.empty((samples, len(q))), np.zeros(len(q))
+    for k in range(samples * every):
+        leg = 1 if k * step >= switch else 0
+        advance(q, v, target[leg], rest, speed[leg], acceleration, step)
+        found[k // every] = q
     return found
 
 
@@ -201,11 +159,11 @@ def judge_motions(
         step: time between two of them [s].
         margin: distance to moving obstacles below which nearness costs [m].
     """
-    table = np.zeros((len(q), 5))
+    table = np.zeros((len(q), 4))
     threads = min(CORES, len(q) // _EACH + 1)
     on_cores(_judge_some, threads, resting, moving, q, step, margin, table)
-    count(configurations=int(table[:, 4].sum()))
-    return Judged(*np.ascontiguousarray(table[:, :4].T))
+    count(configurations=q.shape[0] * q.shape[1])
+    return Judged(*np.ascontiguousarray(table.T))
 
 
 @parted
@@ -213,13 +171,13 @@ def _judge_some(
     part: int, parts: int, resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float,
     margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Judges motions part, part + parts, ...; out (N, 5): `Judged` and configurations."""
+    """Judges motions part, part + parts, ...; out (N, 4): `Judged`."""
     chain, spheres = resting.chain, resting.spheres
     T, n = q.shape[1:]
     X, center = np.empty((n + 2, 12)), np.empty((len(spheres.group_joint), 3))
     least, near = np.empty(3), np.empty(3)
     for i in range(part, len(q), parts):
-        first, looked = np.inf, 0
+        out[i, 3] = np.inf
         for k in range(T):
             since = (k + 1) * step
             t, weight = moving.now + since, math.exp(-since / _DECAY)
@@ -229,7 +187,6 @@ def _judge_some(
             lower_excess(X, t, spheres, moving.solids, moving.asked, center, near, -np.inf)
             least[:] = _MARGIN_RESTING
             lower_excess(X, t, spheres, resting.solids, resting.asked, center, least, -np.inf)
-            looked += 1
             free = min(near[TOOL], near[LINKS])
             rest = min(least[TOOL], least[LINKS])
             lack = most - free
@@ -243,12 +200,7 @@ def _judge_some(
             within = min(rest, least[SELF])
             if free < 0.0:
                 within = min(within, free)
-            for j in range(n):
-                beyond = max(chain.lower[j] - q[i, k, j], q[i, k, j] - chain.upper[j])
-                if beyond > _AT_LIMIT:
-                    within = min(within, -_DEPTH)
             if within < 0.0:
-                first = since
+                out[i, 3] = since
                 out[i, 0] = _DECAY * weight * (1.0 + min(-within / _DEPTH, 3.0))
                 break
-        out[i, 3], out[i, 4] = first, looked

@@ -1,7 +1,7 @@
 """Decisions of the motion guard: whole-arm joint motions in time among moving obstacles.
 
 Each decision compares joint motions over a horizon of 1.4 s: the verified motion at several shares
-of its speed (follow, slow, wait), and maneuvers of two legs that leave it: brake, retrace,
+of its speed (follow, slow, wait), and maneuvers of two legs that leave it: brake, returns,
 refuges, via points, and refinements of the best of them. The one with the least cost
 
     J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + lost
@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -30,19 +29,13 @@ from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_d
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import (
-    Judged,
-    Legs,
-    advance_leg,
-    judge_motions,
-    roll_out_legs,
-)
-from drake_oa.safety.passive_safety import Claim, Course, violated_claim
+from drake_oa.safety.joint_motions import Judged, judge_motions, roll_out_legs
+from drake_oa.safety.passive_safety import Claim, violated_claim
 
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
-_SCALES = (1.0, 0.6, 0.3, 0.15, 0.0)
+_SCALES: dict[float, Action] = {1.0: "follow", 0.6: "slow", 0.3: "slow", 0.15: "slow", 0.0: "wait"}
 """Shares of full speed at which the verified motion is tried."""
 HORIZON, _SAMPLES = 1.4, 28
 """Time over which motions are predicted [s], and configurations of each that are judged."""
@@ -66,8 +59,9 @@ _CLEAR = 0.02
 """Cost of nearness up to which the verified motion is followed without alternatives [s]."""
 _SETTLED = 4.0
 """Rate at which an offset from the verified motion decays [1/s]."""
-_INSIDE = 0.03
-"""Distance of targets to the joints' limits [rad]."""
+_INSIDE, _AT_LIMIT = 0.03, 1e-3
+"""Distance of targets to the joints' limits, and distance beyond a limit that is only an error of
+interpolation [rad]."""
 _PARENTS = 8
 """Number of motions that are refined."""
 _TRIES = 40
@@ -126,7 +120,6 @@ class GuardSight(Frozen):
         motion: the verified motion.
         scene: collision geometry of the world.
         free_space: space that the cameras saw free; None: all outside the solids.
-        trail: (m, n) configurations in the last seconds, the newest last [rad].
         speed_share: share of the speed limits that the arm may use.
         number: of this decision, which seeds its random candidates.
     """
@@ -141,7 +134,6 @@ class GuardSight(Frozen):
     full_rate: float
     motion: PlannedMotion
     scene: SolidScene
-    trail: FloatArray = zeros(0, 0)
     speed_share: float = 1.0
     number: int = 0
     free_space: FreeSpace | None = None
@@ -179,17 +171,9 @@ class GuardSearch:
         self._interval = self._every * step
         self._times = self._interval * np.arange(1, _SAMPLES + 1)
         self._until_next = math.ceil(period / self._interval)
-        n = len(arm.joints)
-        self.acceleration = np.full(n, parameters.acceleration)
+        self.acceleration = parameters.acceleration
         self.speed = np.array(arm.chain.speed) * parameters.speed_share
         self._lower, self._upper = arm.chain.lower + _INSIDE, arm.chain.upper - _INSIDE
-        # Of a verified motion, which is the same for many decisions.
-        self._own = lru_cache(maxsize=2)(
-            lambda motion: min(
-                (self_distance(arm.chain, arm.spheres, np.array(q)) for q in _samples(motion)),
-                default=math.inf,
-            )
-        )
 
     def decide(self, before: GuardDecision, sight: GuardSight) -> GuardDecision:
         """Selects the motion from `sight.begin` on.
@@ -198,38 +182,66 @@ class GuardSearch:
             before: motion in use.
             sight: input.
         """
-        look = _Look(self._arm, sight, self._padding, self._own(sight.motion))
-        moves = sight.scene.moves
-        followed = GuardDecision()
-        if sight.on_path:
-            ahead = self._followed(sight, 1.0)
-            free = self._judge(look, ahead[None])
-            contact = sight.begin + float(free.first[0])
-            followed = replace(followed, contact=contact, obstacle=look.nearest)
-            clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
-            if clear and not self._violated(ahead, sight):
-                return followed
-        options, q = self._followed_options(sight)
-        if moves or not sight.on_path:
+        look = self._look(sight)
+        options = [GuardDecision(a, scale) for scale, a in _SCALES.items() if sight.on_path]
+        q, cost, judged = self._evaluated(look, options)
+        contact = math.inf
+        if options:
+            contact = sight.begin + float(judged.first[0])
+            clear = judged.contact[0] == 0.0 and judged.near_moving[0] <= _CLEAR
+            if clear and not self._violated(q[0], sight):
+                return replace(options[0], contact=contact, obstacle=look.nearest)
+        if sight.scene.moves or not sight.on_path:
             legs = self._maneuvers(before, sight)
-            options += legs
-            q = np.concatenate([q, self._rolled(legs, sight)])
-        judged = self._judge(look, q)
-        cost = self._cost(judged, options, q, sight)
-        if not before.follows and len(options) > len(_SCALES) * sight.on_path:
-            # The first maneuver is the one in use.
-            row = len(_SCALES) * sight.on_path
-            back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
-            cost[row] -= _HYSTERESIS * min(1.0, 2.0 * back)
-        if moves or not sight.on_path:
-            better = self._refined(options, cost, sight)
-            q_better = self._rolled(better, sight)
-            q = np.concatenate([q, q_better])
-            judged_better = self._judge(look, q_better)
-            cost = np.append(cost, self._cost(judged_better, better, q_better, sight))
-            options += better
-        chosen = self._selected(look, options, q, cost)
-        return replace(chosen, contact=followed.contact)
+            q_legs, of_legs, _ = self._evaluated(look, legs)
+            if not before.follows:
+                # The first maneuver is the one in use.
+                back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
+                of_legs[0] -= _HYSTERESIS * min(1.0, 2.0 * back)
+            better = self._refined(legs, of_legs, sight)
+            q_better, of_better, _ = self._evaluated(look, better)
+            options = options + legs + better
+            q = np.concatenate([q, q_legs, q_better])
+            cost = np.concatenate([cost, of_legs, of_better])
+        return replace(self._selected(look, options, q, cost), contact=contact)
+
+    def _look(self, sight: GuardSight) -> _Look:
+        """Computes the required clearances.
+
+        Of group g and resting solid k: the least of `_TOUCH_RESTING`, the present distance less
+        a slack, and what the verified motion keeps less a slack, or the depth by which the
+        spheres stick out if that is less; likewise of the arm to itself. Of moving solids:
+        `padding + _TOUCH_MOVING`, or the present distance less a slack.
+        """
+        arm, scene = self._arm, sight.scene
+        chain, spheres, solids = arm.chain, arm.spheres, scene.solids
+        moves, fixed = solids.moving, spheres.group_joint < 0
+        now = group_distances(
+            chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
+        )
+        # Up to about 80 configurations along the verified motion.
+        q_motion = sight.motion.q[:: max(len(sight.motion.q) // 80, 1)]
+        path = np.array([sight.q_path, *q_motion])
+        most = _TOUCH_RESTING + 0.1
+        kept = group_distances(chain, spheres, solids, path, sight.begin, most)
+        rest = np.minimum(_TOUCH_RESTING, now - _SLACK)
+        rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
+        near = np.minimum(self._padding + _TOUCH_MOVING, now - _SLACK)
+        rest[:, moves] = near[:, ~moves] = -np.inf
+        rest[fixed] = near[fixed] = -np.inf
+        own = min(self_distance(chain, spheres, q) for q in (np.array(sight.q), *path))
+        of_self = min(_SELF, own - _SLACK)
+        tool = np.zeros(len(fixed), dtype=bool)
+        nearest = ""
+        if moves.any():
+            distance = now[~fixed].min(axis=0, initial=math.inf)
+            nearest = scene.labels[int(np.where(moves, distance, np.inf).argmin())]
+        return _Look(
+            sight,
+            ArmWorld(chain, spheres, solids, Asked(rest, of_self, tool), sight.begin),
+            ArmWorld(chain, spheres, solids, Asked(near, -np.inf, tool), sight.begin),
+            nearest,
+        )
 
     def _selected(
         self,
@@ -249,8 +261,7 @@ class GuardSearch:
         sight, least = look.sight, math.inf
         claim: Claim = ""
         chosen = self.brake(sight.q, sight.v)
-        brakes = [row for row, option in enumerate(options) if option.action == "brake"]
-        for row in [*cost.argsort()[:_TRIES].tolist(), *brakes]:
+        for row in cost.argsort()[:_TRIES].tolist():
             if cost[row] >= least:
                 continue
             violated = self._violated(q[row], sight)
@@ -267,34 +278,34 @@ class GuardSearch:
             return ""
         follows = np.vstack([sight.q, q[: m + 1]])
         v = (follows[m + 1] - follows[m]) / self._interval
-        stop = self.brake(follows[m], v)
-        legs = Legs(stop.target[None], stop.speed[None], np.array([math.inf]))
-        rest = roll_out_legs(
-            np.array(follows[m]), v, legs, self.acceleration, self._step, self._every,
-            _REST,
-        )  # fmt: skip
-        course = Course(
-            sight.begin + self._interval * np.arange(float(m + 1 + _REST)),
-            np.concatenate([follows[: m + 1], rest[0]]),
-        )
-        count(configurations=len(course.t))
+        rest = self._rolled(self.brake(follows[m], v), follows[m], v, 0.0, _REST)
+        course = np.concatenate([follows[: m + 1], rest])
+        t = sight.begin + self._interval * np.arange(float(len(course)))
+        count(configurations=len(t))
         return violated_claim(
-            self._arm, course, sight.scene, sight.free_space, V=p.obstacle_speed,
+            self._arm, t, course, sight.scene, sight.free_space, V=p.obstacle_speed,
             v_unseen=p.v_unseen,
         )  # fmt: skip
 
-    def _judge(self, look: _Look, q: FloatArray) -> Judged:
-        margin = self._parameters.margin_moving
-        return judge_motions(look.resting, look.moving, q, self._interval, margin)
-
-    def _cost(
-        self, judged: Judged, options: list[GuardDecision], q: FloatArray, sight: GuardSight
-    ) -> FloatArray:
-        """Returns the costs (N,) of motions q (N, T, n) [s]."""
-        horizon = self._times[-1]
+    def _evaluated(
+        self, look: _Look, options: list[GuardDecision]
+    ) -> tuple[FloatArray, FloatArray, Judged]:
+        """Returns configurations (N, T, n) along motions, their costs (N,) [s], and their parts."""
+        sight, horizon = look.sight, self._times[-1]
+        q = np.empty((len(options), _SAMPLES, len(sight.q)))
+        for row, option in enumerate(options):
+            if option.follows:
+                q[row] = self._followed(sight, option.scale)
+            else:
+                q[row] = self._rolled(option, sight.q, sight.v, sight.begin, _SAMPLES)
+        judged = judge_motions(
+            look.resting, look.moving, q, self._interval, self._parameters.margin_moving
+        )
         cost = _CONTACT * judged.contact + _NEAR_MOVING * judged.near_moving
         cost = cost + _NEAR_RESTING * judged.near_resting
-        away = np.abs(q - sight.q_path) / self.speed
+        chain, away = self._arm.chain, np.abs(q - sight.q_path) / self.speed
+        beyond = np.maximum(chain.lower - q, q - chain.upper).max(axis=(1, 2), initial=0.0)
+        cost[beyond > _AT_LIMIT] += _CONTACT
         turn = self._turns(q, sight)
         for row, option in enumerate(options):
             if option.follows:
@@ -307,7 +318,7 @@ class GuardSearch:
                 cost[row] += _TURN * horizon * turn[row].mean()
                 if turn[row, 1:].max() > max(self._turn_limit, turn[row, 0]) + _SLACK:
                     cost[row] = math.inf
-        return np.asarray(cost)
+        return q, cost, judged
 
     def _turns(self, q: FloatArray, sight: GuardSight) -> FloatArray:
         """Returns angles (N, 1 + T / 4) of the tool to its orientation on the verified motion.
@@ -320,7 +331,7 @@ class GuardSearch:
         R_WE = tool_poses(self._arm.chain, postures)[:, :9]
         count(steps=len(postures))
         cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
-        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(len(q), -1))
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(some.shape[:2]))
 
     # --- candidates ------------------------------------------------------------------------
 
@@ -339,25 +350,15 @@ class GuardSearch:
         away = sight.q - motion.joints(sight.s)
         return np.asarray(motion.joints(s) + np.exp(-_SETTLED * self._times)[:, None] * away)
 
-    def _followed_options(self, sight: GuardSight) -> tuple[list[GuardDecision], FloatArray]:
-        if not sight.on_path:
-            return [], np.zeros((0, _SAMPLES, len(sight.q)))
-        names: dict[float, Action] = {1.0: "follow", 0.0: "wait"}
-        options = [GuardDecision(names.get(scale, "slow"), scale) for scale in _SCALES]
-        return options, np.stack([self._followed(sight, scale) for scale in _SCALES])
-
-    def _rolled(self, options: list[GuardDecision], sight: GuardSight) -> FloatArray:
-        """Returns configurations (N, T, n) along maneuvers."""
-        legs = Legs(
-            np.stack([option.target for option in options]),
-            np.stack([option.speed for option in options]),
-            np.array([option.switch - sight.begin for option in options]),
-        )
-        count(steps=len(options) * _SAMPLES * self._every)
+    def _rolled(
+        self, maneuver: GuardDecision, q: FloatArray, v: FloatArray, begin: float, samples: int
+    ) -> FloatArray:
+        """Returns configurations (samples, n) along a maneuver from a joint state at a time."""
+        count(steps=samples * self._every)
+        arrays = (np.array(of) for of in (q, v, maneuver.target, maneuver.speed))
         return roll_out_legs(
-            np.array(sight.q), np.array(sight.v), legs, self.acceleration, self._step, self._every,
-            _SAMPLES,
-        )  # fmt: skip
+            *arrays, maneuver.switch - begin, self.acceleration, self._step, self._every, samples
+        )
 
     def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Returns the configuration (n,) in which full braking ends [rad]."""
@@ -372,10 +373,8 @@ class GuardSearch:
             x: positions [rad] and velocities [rad/s].
             time: beginning of the step [s].
         """
-        q, v = np.split(x, 2)
-        leg = int(time >= maneuver.switch)
-        target, speed = np.array(maneuver.target[leg]), np.array(maneuver.speed[leg])
-        advance_leg(q, v, target, speed, self.acceleration, self._step)
+        legs = np.array(maneuver.target), np.array(maneuver.speed), maneuver.switch - time
+        roll_out_legs(*np.split(x, 2), *legs, self.acceleration, self._step, 1, 1)
 
     def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
         """Returns the maneuver that brings the arm to rest from a joint state (n,), (n,)."""
@@ -393,33 +392,13 @@ class GuardSearch:
             _legs("evade", path, _synchronized(sight.q, path, full, share))
             for share in (1.0, 0.6, 0.3, 0.12)
         ]
-        for wait in (0.3, 0.6):
-            back = _synchronized(rest, path, full, 0.9)
-            found.append(_legs("evade", rest, full, path, back, begin + wait))
-        for age in (4, 8, 14):
-            if len(sight.trail) > age:
-                past = sight.trail[-1 - age]
-                found.append(_legs("evade", past, _synchronized(sight.q, past, full, 1.0)))
-        n = len(rest)
         while len(found) < p.candidates:
-            kind = rng.integers(4)
-            if kind == 0:
-                target = rest + rng.normal(size=n) * rng.choice([0.15, 0.4, 0.9])
-            elif kind == 1:
-                turned = rng.random(n) < 0.5
-                target = rest + turned * rng.normal(size=n) * rng.choice([0.4, 1.0])
-            elif kind == 2:
-                target = rng.uniform(self._lower, self._upper)
-            else:
-                target = rest + rng.uniform(0.0, 0.6) * (path - rest)
-                target = target + rng.normal(size=n) * rng.choice([0.2, 0.5])
+            target = rest + rng.choice([0.0, 0.6]) * rng.random() * (path - rest)
+            target = target + rng.normal(size=len(rest)) * rng.choice([0.15, 0.4, 0.9])
             target = np.clip(target, self._lower, self._upper)
-            if rng.random() < 0.5:
-                found.append(_legs("evade", target, full))
-            else:
-                back = _synchronized(target, path, full, rng.choice([0.5, 1.0]))
-                switch = begin + rng.uniform(0.1, 0.9)
-                found.append(_legs("evade", target, full, path, back, switch))
+            back = _synchronized(target, path, full, rng.choice([0.5, 1.0]))
+            switch = begin + rng.choice([rng.uniform(0.1, 0.9), math.inf])
+            found.append(_legs("evade", target, full, path, back, switch))
         return found
 
     def _refined(
@@ -427,18 +406,15 @@ class GuardSearch:
     ) -> list[GuardDecision]:
         """Returns variations of the best maneuvers."""
         rng = np.random.default_rng([self._parameters.seed, sight.number, 1])
-        ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
-        n, found = len(sight.q), []
+        best, found = np.argsort(cost)[:_PARENTS], []
         for i in range(self._parameters.refinements):
-            parent = options[ranked[i % min(_PARENTS, len(ranked))]]
-            target = parent.target[0] + rng.normal(size=n) * rng.choice([0.05, 0.2])
+            parent = options[best[i % len(best)]]
+            target = parent.target[0] + rng.normal(size=len(sight.q)) * rng.choice([0.05, 0.2])
             target = np.clip(target, self._lower, self._upper)
-            is_single = bool((parent.target[0] == parent.target[1]).all())
-            last = target if is_single else parent.target[1]
-            switch = parent.switch
-            if math.isfinite(switch):
-                switch = max(sight.begin, switch + 0.1 * rng.normal())
-            found.append(_legs("evade", target, parent.speed[0], last, parent.speed[1], switch))
+            switch = max(sight.begin, parent.switch + 0.1 * rng.normal())
+            found.append(
+                _legs("evade", target, parent.speed[0], parent.target[1], parent.speed[1], switch)
+            )
         return found
 
 
@@ -451,11 +427,9 @@ def _legs(
     switch: float = math.inf,
 ) -> GuardDecision:
     """Returns a maneuver of one leg, or of two."""
-    if last is None or last_speed is None:
-        last, last_speed = first, speed
-    return GuardDecision(
-        action, 0.0, np.stack([first, last]), np.stack([speed, last_speed]), switch
-    )
+    target = np.stack([first, first if last is None else last])
+    speeds = np.stack([speed, speed if last_speed is None else last_speed])
+    return GuardDecision(action, 0.0, target, speeds, switch)
 
 
 def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: float) -> FloatArray:
@@ -465,58 +439,16 @@ def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: f
     return np.asarray(np.clip(way / seconds, 0.02, speed))
 
 
-def _samples(motion: PlannedMotion) -> FloatArray:
-    """Returns up to about 80 configurations (M, n) along a motion [rad]."""
-    return motion.q[:: max(len(motion.q) // 80, 1)]
+class _Look(NamedTuple):
+    """Arm among the solids of one observation.
 
+    Attributes:
+        sight: input of the decision.
+        resting, moving: the arm, with the clearances required of both kinds of solids.
+        nearest: label of the moving solid that is nearest to the arm now; "": none moves.
+    """
 
-class _Look:
-    """Arm among the solids of one observation, with the clearances required of both kinds."""
-
-    def __init__(
-        self,
-        arm: GuardedArm,
-        sight: GuardSight,
-        padding: float,
-        least_own: float,
-    ) -> None:
-        """Computes the required clearances.
-
-        Of group g and resting solid k: the least of `_TOUCH_RESTING`, the present distance less
-        a slack, and what the verified motion keeps less a slack, or the depth by which the
-        spheres stick out if that is less; likewise of the arm to itself, `least_own` being what the
-        verified motion keeps. Of moving solids: `padding + _TOUCH_MOVING`, or the
-        present distance less a slack.
-        """
-        self.sight = sight
-        chain, spheres, solids = arm.chain, arm.spheres, sight.scene.solids
-        moves = solids.moving
-        self._now = group_distances(
-            chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
-        )
-        fixed = spheres.group_joint < 0
-        rest = np.minimum(_TOUCH_RESTING, self._now - _SLACK)
-        path = _samples(sight.motion).reshape(-1, len(sight.q))
-        path = np.ascontiguousarray(np.vstack([sight.q_path[None], path]))
-        most = _TOUCH_RESTING + 0.1
-        kept = group_distances(chain, spheres, solids, path, sight.begin, most)
-        rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
-        rest[:, moves] = -np.inf
-        near = np.minimum(padding + _TOUCH_MOVING, self._now - _SLACK)
-        near[:, ~moves] = -np.inf
-        rest[fixed] = near[fixed] = -np.inf
-        own = [float(self_distance(chain, spheres, np.array(q))) for q in (sight.q, sight.q_path)]
-        of_self = min(_SELF, min(own) - 1e-3, least_own - _SLACK)
-        tool = np.zeros(len(fixed), dtype=bool)
-        self.resting = ArmWorld(chain, spheres, solids, Asked(rest, of_self, tool), sight.begin)
-        self.moving = ArmWorld(chain, spheres, solids, Asked(near, -np.inf, tool), sight.begin)
-        self._moves, self._fixed = moves, fixed
-
-    @cached_property
-    def nearest(self) -> str:
-        """Label of the moving solid that is nearest to the arm now; "": none moves."""
-        if not self._moves.any():
-            return ""
-        distance = self._now[~self._fixed].min(axis=0, initial=math.inf)
-        row = int(np.where(self._moves, distance, np.inf).argmin())
-        return self.sight.scene.labels[row]
+    sight: GuardSight
+    resting: ArmWorld
+    moving: ArmWorld
+    nearest: str

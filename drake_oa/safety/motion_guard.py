@@ -27,7 +27,7 @@ from drake_oa.policy.dmp import Demonstration, normalised_time
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import approach, track
+from drake_oa.safety.joint_motions import advance, track
 from drake_oa.safety.maneuvers import (
     ACTIONS,
     ARRIVED,
@@ -50,14 +50,12 @@ from drake_oa.safety.supervision import (
 _logger = logging.getLogger("drake_oa")
 _RATE = 20.0
 """Rate at which the null space converges to the desired posture [1/s]."""
-_TRAIL, _TRAIL_PERIOD = 15, 0.1
-"""Number of past configurations that are kept, and time between them [s]."""
 _CARRY, _CARRIED = 0.1, 5e-4
 """Time constant with which the desired position follows the tool [s], and distance at which it
 rests, so that the motion to be planned keeps its start [m]."""
-_PATIENCE, _PROGRESS = 1.0, 0.02
-"""Time in which the arm comes no nearer to the verified motion by so much, after which it stops
-and a new one is planned from there [s, rad]."""
+_PATIENCE = 1.0
+"""Time for which the arm rests away from the verified motion, after which a new one is planned from
+there [s]."""
 _LONGEST_WAIT = 5.0
 """Time for which such a motion is awaited before the arm tries to return again [s]."""
 _STILL = 0.01
@@ -82,13 +80,10 @@ class GuardState(Frozen):
         path: (2n,) joint state on the verified motion at the end, at its phase [rad, rad/s].
         carry: (3,) velocity by which the desired position is displaced to the tool [m/s].
         thoughts: the decision in force, and the pending one.
-        lost_since: time since which the arm comes no nearer to the verified motion that it has left
-            [s]; inf: it does, or has not left it.
-        nearest: least distance of the joints to it since then [rad].
+        lost_since: time since which the arm rests away from the verified motion [s]; inf: it does
+            not.
         expires: time at which the decision in force is too old [s].
         slow_until: time until which the arm moves slowly after a contact [s].
-        trail: (m, n) past configurations, the newest last [rad].
-        trail_time: time of the newest one [s].
         number: of decisions so far.
         supervision: state of the monitors.
     """
@@ -101,11 +96,8 @@ class GuardState(Frozen):
     carry: FloatArray = zeros(3)
     thoughts: Thoughts[GuardDecision] = field(default_factory=lambda: Thoughts(GuardDecision()))
     lost_since: float = math.inf
-    nearest: float = math.inf
     expires: float = math.inf
     slow_until: float = -math.inf
-    trail: FloatArray = zeros(0, 0)
-    trail_time: float = -math.inf
     number: int = 0
     supervision: Supervision = field(default_factory=Supervision)
 
@@ -211,8 +203,8 @@ class MotionGuard(LeafSystem):
     While no maneuver is active, the commanded joints have the tool at the desired pose, by a
     damped Gauss-Newton step each `step`, and their null space follows the posture. Each `period`
     `drake_oa.safety.maneuvers` compares this motion with slower ones and, if obstacles move, with
-    maneuvers. During a maneuver the phase rests; then the arm returns to the motion. If it comes no
-    nearer to it for 1 s, the arm stops, the desired position follows the tool, and a motion that
+    maneuvers. During a maneuver the phase rests; then the arm returns to the motion. If it rests
+    elsewhere for 1 s, the desired position follows the tool, and a motion that
     begins there is awaited. Where no newer decision comes into force in time, the phase or the arm
     comes to rest.
 
@@ -289,29 +281,29 @@ class MotionGuard(LeafSystem):
 
         rest = np.append(q_start, np.zeros(n))
         self._state = self.DeclareAbstractState(Value(GuardState(x=rest, x_end=rest, path=rest)))
-        stepped = {self.abstract_state_ticket(self._state)}
-        moving = {self.time_ticket(), *stepped}
-        measured = {self._robot.ticket()}
-        tool = {*measured, self._position.ticket(), self._orientation.ticket()}
+        own = {self.time_ticket(), self.abstract_state_ticket(self._state)}
+        measured = own | {
+            port.ticket() for port in (self._robot, self._position, self._orientation)
+        }
         for name, size, calc, of in (
-            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time())[0], moving),
-            ("desired_joint_acceleration", n, lambda c: self._read(c).at(c.get_time())[1], moving),
-            ("speed_scale", 1, self._speed_scale, stepped),
-            ("evasion", 3, lambda c: self._read(c).carry, stepped),
-            ("decision", 2, lambda c: self._read(c).thoughts.last, stepped),
-            ("path_state", 2 * arm.size, self._path_state, stepped | measured),
-            ("tracking_error", 3, lambda c: self._tool_error(c)[0], tool),
-            ("orientation_error", 3, lambda c: self._tool_error(c)[1], tool),
-            ("guard_action", 1, lambda c: [ACTIONS.index(self._read(c).decision.action)], stepped),
-            ("guard_contact", 1, lambda c: [self._read(c).decision.contact], stepped),
-            ("guard_claim", 1, lambda c: [CLAIMS.index(self._read(c).decision.claim)], stepped),
+            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time())[0], own),
+            ("desired_joint_acceleration", n, lambda c: self._read(c).at(c.get_time())[1], own),
+            ("speed_scale", 1, self._speed_scale, own),
+            ("evasion", 3, lambda c: self._read(c).carry, own),
+            ("decision", 2, lambda c: self._read(c).thoughts.last, own),
+            ("path_state", 2 * arm.size, self._path_state, measured),
+            ("tracking_error", 3, lambda c: self._tool_error(c)[:3], measured),
+            ("orientation_error", 3, lambda c: self._tool_error(c)[3:], measured),
+            ("guard_action", 1, lambda c: [ACTIONS.index(self._read(c).decision.action)], own),
+            ("guard_contact", 1, lambda c: [self._read(c).decision.contact], own),
+            ("guard_claim", 1, lambda c: [CLAIMS.index(self._read(c).decision.claim)], own),
         ):
             self.DeclareVectorOutputPort(name, size, _vector(calc), of)
         self.DeclareAbstractOutputPort(
             "supervision",
             lambda: Value(Supervision()),
             lambda c, output: output.set_value(self._read(c).supervision),
-            stepped,
+            own,
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
         self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, self._step)
@@ -339,12 +331,13 @@ class MotionGuard(LeafSystem):
             x[self._arm.size + self._arm.index] = state.path[self._n :]
         return x
 
-    def _tool_error(self, context: Context) -> tuple[FloatArray, FloatArray]:
+    def _desired_pose(self, context: Context) -> FloatArray:
+        return np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
+
+    def _tool_error(self, context: Context) -> FloatArray:
+        """Returns position and rotation vector from the actual to the desired pose (6,)."""
         q, _ = self._arm.split(self._robot.Eval(context))
-        X_WE = tool_poses(self._arm.chain, q[None])[0]
-        R_d = rotation_of(self._orientation.Eval(context))
-        error = rotation_vector(np.ascontiguousarray(R_d @ X_WE[:9].reshape(3, 3).T))
-        return self._position.Eval(context) - X_WE[9:], error
+        return _pose_error(self._desired_pose(context), tool_poses(self._arm.chain, q[None])[0])
 
     # --- steps -----------------------------------------------------------------------------
 
@@ -355,7 +348,7 @@ class MotionGuard(LeafSystem):
             # A motion under way, in a Context that another simulator takes over.
             return EventStatus.DidNothing()
         q, _ = self._arm.split(self._robot.Eval(context))
-        rest = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else before.x
+        rest = np.append(q, np.zeros(self._n))
         held.set_value(replace(before, x=rest, x_end=rest, path=rest, begin=time, end=time))
         return EventStatus.Succeeded()
 
@@ -375,24 +368,21 @@ class MotionGuard(LeafSystem):
         scene = self._scene(context)
         before = self._supervised(context, before, scene, time)
         if time > before.expires and not before.decision.follows:
-            stop = self._search.brake(before.x_end[: self._n], before.x_end[self._n :])
-            before = self._decided(before, stop)
-        held.set_value(self._advanced(context, before, time, moves=scene.moves))
+            before = self._braked(before, before.x_end)
+        held.set_value(self._advanced(context, before, time))
         return EventStatus.Succeeded()
 
-    def _decided(self, state: GuardState, decision: GuardDecision) -> GuardState:
-        """Returns the state with a decision in force that was made without a search."""
-        thoughts = replace(state.thoughts.dropped(), in_force=decision)
+    def _braked(self, state: GuardState, x: FloatArray) -> GuardState:
+        """Returns the state in which the arm brakes from a joint state (2n,)."""
+        stop = self._search.brake(*np.split(x, 2))
+        thoughts = replace(state.thoughts.dropped(), in_force=stop)
         return replace(state, thoughts=thoughts, expires=math.inf)
 
     def _in_force(self, after: GuardState, time: float) -> GuardState:
         """Returns the state with a new decision in force."""
-        late = (
-            math.inf
-            if after.decision.follows and after.decision.scale == 0.0
-            else (time + _LATE * self._period + after.thoughts.cost)
-        )
-        return replace(after, expires=late)
+        rests = after.decision.follows and after.decision.scale == 0.0
+        late = time + _LATE * self._period + after.thoughts.cost
+        return replace(after, expires=math.inf if rests else late)
 
     def _reacted(self, state: GuardState, q: FloatArray, v: FloatArray, time: float) -> GuardState:
         """Returns the state after a check for contact by the joint state (n,), (n,)."""
@@ -405,9 +395,8 @@ class MotionGuard(LeafSystem):
             joint = self._arm.joints[int(ahead.argmax())]
             _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, ahead.max())
         rest = np.append(q, np.zeros(n))
-        stop = self._search.brake(q, np.zeros(n))
         state = replace(state, x=rest, x_end=rest, slow_until=time + self._parameters.contact_time)
-        return self._decided(state, stop)
+        return self._braked(state, rest)
 
     def _supervised(
         self, context: Context, state: GuardState, scene: SolidScene, time: float
@@ -433,49 +422,33 @@ class MotionGuard(LeafSystem):
             _logger.warning("t=%.3f s: supervisor %s", time, ": ".join(said))
         return replace(state, supervision=after)
 
-    def _advanced(
-        self, context: Context, state: GuardState, time: float, *, moves: bool
-    ) -> GuardState:
-        """Returns the state with the next step of the commanded motion.
-
-        Args:
-            context: of the system.
-            state: of the guard.
-            time: now [s].
-            moves: whether an obstacle moves.
-        """
+    def _advanced(self, context: Context, state: GuardState, time: float) -> GuardState:
+        """Returns the state with the next step of the commanded motion."""
         n, step, arm = self._n, self._step_length, self._arm
-        X_WE = np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
+        X_WE, posture = self._desired_pose(context), np.array(self._posture.Eval(context))
         V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
-        posture = np.array(self._posture.Eval(context))
         q, v = np.array(state.path[:n]), np.zeros(n)
         if math.isfinite(X_WE.sum() + V_WE.sum() + posture.sum()):
-            q, v, _ = track(arm.chain, q, X_WE, V_WE, posture, step, _RATE)
+            q, v = track(arm.chain, q, X_WE, V_WE, posture, step, _RATE)
         elif not state.supervision.is_broken:
             supervision = state.supervision.broken("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
         path, ahead, carry = np.append(q, v), np.array(state.x_end), np.zeros(3)
-        lost_since = nearest = math.inf
+        lost_since = math.inf
         if state.decision.follows:
             limit = self._parameters.acceleration_limit
-            ahead = approach(ahead, path, np.array(arm.chain.speed), limit, step)
+            advance(*np.split(ahead, 2), *np.split(path, 2), arm.chain.speed, limit, step)
         else:
             self._search.advance(state.decision, ahead, time)
             away = float(np.abs(ahead - path)[:n].max())
-            lost_since, nearest = self._lost_since(state, away, time, moves=moves)
+            lost_since = self._lost_since(state, away, time)
         if state.is_lost and lost_since < math.inf:
             # The desired position follows the tool, and a motion that begins there is awaited.
-            X_tool = tool_poses(arm.chain, ahead[None, :n])[0]
-            way = X_tool[9:] - X_WE[9:]
-            carry = way / _CARRY if np.abs(way).max() > _CARRIED else carry
+            error = -_pose_error(X_WE, tool_poses(arm.chain, ahead[None, :n])[0])
+            carry = error[:3] / _CARRY if np.abs(error[:3]).max() > _CARRIED else carry
             path = np.append(ahead[:n], np.zeros(n))
-            turn = X_WE[:9].reshape(3, 3) @ X_tool[:9].reshape(3, 3).T
-            error = np.abs(np.append(rotation_vector(np.ascontiguousarray(turn)), way))
-            if state.speed <= _STILL and error.max() <= _FOUND:
+            if state.speed <= _STILL and np.abs(error).max() <= _FOUND:
                 lost_since, carry = math.inf, np.zeros(3)
-        if time >= state.trail_time + _TRAIL_PERIOD:
-            trail = np.vstack([state.trail.reshape(-1, n), state.x_end[:n]])[-_TRAIL:]
-            state = replace(state, trail=trail, trail_time=time)
         return replace(
             state,
             begin=time,
@@ -485,31 +458,22 @@ class MotionGuard(LeafSystem):
             path=path,
             carry=carry,
             lost_since=lost_since,
-            nearest=nearest,
         )
 
-    def _lost_since(
-        self, state: GuardState, away: float, time: float, *, moves: bool
-    ) -> tuple[float, float]:
-        """Computes since when the arm comes no nearer to its path, and its least distance to it.
+    def _lost_since(self, state: GuardState, away: float, time: float) -> float:
+        """Computes since when the arm rests away from its path [s]; inf: it does not.
 
         Args:
             state: of the guard.
             away: largest distance of a joint from the path [rad].
             time: now [s].
-            moves: whether an obstacle moves, for which the arm may still be evading.
-
-        Returns:
-            Time [s], inf if the arm is not stuck, and distance [rad].
         """
         if time - state.lost_since > _PATIENCE + _LONGEST_WAIT or away <= ARRIVED:
-            return math.inf, away
+            return math.inf
         if state.is_lost:
-            return state.lost_since, state.nearest
+            return state.lost_since
         rests = time > state.slow_until and state.speed <= _STILL
-        if (moves and not rests) or away < state.nearest - _PROGRESS:
-            return time, away
-        return min(state.lost_since, time), state.nearest
+        return min(state.lost_since, time) if rests else math.inf
 
     # --- decisions -------------------------------------------------------------------------
 
@@ -565,7 +529,6 @@ class MotionGuard(LeafSystem):
             full_rate=1.0 / (policy.tau * duration),
             motion=motion,
             scene=scene,
-            trail=state.trail,
             speed_share=self._slow_share if time < state.slow_until else 1.0,
             number=state.number,
             free_space=read_optional(self, self._free_space, context, FreeSpace),
@@ -579,6 +542,12 @@ def _vector(calc):  # type: ignore[no-untyped-def]
         output.SetFromVector(np.asarray(calc(context), dtype=float))
 
     return write
+
+
+def _pose_error(X_d: FloatArray, X: FloatArray) -> FloatArray:
+    """Computes position and rotation vector (6,) from a pose (12,) to a desired one [m, rad]."""
+    turn = X_d[:9].reshape(3, 3) @ X[:9].reshape(3, 3).T
+    return np.append(X_d[9:] - X[9:], rotation_vector(np.ascontiguousarray(turn)))
 
 
 def _belongs(motion: PlannedMotion, policy: PolicyState) -> bool:

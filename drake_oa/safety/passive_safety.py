@@ -22,7 +22,7 @@ at full radius.
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -47,21 +47,10 @@ _SHARE = np.linalg.norm(_PLACES, axis=1)
 """(52,) their distances from it."""
 
 
-class Course(NamedTuple):
-    """Motion of an arm until it rests.
-
-    Attributes:
-        t: (T,) times, increasing [s].
-        q: (T, n) joint positions then [rad].
-    """
-
-    t: FloatArray
-    q: FloatArray
-
-
 def violated_claim(
     arm: GuardedArm,
-    course: Course,
+    t: FloatArray,
+    q: FloatArray,
     scene: SolidScene,
     free_space: FreeSpace | None,
     *,
@@ -72,20 +61,23 @@ def violated_claim(
 
     Args:
         arm: the arm.
-        course: the motion.
+        t: (T,) times of the motion until it rests, increasing [s].
+        q: (T, n) configurations then [rad].
         scene: collision geometry of everything else, as observed.
         free_space: the space that was seen free; None: all space outside the solids.
         V: maximum speed of obstacles [m/s].
         v_unseen: maximum speed toward space that was not seen [m/s].
     """
-    t, solids = course.t, scene.solids
-    p_WS = sphere_centers(arm.chain, arm.spheres, np.ascontiguousarray(course.q))
+    solids = scene.solids
+    p_WS = sphere_centers(arm.chain, arm.spheres, np.ascontiguousarray(q))
     dt = np.diff(t)[:, None]
     reach = arm.spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
-    if scene.moves and _is_any_near(
-        p_WS, dt[:, 0], reach, solids.chosen(solids.moving), scene.stamp
-    ):
-        return "A"
+    if scene.moves:
+        moving, far = solids.chosen(solids.moving), float(reach.max())
+        d = least_distances(moving, p_WS.reshape(-1, 3), scene.stamp, far, -1.0)
+        d = d.reshape(p_WS.shape[:2])
+        if ((d[:-1] < reach) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
+            return "A"
     if free_space is None:
         return ""
     v_WS = np.diff(p_WS, axis=0) / dt[..., None]
@@ -96,26 +88,6 @@ def violated_claim(
     unseen = places[~free_space.contains(places)]
     is_open = _is_any_open(unseen, p_WS[0], arm.spheres.radius, solids, scene.stamp)
     return "B" if is_open else ""
-
-
-@compiled
-def _is_any_near(
-    p_WS: FloatArray, dt: FloatArray, reach: FloatArray, solids: Solids, stamp: float
-) -> bool:
-    """Checks whether any center p_WS (T, S, 3) approaches the solids within its reach (T-1, S)."""
-    place = np.empty((1, 3))
-    for k in range(len(dt)):
-        for i in range(p_WS.shape[1]):
-            if (p_WS[k, i] == p_WS[k + 1, i]).all():
-                continue
-            far = reach[k, i]
-            place[0] = p_WS[k, i]
-            d = least_distances(solids, place, stamp, far, -1.0)[0]
-            if d < far:
-                place[0] = p_WS[k + 1, i]
-                if d - least_distances(solids, place, stamp, far, -1.0)[0] > _AT_REST * dt[k]:
-                    return True
-    return False
 
 
 @compiled

@@ -29,8 +29,8 @@ _PATIENCE = 3.0
 """Duration after which a hold that cannot end by itself becomes a stop [s]."""
 _DWELL = 0.5
 """Minimum time between two logged events of the same action [s]."""
-_RUNNING, _SLOW = 0.99, 0.95
-"""Shares of full speed above which a slow motion runs again, and below which a motion is slow."""
+_RUNNING = 0.95
+"""Share of full speed below which a motion is slow."""
 
 
 @dataclass(frozen=True)
@@ -119,19 +119,20 @@ def supervise(
     target = 0.0 if holds else tightest.scale
     scale = min(target, before.speed_scale + elapsed / RECOVERY_TIME)
     early = time - before.since < _DWELL
-    slows = scale < (_SLOW if before.action == "run" else _RUNNING)
     action: Action = "run"
     if holds:
         action = "stop" if time - blocked_since >= _PATIENCE else "hold"
-    elif slows or (before.action != "run" and (held or early)):
+    elif scale < _RUNNING or (before.action != "run" and (held or early)):
         action = "slow"
     cause, reason = tightest.cause, tightest.reason
     if action == "run":
         cause = reason = ""
-    elif tightest.scale >= 1.0 or (action == before.action and (cause == before.cause or early)):
+    elif (
+        tightest.scale >= 1.0
+        or (action == before.action and (cause == before.cause or early))
+        or (action == "stop" and not tightest.lasting)
+    ):
         # The same event, or the recovery from it: its first figures stay.
-        cause, reason = before.cause, before.reason
-    elif action == "stop" and not tightest.lasting:
         cause, reason = before.cause, before.reason
     same = (action, cause) == (before.action, before.cause)
     if same and (scale, blocked_since) == (before.speed_scale, before.blocked_since):

@@ -35,7 +35,7 @@ class Scripted:
         self.asked.append(before)
         count(searches=self.searches)
         found = self.answers[min(len(self.asked), len(self.answers)) - 1]
-        return found.changed(key={"p_WS": sight.policy.p_WS, "p_WG": sight.p_WG})
+        return replace(found, p_WS=sight.policy.p_WS, p_WG=sight.p_WG)
 
     def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
         return made.command.tau not in self.late

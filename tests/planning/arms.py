@@ -22,7 +22,7 @@ from drake_oa.planning.arm_world import (
     ArmWorld,
     Asked,
 )
-from drake_oa.robot.arm import Chain, chain_poses, make_chain, moved_by
+from drake_oa.robot.arm import Chain, chain_poses, joints_to, make_chain, moved_by
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
@@ -182,9 +182,10 @@ class Truth:
         self._context = self._plant.GetMyMutableContextFromRoot(self._root)
         self._port, self._graph = graph.get_query_output_port(), graph
         self._arm, self._robot = arm, robot
-        joints = [self._plant.get_joint(j) for j in self._plant.GetJointIndices(robot)]
-        chain = [joint for joint in joints if joint.num_velocities() == 1][: len(arm.q)]
-        moved = moved_by(self._plant, chain)
+        joints = joints_to(arm.robot.plant, arm.robot.tool_frame)
+        moved = moved_by(
+            self._plant, [self._plant.GetJointByName(joint.name(), robot) for joint in joints]
+        )
         names = set(tool_links(arm.config))
         self.pairs: list[tuple[int, GeometryId, GeometryId]] = [
             (TOOL if self._plant.get_body(body).name() in names else LINKS, of_arm, of_thing)

@@ -1,22 +1,23 @@
 """The search of a point among ellipsoids: the clearance of its result, measured independently."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.planning.search import Ranked
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
     ALPHA,
-    ANGLE,
     N_GENES,
     TAU,
     ProposalNetwork,
@@ -32,7 +33,7 @@ QUICK = Verified(candidates=64, rounds=20, polish=6, slack=2e-4)
 
 def scene_of(
     center: list[list[float]],
-    semi_axes: float | list[float] = 0.08,
+    semi_axes: Sequence[float] | float = 0.08,
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Scene:
     """A motion of 1 m along x, with an axis-aligned ellipsoid at each center; clearance 0.1 m."""
@@ -72,26 +73,24 @@ def least_distance(scene: Scene, path: FloatArray, stamps: FloatArray) -> float:
     )
 
 
-@pytest.mark.parametrize(
-    ("center", "semi_axes"),
-    [
-        ([[0.5, 0.0, 0.0]], 0.08),
-        ([[0.5, 0.0, 0.0]], [0.05, 0.2, 0.25]),
-        ([[0.4, 0.05, 0.02], [0.7, -0.06, 0.0]], 0.06),
-        ([[0.8, 0.01, 0.0]], 0.06),
-        ([[0.2, 0.0, 0.03]], 0.07),
-    ],
+@settings(max_examples=12)
+@given(
+    place=st.floats(0.2, 0.8),
+    aside=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    semi_axes=st.tuples(*3 * [st.floats(0.05, 0.12)]),
 )
 def test_the_requested_clearance_is_achieved_and_not_much_more(
-    proposer: ProposalNetwork, center: list[list[float]], semi_axes: float | list[float]
+    proposer: ProposalNetwork,
+    place: float,
+    aside: tuple[float, float],
+    semi_axes: tuple[float, float, float],
 ) -> None:
-    scene = scene_of(center, semi_axes)
+    scene = scene_of([[place, *aside]], semi_axes)
     found, path, stamps = searched(scene, proposer)
     assert found.solved
-    assert 0.0995 <= least_distance(scene, path, stamps) <= 0.11
+    free = min(least_distance(scene, end[None], np.zeros(1)) for end in (START, GOAL))
+    assert min(0.0995, free - 5e-4) <= least_distance(scene, path, stamps) <= 0.11
     assert np.linalg.norm(path[-1] - GOAL) <= 7e-4
-    again, *_ = searched(scene, proposer)
-    np.testing.assert_array_equal(found.genes, again.genes)
 
 
 def test_the_nominal_motion_stays_where_nothing_is_in_the_way(proposer: ProposalNetwork) -> None:
@@ -104,11 +103,15 @@ def test_the_nominal_motion_stays_where_nothing_is_in_the_way(proposer: Proposal
 def test_a_moving_obstacle_is_avoided_where_it_will_be(proposer: ProposalNetwork) -> None:
     # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
     scene = scene_of([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
-    still = replace(scene, ellipsoids=replace(scene.ellipsoids, v_WO=np.zeros((1, 3))))
-    assert searched(still, proposer)[0].genes[0, ALPHA] == -np.inf
     found, path, stamps = searched(scene, proposer)
     assert found.solved
+    assert found.genes[0, ALPHA] > -np.inf
     assert least_distance(scene, path, stamps) >= 0.0995
+    # From the middle of the motion, too.
+    search = PointSearch(scene, dmp=DMP, policy=Policy(period=DURATION / 500), parameters=QUICK)
+    tool = search.tool_paths(found.genes)
+    half = replace(scene, p_WE=tool.path[0, 100], z_W=tool.velocity[0, 100], s=0.2)
+    assert searched(half, proposer)[0].solved
 
 
 def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(
@@ -119,24 +122,6 @@ def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(
     found, path, stamps = searched(scene, proposer)
     assert not found.solved
     assert 0.04 < least_distance(scene, path, stamps) < 0.07
-
-
-def test_a_motion_under_way_is_searched_from_its_middle(proposer: ProposalNetwork) -> None:
-    scene = scene_of([[0.6, 0.0, 0.0]])
-    search = PointSearch(scene, dmp=DMP, policy=Policy(period=DURATION / 500), parameters=QUICK)
-    tool = search.tool_paths(searched(scene, proposer)[0].genes)
-    half = replace(scene, p_WE=tool.path[0, 200], z_W=tool.velocity[0, 200], s=0.4)
-    found, path, stamps = searched(half, proposer)
-    assert found.solved
-    assert least_distance(half, path, stamps) >= 0.0995
-
-
-def test_a_turn_about_the_normal_goes_to_the_side() -> None:
-    genes = np.zeros((1, N_GENES))
-    genes[0, ANGLE] = 0.3
-    terms = avoidance_terms(scene_of([[0.5, 0.0, 0.0]]), genes)
-    omega = np.cross(terms[0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
-    np.testing.assert_allclose(omega, [0.0, np.cos(0.3), np.sin(0.3)], atol=1e-15)
 
 
 def test_genes_and_terms_are_inverse() -> None:

@@ -8,8 +8,8 @@ from pydrake.common.value import Value
 from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import HoldCause, PlannedMotion, PolicyState
-from drake_oa.geometry.solids import SolidScene, sphere
+from drake_oa.common.messages import PlannedMotion, PolicyState
+from drake_oa.geometry.solids import Solid, SolidScene, solids_of, sphere
 from drake_oa.planning.arm_world import group_distances
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
@@ -52,20 +52,14 @@ class Bench:
         ):
             self.system.GetInputPort(name).FixValue(self.context, value)
 
-    def run(self, duration: float, p_WO: np.ndarray | None, v_WO: np.ndarray) -> dict:
-        """Runs beside a ball at p_WO (3,) that moves at v_WO (3,); None: there is none."""
+    def run(self, duration: float, *balls: Solid) -> dict[str, np.ndarray]:
+        """Runs beside balls, which are where they are at the beginning."""
         found: dict[str, list] = {"x": [], "scale": [], "action": []}
         begin = self.context.get_time()
+        solids = [replace(ball, stamp=begin) for ball in balls]
         for k in range(round(duration / STEP)):
-            time = begin + k * STEP
-            scene = SolidScene.of(time, [])
-            if p_WO is not None:
-                X_WO = np.eye(4)
-                X_WO[:3, 3] = p_WO + (time - begin) * v_WO
-                ball = replace(sphere(RADIUS), X_WO=X_WO, v_WO=v_WO, stamp=time, label="ball")
-                scene = SolidScene.of(time, [ball])
-            self.fix("solids_W", Value(scene))
-            self.simulator.AdvanceTo(time + STEP)
+            self.fix("solids_W", Value(SolidScene.of(begin + k * STEP, solids)))
+            self.simulator.AdvanceTo(begin + (k + 1) * STEP)
             x = self.read("desired_joint_state")
             self.x[self.arm.index], self.x[self.size + self.arm.index] = np.split(x, 2)
             self.fix("robot_state", self.x)
@@ -82,66 +76,49 @@ class Bench:
     def read(self, name: str) -> np.ndarray:
         return np.array(self.system.GetOutputPort(name).Eval(self.context))
 
-    def gaps(self, x: np.ndarray, p_WO: np.ndarray, v_WO: np.ndarray) -> np.ndarray:
-        """(T,) distances of the arm's spheres to the ball along joint states (T, 2n) [m]."""
-        ball = replace(sphere(RADIUS), v_WO=v_WO)
-        ball = replace(ball, X_WO=np.block([[np.eye(3), p_WO[:, None]], [np.zeros(3), 1.0]]))
-        solids = SolidScene.of(0.0, [ball]).solids
-        chain, spheres = self.arm.chain, self.arm.spheres
-        moved = spheres.group_joint >= 0
-        times = STEP * np.arange(1, len(x) + 1)
-        n = len(self.q)
-        return np.array(
-            [
-                group_distances(chain, spheres, solids, row[None, :n].copy(), t, np.inf)[
-                    moved
-                ].min()
-                for row, t in zip(x, times, strict=True)
-            ]
-        )
+    def arriving(self, after: float, *v_WO: float) -> Solid:
+        """A ball that arrives at the hand after a time [s]."""
+        X_WO = np.eye(4)
+        X_WO[:3, 3] = self.X_WE[9:] + [0.0, 0.0, 0.05] - after * np.array(v_WO)
+        return replace(sphere(RADIUS), X_WO=X_WO, v_WO=np.array(v_WO), label="ball")
+
+    def gap(self, x: np.ndarray, ball: Solid) -> float:
+        """Least distance of the moving links to a ball along joint states (T, 2n) [m]."""
+        chain, spheres, q = self.arm.chain, self.arm.spheres, np.ascontiguousarray(x[:, :7])
+        d = group_distances(chain, spheres, solids_of([ball]), q, STEP, np.inf, STEP)
+        return float(d[spheres.group_joint >= 0].min())
 
 
-def test_it_stays_on_its_path_while_nothing_moves(panda: ArmAlone, guarded: GuardedArm) -> None:
+@pytest.mark.parametrize("v_WO", [(-0.5, 0.0, 0.0), (0.0, -0.5, 0.0)])
+def test_it_leaves_for_a_ball_and_returns(
+    panda: ArmAlone, guarded: GuardedArm, v_WO: tuple[float, ...]
+) -> None:
     bench = Bench(panda, guarded)
-    found = bench.run(0.6, None, np.zeros(3))
-    np.testing.assert_allclose(found["x"][-1], np.append(bench.q, np.zeros(7)), atol=1e-6)
-    assert found["action"].max() == 0.0
-    assert found["scale"][-1] == 1.0
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, guarded: GuardedArm, axis: int) -> None:
-    bench = Bench(panda, guarded)
-    bench.run(0.2, None, np.zeros(3))
-    v_WO = np.zeros(3)
-    v_WO[axis] = -0.5
-    p_WO = bench.X_WE[9:] + [0.0, 0.0, 0.05] - 1.2 * v_WO
-    found = bench.run(3.0, p_WO, v_WO)
-    gaps = bench.gaps(found["x"], p_WO, v_WO)
-    assert gaps.min() > 0.0
+    before, rest = bench.run(0.2), np.append(bench.q, np.zeros(7))
+    np.testing.assert_allclose(before["x"][-1], rest, atol=1e-6)
+    assert before["action"].max() == 0.0
+    ball = bench.arriving(1.2, *v_WO)
+    found = bench.run(3.0, ball)
+    assert bench.gap(found["x"], ball) > 0.0
     # Without a maneuver the ball would hit the hand.
-    still = bench.gaps(np.tile(np.append(bench.q, np.zeros(7)), (len(gaps), 1)), p_WO, v_WO)
-    assert still.min() < -0.03
+    assert bench.gap(np.tile(rest, (len(found["x"]), 1)), ball) < -0.03
     assert found["action"].max() >= 3.0
     assert found["scale"].min() == 0.0
-    changes = np.diff(found["x"][:, 7:], axis=0)
-    assert np.abs(changes).max() <= LIMIT * STEP + 1e-9
+    assert np.abs(np.diff(found["x"][:, 7:], axis=0)).max() <= LIMIT * STEP + 1e-9
     assert (np.abs(found["x"][:, 7:]) <= guarded.chain.speed + 1e-9).all()
-    after = bench.run(2.0, None, np.zeros(3))
+    after = bench.run(2.0)
     np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
-    assert after["action"][-1] == 0.0
-    assert after["scale"][-1] == 1.0
+    assert (after["action"][-1], after["scale"][-1]) == (0.0, 1.0)
 
 
 def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(
     panda: ArmAlone, guarded: GuardedArm
 ) -> None:
     bench = Bench(panda, guarded)
-    bench.run(0.2, None, np.zeros(3))
-    v_WO, p_WO = np.array([-0.5, 0.0, 0.0]), bench.X_WE[9:] + [0.0, 0.0, 0.05]
-    bench.run(1.2, p_WO - 1.2 * v_WO, v_WO)
+    bench.run(0.2)
+    bench.run(1.2, bench.arriving(1.2, -0.5, 0.0, 0.0))
     # The ball stays where the arm was.
-    found = bench.run(5.0, p_WO, np.zeros(3))
+    found = bench.run(5.0, bench.arriving(0.0, 0.0, 0.0, 0.0))
     p_WE = tool_poses(guarded.chain, found["x"][-1:, :7].copy())[0, 9:]
     assert np.linalg.norm(p_WE - bench.X_WE[9:]) > 0.03
     np.testing.assert_allclose(bench.p_WE, p_WE, atol=1e-3)
@@ -153,9 +130,8 @@ def test_a_maneuver_turns_the_tool_no_farther_than_the_task_allows(
     panda: ArmAlone, guarded: GuardedArm, limit: float | None
 ) -> None:
     bench = Bench(panda, guarded, limit)
-    bench.run(0.2, None, np.zeros(3))
-    v_WO = np.array([-0.3, 0.0, 0.0])
-    found = bench.run(3.0, bench.X_WE[9:] + [0.0, 0.0, 0.05] - 1.6 * v_WO, v_WO)
+    bench.run(0.2)
+    found = bench.run(3.0, bench.arriving(1.6, -0.3, 0.0, 0.0))
     assert found["action"].max() >= 3.0
     R_WE = tool_poses(guarded.chain, np.ascontiguousarray(found["x"][:, :7]))[:, :9]
     turn = np.arccos(np.clip(0.5 * (R_WE @ bench.X_WE[:9] - 1.0), -1.0, 1.0))
@@ -166,40 +142,24 @@ def test_a_pushed_arm_is_commanded_from_where_it_is(
     panda: ArmAlone, guarded: GuardedArm, caplog: pytest.LogCaptureFixture
 ) -> None:
     bench = Bench(panda, guarded)
-    bench.run(0.2, None, np.zeros(3))
+    bench.run(0.2)
     bench.x[guarded.index[3]] += 0.1
     bench.fix("robot_state", bench.x)
-    found = bench.run(0.48, None, np.zeros(3))
+    found = bench.run(0.48)
     assert found["x"][0][3] == pytest.approx(bench.q[3] + 0.1, abs=1e-3)
     assert "panda_joint4 is pushed by 0.100 rad" in caplog.text
     # Slow for a while, then back on its path.
     point_speed = np.abs(found["x"][:, 7:]) @ guarded.chain.reach
     assert point_speed.max() <= GuardParameters().v_unseen + 1e-6
-    after = bench.run(2.0, None, np.zeros(3))
+    after = bench.run(2.0)
     np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
 
 
 def test_a_state_that_is_not_finite_stops_it(panda: ArmAlone, guarded: GuardedArm) -> None:
     bench = Bench(panda, guarded)
-    bench.run(0.2, None, np.zeros(3))
+    bench.run(0.2)
     bench.fix("robot_state", np.full(2 * guarded.size, np.nan))
     bench.simulator.AdvanceTo(bench.context.get_time() + 2 * STEP)
     supervision = bench.system.GetOutputPort("supervision").Eval(bench.context)
     assert (supervision.action, supervision.reason) == ("stop", "the robot state is not finite")
     assert bench.read("speed_scale")[0] == 0.0
-
-
-def test_a_motion_that_is_being_decided_counts_as_rest(
-    panda: ArmAlone, guarded: GuardedArm
-) -> None:
-    bench = Bench(panda, guarded)
-    policy = PolicyState(p_WE=bench.X_WE[9:], speed=0.0, hold=HoldCause.DECIDING)
-    bench.fix("policy_state", Value(policy))
-    assert bench.run(0.3, None, np.zeros(3))["action"].max() == 0.0
-
-
-@pytest.mark.parametrize("change", [{"duration": 0.0}, {"period": -1.0}, {"step": 0.0}])
-def test_a_wrong_time_is_refused(guarded: GuardedArm, change: dict[str, float]) -> None:
-    given = {"duration": 5.0, "alpha_k": 0.5} | change
-    with pytest.raises(ValueError, match="positive"):
-        MotionGuard(guarded, q_start=np.zeros(7), **given)

@@ -13,10 +13,10 @@ from drake_oa.geometry.solids import SolidScene, sphere
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.passive_safety import Course, violated_claim
+from drake_oa.safety.passive_safety import violated_claim
 from tests.planning.arms import ArmAlone
 
-V, V_UNSEEN, BRAKING = 0.8, 0.25, 5.0
+BRAKING = 5.0
 # Of a camera 3 m above the base that looks down.
 X_WC = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
@@ -24,14 +24,16 @@ X_WC = np.array(
 K = np.array([100.0, 100.0, 159.5, 119.5])
 
 
-def turning(q: FloatArray, rate: float) -> Course:
-    """Joint 1 turns at a rate for 0.1 s, then brakes."""
+def claim_of(
+    arm: GuardedArm, q: FloatArray, rate: float, scene: SolidScene, space: FreeSpace | None = None
+) -> str:
+    """Claim that is violated if joint 1 turns at a rate for 0.1 s, then brakes."""
     t = np.arange(0.0, 0.6, 0.03)
     braked = np.clip(t - 0.1, 0.0, abs(rate) / BRAKING)
     way = rate * np.minimum(t, 0.1) + rate * braked - np.sign(rate) * 0.5 * BRAKING * braked**2
     course = np.tile(q, (len(t), 1))
     course[:, 0] += way
-    return Course(t, course)
+    return violated_claim(arm, t, course, scene, space, V=0.8, v_unseen=0.25)
 
 
 def ahead(panda: ArmAlone, guarded: GuardedArm, way: float) -> FloatArray:
@@ -41,7 +43,7 @@ def ahead(panda: ArmAlone, guarded: GuardedArm, way: float) -> FloatArray:
     return np.asarray(p_WE + way * along)
 
 
-def moving_ball(p_WO: FloatArray, v_WO: tuple[float, float, float] = (0.0, 0.0, 0.3)) -> SolidScene:
+def moving_ball(p_WO: FloatArray, v_WO: tuple[float, ...] = (0.0, 0.0, 0.3)) -> SolidScene:
     X_WO = np.eye(4)
     X_WO[:3, 3] = p_WO
     return SolidScene.of(0.0, [replace(sphere(0.05), X_WO=X_WO, v_WO=np.array(v_WO))])
@@ -54,19 +56,21 @@ def seen(depth: float) -> FreeSpace:
 
 
 @pytest.mark.parametrize(
-    ("way", "rate", "claim"),
-    [(0.3, 1.0, "A"), (0.3, -1.0, ""), (0.3, 0.02, ""), (0.9, 1.0, "")],
-    ids=["approached", "left", "slow", "far"],
+    ("way", "rate", "speed", "claim"),
+    [
+        (0.3, 1.0, 0.3, "A"),
+        (0.3, -1.0, 0.3, ""),
+        (0.3, 0.02, 0.3, ""),
+        (0.9, 1.0, 0.3, ""),
+        (0.3, 1.0, 0.0, ""),
+    ],
+    ids=["approached", "left", "slow", "far", "at rest"],
 )
-def test_claim_a(panda: ArmAlone, guarded: GuardedArm, way: float, rate: float, claim: str) -> None:
-    course, scene = turning(panda.q, rate), moving_ball(ahead(panda, guarded, way))
-    assert violated_claim(guarded, course, scene, None, V=V, v_unseen=V_UNSEEN) == claim
-
-
-def test_obstacles_at_rest_violate_no_claim(panda: ArmAlone, guarded: GuardedArm) -> None:
-    scene = moving_ball(ahead(panda, guarded, 0.3), (0.0, 0.0, 0.0))
-    course = turning(panda.q, 1.0)
-    assert violated_claim(guarded, course, scene, None, V=V, v_unseen=V_UNSEEN) == ""
+def test_claim_a(
+    panda: ArmAlone, guarded: GuardedArm, way: float, rate: float, speed: float, claim: str
+) -> None:
+    scene = moving_ball(ahead(panda, guarded, way), (0.0, 0.0, speed))
+    assert claim_of(guarded, panda.q, rate, scene) == claim
 
 
 @pytest.mark.parametrize(
@@ -77,9 +81,7 @@ def test_obstacles_at_rest_violate_no_claim(panda: ArmAlone, guarded: GuardedArm
 def test_claim_b(
     panda: ArmAlone, guarded: GuardedArm, depth: float, rate: float, claim: str
 ) -> None:
-    scene, course = SolidScene.of(0.0, []), turning(panda.q, rate)
-    found = violated_claim(guarded, course, scene, seen(depth), V=V, v_unseen=V_UNSEEN)
-    assert found == claim
+    assert claim_of(guarded, panda.q, rate, SolidScene.of(0.0, []), seen(depth)) == claim
 
 
 @settings(max_examples=30, deadline=None)
@@ -88,8 +90,5 @@ def test_a_slower_motion_violates_no_other_claim(
     panda: ArmAlone, guarded: GuardedArm, rate: float, way: float, slower: float
 ) -> None:
     scene = moving_ball(ahead(panda, guarded, way))
-    claims = [
-        violated_claim(guarded, turning(panda.q, r), scene, None, V=V, v_unseen=V_UNSEEN)
-        for r in (rate, slower * rate)
-    ]
+    claims = [claim_of(guarded, panda.q, r, scene) for r in (rate, slower * rate)]
     assert claims[0] == "A" or claims[1] == ""
