@@ -1,4 +1,4 @@
-"""The whole arm among solids: what it keeps beyond the clearances that are asked.
+"""Clearance of the whole arm among solids, beyond the requested clearances.
 
 The robot is spheres in groups, a group a body (`drake_oa.robot.spheres`); the world is solids that
 may move (`drake_oa.geometry.solids`). What is asked is a table of clearances, a row a group and a
@@ -24,7 +24,7 @@ STRIDE = 0.012
 
 
 class Asked(NamedTuple):
-    """What the G groups of spheres are to keep.
+    """Requested clearances of the G groups of spheres.
 
     Attributes:
         of_solids: (G, K) clearance of each group to each solid [m]; -inf: they may touch.
@@ -38,7 +38,7 @@ class Asked(NamedTuple):
 
 
 class ArmWorld(NamedTuple):
-    """An arm of spheres among solids, and what it is to keep of them; now: the time [s]."""
+    """Arm of spheres among solids, with requested clearances; now: the time [s]."""
 
     chain: Chain
     spheres: Spheres
@@ -59,7 +59,7 @@ def placed(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[float, float
 
 
 TOOL, LINKS, SELF = range(3)
-"""What of the arm keeps a clearance: the tool and the links to solids, and all to each other."""
+"""Rows of clearances: of the tool and the links to solids, and of all to each other."""
 
 
 @leaf
@@ -122,7 +122,7 @@ def lower_excess(
     least: FloatArray,
     enough: float,
 ) -> None:
-    """Lowers least (3,) by what one configuration keeps beyond what is asked [m].
+    """Lowers least (3,) to the excess of a configuration over the requested clearances [m].
 
     Args:
         X: (n + 2, 12) as `chain_poses` leaves them.
@@ -183,7 +183,7 @@ def excess(
 
 
 def exceeds(world: ArmWorld, q: FloatArray) -> bool:
-    """Whether a configuration (n,) is within the limits and keeps what is asked now."""
+    """Checks whether a configuration (n,) keeps the limits and the requested clearances now."""
     is_within = (world.chain.lower <= q).all() and (q <= world.chain.upper).all()
     return bool(is_within and excess_along(world, q[None]) >= 0.0)
 
@@ -231,7 +231,7 @@ def excess_along(world: ArmWorld, q: FloatArray) -> float:
 
 @compiled
 def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
-    """How near the arm is to itself at a configuration (n,), overlaps allowed, at most `FAR` [m].
+    """Computes the distance of the arm to itself at a configuration (n,), at most `FAR` [m].
 
     Exact where it is negative, where `excess` ends at the first that is.
     """

@@ -25,6 +25,7 @@ import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 
 from drake_oa.common.messages import (
@@ -38,14 +39,7 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.pinhole import FREE, View, shown
-from drake_oa.geometry.solids import (
-    Solid,
-    SolidScene,
-    cloud_solid,
-    least_distances,
-    solids_of,
-    table_solid,
-)
+from drake_oa.geometry.solids import Solid, SolidScene, cloud_solid, table_solid
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.perception.tracking import held_table
 from drake_oa.perception.visibility import ImageRange, with_unseen_ends
@@ -53,7 +47,7 @@ from drake_oa.perception.visibility import ImageRange, with_unseen_ends
 _logger = logging.getLogger("drake_oa")
 
 _DEEPEST_MOVED = 0.15
-"""So deep is what moves or has moved [m]: no link has to pass close behind it."""
+"""Depth of obstacles that move or have moved [m]: no link has to pass close behind them."""
 _GONE, _CHECKED = 0.05, 500
 """Share of the points of a field that may have no new one beside them, and number of points that
 are checked."""
@@ -62,7 +56,7 @@ _TURNED = 0.1
 _TABLE_SHIFT = 0.003
 """The table is where it was if it has moved by no more within 1 m [m]."""
 _SEEN_FREE = 0.01
-"""An image sees through a point if what it shows there is farther behind it [m]."""
+"""Distance of the depth behind a point above which an image sees through it [m]."""
 _MOST_ASKED = 400
 """Nodes within a field of which is asked whether they are seen to be free."""
 _FARTHEST = 1e3
@@ -73,7 +67,7 @@ _UNKNOWN = np.zeros((0, 3))
 
 @dataclass(frozen=True, eq=False)
 class SeenField(Frozen):
-    """The field of one obstacle, and what it was made from.
+    """Field of one obstacle, and its source.
 
     Attributes:
         solid: where it is now, and how fast.
@@ -98,7 +92,7 @@ class SeenField(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class SeenSolids(Frozen):
-    """What is known of the world at one observation.
+    """Known world at one observation.
 
     Attributes:
         scene: its solids.
@@ -157,16 +151,13 @@ def looked_at(
         made = kept or _made(int(name), cloud, viewpoints_W, deepest, table, views)
         at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
         fields.append(replace(made, solid=at_rest))
-    if table is before.table and _all_rest_as_before(before.fields, fields):
-        scene = replace(before.scene, stamp=obstacles.stamp, note=obstacles.note)
-    else:
-        solids = [seen.solid for seen in fields] + _of_table(table)
-        scene = SolidScene.of(obstacles.stamp, solids, obstacles.note)
+    solids = [seen.solid for seen in fields] + _of_table(table)
+    scene = SolidScene.of(obstacles.stamp, solids, obstacles.note)
     return SeenSolids(scene, tuple(fields), table, moved)
 
 
 def unseen(table: TablePlane | None = None) -> SeenSolids:
-    """What is known before the first observation: at most where the table is."""
+    """Returns the known world before the first observation: at most the table."""
     return SeenSolids(SolidScene.of(-math.inf, _of_table(table)), table=table)
 
 
@@ -180,18 +171,6 @@ def _is_readable(obstacles: ObstacleClouds, viewpoints_W: FloatArray) -> bool:
         numbers += [obstacles.table.normal_W, np.array([obstacles.table.offset])]
     # NaN is not below anything.
     return all(float(np.abs(part).max(initial=0.0)) <= _FARTHEST for part in numbers)
-
-
-def _all_rest_as_before(before: tuple[SeenField, ...], now: list[SeenField]) -> bool:
-    if len(before) != len(now):
-        return False
-    return all(
-        one.grid is other.grid
-        and one.solid.name == other.solid.name
-        and not (one.solid.v_WO.any() or other.solid.v_WO.any())
-        and np.array_equal(one.solid.X_WO, other.solid.X_WO)
-        for one, other in zip(before, now, strict=True)
-    )
 
 
 def _made(
@@ -222,7 +201,7 @@ def _made(
 
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
-    """Which points (N, 3) [m] any of the images sees through."""
+    """Checks which points (N, 3) [m] any of the images sees through."""
     free = np.zeros(len(p_WQ), dtype=bool)
     for view in views:
         free |= shown(p_WQ, view, _SEEN_FREE)[0] == FREE
@@ -230,7 +209,7 @@ def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
 
 
 def _seen_depth(cloud: FloatArray, viewpoint_W: FloatArray) -> float:
-    """How deep a cloud (N, 3) is, horizontally, along the view [m]."""
+    """Computes the horizontal depth of a cloud (N, 3) along the view [m]."""
     away = cloud.mean(axis=0)[:2] - viewpoint_W[:2]
     along = cloud[:, :2] @ away / max(float(np.linalg.norm(away)), 1e-9)
     return float(np.ptp(along))
@@ -275,12 +254,11 @@ def _kept(
         return None
     if views and np.sum(seen_free(views, X_WO[:3, 3] + kept.inside)) > _GONE * len(kept.inside):
         return None
-    solids, far = solids_of([moved.solid]), 2.0 * grid.voxel
-    points = np.require(cloud, np.float64, ["C", "W"])
-    if least_distances(solids, points, moved.solid.stamp, far, -1.0).max() > grid.voxel:
+    nodes = (cloud - X_WO[:3, 3]).T / grid.voxel
+    if map_coordinates(grid.values, nodes, order=1, cval=_FARTHEST).max() > grid.voxel:
         return None
     was = kept.made_of[:: max(1, len(kept.made_of) // _CHECKED)] + X_WO[:3, 3] - grid.p_WO
-    beside, _ = KDTree(points).query(was, p=math.inf, distance_upper_bound=1.5 * grid.voxel)
+    beside, _ = KDTree(cloud).query(was, p=math.inf, distance_upper_bound=1.5 * grid.voxel)
     return moved if np.isinf(beside).sum() <= _GONE * len(was) else None
 
 
@@ -308,7 +286,7 @@ class CloudSolids(LeafSystem):
       itself from all cameras filled (`drake_oa.geometry.distance_field.field_of`), and what is
       below the table, where it is known; what the image cuts off goes on beyond it
       (`drake_oa.perception.visibility.with_unseen_ends`). While all rests and nothing new is seen
-      it holds the same arrays.
+      its arrays are the same.
 
     The state is read every `period`, between an observation and the decision that goes by it. An
     observation that is not finite changes nothing, and the log says so, as it does once of each

@@ -25,7 +25,7 @@ from drake_oa.policy.dmp import (
 from drake_oa.robot.arm import tool_poses
 
 SAMPLES = 201
-"""Of a path that is imitated."""
+"""Number of samples of a path that is imitated."""
 LONGEST = 2.0
 """Longest time of a motion that imitates a path, if the joints can, in demonstrated durations."""
 SPEED_SHARE = 0.5

@@ -19,6 +19,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from drake_oa.common.messages import CHAIN as CHAIN_ROWS
 from drake_oa.common.messages import (
@@ -44,12 +45,11 @@ from drake_oa.planning.search import (
     MISSED,
     NO_ELITES,
     NOMINAL,
-    NONE_IN_USE,
     SAMPLES,
     SOURCES,
     ArmSearch,
-    Leading,
     nominal_genes,
+    references,
 )
 from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
@@ -134,7 +134,7 @@ class MotionSearch:
         q_goal: FloatArray | None = None,
         overshoot: FloatArray | None = None,
     ) -> None:
-        """Keeps what does not change.
+        """Stores the constants.
 
         Args:
             dmp: the movement primitive that the task demonstrates.
@@ -151,7 +151,7 @@ class MotionSearch:
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
         self._policy = policy
         s = np.linspace(0.0, 1.0, _LED)
-        self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s))
+        self._task = references(s, orientation(s), posture(s))
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
         self._overshoot = np.zeros(len(spheres.group_joint)) if overshoot is None else overshoot
         # Spheres nearer than that may touch something.
@@ -217,7 +217,7 @@ class MotionSearch:
             return here
         if here.prediction.goal_note:
             # The result of a search without a goal is no beginning for another one.
-            here = replace(here, genes=NONE_IN_USE, elites=NO_ELITES).changed(
+            here = replace(here, genes=NO_ELITES, elites=NO_ELITES).changed(
                 command={"tau": 0.0, "source": -1}, prediction={"goal_note": ""}
             )
         here = replace(here, scene=sight.scene)
@@ -310,13 +310,13 @@ class MotionSearch:
     def _dmp_of(self, command: MotionCommand) -> Dmp:
         return command.demonstration.position or self._dmp
 
-    def _leading(self, command: MotionCommand) -> Leading:
-        """How the arm is led along the motion that is under way."""
-        shown = command.demonstration
+    def _leading(self, command: MotionCommand) -> BSpline:
+        """Returns the references of the arm along the motion that is under way."""
+        shown, s = command.demonstration, np.linspace(0.0, 1.0, _LED)
         if shown.orientation is None:
             return self._task
-        R_WE = orientation_along(shown.orientation, shown.R_WS, shown.R_WG, self._task.s)
-        return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s))
+        R_WE = orientation_along(shown.orientation, shown.R_WS, shown.R_WG, s)
+        return references(s, R_WE, shown.posture(s))
 
     def _search(
         self, here: SelectedMotion, sight: Sight, world: ArmWorld, **more: Any
@@ -345,9 +345,9 @@ class MotionSearch:
 
     def _modulated(self, here: SelectedMotion, sight: Sight) -> SelectedMotion:
         """Returns the best motion by coupling terms."""
-        command, leading = here.command, self._leading(here.command)
-        target = np.append(leading.R_WE[-1], sight.p_WG)
-        world = self._world(sight, self._posture_at(target.tobytes(), leading.q[-1].tobytes()))
+        command, end = here.command, self._leading(here.command)(1.0)
+        target = np.append(end[:9], sight.p_WG)
+        world = self._world(sight, self._posture_at(target.tobytes(), end[9:].tobytes()))
         coupling, route = sight.proposed()
         search = self._search(
             here,
@@ -363,19 +363,19 @@ class MotionSearch:
         sides = genes_of(scene, terms_of(coupling)[rows], coupling.scaling[rows])
         chain = _guided_command(coupling, route, scene)
         found = search.run(sides, guided=_guided(chain), source=max(command.source, NOMINAL))
-        source, genes = int(found.source[0]), found.genes[0]
+        source = int(found.source[0])
         if source == CHAIN:
             assert chain is not None
             terms, guides, shown = chain.terms, chain.ellipsoids, chain.route
         else:
             terms, guides = avoidance_terms(scene, found.genes), EllipsoidSet()
-            shown = _shown_sides(route, terms[0], genes, sight.ellipsoids)
+            shown = _shown_sides(route, terms[0], found.genes[0, ANGLE], sight.ellipsoids)
             terms = terms[terms[:, ALPHA] > 0.0]
         if source == NOMINAL and command.demonstration.position is not None:
             source = JOINT_PATH
         here = replace(
             here,
-            genes=NONE_IN_USE if source == CHAIN or not len(terms) else genes,
+            genes=NO_ELITES if source == CHAIN or not len(terms) else found.genes,
             counts=search.counts,
             elites=search.elites,
             rounds=search.rounds,
@@ -388,12 +388,11 @@ class MotionSearch:
             },
             prediction={"sides": shown},
         )
-        return self._predicted(here, sight, search, genes, float(found.length[0]))
+        return self._predicted(here, sight, search, found.genes, float(found.length[0]))
 
     def _rolled(self, selected: SelectedMotion, sight: Sight, world: ArmWorld) -> SelectedMotion:
         """Returns a motion with its prediction from now on."""
-        genes = selected.genes
-        genes = nominal_genes()[0] if np.isnan(genes).any() else genes
+        genes = selected.genes if len(selected.genes) else nominal_genes()
         return self._predicted(selected, sight, self._search(selected, sight, world), genes, 0.0)
 
     def _predicted(
@@ -410,14 +409,14 @@ class MotionSearch:
             here: the motion.
             sight: input of the decision.
             search: scene, arm and solids.
-            genes: (7,) of the motion; those of the nominal motion if it has none.
+            genes: (1, 7) of the motion; those of the nominal motion if it has none.
             length: of the tool's path from now on [m].
         """
         asked = search.world.asked
         tool, arm = search.rollout(genes, _guided(here.command))
         count = int(arm.samples[0])
         s, q = search.sample_times(count), arm.q[0, :count]
-        dt = float(search.seconds(genes[None])[0]) * search.every * search.ds
+        dt = float(search.seconds(genes)[0]) * search.every * search.ds
         # Every second: they are a few millimetres apart.
         d = self._distances(sight, q[::2], 2.0 * dt)
         least = [d[of].min(initial=np.inf) for of in self._parts]
@@ -449,11 +448,12 @@ class MotionSearch:
 
     def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
         """(12,) pose of the tool at the goal [m], and (n,) the joints that are asked for [rad]."""
-        first = self._task.q[-1] if self._q_goal is None else self._q_goal
-        return np.append(self._task.R_WE[-1], sight.p_WG), first
+        end = self._task(1.0)
+        first = end[9:] if self._q_goal is None else self._q_goal
+        return np.append(end[:9], sight.p_WG), first
 
     def _no_goal(self, sight: Sight) -> str:
-        """What is in the way at the goal, and where near it there is room."""
+        """Returns a note on the obstacle at the goal, and the nearest free place."""
         X_WG, first = self._goal(sight)
         at_goal = inverse_kinematics(self._chain, X_WG, first, seeds=4)
         if not len(at_goal):
@@ -507,7 +507,7 @@ class MotionSearch:
             here,
             command=MotionCommand(JOINT_PATH, demonstration=shown),
             travelled=0.0,
-            genes=NONE_IN_USE,
+            genes=NO_ELITES,
             elites=NO_ELITES,
         )
         found = self._rolled(start, sight, world)
@@ -555,7 +555,7 @@ class MotionSearch:
         return self._nearest(sight, d) if (d < 0.0).any() else ""
 
     def _own(self, q: FloatArray) -> float:
-        """How near the arm is to itself at a configuration, up to `FAR` [m]."""
+        """Returns the distance of the arm to itself at a configuration, at most `FAR` [m]."""
         return float(self_distance(self._chain, self._spheres, q))
 
 
@@ -581,7 +581,7 @@ def _guided(command: MotionCommand | None) -> Obstacles | None:
     return Surroundings.of(command.ellipsoids, command.coupling(), command.route).obstacles
 
 
-def _shown_sides(route: Route, term: FloatArray, genes: FloatArray, seen: EllipsoidSet) -> Route:
+def _shown_sides(route: Route, term: FloatArray, angle: float, seen: EllipsoidSet) -> Route:
     """Returns the rings of the obstacle nearest to a term's point, with the term's side.
 
     It is blocked if user-supplied rings forbid every side.
@@ -595,7 +595,7 @@ def _shown_sides(route: Route, term: FloatArray, genes: FloatArray, seen: Ellips
     return replace(
         route,
         ids=seen.ids[row],
-        index=np.array([np.rint(genes[ANGLE] * count / (2.0 * np.pi)) % count], dtype=np.int64),
+        index=np.array([np.rint(angle * count / (2.0 * np.pi)) % count], dtype=np.int64),
         direction_W=np.cross(normal_W, route.R_WL[:, 0]),
         normal_W=normal_W,
         costs={name: cost[row] for name, cost in route.costs.items()},
@@ -671,10 +671,6 @@ class MotionPrediction(Frozen):
     sides: Route = field(default_factory=Route)
 
 
-def _unknown() -> FloatArray:
-    return np.full(3, np.nan)
-
-
 @dataclass(frozen=True, eq=False)
 class SelectedMotion(Frozen):
     """Result of a decision of `MotionSearch`, and the memory of its search.
@@ -682,9 +678,9 @@ class SelectedMotion(Frozen):
     Attributes:
         command: motion that the action level executes.
         prediction: whole-arm motion that is expected from it.
-        p_WS, p_WG: (3,) start and goal for which it was selected [m]; NaN: none yet.
+        p_WS, p_WG: (3,) start and goal for which it was selected [m]; (0,): none yet.
         scene: the solids for which it was selected.
-        genes: (7,) of the motion in use; NaN: it has none.
+        genes: (1, 7) of the motion in use; (0, 7): it has none.
         elites: (k, 7) genes of the best candidates.
         rounds: number of rounds of the search so far.
         last_plan: time of the last search for a path in the joints [s].
@@ -695,15 +691,15 @@ class SelectedMotion(Frozen):
 
     command: MotionCommand = field(default_factory=MotionCommand)
     prediction: MotionPrediction = field(default_factory=MotionPrediction)
-    p_WS: FloatArray = field(default_factory=_unknown)
-    p_WG: FloatArray = field(default_factory=_unknown)
+    p_WS: FloatArray = zeros(0)
+    p_WG: FloatArray = zeros(0)
     scene: SolidScene = field(default_factory=SolidScene)
-    genes: FloatArray = field(default_factory=lambda: NONE_IN_USE)
+    genes: FloatArray = field(default_factory=lambda: NO_ELITES)
     elites: FloatArray = field(default_factory=lambda: NO_ELITES)
     rounds: int = 0
     last_plan: float = -math.inf
     travelled: float = 0.0
-    p_WE: FloatArray = field(default_factory=_unknown)
+    p_WE: FloatArray = zeros(0)
     counts: IntArray = zeros(len(SOURCES), kind=np.int64)
 
     def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
@@ -712,7 +708,7 @@ class SelectedMotion(Frozen):
 
     def travelled_to(self, policy: PolicyState) -> float:
         """Returns the length of the path that the motion has covered by now [m]."""
-        if np.isnan(self.p_WE).any():
+        if not len(self.p_WE):
             return math.dist(policy.p_WE, policy.p_WS)
         return self.travelled + math.dist(policy.p_WE, self.p_WE)
 

@@ -256,5 +256,3 @@ def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> N
         )
     if after.command.restart and not before.command.restart:
         _logger.info("t=%.3f s: a path of the whole arm is imitated", time)
-    if was.shortfall > 0.0 and now.shortfall == 0.0:
-        _logger.info("t=%.3f s: the clearance is kept again", time)

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from drake_oa.common.compiled import CORES, kernel_arrays, on_cores, parted
 from drake_oa.common.messages import FloatArray, IntArray
@@ -77,16 +77,12 @@ _LATE = 0.05
 """Cost of a unit of normalised time after s = 1."""
 _HURRY = 0.02
 """Cost of |ln tau| = 1 among moving obstacles."""
-_FLIP = 0.06
-"""Cost of the side opposite to the one in use: hysteresis."""
 _LINE, _LEAST = 0.2, 5
 """Share of the candidates of a round, and least number, that differ from the best in alpha only."""
 _FIRST_FRESH = 6
 """First round with random candidates."""
-NONE_IN_USE = np.full(N_GENES, np.nan)
-"""Genes if no motion is in use."""
 NO_ELITES = np.zeros((0, N_GENES))
-"""Elites of a search that continues none."""
+"""Elites of a search that continues none, and genes if no motion is in use."""
 SOURCES = ("nominal", "chain", "sides", "search", "joint_path")
 """Sources of a motion: the nominal motion, the rows of the paper's chain together, a proposed side,
 the local search, and a path in the joints."""
@@ -149,7 +145,7 @@ class Search(ABC):
         dmp: Dmp,
         policy: Policy,
         parameters: Verified,
-        previous: FloatArray = NONE_IN_USE,
+        previous: FloatArray = NO_ELITES,
         price: FloatArray = NO_PRICE,
         elites: FloatArray = NO_ELITES,
         rounds: int = 0,
@@ -162,7 +158,7 @@ class Search(ABC):
             dmp: the movement primitive.
             policy: time step and fade of the action level.
             parameters: effort and tolerances.
-            previous: (7,) genes of the motion in use; NaN: none is.
+            previous: (1, 7) genes of the motion in use; (0, 7): none is.
             price: (K,) additional costs of the sides, in baselines, see `proposals.price_at`; inf:
                 no motion passes there.
             elites: (k, 7) best candidates of an earlier search that this one continues.
@@ -206,8 +202,8 @@ class Search(ABC):
             feasible, nothing else is evaluated, nor where the motion in use is.
         """
         best = self.evaluate(nominal_genes(), NOMINAL)
-        if not best.solved and np.isfinite(self.previous).all():
-            best = best.joined(self.evaluate(self.previous[None], source))
+        if not best.solved and len(self.previous):
+            best = best.joined(self.evaluate(self.previous, source))
         if best.solved:
             return best
         if guided is not None:
@@ -281,9 +277,7 @@ class Search(ABC):
         price = np.where(genes[:, ALPHA] > -np.inf, price_at(self.price, genes[:, ANGLE]), 0.0)
         late = np.maximum(tool.steps * self.ds + self.scene.s - 1.0, 0.0)
         hurry = np.abs(genes[:, TAU]) if self.moves else 0.0
-        # 0 for the side in use, 1 for its opposite; no side is in use before the first choice.
-        flip = np.nan_to_num(0.5 - 0.5 * np.cos(genes[:, ANGLE] - self.previous[ANGLE]))
-        small = _LATE * late + _HURRY * hurry + _FLIP * flip + price
+        small = _LATE * late + _HURRY * hurry + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
     def seeded(self, sides: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -296,8 +290,8 @@ class Search(ABC):
         if len(self.elites):
             return self.bounded(self.elites), np.full(len(self.elites), SEARCH)
         count, others = self.parameters.candidates, NO_ELITES
-        if np.isfinite(self.previous).all():
-            stronger = strengths(self.previous, False, SPACING, count // 8)
+        if len(self.previous):
+            stronger = strengths(self.previous[0], False, SPACING, count // 8)
             others = np.vstack([self.previous, stronger])
         genes = (tried(sides, count) if len(sides) else _EVEN)[: count - len(others)]
         sources = np.full(len(genes) + len(others), SEARCH)
@@ -327,28 +321,18 @@ class Search(ABC):
         return np.clip(genes, LOWER, UPPER)
 
 
-class Leading(NamedTuple):
-    """References of the arm along its tool's path, as functions of normalised time.
+def references(s: FloatArray, R_WE: FloatArray, q: FloatArray) -> BSpline:
+    """Interpolates references of the arm along its tool's path over normalised time, 9 + n columns.
 
-    Attributes:
-        s: (T,) times; beyond them all is as at the ends.
-        R_WE: (T, 9) orientations of the tool, row by row.
+    Between rows that are a degree apart the chord of two rotations turns as they do, and
+    `arm.pose_error` takes only its turn: it need not be made orthonormal.
+
+    Args:
+        s: (T,) times from 0 to 1.
+        R_WE: (T, 3, 3) orientations of the tool.
         q: (T, n) postures to which the null space is attracted [rad].
     """
-
-    s: FloatArray
-    R_WE: FloatArray
-    q: FloatArray
-
-    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Interpolates orientations (T, 9) and postures (T, n) at times (T,).
-
-        Between rows that are a degree apart the chord of two rotations turns as they do, and
-        `arm.pose_error` takes only its turn: it need not be made orthonormal.
-        """
-        along = make_interp_spline(self.s, np.hstack([self.R_WE, self.q]), k=1)
-        found = along(np.clip(s, self.s[0], self.s[-1]))
-        return found[:, :9], found[:, 9:]
+    return make_interp_spline(s, np.hstack([np.reshape(R_WE, (len(s), 9)), q]), k=1)
 
 
 @lru_cache(maxsize=4)
@@ -366,7 +350,7 @@ class ArmSearch(Search):
         scene: Scene,
         world: ArmWorld,
         q: FloatArray,
-        leading: Leading,
+        leading: BSpline,
         *,
         samples: int = SAMPLES,
         **more: Any,
@@ -376,7 +360,7 @@ class ArmSearch(Search):
         Args:
             world: the arm among the solids.
             q: (n,) its joints [rad].
-            leading: orientations and postures along the path.
+            leading: orientations and postures along the path, see `references`.
             samples: number of samples from s = 0 to 1 at which the arm is placed.
             scene, more: arguments of `Search`.
         """
@@ -408,16 +392,16 @@ class ArmSearch(Search):
         """Lets the arm follow the tool, placed at the samples of its path."""
         T = max(int(np.isfinite(tool.path[:, :, 0]).sum(axis=1).max(initial=1)), 2)
         s = self.sample_times(T)
-        R_WE, q = (np.broadcast_to(of, (len(genes), *of.shape)) for of in self.leading.at(s))
-        paths = ToolPaths(s, tool.path[:, :T], R_WE, q, self.seconds(genes))
+        led = np.tile(self.leading(np.clip(s, 0.0, 1.0)), (len(genes), 1, 1))
+        paths = ToolPaths(s, tool.path[:, :T], led[..., :9], led[..., 9:], self.seconds(genes))
         return roll_out_arm(self.world, self.q, paths, enough)
 
     def rollout(
         self, genes: FloatArray, guided: Obstacles | None
     ) -> tuple[ToolRollouts, ArmRollouts]:
-        """Returns tool and arm along one candidate (7,), or the guided one, to its end."""
-        tool = self.tool_paths(genes[None], guided=guided)
-        return tool, self.follow(genes[None], tool, -math.inf)
+        """Returns tool and arm along one candidate (1, 7), or the guided one, to its end."""
+        tool = self.tool_paths(genes, guided=guided)
+        return tool, self.follow(genes, tool, -math.inf)
 
 
 ERROR, HURRY, ENDED = 3, 4, 5

@@ -29,7 +29,7 @@ from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_d
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import Judged, judge_motions, roll_out_legs
+from drake_oa.safety.joint_motions import judge_motions, roll_out_legs
 from drake_oa.safety.passive_safety import Claim, violated_claim
 
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
@@ -184,26 +184,29 @@ class GuardSearch:
         """
         look = self._look(sight)
         options = [GuardDecision(a, scale) for scale, a in _SCALES.items() if sight.on_path]
-        q, cost, judged = self._evaluated(look, options)
-        contact = math.inf
-        if options:
-            contact = sight.begin + float(judged.first[0])
-            clear = judged.contact[0] == 0.0 and judged.near_moving[0] <= _CLEAR
-            if clear and not self._violated(q[0], sight):
-                return replace(options[0], contact=contact, obstacle=look.nearest)
+        claim: Claim = ""
+        found, contact = self._evaluated(look, options), math.inf
+        if found:
+            contact = found[0].first
+            is_clear = contact == math.inf and found[0].near_moving <= _CLEAR
+            if is_clear and not self._violated(found[0].q, sight):
+                return replace(found[0].motion, contact=contact, obstacle=look.nearest)
         if sight.scene.moves or not sight.on_path:
-            legs = self._maneuvers(before, sight)
-            q_legs, of_legs, _ = self._evaluated(look, legs)
+            legs = self._evaluated(look, self._maneuvers(before, sight))
             if not before.follows:
                 # The first maneuver is the one in use.
                 back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
-                of_legs[0] -= _HYSTERESIS * min(1.0, 2.0 * back)
-            better = self._refined(legs, of_legs, sight)
-            q_better, of_better, _ = self._evaluated(look, better)
-            options = options + legs + better
-            q = np.concatenate([q, q_legs, q_better])
-            cost = np.concatenate([cost, of_legs, of_better])
-        return replace(self._selected(look, options, q, cost), contact=contact)
+                bonus = _HYSTERESIS * min(1.0, 2.0 * back)
+                legs[0] = legs[0]._replace(cost=legs[0].cost - bonus)
+            found += legs + self._evaluated(look, self._refined(legs, sight))
+        least, motion = math.inf, self.brake(sight.q, sight.v)
+        for one in sorted(found, key=_cost)[:_TRIES]:
+            if one.cost < least:
+                violated = self._violated(one.q, sight)
+                claim = claim or violated
+                if one.cost + _VIOLATION[violated] < least:
+                    least, motion = one.cost + _VIOLATION[violated], one.motion
+        return replace(motion, contact=contact, claim=claim, obstacle=look.nearest)
 
     def _look(self, sight: GuardSight) -> _Look:
         """Computes the required clearances.
@@ -243,34 +246,6 @@ class GuardSearch:
             nearest,
         )
 
-    def _selected(
-        self,
-        look: _Look,
-        options: list[GuardDecision],
-        q: FloatArray,
-        cost: FloatArray,
-    ) -> GuardDecision:
-        """Returns the motion of least cost, that of violated claims included.
-
-        Args:
-            look: the arm among the solids.
-            options: N motions.
-            q: (N, T, n) configurations along them [rad].
-            cost: (N,) without claims [s].
-        """
-        sight, least = look.sight, math.inf
-        claim: Claim = ""
-        chosen = self.brake(sight.q, sight.v)
-        for row in cost.argsort()[:_TRIES].tolist():
-            if cost[row] >= least:
-                continue
-            violated = self._violated(q[row], sight)
-            claim = claim or violated
-            if cost[row] + _VIOLATION[violated] < least:
-                least = cost[row] + _VIOLATION[violated]
-                chosen = options[row]
-        return replace(chosen, claim=claim, obstacle=look.nearest)
-
     def _violated(self, q: FloatArray, sight: GuardSight) -> Claim:
         """Returns the claim that a motion q (T, n) violates that is braked after one period."""
         p, m = self._parameters, self._until_next
@@ -287,10 +262,8 @@ class GuardSearch:
             v_unseen=p.v_unseen,
         )  # fmt: skip
 
-    def _evaluated(
-        self, look: _Look, options: list[GuardDecision]
-    ) -> tuple[FloatArray, FloatArray, Judged]:
-        """Returns configurations (N, T, n) along motions, their costs (N,) [s], and their parts."""
+    def _evaluated(self, look: _Look, options: list[GuardDecision]) -> list[_Candidate]:
+        """Rolls motions out, and computes their costs."""
         sight, horizon = look.sight, self._times[-1]
         q = np.empty((len(options), _SAMPLES, len(sight.q)))
         for row, option in enumerate(options):
@@ -302,23 +275,25 @@ class GuardSearch:
             look.resting, look.moving, q, self._interval, self._parameters.margin_moving
         )
         cost = _CONTACT * judged.contact + _NEAR_MOVING * judged.near_moving
-        cost = cost + _NEAR_RESTING * judged.near_resting
+        cost = cost + _NEAR_RESTING * judged.near_resting + horizon
         chain, away = self._arm.chain, np.abs(q - sight.q_path) / self.speed
         beyond = np.maximum(chain.lower - q, q - chain.upper).max(axis=(1, 2), initial=0.0)
         cost[beyond > _AT_LIMIT] += _CONTACT
-        turn = self._turns(q, sight)
+        turn, found = self._turns(q, sight), []
         for row, option in enumerate(options):
+            lost = cost[row]
             if option.follows:
                 rates = self._rates(sight, option.scale)
-                cost[row] += horizon - float(rates.sum()) * self._interval / sight.full_rate
+                lost -= float(rates.sum()) * self._interval / sight.full_rate
             else:
                 back = away[row].max(axis=1)
-                left = back[-1] + 0.3 * away[row, -1].mean()
-                cost[row] += horizon + left + float(back.sum()) * self._interval
-                cost[row] += _TURN * horizon * turn[row].mean()
+                lost += back[-1] + 0.3 * away[row, -1].mean() + float(back.sum()) * self._interval
+                lost += _TURN * horizon * turn[row].mean()
                 if turn[row, 1:].max() > max(self._turn_limit, turn[row, 0]) + _SLACK:
-                    cost[row] = math.inf
-        return q, cost, judged
+                    lost = math.inf
+            first = sight.begin + float(judged.first[row])
+            found.append(_Candidate(option, q[row], lost, first, judged.near_moving[row]))
+        return found
 
     def _turns(self, q: FloatArray, sight: GuardSight) -> FloatArray:
         """Returns angles (N, 1 + T / 4) of the tool to its orientation on the verified motion.
@@ -401,14 +376,12 @@ class GuardSearch:
             found.append(_legs("evade", target, full, path, back, switch))
         return found
 
-    def _refined(
-        self, options: list[GuardDecision], cost: FloatArray, sight: GuardSight
-    ) -> list[GuardDecision]:
+    def _refined(self, maneuvers: list[_Candidate], sight: GuardSight) -> list[GuardDecision]:
         """Returns variations of the best maneuvers."""
         rng = np.random.default_rng([self._parameters.seed, sight.number, 1])
-        best, found = np.argsort(cost)[:_PARENTS], []
+        best, found = sorted(maneuvers, key=_cost)[:_PARENTS], []
         for i in range(self._parameters.refinements):
-            parent = options[best[i % len(best)]]
+            parent = best[i % len(best)].motion
             target = parent.target[0] + rng.normal(size=len(sight.q)) * rng.choice([0.05, 0.2])
             target = np.clip(target, self._lower, self._upper)
             switch = max(sight.begin, parent.switch + 0.1 * rng.normal())
@@ -437,6 +410,28 @@ def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: f
     way = np.abs(target - q)
     seconds = max(float((way / speed).max()), 1e-3) / share
     return np.asarray(np.clip(way / seconds, 0.02, speed))
+
+
+class _Candidate(NamedTuple):
+    """Motion with its prediction.
+
+    Attributes:
+        motion: the decision.
+        q: (T, n) configurations along it [rad].
+        cost: without violated claims [s].
+        first: time of the first contact [s]; inf: there is none.
+        near_moving: cost of nearness to moving obstacles [s].
+    """
+
+    motion: GuardDecision
+    q: FloatArray
+    cost: float
+    first: float
+    near_moving: float
+
+
+def _cost(candidate: _Candidate) -> float:
+    return candidate.cost
 
 
 class _Look(NamedTuple):

@@ -38,7 +38,6 @@ from drake_oa.safety.maneuvers import (
 )
 from drake_oa.safety.passive_safety import CLAIMS
 from drake_oa.safety.supervision import (
-    Demand,
     Supervision,
     supervise,
     watch_guard,
@@ -75,8 +74,9 @@ class GuardState(Frozen):
     """State of the guard between two steps.
 
     Attributes:
-        begin, end: times of the two steps; equal before the first one [s].
-        x, x_end: (2n,) commanded joint state at both [rad, rad/s].
+        end: time of the next step [s].
+        x: (2n,) commanded joint state then [rad, rad/s].
+        acceleration: (n,) commanded until then [rad/s^2].
         path: (2n,) joint state on the verified motion at the end, at its phase [rad, rad/s].
         carry: (3,) velocity by which the desired position is displaced to the tool [m/s].
         thoughts: the decision in force, and the pending one.
@@ -88,10 +88,9 @@ class GuardState(Frozen):
         supervision: state of the monitors.
     """
 
-    begin: float = -math.inf
     end: float = -math.inf
     x: FloatArray = zeros(0)
-    x_end: FloatArray = zeros(0)
+    acceleration: FloatArray = zeros(0)
     path: FloatArray = zeros(0)
     carry: FloatArray = zeros(3)
     thoughts: Thoughts[GuardDecision] = field(default_factory=lambda: Thoughts(GuardDecision()))
@@ -109,7 +108,7 @@ class GuardState(Frozen):
     @property
     def speed(self) -> float:
         """Largest commanded joint speed [rad/s]."""
-        return float(np.abs(self.x_end[len(self.x_end) // 2 :]).max())
+        return float(np.abs(self.x[len(self.x) // 2 :]).max())
 
     @property
     def is_lost(self) -> bool:
@@ -120,24 +119,15 @@ class GuardState(Frozen):
     def on_path(self) -> bool:
         """Whether the commanded motion is the verified one, or rests on it."""
         n = len(self.path) // 2
-        near = bool((np.abs(self.x_end - self.path)[:n] <= ARRIVED).all())
+        near = bool((np.abs(self.x - self.path)[:n] <= ARRIVED).all())
         return self.decision.follows or (self.speed <= AT_REST and near and not self.is_lost)
 
-    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Computes joint state (2n,) and acceleration (n,) at a time.
-
-        Between the two steps the velocity is linear in time, and the position its integral, with a
-        linear correction that makes it continuous. Outside they stay.
-        """
-        n, length = len(self.x) // 2, self.end - self.begin
-        if not length > 0.0:
-            return self.x, np.zeros(n)
-        since = min(max(time - self.begin, 0.0), length)
-        p, v = self.x[:n], self.x[n:]
-        acceleration = (self.x_end[n:] - v) / length
-        drift = (self.x_end[:n] - p) / length - 0.5 * length * acceleration
-        q = p + since * (drift + 0.5 * since * acceleration)
-        return np.append(q, v + since * acceleration), acceleration
+    def at(self, time: float) -> FloatArray:
+        """Computes the joint state (2n,) at a time of the step that ends at `end`."""
+        since = min(time - self.end, 0.0)
+        q, v = np.split(self.x, 2)
+        q = q + since * v + 0.5 * since**2 * self.acceleration
+        return np.append(q, v + since * self.acceleration)
 
 
 class MotionGuard(LeafSystem):
@@ -280,14 +270,16 @@ class MotionGuard(LeafSystem):
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
 
         rest = np.append(q_start, np.zeros(n))
-        self._state = self.DeclareAbstractState(Value(GuardState(x=rest, x_end=rest, path=rest)))
+        self._state = self.DeclareAbstractState(
+            Value(GuardState(x=rest, path=rest, acceleration=np.zeros(n)))
+        )
         own = {self.time_ticket(), self.abstract_state_ticket(self._state)}
         measured = own | {
             port.ticket() for port in (self._robot, self._position, self._orientation)
         }
         for name, size, calc, of in (
-            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time())[0], own),
-            ("desired_joint_acceleration", n, lambda c: self._read(c).at(c.get_time())[1], own),
+            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time()), own),
+            ("desired_joint_acceleration", n, lambda c: self._read(c).acceleration, own),
             ("speed_scale", 1, self._speed_scale, own),
             ("evasion", 3, lambda c: self._read(c).carry, own),
             ("decision", 2, lambda c: self._read(c).thoughts.last, own),
@@ -349,7 +341,7 @@ class MotionGuard(LeafSystem):
             return EventStatus.DidNothing()
         q, _ = self._arm.split(self._robot.Eval(context))
         rest = np.append(q, np.zeros(self._n))
-        held.set_value(replace(before, x=rest, x_end=rest, path=rest, begin=time, end=time))
+        held.set_value(replace(before, x=rest, path=rest, end=time))
         return EventStatus.Succeeded()
 
     def _step(self, context: Context, state: State) -> EventStatus:
@@ -368,7 +360,7 @@ class MotionGuard(LeafSystem):
         scene = self._scene(context)
         before = self._supervised(context, before, scene, time)
         if time > before.expires and not before.decision.follows:
-            before = self._braked(before, before.x_end)
+            before = self._braked(before, before.x)
         held.set_value(self._advanced(context, before, time))
         return EventStatus.Succeeded()
 
@@ -387,15 +379,15 @@ class MotionGuard(LeafSystem):
     def _reacted(self, state: GuardState, q: FloatArray, v: FloatArray, time: float) -> GuardState:
         """Returns the state after a check for contact by the joint state (n,), (n,)."""
         n = self._n
-        error = q - state.x_end[:n]
-        ahead = np.abs(error + _DAMPING * (v - state.x_end[n:]))
+        error = q - state.x[:n]
+        ahead = np.abs(error + _DAMPING * (v - state.x[n:]))
         if max(np.abs(error).max(), ahead.max() / _FEEDBACK) <= self._parameters.contact_error:
             return state
         if time > state.slow_until:
             joint = self._arm.joints[int(ahead.argmax())]
             _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, ahead.max())
         rest = np.append(q, np.zeros(n))
-        state = replace(state, x=rest, x_end=rest, slow_until=time + self._parameters.contact_time)
+        state = replace(state, x=rest, slow_until=time + self._parameters.contact_time)
         return self._braked(state, rest)
 
     def _supervised(
@@ -404,22 +396,23 @@ class MotionGuard(LeafSystem):
         """Returns the state after the monitors of observations, torques and the guard itself."""
         kept = state.supervision
         policy = read_value(self, self._policy, context, PolicyState)
-        demands: list[Demand] = [watch_observation(scene, time, self._fresh, self._max_age)]
         late = state.decision.follows and time > state.expires
-        demands.append(watch_guard(state.decision, time, late=late, moves=scene.moves))
+        demands = [
+            watch_observation(scene, time, self._fresh, self._max_age),
+            watch_guard(state.decision, time, late=late, moves=scene.moves),
+        ]
         if state.decision.follows:
-            n = self._n
-            demands.append(watch_path(float(np.abs(state.path - state.x_end)[:n].max())))
+            demands.append(watch_path(float(np.abs(state.path - state.x)[: self._n].max())))
         if self._saturation.HasValue(context):
             saturated = bool(self._saturation.Eval(context)[0] > 0.0)
             kept, demand = watch_torque(kept, saturated, time, self._step_length)
             demands.append(demand)
         waits = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
         after = supervise(kept, demands, time, self._step_length, waits=waits)
-        was, now = state.supervision, after
-        if (now.action, now.cause) != (was.action, was.cause):
-            said = (_SAID[now.action], now.reason) if now.reason else ("runs freely again",)
-            _logger.warning("t=%.3f s: supervisor %s", time, ": ".join(said))
+        was = state.supervision
+        if (after.action, after.cause) != (was.action, was.cause):
+            said = f"{_SAID[after.action]}: {after.reason}" if after.reason else "runs freely again"
+            _logger.warning("t=%.3f s: supervisor %s", time, said)
         return replace(state, supervision=after)
 
     def _advanced(self, context: Context, state: GuardState, time: float) -> GuardState:
@@ -433,7 +426,7 @@ class MotionGuard(LeafSystem):
         elif not state.supervision.is_broken:
             supervision = state.supervision.broken("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
-        path, ahead, carry = np.append(q, v), np.array(state.x_end), np.zeros(3)
+        path, ahead, carry = np.append(q, v), np.array(state.x), np.zeros(3)
         lost_since = math.inf
         if state.decision.follows:
             limit = self._parameters.acceleration_limit
@@ -451,10 +444,9 @@ class MotionGuard(LeafSystem):
                 lost_since, carry = math.inf, np.zeros(3)
         return replace(
             state,
-            begin=time,
             end=time + step,
-            x=state.x_end,
-            x_end=ahead,
+            x=ahead,
+            acceleration=(ahead - state.x)[n:] / step,
             path=path,
             carry=carry,
             lost_since=lost_since,
@@ -511,7 +503,7 @@ class MotionGuard(LeafSystem):
         latency = 0.0 if self._thinking is None else state.thoughts.cost
         steps = max(math.ceil((time + latency - state.end) / step), 0)
         begin = state.end + steps * step
-        x, decision = np.array(state.x_end), state.decision
+        x, decision = np.array(state.x), state.decision
         for k in range(steps):
             if decision.follows:
                 x[:n] += step * x[n:]

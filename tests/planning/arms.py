@@ -14,8 +14,8 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere, shape_geometry
-from drake_oa.geometry.solids import Solid, shape_solids, solid_distance, solids_of
+from drake_oa.geometry.shapes import Box, Sphere, shape_geometry
+from drake_oa.geometry.solids import Solid, shape_solids, solids_of
 from drake_oa.planning.arm_world import (
     LINKS,
     TOOL,
@@ -103,7 +103,7 @@ def arm_alone(config: Robot) -> ArmAlone:
 class Thing:
     """A shape at a pose (4, 4) at time 0, with a velocity (3,) [m/s]."""
 
-    shape: Box | Cylinder | Sphere
+    shape: Box | Sphere
     X_WO: FloatArray
     v_WO: FloatArray
 
@@ -119,43 +119,19 @@ def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> 
     )
 
 
-def random_things(
-    random: np.random.Generator, count: int, moving: int = 0, inner: float = 0.35
-) -> list[Thing]:
-    """Boxes, cylinders and spheres about an arm's base, the first of them moving."""
+def random_things(random: np.random.Generator, count: int, moving: int = 0) -> list[Thing]:
+    """Boxes and spheres about an arm's base, the first of them moving."""
     things = []
     for k in range(count):
         size = random.uniform(0.05, 0.2, 3)
-        shape = [
-            Box(size.tolist()),
-            Cylinder(0.5 * size[0], size[1] + 0.05),
-            Sphere(0.5 * size[0]),
-        ][random.integers(3)]
+        shape = Box(size.tolist()) if random.random() < 0.5 else Sphere(0.5 * size[0])
         angle, X = random.uniform(-np.pi, np.pi), np.eye(4)
-        X[:3, :3] = Rotation.random(random_state=int(random.integers(2**31))).as_matrix()
-        X[:2, 3] = random.uniform(inner, 0.8) * np.array([np.cos(angle), np.sin(angle)])
+        X[:3, :3] = Rotation.from_rotvec(random.normal(size=3)).as_matrix()
+        X[:2, 3] = random.uniform(0.35, 0.8) * np.array([np.cos(angle), np.sin(angle)])
         X[2, 3] = random.uniform(0.0, 0.9)
         v = random.uniform(-0.2, 0.2, 3) if k < moving else np.zeros(3)
         things.append(Thing(shape, X, v))
     return things
-
-
-def brute_excess(world: ArmWorld, arm: ArmAlone, q: FloatArray, t: float) -> FloatArray:
-    """(3,) of tool, links and self, without any culling; inf where there is nothing [m]."""
-    spheres, least, p = world.spheres, np.full(3, np.inf), arm.centers(q)
-    groups = np.repeat(np.arange(len(spheres.group_joint)), np.diff(spheres.first))
-    for i, g in enumerate(groups):
-        row = TOOL if world.asked.is_tool[g] else LINKS
-        for k in range(len(world.solids.ball)):
-            if world.asked.of_solids[g, k] > -np.inf:
-                d = solid_distance(world.solids, k, *p[i], t) - spheres.radius[i]
-                least[row] = min(least[row], d - world.asked.of_solids[g, k])
-    for (a, b), allowance in zip(spheres.pairs, spheres.allowance, strict=True):
-        one, other = groups == a, groups == b
-        d = np.linalg.norm(p[one][:, None] - p[other], axis=2)
-        d -= spheres.radius[one][:, None] + spheres.radius[other]
-        least[2] = min(least[2], d.min() + allowance - world.asked.of_self)
-    return least
 
 
 class Truth:

