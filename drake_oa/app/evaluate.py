@@ -166,7 +166,7 @@ def load_methods(names: Sequence[str]) -> dict[str, Method]:
 
 
 def drawn_scenes(suite: str, count: int | None, seed: int) -> Scenes:
-    """So many scenes of a suite; an error names the option."""
+    """Draws the scenes of a suite; an error names the option."""
     from drake_oa.studies.scenes.suites import draw_scenes
 
     if count is not None and count < 1:

@@ -22,7 +22,7 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.regulation.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite, check_methods
-from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate, motion_figures
+from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate, motion_figures, over
 from drake_oa.studies.scenes.paper_method import SHIPPED, paper_chain, run, sections
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import find_suite, line_distance
@@ -221,25 +221,15 @@ def trial_suites(
         ValueError: for no trials, a negative seed or an unknown method.
     """
     chosen = check_methods("table3", methods, TRIAL_METHODS)
-    return [
-        PandaSuite(
-            "table3",
-            kind,
-            seed,
-            chosen,
-            perception,
-            duration,
-            {
-                trial: Drawing(
-                    f"paper_{kind}-seed{seed}-scene{trial:04d}",
-                    trial_text,
-                    (f"paper_{kind}", seed + trial),
-                )
-                for trial in range(trials)
-            },
-        )
-        for kind in TRIAL_KINDS
-    ]
+    suites = []
+    for kind in TRIAL_KINDS:
+        name = f"paper_{kind}"
+        drawings = {
+            trial: Drawing(f"{name}-seed{seed}-scene{trial:04d}", trial_text, (name, seed + trial))
+            for trial in range(trials)
+        }
+        suites.append(PandaSuite("table3", kind, seed, chosen, perception, duration, drawings))
+    return suites
 
 
 def trial_figures(
@@ -255,21 +245,17 @@ def trial_figures(
     clearance = [run["tool_clearance_min"] for run in known]
     error = [run["goal_error"] for run in known]
     touched = {part for run in known for pair in run["contacts"] for part in pair.split(" - ")[1:]}
-    short = [run["tool_clearance_min"] < run["asked_clearance"] for run in known]
-    found: dict[str, Any] = {
+    return {
         "trials": len(runs),
         "obstacles_touched": len(touched),
-        "trials_short": sum(short),
+        "trials_short": sum(run["tool_clearance_min"] < run["asked_clearance"] for run in known),
+        "clearance_mean": over(np.mean, clearance),
+        "clearance_min": over(min, clearance),
+        "goal_error_mean": over(np.mean, error),
+        "goal_error_max": over(max, error),
+        "duration_median": over(np.median, (run["duration"] for run in known)),
+        **(printed or {}),
     }
-    if known:
-        found |= {
-            "clearance_mean": float(np.mean(clearance)),
-            "clearance_min": min(clearance),
-            "goal_error_mean": float(np.mean(error)),
-            "goal_error_max": max(error),
-            "duration_median": float(np.median([run["duration"] for run in known])),
-        }
-    return found | dict(printed or {})
 
 
 def trials_figures(

@@ -22,7 +22,7 @@ from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import least_distances, shape_solids, solids_of
 from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
@@ -78,67 +78,53 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     """
     robot_plant, n = make_robot_plant(robot), len(robot.q_seed)
     limits = robot_plant.limits
-    lower, upper = limits.position_lower, limits.position_upper
-    arm, fingers = limits.position_name[:n], limits.position_name[n:]
-    for row, name in enumerate(fingers, start=n):
+    lower, upper, names = limits.position_lower, limits.position_upper, limits.position_name
+    arm = names[:n]
+    for row, name in enumerate(names[n:], start=n):
         if name in problem.start:
-            margin = _FINGER_MARGIN
-            opening = np.clip(problem.start[name], lower[row] + margin, upper[row] - margin)
+            opening = problem.start[name]
+            opening = np.clip(opening, lower[row] + _FINGER_MARGIN, upper[row] - _FINGER_MARGIN)
             robot = replace(robot, finger_opening=float(opening))
             break
-    q = {
-        end: _positions(problem, joints, arm, robot_plant, robot)
-        for end, joints in (("start", problem.start), ("goal", problem.goal))
-    }
-    X_WE = dict(zip(q, robot_plant.tool_poses(np.stack(list(q.values()))), strict=True))
-    within = ((q["goal"] >= lower) & (q["goal"] <= upper))[:n].all()
-    rpy = {end: RollPitchYaw(X.rotation()).vector().tolist() for end, X in X_WE.items()}
-    grasped = X_WE["goal"].translation()
+    q = np.full((2, len(names)), robot.finger_opening)
+    for row, given in enumerate((problem.start, problem.goal)):
+        if not given.keys() >= set(arm):
+            raise ValueError(
+                f"{problem.name}: is of the joints {', '.join(given)}, and the robot's are "
+                f"{', '.join(arm)}; --robot SCENARIO names a scenario with the problem's robot"
+            )
+        q[row, :n] = [given[name] for name in arm]
+    within = ((q[1] >= lower) & (q[1] <= upper))[:n].all()
+    poses = robot_plant.tool_poses(q)
+    start, goal = (X_WE.translation().tolist() for X_WE in poses)
+    rpy = [RollPitchYaw(X_WE.rotation()).vector().tolist() for X_WE in poses]
+    (q_start, q_goal), grasped = q[:, :n].tolist(), np.array([goal])
     scenario = Scenario(
         description=f"MotionBenchMaker {problem.name}",
         robot=robot,
         task=Task(
-            start=X_WE["start"].translation().tolist(),
-            goal=grasped.tolist(),
-            rpy_start=rpy["start"],
-            rpy_goal=rpy["goal"],
-            q_start=q["start"][:n].tolist(),
-            q_goal=q["goal"][:n].tolist() if within else None,
+            start=start,
+            goal=goal,
+            rpy_start=rpy[0],
+            rpy_goal=rpy[1],
+            q_start=q_start,
+            q_goal=q_goal if within else None,
             duration=DURATION,
         ),
         obstacles=[item for item in problem.obstacles if not _holds(item, grasped)],
         perception=GroundTruth(),
         table_height=None,
     )
-    left = robot_metrics(scenario, np.stack([q["start"], q["goal"]])).robot_clearance.min()
+    left = robot_metrics(scenario, q).robot_clearance.min()
     # Rounded down: the ends themselves keep it.
     asked = math.floor(1e4 * min(CLEARANCE, float(left))) / 1e4
     scenario.task.clearance = max(asked, LEAST_CLEARANCE)
     return scenario
 
 
-def _positions(
-    problem: Problem,
-    given: Mapping[str, float],
-    arm: Sequence[str],
-    robot_plant: RobotPlant,
-    robot: Robot,
-) -> FloatArray:
-    missing = [name for name in arm if name not in given]
-    if missing:
-        raise ValueError(
-            f"{problem.name}: is of the joints {', '.join(given)}, and the robot's are "
-            f"{', '.join(arm)}; --robot SCENARIO names a scenario with the problem's robot"
-        )
-    q = np.full(robot_plant.plant.num_positions(), robot.finger_opening)
-    q[: len(arm)] = [given[name] for name in arm]
-    return q
-
-
-def _holds(obstacle: Obstacle, p_WQ: FloatArray) -> bool:
-    """Whether a point is inside an obstacle."""
+def _holds(obstacle: Obstacle, points: FloatArray) -> bool:
+    """Checks whether a point (1, 3) is inside an obstacle."""
     solids = solids_of(shape_solids(obstacle.shapes, pose(obstacle).GetAsMatrix4()))
-    points = np.array([p_WQ], dtype=float)
     return bool(least_distances(solids, points, 0.0, 0.0, 0.0)[0] < 0.0)
 
 
@@ -182,40 +168,29 @@ def mbm_suites(
     chosen_methods = check_methods("mbm", methods, METHODS)
     if scenes is not None and scenes < 1:
         raise ValueError(f"--scenes must be at least 1, not {scenes}")
-    arm = load_robot(robot or PANDA)
-    robot_text = scenario_text(Scenario(robot=arm))
-    known = read_archive(file)
-    chosen = {}
+    arm, known = load_robot(robot or PANDA), read_archive(file)
+    robot_text, suites = scenario_text(Scenario(robot=arm)), []
     for name in sets or list(known):
         if name not in known:
             raise ValueError(f"unknown set {name!r}; {file} has: {', '.join(known)}")
-        if scenes is not None and scenes > len(known[name]):
-            raise ValueError(f"--scenes {scenes}: the set {name} has {len(known[name])}")
-        chosen[name] = tuple(known[name][:scenes])
-        for text in chosen[name]:
-            parse_problem(text)
+        texts = known[name][:scenes]
+        if len(texts) < (scenes or 0):
+            raise ValueError(f"--scenes {scenes}: the set {name} has {len(texts)}")
+        problems = [parse_problem(text) for text in texts]
         # Another robot's joints are told before anything is computed.
-        problem_scenario(parse_problem(chosen[name][0]), arm)
-    return [
-        PandaSuite(
-            "mbm",
-            name,
-            0,
-            chosen_methods,
-            perception,
-            duration,
-            {
-                text.number: Drawing(
-                    f"mbm-{name}-scene{text.number:04d}",
-                    draw_problem,
-                    (text, robot_text, perception != "truth"),
-                )
-                for text in texts
-            },
-            _CRITERIA,
+        problem_scenario(problems[0], arm)
+        drawings = {
+            text.number: Drawing(
+                f"mbm-{name}-scene{text.number:04d}",
+                draw_problem,
+                (text, robot_text, perception != "truth"),
+            )
+            for text in texts
+        }
+        suites.append(
+            PandaSuite("mbm", name, 0, chosen_methods, perception, duration, drawings, _CRITERIA)
         )
-        for name, texts in chosen.items()
-    ]
+    return suites
 
 
 def mbm_figures(

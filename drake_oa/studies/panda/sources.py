@@ -10,6 +10,7 @@ import numpy as np
 from drake_oa.common.console import Column, TextTable
 from drake_oa.planning.search import SOURCES
 from drake_oa.studies.panda.evaluation import PandaResults
+from drake_oa.studies.panda.tables import run_figures
 from drake_oa.studies.scenes.evaluation import over
 
 _COLUMNS = (
@@ -46,23 +47,22 @@ def sources_figures(
             {scene for scene, run in of.items() if run["outcome"] == "success"}
             for of in runs.values()
         ]
-        common = set.intersection(*solved) if solved else set()
+        common = sorted(set.intersection(*solved))
         for method, of in runs.items():
             executed = {
                 name: sum(name in (run.get("sources") or ()) for run in of.values())
                 for name in SOURCES
             }
-            clearances = [run["robot_clearance_min"] for run in of.values()]
-            lengths = [of[scene]["path_length"] for scene in sorted(common)]
+            counts = run_figures(list(of.values()))
             rows.append(
                 {
                     "suite": found.suite.kind,
                     "method": method,
-                    "scenes": len(of),
-                    "success": sum(run["outcome"] == "success" for run in of.values()),
-                    "contacts": sum(bool(run["contacts"]) for run in of.values()),
-                    "clearance": over(np.median, clearances),
-                    "length": over(np.median, lengths),
+                    **{key: counts[key] for key in ("scenes", "success", "contacts")},
+                    "clearance": over(
+                        np.median, (run["robot_clearance_min"] for run in of.values())
+                    ),
+                    "length": over(np.median, (of[scene]["path_length"] for scene in common)),
                     "executed": executed,
                     "sources": ", ".join(f"{name} {n}" for name, n in executed.items() if n),
                 }

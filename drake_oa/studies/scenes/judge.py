@@ -119,14 +119,7 @@ def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]
 def _check(motions: Motions, count: int) -> None:
     if not len(motions.path) == len(motions.velocity) == len(motions.duration) == count:
         raise ValueError(f"there must be a motion for each of {count} scenes")
-    for name, values in (("path", motions.path), ("velocity", motions.velocity)):
-        finite = np.isfinite(values).all(axis=(1, 2))
-        if not finite.all():
-            row = int(np.argmin(finite))
-            raise ValueError(f"{name} must be finite: that of scene {row} is not")
-    lasting = np.isfinite(motions.duration) & (motions.duration > 0.0)
-    if not lasting.all():
-        row = int(np.argmin(lasting))
-        raise ValueError(
-            f"duration must be positive and finite: scene {row} has {motions.duration[row]} s"
-        )
+    if not (np.isfinite(motions.path).all() and np.isfinite(motions.velocity).all()):
+        raise ValueError("path and velocity must be finite")
+    if not (np.isfinite(motions.duration) & (motions.duration > 0.0)).all():
+        raise ValueError("duration must be positive and finite")

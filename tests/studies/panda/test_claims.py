@@ -87,13 +87,6 @@ def test_a_resting_arm_and_obstacles_at_rest_violate_nothing(ahead, rate, waypoi
     assert claim_violations(world, t, q, t - 0.5)["A"].any() == violated
 
 
-def test_a_faster_world_violates_what_a_slower_one_does(ahead):
-    world, (t, q) = _world(ahead(0.35)), _turning(1.0)
-    slow, fast = (claim_violations(world, t, q, t[::-1] - 0.2, V=V)["A"] for V in (0.8, 3.0))
-    assert fast[slow].all()
-    assert fast.sum() > slow.sum()
-
-
 _NO_DEPTH_AHEAD = np.where(np.arange(120)[:, None] < 52, 0.0, np.inf)
 
 

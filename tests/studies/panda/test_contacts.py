@@ -13,10 +13,10 @@ from drake_oa.runs.motion_log import pack_ellipsoids
 from drake_oa.runs.simulation import log_of
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.studies.panda.contacts import MOTIONS, contact_events, escapes, sightings
+from drake_oa.studies.panda.contacts import contact_events, sightings
 from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.scenes import draw_panda_scene
-from drake_oa.studies.panda.true_world import STEP, make_true_world
+from drake_oa.studies.panda.true_world import make_true_world
 
 KEYS = [
     "time",
@@ -158,38 +158,17 @@ def test_an_obstacle_is_known_once_its_velocity_is_within_a_fifth(struck, error,
         assert known == pytest.approx([0.35] if is_known else [])
 
 
-def test_escapes_are_fewer_the_later_and_none_from_within(struck):
-    scenario, q = struck
-    world, index = make_true_world(scenario), make_true_world(scenario).arm.chain.q_index
-    q, (event, *_) = q[0, index], contact_events(*_at_rest(struck), make_true_world(scenario))
-    rows = [int((event["time"] - lead) / STEP) for lead in (0.5, 0.1, -0.05)]
-    counts = [escapes(world, q, 0.0 * q, row, 190) for row in rows]
-    assert MOTIONS > counts[0] > counts[1] > counts[2] == 0
-    assert escapes(world, q, 0.0 * q, rows[0], 190) == counts[0]
-
-
-def _at_rest(struck):
-    return struck[0], _log(struck[0], struck[1], 0.0 * struck[1])
-
-
-@pytest.fixture(scope="module")
-def touched():
-    """A blind run in a scene that is drawn so that it touches."""
+def test_a_blind_run_is_judged_end_to_end():
     scenario = draw_panda_scene(0, 0, kind="moving_hard", perception="truth")
-    return run_and_judge(scenario, "preplanned", "truth").result
-
-
-def test_a_run_is_judged_end_to_end(touched):
+    touched = run_and_judge(scenario, "preplanned", "truth").result
     assert touched["outcome"] == "contact"
     events = touched["contact_events"]
-    assert [list(event) for event in events] == [KEYS] * len(events)
     pairs = {f"{event['link']} - {event['obstacle']}" for event in events}
     assert pairs == set(touched["contacts"])
-    assert all(event["closing_speed_max"] >= event["closing_speed"] for event in events)
     assert [event["time"] for event in events] == sorted(event["time"] for event in events)
     assert events[0]["avoidable_by_physics"]
     assert not events[0]["avoidable_by_view"]
+    # It observes nothing, and is faster than 0.25 m/s.
     claims = touched["claim_violations"]
-    # A blind run observes nothing, and is faster than 0.25 m/s.
     assert 0 < claims["B"] < claims["instants"]
     assert claims["A"] == 0

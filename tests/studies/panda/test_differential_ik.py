@@ -2,17 +2,14 @@
 
 import numpy as np
 import pytest
-from pydrake.math import RollPitchYaw
 
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.scenario.end_poses import follow_joints, start_positions
+from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import (
     METHOD,
     TOOL_DISTANCE,
-    CommandedJoints,
-    make_collision_checker,
     simulate_differential_ik,
 )
 
@@ -68,40 +65,6 @@ def test_moves_away_from_an_obstacle_nearer_than_the_tool_keeps() -> None:
     clearance = robot_metrics(scenario, log.q[[0, -1]]).tool_clearance
     assert 0.0 < clearance[0] < TOOL_DISTANCE
     assert clearance[1] > clearance[0] + 1e-3
-
-
-def test_the_inputs_are_a_pose_ahead_and_the_positions_of_the_world() -> None:
-    ball = "{name: ball, shapes: [!Sphere {radius: 0.1}], waypoints: [[0, 0, 0, 0]]}"
-    scenario = scene(f"obstacles=[{ball}]")
-    checker = make_collision_checker(scenario, tool=0.0, links=0.0, world=0.0, own=0.0)
-    plant, q_start = checker.plant(), start_positions(scenario)
-    system = CommandedJoints(scenario, plant, q_start)
-    context = system.CreateDefaultContext()
-    commanded = np.append(q_start + 0.1, np.arange(len(q_start)))
-    context.SetDiscreteState(commanded)
-    state = np.arange(plant.num_multibody_states(), dtype=float)
-    for name, value in (
-        ("desired_position", [1.0, 2.0, 3.0]),
-        ("desired_velocity", [0.0, -1.0, 2.0]),
-        ("desired_orientation", [1.0, 0.0, 0.0, 0.0]),
-        ("desired_angular_velocity", [0.0, 0.0, 2.0]),
-        ("plant_state", state),
-    ):
-        system.GetInputPort(name).FixValue(context, value)
-    poses = system.GetOutputPort("desired_cartesian_poses").Eval(context)
-    X_WE = poses.Find(plant.GetFrameByName("tool_point").scoped_name().get_full())
-    ahead = 4.5 * scenario.policy.period
-    np.testing.assert_allclose(X_WE.translation(), [1.0, 2.0 - ahead, 3.0 + 2.0 * ahead])
-    turned = RollPitchYaw(0.0, 0.0, 2.0 * ahead).ToRotationMatrix()
-    np.testing.assert_allclose(X_WE.rotation().matrix(), turned.matrix(), atol=1e-12)
-    robot = plant.GetFrameByName("tool_point").model_instance()
-    position = system.GetOutputPort("position").Eval(context)
-    np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, position), q_start + 0.1)
-    assert set(position) - set(q_start + 0.1) <= set(state)
-    joints = system.GetOutputPort("desired_joint_state").Eval(context)
-    np.testing.assert_array_equal(joints, commanded[[*range(7), *range(9, 16)]])
-    posture = system.GetOutputPort("nominal_posture").Eval(context)
-    np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, posture), q_start)
 
 
 def test_turns_the_tool_and_leads_the_posture_to_the_joints_of_the_goal() -> None:

@@ -1,23 +1,43 @@
 """Random scenes: the same of a kind, seed and index, and as their description says."""
 
+import hashlib
+import json
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from drake_oa.geometry.shapes import Box, Cylinder, pose
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.camera_placement import near_space, view_volumes
 from drake_oa.runs.metrics import robot_metrics
+from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.studies.panda.evaluation import run_and_judge
+from drake_oa.studies.panda.moving_scenes import LONGEST
 from drake_oa.studies.panda.scene_arm import scene_arm
-from drake_oa.studies.panda.scene_parts import FREE, footprint_radius
-from drake_oa.studies.panda.scenes import (
-    KINDS,
-    MOVING_KINDS,
-    NEAR,
-    NEAR_OBSTACLES,
-    draw_panda_scene,
+from drake_oa.studies.panda.scene_parts import (
+    FREE,
+    LARGEST,
+    bounding_ball,
+    draw_obstacles,
+    footprint_radius,
+    view_margin,
 )
+from drake_oa.studies.panda.scenes import KINDS, MOVING_KINDS, draw_panda_scene
+
+DIGESTS = """
+tabletop 05833eed moving 8c8163c2 elbow 3ca6ac0d clutter6 b031fd7f moving_hard a557fa02
+moving_high 858cf87f drp_sudden1 f75bb3d2 drp_sudden2 ab4f2214 drp_sudden3 4c5a9c57
+drp_floating1 73a5a429 drp_floating2 548cdb1c drp_goal_blocked1 f82eae2c
+drp_goal_blocked2 3a0414e4 drp_moving_goal_blocked1 a1be35f6 drp_moving_goal_blocked2 7c0701ce
+drp_moving_goal_blocked3 cce50f59 drp_moving_goal_blocked4 5f2585f3
+drp_floating1_at_0.18 0ba1c672 drp_floating1_at_0.5 04de2ffc drp_floating1_at_1.0 430fe95f
+drp_floating1_at_1.6 73851d67
+"""
+"""Kind and digest of its first scene of seed 0, which no change of the source may alter."""
 
 
 @pytest.fixture(scope="module")
@@ -25,43 +45,15 @@ def scenes():
     return {kind: draw_panda_scene(0, 0, kind=kind) for kind in KINDS}
 
 
-def planned(scenario):
-    motion = scene_arm().straight_motion(*map(np.array, ends(scenario)))
-    assert motion is not None
-    return motion
-
-
-def ends(scenario):
-    return scenario.task.start, scenario.task.goal
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_scene_is_a_scenario_and_the_same_each_time(scenes, kind):
-    text = scenario_text(scenes[kind])
-    assert scenario_text(parse_scenario(text)) == text
-    assert scenario_text(draw_panda_scene(0, 0, kind=kind)) == text
-
-
-@pytest.mark.parametrize(
-    ("kind", "places"),
-    [
-        ("moving", {"moving0": [0.2249, -0.4108, 0.5178]}),
-        (
-            "moving_hard",
-            {
-                "moving0": [0.0728, 0.6154, 0.5659],
-                "moving1": [0.0177, 1.1587, 0.2413],
-                "moving2": [1.1508, 0.2416, 0.4629],
-                "moving3": [0.5412, 1.5276, 0.1987],
-                "box4": [0.4834, 0.0757, 0.0],
-                "box5": [0.4947, -0.4046, 0.0],
-            },
-        ),
-        ("elbow", {"board0": [0.3159, 0.3744, 0.0]}),
-    ],
-)
-def test_scenes_are_drawn_by_the_image_of_the_camera_at_the_table(scenes, kind, places):
-    assert {item.name: item.translation for item in scenes[kind].obstacles} == places
+def test_scenes_are_those_of_earlier_versions(scenes):
+    found = []
+    for kind, scene in scenes.items():
+        things = [[o.name, o.translation, o.rpy, o.present, o.waypoints] for o in scene.obstacles]
+        content = [scene.seed, scene.task.start, scene.task.goal, things]
+        found += [kind, hashlib.sha256(json.dumps(content).encode()).hexdigest()[:8]]
+        text = scenario_text(scene)
+        assert scenario_text(parse_scenario(text)) == text
+    assert found == DIGESTS.split()
 
 
 @pytest.mark.parametrize("kind", MOVING_KINDS)
@@ -72,7 +64,6 @@ def test_cameras_of_moving_scenes_see_most_of_the_space_near_the_arm(scenes, kin
     for scene, most in ((scenes[kind], by_one), (two, 0.01)):
         space = near_space(scene)
         assert space.unseen_share(view_volumes(scene, scene.perception)) < most
-        assert scene.perception.segmentation.far == 3.5
         # Nothing stands in their sight.
         assert len(scene.directives) == 1
 
@@ -89,12 +80,13 @@ def test_perception_changes_nothing_else():
 @pytest.mark.parametrize("kind", ["tabletop", "clutter6", "elbow"])
 def test_the_ends_are_free_and_the_planned_motion_is_not_clear(scenes, kind):
     scenario = scenes[kind]
-    start, goal = ends(scenario)
+    start, goal = scenario.task.start, scenario.task.goal
     assert 0.5 <= math.dist(start, goal) <= 1.0
+    motion = scene_arm().straight_motion(np.array(start), np.array(goal))
+    assert motion is not None
     # Judged by the metrics of a run, in a world of their own.
-    arm = planned(scenario).q
-    opening = scenario.robot.finger_opening
-    metrics = robot_metrics(scenario, np.c_[arm, np.full((len(arm), 2), opening)])
+    fingers = np.full((len(motion.q), 2), scenario.robot.finger_opening)
+    metrics = robot_metrics(scenario, np.c_[motion.q, fingers])
     np.testing.assert_allclose(metrics.p_WE[[0, -1]], [start, goal], atol=1e-3)
     assert metrics.robot_clearance[[0, -1]].min() >= FREE
     assert metrics.robot_clearance.min() <= -5e-3
@@ -103,17 +95,107 @@ def test_the_ends_are_free_and_the_planned_motion_is_not_clear(scenes, kind):
     touched = {contact.partition(" - ")[0] for contact in metrics.contacts}
     assert kind != "elbow" or touched <= {f"panda_link{number}" for number in range(2, 6)}
     assert kind != "elbow" or metrics.tool_clearance.min() >= 0.05
-
-
-@pytest.mark.parametrize("kind", ["tabletop", "clutter6"])
-def test_things_stand_apart_and_clutter_beside_the_way(scenes, kind):
-    obstacles = scenes[kind].obstacles
-    for row, one in enumerate(obstacles):
+    for row, one in enumerate(scenario.obstacles):
         radius = footprint_radius(one)
         assert math.hypot(*one.translation[:2]) > radius + 0.15
-        for other in obstacles[:row]:
+        for other in scenario.obstacles[:row]:
             gap = math.dist(one.translation[:2], other.translation[:2])
             assert gap >= radius + footprint_radius(other) + 0.02 - 1e-9
-    arm, motion = scene_arm(), planned(scenes[kind])
-    near = sum(arm.distances(motion.q, [item])[:, arm.tool].min() < NEAR for item in obstacles)
-    assert kind == "tabletop" or (len(obstacles) == 6 and near >= NEAR_OBSTACLES)
+
+
+def _movers(scene):
+    return [item for item in scene.obstacles if item.waypoints]
+
+
+def _velocities(item):
+    """(N, 3) of the pieces of a course, and (N,) how long they last."""
+    rows = np.diff(np.array(item.waypoints), axis=0)
+    return rows[:, 1:] / rows[:, :1], rows[:, 0]
+
+
+def _track(item, end=LONGEST):
+    return np.array([item.translation + item.offset_at(t) for t in np.arange(0.0, end, 0.02)])
+
+
+@pytest.mark.parametrize(
+    ("kind", "counts", "speed", "height"),
+    [
+        ("moving", (1, 2), 0.4, (0.0, 0.6)),
+        ("moving_hard", (2, 4), 0.8, (0.0, 0.6)),
+        ("moving_high", (2, 4), 0.8, (0.6, 1.0)),
+    ],
+)
+def test_things_cross_the_way_smoothly(scenes, kind, counts, speed, height):
+    moving = _movers(scenes[kind])
+    assert counts[0] <= len(moving) <= counts[1]
+    assert len(scenes[kind].obstacles) - len(moving) <= 2
+    assert height[0] < max(item.translation[2] for item in moving) <= height[1]
+    for item in moving:
+        p, (velocity, _) = _track(item), _velocities(item)
+        assert np.hypot(p[:, 0], p[:, 1]).min() >= bounding_ball(item)[1] + 0.15
+        assert item.waypoints[-1][0] <= LONGEST
+        # Begin and end are at rest; 3 m/s^2 along the way and 0.8^2 / 0.2 across it, for 0.05 s.
+        jumps = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
+        assert np.linalg.norm(jumps, axis=1).max() < 0.05 * math.hypot(3.0, 3.2) + 0.01
+        assert 0.095 <= np.linalg.norm(velocity, axis=1).max() <= speed + 5e-3
+    result = run_and_judge(scenes[kind], "preplanned", "truth").result
+    assert not result["failed"]
+    assert any("moving0" in contact for contact in result["contacts"])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "floating" in kind])
+def test_floating_boxes_fly_at_the_base_and_turn_back(scenes, kind):
+    speed = float(kind.partition("_at_")[2] or 0.0)
+    for item in _movers(scenes[kind]):
+        p = _track(item, item.present[1])
+        away = np.linalg.norm(p - [0.15, 0.0, 0.5], axis=1)
+        assert 0.8 - 1e-3 <= away[0] <= 1.0 + 1e-3
+        assert away.max() <= 1.2 + 0.01
+        assert np.hypot(p[:, 0], p[:, 1]).min() >= 0.25 - 0.03
+        speeds = np.linalg.norm(_velocities(item)[0], axis=1)
+        np.testing.assert_allclose(speeds, speed or speeds[0], rtol=0.02)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.startswith("drp")])
+def test_boxes_of_drpbench_leave_the_robot_free_at_first(scenes, kind):
+    scene = scenes[kind]
+    q = np.stack(end_positions(scene))
+    still = [item for item in scene.obstacles if not item.name.startswith("box")]
+    scene = draw_panda_scene(0, 0, kind=kind, perception="truth")
+    scene.obstacles = still
+    assert robot_metrics(scene, q).robot_clearance.min() >= 0.05
+    for item in scenes[kind].obstacles[: -len(still) or None]:
+        item.waypoints, item.present = [], []
+        scene.obstacles = [item]
+        least = 0.1 if "sudden" in kind else 0.01
+        assert robot_metrics(scene, q[:1]).robot_clearance.min() >= least
+
+
+_UNIT = np.random.default_rng(0).normal(size=(400, 3))
+_UNIT /= np.linalg.norm(_UNIT, axis=1, keepdims=True)
+
+
+def _surface(shape):
+    """Points of a shape's surface, extreme ones among them, in the obstacle's frame."""
+    if isinstance(shape, Box):
+        points = 0.5 * np.sign(_UNIT) * np.asarray(shape.size)
+    elif isinstance(shape, Cylinder):
+        flat = _UNIT[:, :2] / np.linalg.norm(_UNIT[:, :2], axis=1, keepdims=True)
+        points = np.c_[shape.radius * flat, 0.5 * shape.length * np.sign(_UNIT[:, 2])]
+    else:
+        points = shape.radius * _UNIT
+    return (pose(shape) @ points.T).T
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_an_obstacle_stands_on_the_table_within_its_bounds(seed):
+    (obstacle,) = draw_obstacles(np.random.default_rng(seed), 1)
+    points = np.concatenate([_surface(shape) for shape in obstacle.shapes])
+    assert -1e-9 <= points[:, 2].min() < 0.03
+    assert points[:, 2].max() <= LARGEST + 1e-9
+    assert np.hypot(points[:, 0], points[:, 1]).max() <= footprint_radius(obstacle) + 1e-9
+    center, radius = bounding_ball(obstacle)
+    from_center = np.linalg.norm(points + obstacle.translation - center, axis=1)
+    assert from_center.max() <= radius + 1e-9
+    assert view_margin(center[None])[0] >= 0.0

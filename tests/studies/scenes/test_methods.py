@@ -55,12 +55,6 @@ def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
     assert verdict.kept_clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
 
 
-def test_a_scene_gets_the_same_motion_in_any_batch() -> None:
-    scenes = draw_scenes("hit", 8, 1)
-    whole, part = run_verified(scenes, Setting()), run_verified(scenes.rows([5]), Setting())
-    np.testing.assert_array_equal(whole.path[5], part.path[0])
-
-
 def test_the_package_reaches_the_goal_and_turns_aside() -> None:
     pytest.importorskip("movement_primitives.dmp")
     scenes = make_scenes(1.0, [[0.5, 0.02, 0.0], [0.5, 5.0, 0.0]], np.full((2, 3), 0.05))
