@@ -1,4 +1,4 @@
-"""What goes wrong, and what moves the obstacles: the simulated world's part."""
+"""Wiring of fault models, and of the systems that move obstacles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import CameraSource
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import perception_period
 from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
 from drake_oa.world.obstacles import ObstacleMover
@@ -18,39 +18,61 @@ from drake_oa.world.station import Station
 
 
 def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Puts what goes wrong between the signals that it befalls, and drives the obstacles."""
+    """Inserts the scenario's fault models into their signals, and adds what moves obstacles.
+
+    Where mover_<model instance> drive obstacles, the world is logged.
+
+    Raises:
+        ScenarioError: naming the push of a link that the robot does not have.
+    """
     if cell is None:
         return
-    source = scenario.perception
-    if isinstance(source, CameraSource) and cell.cameras:
-        for name in source.names:
-            faults = make_camera_faults(scenario, cell, name)
-            if faults is None:
-                continue
-            own = ("depth_image", "image_stamp")
-            names: dict[str, str | None] = {port: source.signal(port, name) for port in own}
-            names["robot_state"] = source.signal("robot_state_at_image", name)
-            wires.interpose(
-                [source.signal(port, name) for port in ("depth_image", "robot_state_at_image")],
-                source.signal("camera_faults", name),
-                faults,
-                reads=names,
-                offers=names,
+    source, plant = scenario.perception, cell.plant
+    for name in source.names if isinstance(source, CameraSource) and cell.cameras else ():
+        dropouts = [
+            fault
+            for fault in scenario.faults
+            if isinstance(fault, CameraDropout) and fault.camera in ("", name)
+        ]
+        if not dropouts:
+            continue
+        states = plant.num_multibody_states(cell.robot)
+        faults = CameraFaults(
+            dropouts,
+            cell.cameras[name].intrinsics,
+            num_states=states,
+            period=perception_period(scenario),
+        )
+        own = ("depth_image", "image_stamp")
+        names: dict[str, str | None] = {port: source.signal(port, name) for port in own}
+        names["robot_state"] = source.signal("robot_state_at_image", name)
+        wires.interpose(
+            [source.signal(port, name) for port in ("depth_image", "robot_state_at_image")],
+            source.signal("camera_faults", name),
+            faults,
+            reads=names,
+            offers=names,
+        )
+    weak = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
+    if weak:
+        actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(cell.robot))
+        limits = np.array([item.effort_limit() for item in actuators])
+        wires.interpose("actuation", "weak_actuators", WeakActuators(weak, limits))
+    pushes = []
+    for number, fault in enumerate(scenario.faults):
+        if not isinstance(fault, Push):
+            continue
+        link = fault.body or robot_of(scenario).hand_link
+        if not plant.HasBodyNamed(link, cell.robot):
+            links = [plant.get_body(i).name() for i in plant.GetBodyIndices(cell.robot)]
+            raise ScenarioError(
+                f"faults[{number}].body: the robot has no link '{link}'; it has {', '.join(links)}"
             )
-    weak = make_weak_actuators(scenario, cell)
-    if weak is not None:
-        wires.interpose("actuation", "weak_actuators", weak)
-    add_drivers(wires, scenario, cell)
-
-
-def add_drivers(wires: Wires, scenario: Scenario, station: Station) -> None:
-    """Adds push and mover_<model instance>; where these drive obstacles, the world is logged."""
-    plant = station.plant
-    push = make_push(scenario, station)
-    if push is not None:
-        wires.add("push", push)
+        pushes.append((fault, plant.GetBodyByName(link, cell.robot).index()))
+    if pushes:
+        wires.add("push", ExternalPush(pushes))
         wires.take("spatial_forces", plant.get_applied_spatial_force_input_port())
-    movers = make_obstacle_movers(scenario, station)
+    movers = make_obstacle_movers(scenario, cell)
     for name, mover in movers.items():
         instance = plant.GetModelInstanceByName(name)
         wires.offer(f"{name}_state", plant.get_state_output_port(instance))
@@ -65,35 +87,8 @@ def add_drivers(wires: Wires, scenario: Scenario, station: Station) -> None:
         wires.log("plant_state")
 
 
-def make_camera_faults(scenario: Scenario, station: Station, name: str) -> CameraFaults | None:
-    """What is wrong with a camera that perception sees by; None: nothing."""
-    faults = [
-        fault
-        for fault in scenario.faults
-        if isinstance(fault, CameraDropout) and fault.camera in ("", name)
-    ]
-    if not faults:
-        return None
-    return CameraFaults(
-        faults,
-        station.cameras[name].intrinsics,
-        num_states=station.plant.num_multibody_states(station.robot),
-        period=perception_period(scenario),
-    )
-
-
-def make_weak_actuators(scenario: Scenario, station: Station) -> WeakActuators | None:
-    """What is wrong with the robot's actuators; None: nothing."""
-    faults = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
-    if not faults:
-        return None
-    plant = station.plant
-    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(station.robot))
-    return WeakActuators(faults, np.array([item.effort_limit() for item in actuators]))
-
-
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
-    """Model instance -> what drives it, of every obstacle that moves, appears or vanishes."""
+    """Makes the mover of each obstacle that moves, appears or vanishes, by its model instance."""
     movers = {}
     for obstacle in scenario.obstacles:
         if obstacle.driven:
@@ -106,23 +101,3 @@ def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, Obst
                 present=obstacle.present,
             )
     return movers
-
-
-def make_push(scenario: Scenario, station: Station) -> ExternalPush | None:
-    """What pushes the robot; None: nothing does.
-
-    Raises:
-        ScenarioError: naming the push of a link that the robot does not have.
-    """
-    plant, pushes = station.plant, []
-    for number, fault in enumerate(scenario.faults):
-        if not isinstance(fault, Push):
-            continue
-        link = fault.body or (scenario.robot.hand_link if scenario.robot else "")
-        if not plant.HasBodyNamed(link, station.robot):
-            names = [plant.get_body(i).name() for i in plant.GetBodyIndices(station.robot)]
-            raise ScenarioError(
-                f"faults[{number}].body: the robot has no link '{link}'; it has {', '.join(names)}"
-            )
-        pushes.append((fault, plant.GetBodyByName(link, station.robot).index()))
-    return ExternalPush(pushes) if pushes else None

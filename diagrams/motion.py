@@ -49,28 +49,28 @@ def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
 
     Reads ellipsoids_W, coupling_parameters, route, speed_scale and evasion, each if offered.
     """
-    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
-    wires.add("dmp_integrator", make_dmp_integrator(scenario))
+    task, policy = scenario.task, scenario.policy
+    goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
+    if task.goal_moves:
+        goal = TrajectorySource(goal_trajectory(task))
+    wires.add("goal", goal, offers={"y0": "goal"})
+    start = np.asarray(task.start, dtype=float)
+    wires.add("dmp_integrator", DmpIntegrator(make_dmp(scenario), start, config=policy))
     wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
     wires.export("desired_position", "phase", "policy_state")
     orientation = None if cell is None else make_orientation_integrator(scenario)
     if orientation is None and cell is not None and "demonstration" in wires:
         # A path in the joints turns the tool, which stays as at the start until then.
-        policy, R_WE = scenario.policy, end_rotations(scenario)[0].matrix()
+        R_WE = end_rotations(scenario)[0].matrix()
         kept = minimum_jerk_orientation(alpha_k=policy.alpha_k)
         orientation = OrientationIntegrator(kept, R_WE, R_WE, period=policy.period)
     if orientation is not None:
-        add_orientation(wires, orientation)
-
-
-def add_orientation(wires: Wires, system: OrientationIntegrator) -> None:
-    """Adds orientation_integrator, which the controller follows."""
-    wires.add("orientation_integrator", system)
-    wires.log("desired_orientation", "orientation_error")
+        wires.add("orientation_integrator", orientation)
+        wires.log("desired_orientation", "orientation_error")
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
-    """The movement primitive of the task: demonstrated, or minimum jerk.
+    """Makes the movement primitive of the task: demonstrated, or minimum jerk.
 
     Raises:
         ScenarioError: naming the file, if a demonstration cannot be read or imitated.
@@ -85,21 +85,8 @@ def make_dmp(scenario: Scenario) -> Dmp:
         raise ScenarioError(f"policy: {error}") from None
 
 
-def make_goal(scenario: Scenario) -> LeafSystem:
-    """What says where the goal is: it stays, or is moved in steps; one port of size 3 [m]."""
-    if not scenario.task.goal_moves:
-        return ConstantVectorSource(np.asarray(scenario.task.goal))
-    return TrajectorySource(goal_trajectory(scenario.task))
-
-
-def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
-    """The action level."""
-    start = np.asarray(scenario.task.start, dtype=float)
-    return DmpIntegrator(make_dmp(scenario), start, config=scenario.policy)
-
-
 def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | None:
-    """The action level of the orientation; None: the tool keeps `robot.rpy_WE`.
+    """Makes the integrator of the orientation; None: the tool keeps `robot.rpy_WE`.
 
     Raises:
         ScenarioError: naming the field that does not fit.
@@ -116,7 +103,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 Rings = Mapping[str, Ring] | None
-"""Costs of sides of one's own, by name; None: there are none."""
+"""User-supplied costs of sides, by name; None: there are none."""
 
 
 def add_route(wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings = None) -> None:
@@ -194,10 +181,6 @@ def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArr
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
 
 
-_TOUCHING = 1e-3
-"""So deep in each other links are in contact for sure [m]."""
-
-
 def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds motion_verifier where the regulation is `!Verified`: solids_W, policy_state, goal,
     robot_state and the proposals -> motion, demonstration, coupling_parameters and route.
@@ -215,7 +198,6 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
             "regulation: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
             "ellipsoids of obstacles that are dilated by the tool"
         )
-    _refuse_start(cell)
     _tell_of_bare_links(cell)
     chain, q_rest = cell.chain, cell.q_start[cell.chain.q_index]
     guide = make_posture_guide(scenario, q_rest)
@@ -258,35 +240,8 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
     wires.log("shortfall", "lowered", "decision_regulation", "motion_source")
 
 
-def _refuse_start(cell: Cell) -> None:
-    """Refuses an arm that begins in itself.
-
-    Raises:
-        ScenarioError: naming its links.
-    """
-    robot, arm = cell.robot_plant, cell.spheres
-    context = robot.diagram.CreateDefaultContext()
-    robot.plant.SetPositions(robot.plant.GetMyMutableContextFromRoot(context), cell.q_start)
-    query = robot.scene_graph.get_query_output_port().Eval(
-        robot.scene_graph.GetMyContextFromRoot(context)
-    )
-    kept_apart = {frozenset((arm.bodies[a], arm.bodies[b])) for a, b in arm.arrays.pairs}
-    inspector = robot.scene_graph.model_inspector()
-    for hit in query.ComputePointPairPenetration():
-        one, other = (
-            robot.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name()
-            for geometry in (hit.id_A, hit.id_B)
-        )
-        if frozenset((one, other)) in kept_apart and hit.depth > _TOUCHING:
-            raise ScenarioError(
-                f"task.start: with the arm there, {one} is {1e3 * hit.depth:.0f} mm inside "
-                f"{other}; another task.start, or task.q_start or robot.q_seed where it is clear "
-                "of itself"
-            )
-
-
 def _tell_of_bare_links(cell: Cell) -> None:
-    """Says which links are to be seen, but have no shape that could be kept clear."""
+    """Warns of links that are visible, but have no collision geometry to keep clear."""
     plant, inspector = cell.robot_plant.plant, cell.robot_plant.scene_graph.model_inspector()
     bare = [
         body.name()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,7 +17,6 @@ from drake_oa.common.wires import Wires
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor, GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
-from drake_oa.geometry.solids import RobotSolids, robot_solids
 from drake_oa.perception.config import (
     CameraSource,
     DepthCamera,
@@ -33,10 +31,9 @@ from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.perception.visibility import ImageRange
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.true_solids import TrueSolids
-from drake_oa.regulation.config import Paper, Verified
-from drake_oa.robot.plant import RobotPlant, tool_link_corners
+from drake_oa.regulation.config import Paper
+from drake_oa.robot.plant import tool_link_corners
 from drake_oa.scenario.end_poses import held_robots
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, allow_perception
 from drake_oa.scenario.sources import (
@@ -47,9 +44,6 @@ from drake_oa.scenario.sources import (
     table_plane,
 )
 from drake_oa.world.depth_noise import DepthNoise
-from drake_oa.world.station import Station
-
-_logger = logging.getLogger("drake_oa")
 
 PIXEL_CENTER = 0.5
 """Where Drake's VTK renderer samples the first pixel: at its centre [pixel]."""
@@ -95,7 +89,7 @@ def _add_given(
 def _add_ground_truth(
     wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell | None
 ) -> None:
-    cell = _of_robot(source, scenario, cell)
+    cell = _of_robot(source, cell)
     plant, inspector = cell.plant, cell.scene_graph.model_inspector()
     system = GroundTruthPerception(
         plant,
@@ -131,14 +125,14 @@ def _add_ground_truth(
 def _add_recorded_clouds(
     wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell | None
 ) -> None:
-    cell = _of_robot(source, scenario, cell)
+    cell = _of_robot(source, cell)
     X_WC = _camera_pose(source)
     try:
         perception = RecordedPerception(
             source.folder,
             X_WC=X_WC,
             config=_segmentation(source, scenario),
-            robot=robot_shapes(cell.robot_plant),
+            robot=cell.robot_shapes,
             period=source.period,
             loop=source.loop,
         )
@@ -157,17 +151,23 @@ def _add_recorded_clouds(
 def _add_depth_camera(
     wires: Wires, source: CameraSource, scenario: Scenario, cell: Cell | None
 ) -> None:
-    cell = _of_robot(source, scenario, cell)
+    cell = _of_robot(source, cell)
     cameras = {name: cell.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
     live = source if isinstance(source, LcmCamera) else None
+    plant = cell.plant
+    joints = [
+        joint
+        for joint in plant.GetJointIndices(cell.robot)
+        if plant.get_joint(joint).num_positions()
+    ]
     # The self filter takes the robot as it was when the images were taken.
     wires.otherwise("robot_state_at_image", "robot_state")
     for signal in map(partial(source.signal, ""), source.names) if live else [""]:
         if first.image_time is not None:
             wires.add(
                 f"robot_at_image{signal}",
-                make_robot_state(cell),
+                MatrixGain(plant.MakeStateSelectorMatrix(joints)),
                 reads={"u0": f"plant_state_at_image{signal}"},
                 offers={"y0": f"robot_state_at_image{signal}"},
             )
@@ -190,7 +190,7 @@ def _add_depth_camera(
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
-        robot=robot_shapes(cell.robot_plant),
+        robot=cell.robot_shapes,
         pixel_center=live.pixel_center if live else PIXEL_CENTER,
         period=perception_period(scenario),
         delay=first.delay,
@@ -230,20 +230,10 @@ def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.add("solids", solids, if_read=True)
 
 
-def _of_robot(source: object, scenario: Scenario, cell: Cell | None) -> Cell:
-    """The station; warns where it has no obstacles that ground truth could see."""
+def _of_robot(source: object, cell: Cell | None) -> Cell:
+    """Returns the station, which a source requires."""
     if cell is None:
         raise ScenarioError(f"perception: !{type(source).__name__} needs a robot")
-    # Among true shapes the name decides only how far the tool keeps from it.
-    if not cell.obstacles and not isinstance(scenario.regulation, Verified):
-        count = cell.plant.num_model_instances()
-        names = [cell.plant.GetModelInstanceName(ModelInstanceIndex(i)) for i in range(2, count)]
-        _logger.warning(
-            "directives: no model instance is named '%s...': ground truth sees no obstacle, and "
-            "none is reported on; there are %s",
-            OBSTACLE_PREFIX,
-            ", ".join(names),
-        )
     return cell
 
 
@@ -254,24 +244,6 @@ def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> 
     if scenario.table_height is None:
         return replace(source.segmentation, table=False)
     return replace(source.segmentation, table_height=scenario.table_height)
-
-
-def robot_shapes(robot_plant: RobotPlant) -> RobotSolids:
-    """The robot, which perception does not take for an obstacle."""
-    return robot_solids(
-        robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
-    )
-
-
-def make_robot_state(station: Station) -> MatrixGain:
-    """The robot's state [q, v] out of the whole plant's."""
-    plant = station.plant
-    joints = [
-        joint
-        for joint in plant.GetJointIndices(station.robot)
-        if plant.get_joint(joint).num_positions()
-    ]
-    return MatrixGain(plant.MakeStateSelectorMatrix(joints))
 
 
 def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
@@ -291,16 +263,12 @@ def add_descriptor(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds ellipsoid_descriptor where there are obstacles: obstacles_W -> ellipsoids_W."""
     if cell is None or "obstacles_W" not in wires:
         return
-    goal = None if not scenario.task.goal_moves else "goal"
-    wires.add(
-        "ellipsoid_descriptor",
-        make_ellipsoid_descriptor(scenario),
-        reads={"goal": goal},
-    )
+    goal = "goal" if scenario.task.goal_moves else None
+    wires.add("ellipsoid_descriptor", make_ellipsoid_descriptor(scenario), reads={"goal": goal})
 
 
 def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
-    """The descriptor, which dilates by the robot's tool, in each of the ways it is held."""
+    """Makes the descriptor, which dilates by the robot's tool in each of the ways it is held."""
     task = scenario.task
     held = list(map(tool_link_corners, held_robots(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]

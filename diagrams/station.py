@@ -11,6 +11,7 @@ import numpy as np
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
+from drake_oa.geometry.solids import RobotSolids, robot_solids
 from drake_oa.perception.config import CameraSource, LcmCamera
 from drake_oa.robot.arm import Chain, make_chain
 from drake_oa.robot.config import Robot
@@ -43,6 +44,12 @@ class Cell(Station):
         """The joints of the arm."""
         plant, tool_frame = self.robot_plant.plant, self.robot_plant.tool_frame
         return make_chain(plant, tool_frame, self.q_start, self.spheres.arrays)
+
+    @property
+    def robot_shapes(self) -> RobotSolids:
+        """The robot's collision geometry, which perception does not take for an obstacle."""
+        robot = self.robot_plant
+        return robot_solids(robot.plant, robot.scene_graph.model_inspector(), robot.instance)
 
     @property
     def spheres(self) -> ArmSpheres:
@@ -135,7 +142,7 @@ def covered_arm(robot: Robot) -> ArmSpheres:
 def make_posture_guide(
     scenario: Scenario, q_start: FloatArray
 ) -> Callable[[FloatArray], FloatArray] | None:
-    """(T, n) postures that the null space is drawn to at normalised times (T,).
+    """Makes the function of normalised times (T,) that computes (T, n) nominal postures.
 
     Args:
         scenario: with a robot.

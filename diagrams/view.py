@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pydrake.geometry import Meshcat
-from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
@@ -30,6 +29,9 @@ def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshc
         wires.add("cost_ring_selector", make_cost_ring_selector(scenario), offers=offers)
     wires.add("overlay", make_overlay(scenario, cell, meshcat), reads={"route": "shown_route"})
     if cell is not None:
+        # Not at the top: it imports matplotlib.
+        from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
+
         ApplyVisualizationConfig(
             VisualizationConfig(
                 publish_period=_FRAME, publish_contacts=False, publish_proximity=False

@@ -49,9 +49,8 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
         with timed_systems() as spent:
             timed = simulate(scenario, duration=seconds)
         spent[REST] = max(0.0, timed.wall_time - sum(spent.values()))
-        layers = {
-            of: spent[of] / timed.simulated_time for of in sorted(spent, key=spent.__getitem__)
-        }
+        longest_first = sorted(spent, key=spent.__getitem__, reverse=True)
+        layers = {of: spent[of] / timed.simulated_time for of in longest_first}
         factor = log.simulated_time / log.wall_time
         found[name] = {"run": {"real_time_factor": factor, "layers": layers}}
     return {

@@ -15,7 +15,6 @@ from typing import Any, Literal, NamedTuple
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderResult
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -155,6 +154,15 @@ def progress_bar(total: float) -> Iterator[Callable[[str, float], None]]:
     Yields:
         What to call with a few words and how much of the work is done.
     """
+    # Not at the top: `drake-oa --help` shows none.
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     console = Console(stderr=True)
     with Progress(
         TextColumn("{task.description}"),

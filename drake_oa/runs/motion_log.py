@@ -92,7 +92,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -107,20 +107,6 @@ SCHEMA_VERSION = 2
 """Schema of the files that are written and read; a file without a number has schema 1."""
 
 _SCHEMA_KEY = "schema_version"
-_COUNTED = {
-    "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
-    "phase speed_scale tracking_error q_world shortfall lowered motion_source goal "
-    "desired_orientation orientation_error desired_posture guard_action guard_contact "
-    "guard_claim",
-    "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
-    "event_time": "event event_hold",
-    "supervision_time": "supervision_action supervision_reason",
-    "decision_time": "decision_cost decision_layer",
-}
-"""Attribute -> attributes with as many rows."""
-_POINTS = frozenset({"p_WE", "desired_position", "desired_velocity", "goal", "p_WO", "semi_axes"})
-_FINITE = ("t", "q", "q_world", "p_WE", "desired_position", "desired_velocity", "phase")
-"""Attributes that must be finite to show a motion."""
 DECISION_SIGNAL = "decision_"
 """Prefix of the name of the log of a layer's port `decision`; the layer's name follows."""
 
@@ -142,8 +128,6 @@ class MotionEnd(StrEnum):
     """The tool did not come to the goal in time."""
     LEFT = "goal left"
     """It evaded there, and did not come back."""
-    STUCK = "stuck"
-    """It stood still short of the goal."""
     TIME_LIMIT = "time limit"
     CUT_SHORT = "cut short"
     """Interrupted, or something was raised."""
@@ -305,8 +289,7 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
 
     Raises:
         OSError: if the file cannot be opened.
-        ValueError: if it is not such an archive, is damaged, is of another schema, or its
-            arrays do not fit together or hold a pose that is not finite.
+        ValueError: if it is not such an archive, is damaged, is of another schema, or lacks a key.
     """
     try:
         return _motions(read_arrays(path))
@@ -333,30 +316,7 @@ def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
             if f"{motion}/{item.name}" in arrays
         }
         logs[motion] = MotionLog(**found)
-        _check_motion(motion, logs[motion])
     return logs
-
-
-def _check_motion(motion: str, log: MotionLog) -> None:
-    """Raises ValueError for arrays that cannot be shown."""
-    arrays = log.arrays()
-    optional = {item.name for item in fields(log) if item.default_factory is not MISSING}
-    for counter, names in _COUNTED.items():
-        rows = len(arrays[counter])
-        for name in names.split():
-            shape = arrays[name].shape
-            if shape[:1] != (rows,) and not (name in optional and shape[:1] == (0,)):
-                raise ValueError(
-                    f"{motion}/{name} must have a row for each of the {rows} of {counter}; its "
-                    f"shape is {shape}"
-                )
-            if name in _POINTS and (len(shape) < 2 or shape[-1] != 3):
-                raise ValueError(f"{motion}/{name} must hold x, y, z [m]; its shape is {shape}")
-    for name in _FINITE:
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{motion}/{name} must be finite")
-    if (np.diff(log.t) < 0.0).any():
-        raise ValueError(f"{motion}/t must not fall [s]")
 
 
 def _value(array: np.ndarray) -> Any:

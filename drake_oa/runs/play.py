@@ -24,6 +24,7 @@ from pydrake.systems.framework import Context
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.geometry.shapes import pose
 from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
@@ -51,49 +52,34 @@ _NEXT = "next method (verified, paper, nominal)"
 _SOURCE = "camera or ground truth"
 
 
-@dataclass
-class Movable:
-    """An obstacle that has sliders: one of `obstacles`, or a model that a directive welds.
-
-    Attributes:
-        name: name of the obstacle.
-        p_WO: (3,) its position [m].
-        rpy: (3,) roll, pitch, yaw [rad].
-        row: its place in the scenario's obstacles or directives.
-        is_welded: whether it is one of the directives.
-    """
-
-    name: str
-    p_WO: FloatArray
-    rpy: FloatArray
-    row: int
-    is_welded: bool = False
-
-    def put(self, scenario: Scenario, p_WO: FloatArray, rpy: FloatArray) -> None:
-        """Puts it at another pose of a scenario."""
-        if self.is_welded:
-            weld: Any = scenario.directives[self.row].add_weld
-            weld.X_PC = Transform(RigidTransform(RollPitchYaw(rpy), p_WO))
-        else:
-            obstacle = scenario.obstacles[self.row]
-            obstacle.translation, obstacle.rpy = p_WO.tolist(), rpy.tolist()
+def _welds(scenario: Scenario) -> dict[str, Any]:
+    """Returns the directives that weld obstacles to the world, by the obstacles' names."""
+    prefix = f"{OBSTACLE_PREFIX}_"
+    welds = [item.add_weld for item in scenario.directives if item.add_weld is not None]
+    return {
+        weld.child.partition("::")[0].removeprefix(prefix): weld
+        for weld in welds
+        if weld.child.startswith(prefix) and weld.parent == "world"
+    }
 
 
-def movables(scenario: Scenario) -> list[Movable]:
-    """Lists the obstacles with a pose of their own: those of the scenario, and welded models."""
-    found = [
-        Movable(item.name, np.array(item.translation), np.array(item.rpy), row)
-        for row, item in enumerate(scenario.obstacles)
-    ]
-    for row, directive in enumerate(scenario.directives):
-        weld = directive.add_weld
-        if weld is None or not weld.child.startswith(OBSTACLE_PREFIX) or weld.parent != "world":
-            continue
-        X_WO = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
-        rpy = RollPitchYaw(X_WO.rotation()).vector()
-        name = weld.child.partition("::")[0].removeprefix(f"{OBSTACLE_PREFIX}_")
-        found.append(Movable(name, X_WO.translation().copy(), rpy, row, is_welded=True))
-    return found
+def obstacle_poses(scenario: Scenario) -> dict[str, RigidTransform]:
+    """Returns the poses X_WO of the obstacles that can be moved, by their names."""
+    poses = {item.name: pose(item) for item in scenario.obstacles}
+    for name, weld in _welds(scenario).items():
+        poses[name] = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
+    return poses
+
+
+def move_obstacle(scenario: Scenario, name: str, X_WO: RigidTransform) -> None:
+    """Moves an obstacle of `obstacle_poses`."""
+    welds = _welds(scenario)
+    if name in welds:
+        welds[name].X_PC = Transform(X_WO)
+    for item in scenario.obstacles:
+        if item.name == name:
+            item.translation = X_WO.translation().tolist()
+            item.rpy = RollPitchYaw(X_WO.rotation()).vector().tolist()
 
 
 @dataclass
@@ -139,7 +125,7 @@ class PlaySession:
         self._scenario = copy.deepcopy(scenario)
         self._scenario.directives = flat_directives(self._scenario.directives)
         self.meshcat, self.page = meshcat, page
-        self._movables = movables(self._scenario)
+        self._poses = obstacle_poses(self._scenario)
         self._sliders = self._add_controls()
         self._active = self._taken = self._wanted = self._settings()
         self._rested = 0.0
@@ -169,12 +155,12 @@ class PlaySession:
             "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
         ):
             sliders.append((f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at))
-        for item in self._movables:
-            x, y, yaw = item.p_WO[0], item.p_WO[1], item.rpy[2]
+        for name, X_WO in self._poses.items():
+            (x, y, _), yaw = X_WO.translation(), RollPitchYaw(X_WO.rotation()).yaw_angle()
             sliders += [
-                (f"{item.name}: x [m]", x - 0.4, x + 0.4, 0.01, x),
-                (f"{item.name}: y [m]", y - 0.6, y + 0.6, 0.01, y),
-                (f"{item.name}: yaw [rad]", -3.14, 3.14, 0.02, yaw),
+                (f"{name}: x [m]", x - 0.4, x + 0.4, 0.01, x),
+                (f"{name}: y [m]", y - 0.6, y + 0.6, 0.01, y),
+                (f"{name}: yaw [rad]", -3.14, 3.14, 0.02, yaw),
             ]
         for slider in sliders:
             self.meshcat.AddSlider(*slider)
@@ -290,9 +276,12 @@ class PlaySession:
             scenario.regulation = Verified()
         if not settings.is_seen and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
-        for item in self._movables:
-            x, y, yaw = (values[f"{item.name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
-            item.put(scenario, np.array([x, y, item.p_WO[2]]), np.array([*item.rpy[:2], yaw]))
+        for name, X_WO in self._poses.items():
+            x, y, yaw = (values[f"{name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
+            roll, pitch, _ = RollPitchYaw(X_WO.rotation()).vector()
+            p_WO = [x, y, X_WO.translation()[2]]
+            X_WO = RigidTransform(RollPitchYaw(roll, pitch, yaw), p_WO)
+            move_obstacle(scenario, name, X_WO)
         return scenario
 
     def tool_point(self) -> FloatArray:

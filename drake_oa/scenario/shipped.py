@@ -3,8 +3,6 @@
 from importlib import resources
 from pathlib import Path
 
-import yaml
-
 from drake_oa.common.files import installed_package
 
 _SUFFIX = ".scenario.yaml"
@@ -34,6 +32,9 @@ def missing_package(path: Path) -> str:
 
 
 def _text(path: Path, *fields: str) -> str:
+    # Not at the top: `drake-oa --help` reads no file.
+    import yaml
+
     # Nodes, as the tags of blocks mean nothing to YAML itself.
     node = yaml.compose(
         path.read_text("utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)

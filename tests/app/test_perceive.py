@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 from drake_oa.app.main import main
 from drake_oa.app.perceive import perceive_frame
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.recordings import RecordedFrame, read_frame
-from tests.perception.test_real_scans import GROUPS
+from drake_oa.perception.recordings import RecordedFrame
 from tests.reference.depth_images import SIZE, K, camera_pose, ray_cast
 
 TOOL = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in (-0.06, 0.06)])
@@ -97,21 +96,3 @@ def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth,
     assert all("error" in frame for frame in unusable)
     assert (empty["plane"], empty["clusters"], empty["note"]) == (None, [], "no valid pixel")
     assert len(scan["clusters"]) == 2
-
-
-def test_in_real_scans_no_object_is_lost_and_no_table_taken(scan_files):
-    for path in scan_files:
-        config = SegmentationConfig(far=1.5)
-        clusters = perceive_frame(read_frame(path), TOOL, config)["clusters"]
-        assert len(clusters) == GROUPS[path.stem], path.stem
-        assert all(cluster["enclosed"] for cluster in clusters)
-        with np.load(path) as scan:
-            if "label" not in scan:
-                continue
-            label, valid = scan["label"].ravel(), np.isfinite(scan["depth"]).ravel()
-        taken = np.zeros(label.size, dtype=bool)
-        for begin, count in (run for cluster in clusters for run in cluster["mask"]):
-            taken[begin : begin + count] = True
-        assert not taken[(label >= 1) & (label < 20)].any()
-        for name in np.unique(label[label >= 20] // 10):
-            assert taken[(label // 10 == name) & valid].mean() > 0.9, (path.stem, name)

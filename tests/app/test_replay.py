@@ -10,7 +10,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from drake_oa.runs.motion_log import load_logs, save_logs
@@ -136,23 +135,11 @@ def test_a_run_cut_short_in_its_first_motion_can_be_shown(point_log: Path) -> No
     assert run("plot", "cut.npz") == 0
 
 
-def empty_log(file: Path, like: Path) -> None:
-    """A log of a run that ended before anything was logged."""
-    log = load_logs(like)["modulated"]
-    none = {
-        name: getattr(log, name)[:0]
-        for name, array in log.arrays().items()
-        if array.ndim and len(array) == len(log.t)
-    }
-    save_logs(file, {"modulated": replace(log, **none)})
-
-
 @pytest.mark.parametrize("command", ["replay", "plot"])
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
         ("cut off", "is not a motion log, or is damaged"),
-        ("empty", "ended before its first instant"),
         ("other model", "robot.model: 'package://none/x.urdf'"),
     ],
 )
@@ -167,9 +154,7 @@ def test_what_cannot_be_shown_is_one_clear_line(
     log = load_logs(point_log)["modulated"]
     if kind == "cut off":
         file.write_bytes(point_log.read_bytes()[:3000])
-    elif kind == "empty":
-        empty_log(file, point_log)
-    elif kind == "other model":
+    else:
         text = "{robot: {model: package://none/x.urdf}, perception: !GivenEllipsoids {}}"
         save_logs(file, {"modulated": replace(log, scenario=text)})
     capsys.readouterr()
@@ -179,13 +164,3 @@ def test_what_cannot_be_shown_is_one_clear_line(
     assert said in told
     assert len(told.splitlines()) == 1
     assert not Path(out[1]).exists()
-
-
-def test_the_log_alone_tells_the_torques_against_their_limits(box_log: Path) -> None:
-    with np.load(box_log) as archive:
-        torque, limit = archive["modulated/torque"], archive["modulated/effort_limit"]
-        np.testing.assert_array_equal(limit, [87, 87, 87, 87, 12, 12, 12, 20, 20])
-        assert (np.abs(torque) <= limit).all()
-        p_WE = archive["modulated/p_WE"]
-        np.testing.assert_allclose(p_WE[0], [0.45, -0.45, 0.3], atol=1e-6)
-        assert archive["modulated/position_name"].tolist()[0] == "panda_joint1"

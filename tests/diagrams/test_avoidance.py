@@ -10,15 +10,11 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.common.messages import DECIDING, FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.robot import plant
-from drake_oa.robot.plant import add_robot
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.world import world_model
-from tests.builders import skip_without_model
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 QUICK = (GROUND_TRUTH, "regulation=!Paper {}")  # Nothing is searched for.
@@ -26,17 +22,6 @@ PRESENT = (
     "{name: box, shapes: [!Box {size: [0.12, 0.1, 0.31]}], translation: [0.46, 0.0, 0.155], "
     "present: [0.3, 0.4]}"
 )
-
-
-@pytest.mark.parametrize("name", ["tabletop_box", "free_space", "ur5e_box", "gen3_box"])
-def test_the_nominal_motion_needs_no_perception(name: str) -> None:
-    skip_without_model(name)
-    log = simulate(load_scenario(name), modulated=False, duration=0.048)
-    assert log.duration == pytest.approx(0.048)
-    assert not log.modulated
-    assert np.isfinite(log.torque).all()
-    assert len(log.observation_stamp) == 0
-    assert not log.event
 
 
 @pytest.mark.parametrize("kind", ["GroundTruth", "DepthCamera", "RecordedClouds"])
@@ -49,36 +34,6 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
     np.testing.assert_allclose(log.p_WO[0, 0, :2], [0.45, 0.0], atol=0.06)
     assert np.isfinite(log.torque).all()
     assert log.event == (DECIDING, "")
-
-
-def test_the_robot_alone_is_parsed_once_and_a_world_once_a_user(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    parsed = []
-    for module in (plant, world_model):
-        monkeypatch.setattr(
-            module, "add_robot", lambda p, *a, **k: parsed.append(p) or add_robot(p, *a, **k)
-        )
-    # No other test has this tool point.
-    scenario = load_scenario("tabletop_box", ["robot.p_HE=[0.0, 0.0, 0.1035]"])
-    for modulated in (False, True):
-        log = simulate(scenario, modulated=modulated, duration=0.02)
-    motion_report(scenario, log)
-    # The robot alone; the stations of both motions, that of the report; the late camera's world.
-    assert len(parsed) == 1 + 3 + 1
-
-
-def test_what_is_there_depends_on_what_is_asked() -> None:
-    present = load_scenario("tabletop_box")
-    present.cameras[0].output_delay = 0.0
-    diagram = build_avoidance(present)
-    for name in ("rgbd_sensor_camera", "depth_noise"):
-        assert diagram.HasSubsystemNamed(name)
-    free = build_avoidance(load_scenario("free_space"), modulated=False)
-    assert not free.HasSubsystemNamed("perception")
-    assert not free.HasSubsystemNamed("plant")
-    exported = [free.get_output_port(i).get_name() for i in range(free.num_output_ports())]
-    assert exported == ["desired_position", "phase", "policy_state"]
 
 
 @pytest.mark.parametrize(
@@ -174,13 +129,3 @@ def test_a_cloned_context_goes_on_in_the_same_way(
         np.testing.assert_array_equal(
             motion(diagram, other.get_context()), motion(diagram, simulator.get_context())
         )
-
-
-def test_a_simulator_that_takes_over_does_not_restart_the_motion() -> None:
-    diagram = build_avoidance(load_scenario("tabletop_box", QUICK))
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(0.5)
-    before = motion(diagram, simulator.get_context())
-    other = Simulator(diagram, simulator.get_context().Clone())
-    other.Initialize()
-    np.testing.assert_allclose(motion(diagram, other.get_context())[:6], before[:6])

@@ -6,9 +6,7 @@ import pytest
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantValueSource
-from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.common.config import BLOCK, ScenarioError, json_schema
 from drake_oa.common.messages import ObstacleClouds
@@ -16,7 +14,7 @@ from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import Layers, build_avoidance, nothing
 from drake_oa.diagrams.perception import SOURCES, register_source
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
-from drake_oa.scenario.scenario import Scenario, allow_perception
+from drake_oa.scenario.scenario import Scenario
 
 
 @dataclass(config=BLOCK)
@@ -60,11 +58,6 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
     assert ("solids.solids_W", "motion_guard.solids_W") in edges
 
 
-def test_what_cannot_be_a_block_is_refused() -> None:
-    with pytest.raises(TypeError, match="int: a perception block is a dataclass"):
-        allow_perception(int)
-
-
 def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:
     layers = dc.replace(Layers(), safety=nothing, posture=nothing)
     diagram = build_avoidance(
@@ -75,22 +68,3 @@ def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:
     readers = {reader for _, reader in connections(diagram)}
     assert "dmp_integrator.speed_scale" not in readers
     assert "controller.desired_posture" not in readers
-
-
-def test_a_system_put_behind_the_camera_changes_what_perception_sees() -> None:
-    class Blind(LeafSystem):
-        def __init__(self) -> None:
-            super().__init__()
-            self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
-            self.DeclareAbstractOutputPort(
-                "depth_image", lambda: Value(ImageDepth32F(2, 2)), lambda _, out: out
-            )
-
-    diagram = build_avoidance(
-        load_scenario("tabletop_box"),
-        customize=lambda wires: wires.interpose("depth_image", "blind", Blind()),
-    )
-    edges = connections(diagram)
-    assert ("blind.depth_image", "perception.depth_image") in edges
-    assert ("late_camera.depth_image", "blind.depth_image") in edges
-    assert ("late_camera.depth_image", "perception.depth_image") not in edges

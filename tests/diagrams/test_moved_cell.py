@@ -122,12 +122,3 @@ def test_the_arm_moves_alike(blocks: str, duration: float, apart: float, joints:
     np.testing.assert_allclose(away.q, here.q, atol=joints)
     assert np.ptp(here.p_WE, axis=0).max() > 0.01
     assert away.event == here.event
-
-
-def test_a_base_may_hang() -> None:
-    hanging = "robot: {X_WB: {translation: [0, 0, 1.3], rpy: [3.1415927, 0, 0]}}"
-    text = _CELL.format(place=[0, 0, 0], height=0, degrees=0, mount=[1.2473, 0.2902, 0], looks=20)
-    scenario = parse_scenario(text + _TRUTH + hanging)
-    log = simulate(scenario, duration=0.4)
-    assert np.ptp(log.p_WE, axis=0).max() > 0.01
-    assert log.tracking_error.max() < 1e-3

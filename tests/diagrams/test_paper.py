@@ -5,21 +5,10 @@ import logging
 import numpy as np
 import pytest
 
-from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-
-
-def test_without_guidance_no_route_reaches_the_policy() -> None:
-    diagram = build_avoidance(load_scenario("paper_guidance", ["regulation.guided=false"]))
-    assert not diagram.HasSubsystemNamed("cost_ring_selector")
-    root = diagram.CreateDefaultContext()
-    for name, connected in (("route", False), ("ellipsoids_W", True)):
-        policy = diagram.GetSubsystemByName("dmp_integrator")
-        port = policy.GetInputPort(name)
-        assert port.HasValue(policy.GetMyContextFromRoot(root)) == connected
 
 
 WALL = (

@@ -2,18 +2,14 @@
 
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.primitives import ConstantValueSource
 from scipy.interpolate import make_interp_spline
 
-from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import HoldCause, ObstacleClouds, PlannedMotion
-from drake_oa.diagrams.avoidance import Layers, build_avoidance
+from drake_oa.common.messages import HoldCause, PlannedMotion
+from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario
@@ -23,29 +19,6 @@ from tests.diagrams.six_arm import SIX_ARM, arm_text
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 WHOLE_ARM = ["regulation=!Verified {}"]
-
-
-def test_what_a_source_of_ones_own_sees_becomes_solids():
-    cloud = np.array([0.45, 0.0, 0.2]) + 0.02 * np.random.default_rng(1).normal(size=(200, 3))
-    seen = ObstacleClouds(0.0, (cloud,), np.array([7]))
-
-    def add(wires, scenario, station):
-        source = ConstantValueSource(Value(seen))
-        wires.add("perception", source, offers={"y0": "obstacles_W"})
-
-    scenario = load_scenario("tabletop_box", [*WHOLE_ARM, "perception=!RecordedClouds {folder: .}"])
-    diagram = build_avoidance(scenario, layers=replace(Layers(), perception=add))
-    simulator = Simulator(diagram)
-    simulator.Initialize()
-    simulator.AdvanceTo(0.01)
-    solids = diagram.GetSubsystemByName("solids")
-    scene = solids.GetOutputPort("solids_W").Eval(
-        solids.GetMyContextFromRoot(simulator.get_context())
-    )
-    assert scene.labels == ("obstacle 7", "the table")
-    selector = diagram.GetSubsystemByName("motion_verifier")
-    context = selector.GetMyContextFromRoot(simulator.get_context())
-    assert len(selector.GetOutputPort("decision").Eval(context)) == 2
 
 
 def solids_seen(scenario: Scenario, seconds: float = 0.01) -> SolidScene:
@@ -87,39 +60,6 @@ def an_arm(tmp_path, old="", new="") -> Scenario:
     return parse_scenario(SIX_ARM, [GROUND_TRUTH], folder=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            "<collision>.*?</collision>",
-            "",
-            r"robot.tool_links: \['wrist3'\] have no collision geometry; the model needs a <coll",
-        ),
-        (
-            '<joint name="wrist3_joint" type="revolute">',
-            '<joint name="wrist3_joint" type="prismatic">',
-            "robot.model: joint 'wrist3_joint' moves 'tool_point' and is of type prismatic; the "
-            "arm's joints must be revolute",
-        ),
-    ],
-    ids=["no collision geometry", "prismatic"],
-)
-def test_an_arm_that_cannot_be_measured_is_refused(tmp_path, old, new, words):
-    with pytest.raises(ScenarioError, match=words):
-        build_avoidance(an_arm(tmp_path, old, new))
-
-
-def test_another_arm_evades(tmp_path):
-    coming = "{name: ball, shapes: [!Sphere {radius: 0.06}], translation: [0.5, 0.3, 0.4]"
-    coming += ", waypoints: [[0.0, 0.0, 0.0, 0.0], [1.0, 0.0, -0.8, 0.0]]}"
-    (tmp_path / "six.urdf").write_text(arm_text())
-    scenario = parse_scenario(SIX_ARM, [GROUND_TRUTH, f"obstacles=[{coming}]"], folder=tmp_path)
-    log = simulate(scenario, duration=0.4)
-    assert any("evades obstacle" in event for event in log.event)
-    assert np.isfinite(log.torque).all()
-    assert log.q.shape[1] == 6
-
-
 def test_a_link_without_shape_is_told_of_and_joints_without_limits_are_turned(tmp_path, caplog):
     def changed(found: re.Match) -> str:
         return {"t": 'type="continuous"', "l": "", "<": found[1] or ""}[found[0][0]]
@@ -155,20 +95,6 @@ def test_it_waits_for_what_leaves_no_way_and_goes_on_when_that_leaves():
     speed = np.linalg.norm(np.gradient(log.p_WE, log.t, axis=0), axis=1)
     assert speed[log.t < 0.4].max() < 0.02
     assert speed[log.t > 0.6].max() > 0.02
-
-
-def test_sixty_obstacles_are_decided_among():
-    rng = np.random.default_rng(3)
-    around = rng.uniform(0.75, 1.0, 60) * np.exp(1j * rng.uniform(-np.pi, np.pi, 60))
-    balls = [
-        f"- {{name: b{k}, translation: [{p.real:.3f}, {p.imag:.3f}, {rng.uniform(0.05, 0.9):.3f}], "
-        "shapes: [!Sphere {radius: 0.04}]}"
-        for k, p in enumerate(around)
-    ]
-    text = "task: {clearance: 0.05}\nregulation: !Verified {}\nobstacles:\n" + "\n".join(balls)
-    log = simulate(parse_scenario(text), duration=0.6)
-    assert np.linalg.norm(log.p_WE[-1] - log.p_WE[0]) > 0.005
-    assert log.shortfall[-1] == 0.0
 
 
 SETTLED = 0.3

@@ -75,30 +75,6 @@ def test_the_table_lists_every_key_and_no_other() -> None:
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == listed
 
 
-def last_nan(array: np.ndarray) -> np.ndarray:
-    return np.where(np.arange(array.size).reshape(array.shape) == array.size - 1, np.nan, array)
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "said"),
-    [
-        ("q", last_nan, "modulated/q must be finite"),
-        ("torque", lambda old: old[:2], r"modulated/torque must have a row .* 4 of t.*\(2, 0\)"),
-        ("p_WO", lambda old: old[:1], "modulated/p_WO must have a row .* 2 of observation_time"),
-        ("event", lambda old: old[:1], "modulated/event must have a row .* 2 of event_time"),
-        ("goal", lambda old: old[:, :2], "modulated/goal must hold x, y, z"),
-        ("t", np.negative, "modulated/t must not fall"),
-    ],
-)
-def test_what_cannot_be_shown_is_named(
-    log: MotionLog, name: str, change: Callable, said: str, tmp_path: Path
-) -> None:
-    changed = replace(log, **{name: change(getattr(log, name))})
-    save_logs(tmp_path / "run.npz", {"modulated": changed})
-    with pytest.raises(ValueError, match=rf"run\.npz is not a motion log.*{said}"):
-        load_logs(tmp_path / "run.npz")
-
-
 @pytest.mark.parametrize(
     ("version", "said"),
     [(None, "schema 1, older"), (2, r"missing .*'q'"), (3, "schema 3, newer")],

@@ -2,11 +2,11 @@
 
 import math
 
-import numpy as np
 import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.runs.play import TICK, PlaySession, movables
+from drake_oa.runs.play import TICK, PlaySession, move_obstacle, obstacle_poses
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.viewing.viewer import open_page, start_viewer
 from drake_oa.world.world_model import flat_directives
@@ -80,11 +80,11 @@ def test_changes_take_effect_and_impossible_ones_are_refused(
 def test_shipped_obstacles_have_sliders() -> None:
     scenario = load_scenario("tabletop_clutter")
     scenario.directives = flat_directives(scenario.directives)
-    assert len(movables(scenario)) >= 3
-    movables(scenario)[0].put(scenario, np.array([0.5, 0.1, 0.2]), np.array([0.0, 0.0, 0.3]))
-    moved = movables(scenario)[0]
-    np.testing.assert_allclose(moved.p_WO, [0.5, 0.1, 0.2])
-    np.testing.assert_allclose(moved.rpy, [0.0, 0.0, 0.3], atol=1e-12)
+    assert len(obstacle_poses(scenario)) >= 3
+    name = next(iter(obstacle_poses(scenario)))
+    X_WO = RigidTransform(RollPitchYaw(0.0, 0.0, 0.3), [0.5, 0.1, 0.2])
+    move_obstacle(scenario, name, X_WO)
+    assert obstacle_poses(scenario)[name].IsNearlyEqualTo(X_WO, 1e-12)
 
 
 def test_a_free_point_is_refused() -> None:
