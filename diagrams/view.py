@@ -1,4 +1,4 @@
-"""View: Drake's own visualisation, and the overlay of what the layers think."""
+"""Wiring of the viewer: Drake's visualizer, and the overlay of intermediate results."""
 
 from __future__ import annotations
 
@@ -8,18 +8,12 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.motion import make_cost_ring_selector, make_dmp
 from drake_oa.diagrams.station import Cell
-from drake_oa.perception.config import CameraSource
 from drake_oa.policy.dmp import trajectory
 from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import camera_configs
-from drake_oa.viewing.drawing import frustum_edges
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
-from drake_oa.viewing.viewer import dress_scene
-
-_FRAME = 1.0 / 30.0
-"""Time between pictures [s]."""
+from drake_oa.viewing.viewer import dress_scene, show_world
 
 
 def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> None:
@@ -29,42 +23,22 @@ def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshc
         wires.add("cost_ring_selector", make_cost_ring_selector(scenario), offers=offers)
     wires.add("overlay", make_overlay(scenario, cell, meshcat), reads={"route": "shown_route"})
     if cell is not None:
-        # Not at the top: it imports matplotlib.
-        from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
-
-        ApplyVisualizationConfig(
-            VisualizationConfig(
-                publish_period=_FRAME, publish_contacts=False, publish_proximity=False
-            ),
-            wires.builder,
-            plant=cell.plant,
-            scene_graph=cell.scene_graph,
-            meshcat=meshcat,
-        )
+        show_world(wires.builder, cell.scene_graph, meshcat)
 
 
 def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> MeshcatOverlay:
-    """What our layers think, drawn into the viewer; also dresses the scene."""
+    """Makes the overlay of intermediate results; also sets background and camera of the viewer."""
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show
     if show is None:
         show = ["decision", "motion"]
         show += ["descriptor"] if isinstance(scenario.regulation, Paper) else []
-    robot, source = scenario.robot, scenario.perception
-    hand, frustums = None, {}
+    robot, hand = scenario.robot, None
     if cell is not None and robot is not None:
         hand = cell.plant.GetBodyByName(robot.hand_link, cell.robot).index()
-        if isinstance(source, CameraSource) and cell.cameras:
-            frustums = {
-                source.signal("camera_pose", config.name): frustum_edges(
-                    cell.cameras[config.name].intrinsics, config.z_near, config.z_far
-                )
-                for config in camera_configs(scenario, source)
-            }
     return MeshcatOverlay(
         meshcat,
         planned_W=_planned_path(scenario),
-        frustums=frustums,
         body_index=hand,
         p_BE=[0.0] * 3 if robot is None else robot.p_HE,
         show=show,

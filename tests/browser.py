@@ -1,7 +1,6 @@
 """A headless Chromium, driven by its DevTools protocol."""
 
 import asyncio
-import base64
 import json
 import shutil
 import subprocess
@@ -28,7 +27,6 @@ class Browser:
         self._process = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        self._number = 0
         self._loop = asyncio.new_event_loop()
         self._socket = self._loop.run_until_complete(self._connect())
 
@@ -45,28 +43,16 @@ class Browser:
             await asyncio.sleep(0.1)
         raise TimeoutError("no browser")
 
-    def call(self, method: str, **parameters: Any) -> Any:
-        """What a method of the protocol answers."""
-        self._number += 1
-
-        async def ask(number: int) -> Any:
-            message = {"id": number, "method": method, "params": parameters}
-            await self._socket.write_message(json.dumps(message))
-            while True:
-                answer = json.loads(await self._socket.read_message())
-                if answer.get("id") == number:
-                    return answer["result"]
-
-        return self._loop.run_until_complete(asyncio.wait_for(ask(self._number), 60.0))
-
     def evaluate(self, script: str) -> Any:
-        """The value of a JavaScript expression."""
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"]
-        return found.get("value")
+        """Returns the value of a JavaScript expression."""
 
-    def screenshot(self, file: Path) -> None:
-        """Writes a PNG of the page."""
-        file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
+        async def ask() -> Any:
+            parameters = {"expression": script, "returnByValue": True}
+            message = {"id": 1, "method": "Runtime.evaluate", "params": parameters}
+            await self._socket.write_message(json.dumps(message))
+            return json.loads(await self._socket.read_message())["result"]["result"].get("value")
+
+        return self._loop.run_until_complete(asyncio.wait_for(ask(), 60.0))
 
     def __enter__(self) -> "Browser":
         return self

@@ -18,10 +18,6 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-def test_examples_are_numbered_without_a_gap() -> None:
-    assert [int(path.stem[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     load(path).main(**ARGUMENTS.get(path.stem, {}))

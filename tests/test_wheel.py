@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -79,14 +78,6 @@ def installed(site: Path, folder: Path, *arguments: str, **environment: str) -> 
     path = {"PYTHONPATH": str(site)}
     command = [sys.executable, str(site / "bin" / "drake-oa"), *arguments]
     return quiet_run(*command, cwd=folder, env=os.environ | path | environment).stdout
-
-
-def test_packages_listed_are_the_folders_there_are() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    listed = project["tool"]["setuptools"]["packages"]
-    there = {path.rpartition("/")[0].replace("/", ".") for path in modules() | data_files()}
-    assert set(listed) == there
-    assert len(set(listed)) == len(listed)
 
 
 def test_wheel_holds_the_tree_and_nothing_else(names: set[str]) -> None:

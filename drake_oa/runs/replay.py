@@ -8,13 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.geometry import (
-    Meshcat,
-    MeshcatVisualizer,
-    MeshcatVisualizerParams,
-    Role,
-    SceneGraph,
-)
+from pydrake.geometry import Meshcat, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import (
@@ -36,15 +30,13 @@ from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
 from drake_oa.viewing.panel import LivePage, Reading
-from drake_oa.viewing.viewer import dress_scene
+from drake_oa.viewing.viewer import dress_scene, show_world
 from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9
 """What was logged up to this much later [s] counts as logged: times are rounded."""
 _MAX_POINTS = 200
 """Maximum number of points of a planned path."""
-FRAME_PERIOD = 1.0 / 30.0
-"""Time between two pictures of the world [s]."""
 
 
 def logged_scenario(path: Path, log: MotionLog) -> Scenario:
@@ -151,11 +143,7 @@ def build_replay(
         positions = world_positions(plant, robot, log)
         poses = builder.AddNamedSystem("geometry_poses", MultibodyPositionToGeometryPose(plant))
         builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(source))
-        # The same path in the viewer's tree as that of a run.
-        shown = MeshcatVisualizerParams(
-            role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
-        )
-        MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, shown)
+        show_world(builder, scene_graph, meshcat)
     player = builder.AddNamedSystem("log_player", LogPlayer(scenario, log, positions))
     if poses is not None:
         builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())

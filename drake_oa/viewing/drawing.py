@@ -1,4 +1,4 @@
-"""Geometry of the pictures in the viewer: cost rings and frustums.
+"""Geometry of the pictures in the viewer: cost rings.
 
 Everything here is a function of arrays; `drake_oa.viewing.meshcat_overlay` sends
 the results to Meshcat.
@@ -10,10 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.pinhole import pinhole
 
 Color = tuple[float, float, float]
 
@@ -22,14 +20,11 @@ EXECUTED: Color = (0.90, 0.07, 0.09)
 ELLIPSOID: Color = (0.93, 0.36, 0.52)
 CHOSEN: Color = (0.86, 0.0, 0.78)
 CLOUD: Color = (0.0, 0.42, 0.45)
-FRUSTUM: Color = (0.42, 0.50, 0.60)
 COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80, 0.10, 0.12))
 """Colors of costs 0, 0.5 and 1 on a ring."""
 
 INNER_RADIUS, BAND, GAP = 0.17, 0.022, 0.005
 """Radius of the innermost cost ring, width of a ring, gap between rings and sectors [m]."""
-_FRUSTUM_DEPTH = 1.1
-"""Drawn part of a camera's range [m]: a frustum of full depth hides more than it shows."""
 
 
 def ring_mesh(
@@ -68,19 +63,3 @@ def ring_mesh(
 def ring_radius(n_rings: int) -> float:
     """Returns the outer radius of `ring_mesh` with that many rings [m]."""
     return INNER_RADIUS + n_rings * (BAND + GAP) - GAP
-
-
-def frustum_edges(camera: CameraInfo, near: float, far: float) -> FloatArray:
-    """Returns edges of the space that a pinhole camera sees between two depths [m].
-
-    Returns:
-        (12, 2, 3) edges in the camera's frame C (x right, y down, z forward) [m]: 4
-        rays from the camera to the far plane, 4 edges of the near one, 4 of the far one.
-    """
-    far = min(far, max(_FRUSTUM_DEPTH, 1.1 * near))
-    fx, fy, cx, cy = pinhole(camera)
-    width, height = camera.width(), camera.height()
-    pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=float)
-    rays = np.column_stack([(pixels - (cx, cy)) / (fx, fy), np.ones(4)])
-    sides = np.stack([rays, np.roll(rays, -1, axis=0)], axis=1)
-    return np.concatenate([np.stack([0.0 * rays, far * rays], axis=1), near * sides, far * sides])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TypeVar
 
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 
 class MeshcatOverlay(LeafSystem):
-    """Draws frustum, cloud, ellipsoids, cost rings and paths into Meshcat.
+    """Draws cloud, ellipsoids, cost rings and paths into Meshcat.
 
     .. pydrake_system::
 
@@ -45,7 +45,6 @@ class MeshcatOverlay(LeafSystem):
       - policy_state
       - route (optional)
       - cloud (optional)
-      - camera_pose (with frustums)
       - body_poses (optional)
 
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles in the
@@ -53,8 +52,6 @@ class MeshcatOverlay(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive.
     - route (optional): abstract `Route`, the chosen sides and their cost rings.
     - cloud (optional): `pydrake.perception.PointCloud` in the world frame [m].
-    - camera_pose (with frustums): `RigidTransform` X_WC, C being x right, y down, z forward; a port
-      for each of the `frustums`, named by them.
     - body_poses (optional): the plant's list of `RigidTransform`; without it the
       executed path is that of the policy's p_WE.
 
@@ -75,7 +72,6 @@ class MeshcatOverlay(LeafSystem):
         meshcat: Meshcat,
         *,
         planned_W: FloatArray | None = None,
-        frustums: Mapping[str, FloatArray] | None = None,
         body_index: BodyIndex | None = None,
         p_BE: Sequence[float] = (0.0, 0.0, 0.0),
         show: Sequence[str] = LAYERS,
@@ -86,8 +82,6 @@ class MeshcatOverlay(LeafSystem):
             meshcat: the viewer.
             planned_W: (T, 3) points of the pre-planned path [m]; None: the straight
                 line from start to goal.
-            frustums: port of a camera's pose -> edges of its `drawing.frustum_edges`, drawn if
-                the port is connected; None: there are no cameras.
             body_index: body B of the plant that carries E; None: policy_state.p_WE.
             p_BE: (3,) the tool point E in B [m].
             show: the `LAYERS` that are visible at first; whoever looks may change that.
@@ -102,10 +96,6 @@ class MeshcatOverlay(LeafSystem):
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
-        self._cameras = [
-            (self.DeclareAbstractInputPort(name, Value(RigidTransform())), edges_C)
-            for name, edges_C in (frustums or {}).items()
-        ]
         self._bodies = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self.DeclareDiscreteState(4)
         self.DeclareInitializationDiscreteUpdateEvent(self._begin)
@@ -113,14 +103,6 @@ class MeshcatOverlay(LeafSystem):
         # The frame at the start is the initialization's.
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, PERIOD, self._advance)
         self.DeclarePeriodicPublishEvent(PERIOD, PERIOD, self._draw_frame)
-
-    def _connected_cameras(self, context: Context) -> list[tuple[str, FloatArray, InputPort]]:
-        """Lists path, frustum and port of each camera whose pose is connected."""
-        return [
-            (f"{_ROOT}/perception/camera" + (f"_{row + 1}" if row else ""), edges_C, port)
-            for row, (port, edges_C) in enumerate(self._cameras)
-            if port.HasValue(context)
-        ]
 
     def _read(self, port: InputPort, context: Context, kind: type[T]) -> T:
         """Reads a port; an empty value where it is not connected."""
@@ -199,9 +181,6 @@ class MeshcatOverlay(LeafSystem):
             ball = f"{_ROOT}/motion/planned/{name}"
             meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.PLANNED))
             meshcat.SetTransform(ball, RigidTransform(p_WQ))
-        for camera, edges_C, _ in self._connected_cameras(context):
-            start, end = edges_C[:, 0].T, edges_C[:, 1].T
-            meshcat.SetLineSegments(f"{camera}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
         meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         self._draw_frame(context)
 
@@ -216,8 +195,6 @@ class MeshcatOverlay(LeafSystem):
             path = f"{_ROOT}/motion/executed/{frame}"
             self._segment(path, p_from, p_to, 0.0055, drawing.EXECUTED)
             self._appear(path, context)
-        for path, _, port in self._connected_cameras(context):
-            self._meshcat.SetTransform(path, port.Eval(context), time)
         if frame % _LASTING == 0 and self._cloud.HasValue(context):
             clouds = f"{_ROOT}/perception/cloud"
             self._show_path(f"{clouds}/{frame - _LASTING}", False, time)

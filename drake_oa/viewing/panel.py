@@ -46,7 +46,6 @@ _LEGEND = (
         "decision/.*/rings/.*/.*",
     ),
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
-    (_css(drawing.FRUSTUM), "view of a camera", "perception/camera.*"),
     ("#777", "points that a camera sees", "perception/cloud"),
 )
 """Color, text and path in the scene of what may be drawn; shown while it is visible there."""

@@ -9,11 +9,21 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatParams,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    Role,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.viewing.panel import LivePage
 
+FRAME_PERIOD = 1.0 / 30.0
+"""Time between two pictures of the world [s]."""
 RECORDING_RATE = 15.0
 """Frames of a recording a second."""
 _EYE_F, _TARGET_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
@@ -65,9 +75,7 @@ def looking_pose(
 def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
     """Prepares the view for presentation: background and camera.
 
-    Hides grid, axes and what Drake's visualizer draws of collision geometry, inertia
-    and contact forces (all still in the scene tree). Call it once, before or after
-    the visualizers are added; whoever looks may change all of it in the browser.
+    Hides grid and axes. All of it can be changed in the browser.
 
     Args:
         meshcat: the viewer.
@@ -77,10 +85,18 @@ def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
     X_WF = floor_frame(X_WB, floor)
     meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
     meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
-    for path in ("/Grid", "/Axes", "/drake/proximity", "/drake/inertia", "/drake/contact_forces"):
+    for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=32.0, aspect=1.6, near=0.01, far=100.0))
     meshcat.SetCameraPose(X_WF @ np.array(_EYE_F), X_WF @ np.array(_TARGET_F))
+
+
+def show_world(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat) -> None:
+    """Adds Drake's visualizer of a scene graph to a builder."""
+    params = MeshcatVisualizerParams(
+        role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
+    )
+    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
 
 
 def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:

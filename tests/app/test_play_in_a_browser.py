@@ -2,7 +2,6 @@
 
 import re
 import time
-from pathlib import Path
 
 import pytest
 
@@ -21,7 +20,7 @@ obstacles:
 
 @pytest.mark.slow
 @pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
-def test_a_slider_that_is_moved_moves_the_arm(tmp_path: Path) -> None:
+def test_a_slider_that_is_moved_moves_the_arm() -> None:
     meshcat = start_viewer(browser=False)
     session = PlaySession(
         parse_scenario(SCENARIO), meshcat, open_page(meshcat, "played", "A post.")
@@ -61,11 +60,4 @@ def test_a_slider_that_is_moved_moves_the_arm(tmp_path: Path) -> None:
             shown = page.evaluate("document.getElementById('drake-oa').innerText")
             time.sleep(0.2)
         assert re.search(r"played A post.\nt = .*\ntool: clearance 0", shown, re.DOTALL)
-        assert "view of a camera" not in shown
-        # Less than the scene: the page is not drawn yet.
-        deadline, size = time.monotonic() + 120.0, 0
-        while size < 50_000:
-            assert time.monotonic() < deadline
-            page.screenshot(tmp_path / "played.png")
-            size = (tmp_path / "played.png").stat().st_size
     session.finish()
