@@ -18,7 +18,7 @@ from drake_oa.world.station import Station
 
 
 def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Inserts the scenario's fault models into their signals, and adds what moves obstacles.
+    """Inserts the scenario's fault models into their signals, and adds the movers of obstacles.
 
     Where mover_<model instance> drive obstacles, the world is logged.
 
