@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drake_oa.policy.averaging import STILL, average_orientations, average_paths
+from drake_oa.policy.averaging import average_orientations, average_paths
 from drake_oa.policy.dmp import (
     goal_vector,
     imitate,
@@ -21,7 +21,7 @@ def main() -> None:
     shown = [read_demonstration(f"{FOLDER}/arc_{number}.npz") for number in (1, 2, 3)]
     # Arrays of your own do as well: positions (T, 3) [m] and their stamps (T,) [s].
     path, t = average_paths([one.path for one in shown], [one.t for one in shown])
-    motion = trajectory(imitate(path, t, still=STILL), START, GOAL)
+    motion = trajectory(imitate(path, t), START, GOAL)
     way = (GOAL - START) / np.linalg.norm(GOAL - START)
     aside = np.linalg.norm(np.cross(motion.p - START, way), axis=1).max()
     print(
@@ -31,7 +31,7 @@ def main() -> None:
 
     pour = read_demonstration(f"{FOLDER}/pour.csv")
     R_WE, t = average_orientations([pour.orientations], [pour.t])
-    turn = imitate_orientation(R_WE, t, still=STILL)
+    turn = imitate_orientation(R_WE, t)
     s = np.linspace(0.0, 1.0, 5)
     for share, R in zip(s, orientation_along(turn, turn.first, turn.last, s), strict=True):
         angle = np.degrees(np.linalg.norm(goal_vector(turn.first, R)))

@@ -38,8 +38,6 @@ POINTS = 201
 """Instants at which the mean motion is told."""
 SPARSE = 100
 """Fewer samples than this are no recording but points to go through: a spline is put through."""
-STILL = 0.2
-"""Of `imitate`, for what was averaged: without it a force is left that leads off by 1 to 2 mm."""
 _SPANS_PER_BASIS = 0.4
 """Spans of the spline for each basis function: narrower details are no motion."""
 _PENALTY = 1e-6

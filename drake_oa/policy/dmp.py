@@ -62,6 +62,9 @@ ALPHA_K = math.log(100.0)
 """Default decay of the phase: 1 % is left at the end of the motion."""
 N_BASIS = 35
 """Default number of basis functions."""
+_STILL = 0.2
+"""Normalized time after the end for which no force is to be left: where a motion ends at rest, it
+stays there the better. Without it a force leads a recorded motion off by 1 to 2 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +216,6 @@ def fit_forcing(
     alpha_x: float = ALPHA_X,
     beta_x: float = BETA_X,
     alpha_k: float = ALPHA_K,
-    still: float = 0.0,
 ) -> Dmp:
     """Fits the forcing term of a path that is given from its end.
 
@@ -227,17 +229,13 @@ def fit_forcing(
         alpha_x: spring constant, per normalised time.
         beta_x: spring constant, per normalised time.
         alpha_k: decay of the phase, per normalised time.
-        still: normalised time after the end for which no force is to be left, at most 1: where it
-            ends at rest, it stays there the better.
     """
     duration, n_basis = float(t[-1] - t[0]), int(n_basis)
     spline = interpolant((t - t[0]) / duration, local)
-    s = _fitted_at(n_basis, still)
+    s, centers, widths, inverse = _fit(n_basis, float(alpha_k))
     x, z, dz = (spline(s[s <= 1.0], derivative) for derivative in (0, 1, 2))
     target = np.zeros((len(s), local.shape[1]))
     target[s <= 1.0] = dz + alpha_x * (z + beta_x * x)
-
-    centers, widths, inverse = _fit(n_basis, float(alpha_k), float(still))
     weights = np.ascontiguousarray((inverse @ target).T)
     return Dmp(float(alpha_x), float(beta_x), float(alpha_k), centers, widths, weights, duration)
 
@@ -247,17 +245,12 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
     return make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
 
 
-def _fitted_at(n_basis: int, still: float) -> FloatArray:
-    """Normalised times at which a forcing term is fitted, to 1 + still."""
-    s = np.linspace(0.0, 1.0, max(501, 10 * n_basis))
-    return np.append(s, 1.0 + s[1 : 1 + round(still * (len(s) - 1))])
-
-
 @lru_cache(maxsize=16)
-def _fit(n_basis: int, alpha_k: float, still: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres and widths of the basis functions, and (n_basis, samples) what fits their weights.
+def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
+    """Returns the normalized times of a fit, the centers and widths of the basis functions, and
+    (n_basis, samples) the matrix that fits their weights.
 
-    The least squares of a plan take 15 ms anew, and the same matrix each time.
+    The least squares of a plan take 15 ms, and the same matrix each time.
     """
     # One centre before the start: without it the fit is poorest there, where an error
     # decides the first heading.
@@ -265,11 +258,12 @@ def _fit(n_basis: int, alpha_k: float, still: float) -> tuple[FloatArray, FloatA
     centers = np.exp(-alpha_k * np.linspace(-gap, 1.0, n_basis))
     gaps = -np.diff(centers)
     widths = 0.7 / np.append(gaps, gaps[-1]) ** 2
-    basis = activations(np.exp(-alpha_k * _fitted_at(n_basis, still)), centers, widths)
+    s = np.linspace(0.0, 1.0 + _STILL, max(601, 12 * n_basis))
+    basis = activations(np.exp(-alpha_k * s), centers, widths)
     inverse = np.asarray(np.linalg.pinv(basis, rcond=2e-16 * len(basis)), dtype=float)
-    for array in (centers, widths, inverse):
+    for array in (s, centers, widths, inverse):
         array.setflags(write=False)
-    return centers, widths, inverse
+    return s, centers, widths, inverse
 
 
 def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ import numpy as np
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import package_file, read_arrays
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.averaging import STILL, average_orientations, average_paths
+from drake_oa.policy.averaging import average_orientations, average_paths
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import (
     Dmp,
@@ -112,7 +112,7 @@ def demonstrated_path(scenario: Scenario) -> Dmp:
         path, t = average_paths(
             [item.path for item in shown], [item.t for item in shown], n_basis=policy.n_basis
         )
-        return imitate(path, t, still=STILL, **primitive_constants(policy))
+        return imitate(path, t, **primitive_constants(policy))
 
 
 def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
@@ -127,7 +127,7 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
         return None
     with field_errors(_files(scenario.task), ValueError):
         R_WE, t = average_orientations(*zip(*given, strict=True), n_basis=policy.n_basis)
-        return imitate_orientation(R_WE, t, still=STILL, **primitive_constants(policy))
+        return imitate_orientation(R_WE, t, **primitive_constants(policy))
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:

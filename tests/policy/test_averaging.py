@@ -10,7 +10,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.policy.averaging import (
     POINTS,
     SPARSE,
-    STILL,
     average_orientations,
     average_paths,
 )
@@ -44,7 +43,7 @@ def test_one_recording_loses_its_tremor_keeps_its_way_and_ends_at_rest() -> None
     mean, stamps = average_paths([path], [t])
     assert mean.shape == (POINTS, 3)
     assert stamps[-1] == pytest.approx(5.0)
-    way = trajectory(imitate(mean, stamps, still=STILL), START, GOAL, steps=1000, end=2.0)
+    way = trajectory(imitate(mean, stamps), START, GOAL, steps=1000, end=2.0)
     assert np.linalg.norm(way.p - arc(np.minimum(way.s, 1.0)), axis=1).max() < 2e-3
     assert np.linalg.norm(way.p[500:] - GOAL, axis=1).max() < 4e-4
     # What a spline through every sample learns is far off: of the tremor's acceleration.
@@ -70,7 +69,7 @@ def test_repetitions_elsewhere_turned_and_larger_are_the_same_motion() -> None:
     other = 1.5 * turn.apply(path) + [0.1, 0.2, 0.05]
     mean, _ = average_paths([path, other], [t, 2.0 * t + 100.0])
     alone, _ = average_paths([path], [t])
-    dmp, same = (imitate(one, still=STILL) for one in (mean, alone))
+    dmp, same = (imitate(one) for one in (mean, alone))
     a, b = (trajectory(one, START, GOAL).p for one in (dmp, same))
     np.testing.assert_allclose(a, b, atol=1e-9)
 
