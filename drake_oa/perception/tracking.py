@@ -22,7 +22,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import (
     BoolArray,
     FloatArray,
@@ -96,7 +95,9 @@ _SPLIT_FRAMES = 3
 _TABLE_SHIFT = 0.003
 """Motion of the table within 1 m at which its plane is handed on again [m]."""
 _MERGE_TIME = 0.5
-"""Time as one cluster after which obstacles at rest become one [s]."""
+"""Time as one cluster after which obstacles that move alike become one [s]."""
+_ALIKE = 0.1
+"""Difference of the velocities of obstacles that move alike [m/s]."""
 
 
 _GROWN = 0.0025
@@ -176,23 +177,16 @@ _Value = TypeVar("_Value", bound=Frozen)
 
 
 def taken(value: _Value, index: IntArray | BoolArray) -> _Value:
-    """Some rows of a value of which every field has rows."""
+    """Takes some rows of a value of which every field has rows."""
     kind: Any = type(value)
-    parts: dict[str, Any] = {}
-    for name, part in value.__dict__.items():
-        parts[name] = taken(part, index) if isinstance(part, Frozen) else part[index]
-    result: _Value = kind(**parts)
+    result: _Value = kind(**{name: part[index] for name, part in vars(value).items()})
     return result
 
 
 def appended(first: _Value, second: _Value) -> _Value:
-    """The rows of one value, and then those of another."""
+    """Joins the rows of two values."""
     kind: Any = type(first)
-    parts: dict[str, Any] = {}
-    for name, one in first.__dict__.items():
-        other = getattr(second, name)
-        nested = isinstance(one, Frozen)
-        parts[name] = appended(one, other) if nested else np.concatenate([one, other])
+    parts = {name: np.concatenate([one, vars(second)[name]]) for name, one in vars(first).items()}
     result: _Value = kind(**parts)
     return result
 
@@ -477,11 +471,11 @@ class _Step:
             for look in (before, after)
         )
         lost = ~expected.moving & (here < _FOUND_AGAIN * there)
-        lost &= speed_statistic(self.tracks.estimate) < START
+        lost &= speed_statistic(self.tracks) < START
         lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
         if not lost.any():
             return after
-        expected = changed(expected, unseen=expected.unseen + self.dt, odd=self.tracks.odd)
+        expected = changed(expected, blind=expected.blind + self.dt, odd=self.tracks.odd)
         both = appended(self.tracks, expected)
         self.tracks = taken(both, np.where(lost, len(rows) + rows, rows))
         return self._look()
@@ -521,7 +515,7 @@ class _Step:
         seen = seen_sides(self.frame, rows, tracks.area, self.config.voxel)
         beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SIDE_SLACK)
         seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
-        deviation = depth_deviation(tracks.estimate.p_W, self.frame.views)
+        deviation = depth_deviation(tracks.p_W, self.frame.views)
         v_W, spread, self._references = registered_tracks(
             tracks,
             self.previous.references,
@@ -642,15 +636,16 @@ class _Step:
             self.tracks = changed(self.tracks, sides=sides, area=area, apart=apart)
 
     def _merge(self, association: Association, known: int) -> None:
-        """Joins obstacles that are one cluster: at rest for long, or both seen of late.
+        """Joins obstacles that are one cluster: moving alike for long, or both seen of late.
 
         The latter are parts of what comes into view.
         """
         tracks = self.tracks
         partner = np.full(len(tracks), -1, dtype=np.int64)
         partner[:known] = association.partner
-        rests = (partner >= 0) & ~tracks.moving & ~tracks.moving[partner]
-        together = np.where(rests, tracks.together + self.dt, 0.0)
+        v_W = np.where(tracks.moving[:, None], tracks.v_W, 0.0)
+        alike = np.linalg.norm(v_W - v_W[partner], axis=1) < _ALIKE
+        together = np.where((partner >= 0) & alike, tracks.together + self.dt, 0.0)
         self.tracks = changed(tracks, together=together)
         new = tracks.age < _MERGE_TIME
         joined = (together >= _MERGE_TIME) | ((partner >= 0) & new & new[partner])
@@ -686,7 +681,7 @@ class _Step:
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
         listed = confirmed >= self._fewest()
         held = held_clouds(tracks.ids, tracks.shift_W, points, listed, self.previous.held)
-        moving = tracks.moving & (np.linalg.norm(tracks.estimate.v_W, axis=1) > 0.0)
+        moving = tracks.moving & (np.linalg.norm(tracks.v_W, axis=1) > 0.0)
         late = np.flatnonzero(listed & moving & (tracks.unseen > _MENTIONED_AFTER))
         note = "; ".join(
             f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s "
@@ -699,7 +694,7 @@ class _Step:
             tracks.ids[listed],
             held_table(self.previous.obstacles.table, self.frame.table, _TABLE_SHIFT),
             note,
-            np.where(moving[:, None], tracks.estimate.v_W, 0.0)[listed],
+            np.where(moving[:, None], tracks.v_W, 0.0)[listed],
         )
         return ObstacleMemory(
             obstacles,
@@ -730,14 +725,13 @@ def held_clouds(
         previous: what was handed on last.
     """
     owner = np.where(points.confirmed, points.owner, -1)
-    reach = supports(points.p_OQ, owner, len(ids), DIRECTIONS)
-    count = np.bincount(owner[points.confirmed], minlength=len(ids))
     held = {}
     for row in np.flatnonzero(listed):
-        name = int(ids[row])
+        name, p_OQ = int(ids[row]), points.p_OQ[owner == row]
+        reach = (DIRECTIONS @ p_OQ.T).max(axis=1)
         old = previous.get(name)
-        if old is None or not _reaches_as_before(old, reach[row], count[row]):
-            held[name] = _cloud(points.p_OQ[owner == row], shift_W[row], reach[row])
+        if old is None or not _reaches_as_before(old, reach, len(p_OQ)):
+            held[name] = _cloud(p_OQ, shift_W[row], reach)
         elif (shift_W[row] != old.shift_W).any():
             held[name] = _cloud(old.p_OQ, shift_W[row], old.reach)
         else:
@@ -770,19 +764,3 @@ def held_table(
     apart = abs(seen.offset - previous.offset)
     apart += float(np.linalg.norm(seen.normal_W - previous.normal_W))
     return seen if apart > shift else previous
-
-
-@compiled
-def supports(points: FloatArray, row: IntArray, count: int, directions: FloatArray) -> FloatArray:
-    """(M, D) how far the points (N, 3) of each of M obstacles reach along directions (D, 3)."""
-    out = np.full((count, len(directions)), -np.inf)
-    # Their coordinates in rows: a loop along them uses vector instructions.
-    a, b, c = directions[:, 0].copy(), directions[:, 1].copy(), directions[:, 2].copy()
-    for i in range(len(points)):
-        if row[i] >= 0:
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            own = out[row[i]]
-            for d in range(len(a)):
-                reach = a[d] * x + b[d] * y + c[d] * z
-                own[d] = reach if reach > own[d] else own[d]
-    return out

@@ -22,14 +22,13 @@ shows free space beyond it. Each side is compared with where it was before.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
 from drake_oa.geometry.pinhole import View
 from drake_oa.perception.segmentation import Segmentation
@@ -52,8 +51,6 @@ _FLOOR = 0.02
 """Speed below which a frame shows an obstacle at rest [m/s]."""
 _STOP = 7.8
 """Speed statistic below which a frame shows an obstacle at rest."""
-_START_FRAMES = 2
-"""Significant frames in a row after which an obstacle moves."""
 _STOP_TIME = 0.1
 """Time at rest after which an obstacle no longer moves [s]."""
 _OUTLIER = 5.0
@@ -72,6 +69,8 @@ BLIND_TIME = 0.2
 
 _PATIENCE = 3
 """Weight of a frame whose velocity is significant, of one that is only likely: 1."""
+_ENOUGH = 2 * _PATIENCE
+"""Weight of frames after which an obstacle moves."""
 _MOVED = 0.004
 """Distance from its place at rest beyond which an obstacle may move [m]."""
 _DOUBTED = 0.04
@@ -83,57 +82,36 @@ INITIAL_SPEED = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class MotionEstimate(Frozen):
-    """Position and velocity of M obstacles.
-
-    Attributes:
-        p_W: (M, 3) positions [m].
-        v_W: (M, 3) velocities [m/s].
-        var_p: (M, 3) variances of the positions [m^2].
-        cov_pv: (M, 3) covariances of position and velocity [m^2/s].
-        var_v: (M, 3) variances of the velocities [m^2/s^2].
-    """
-
-    p_W: FloatArray = zeros(0, 3)
-    v_W: FloatArray = zeros(0, 3)
-    var_p: FloatArray = zeros(0, 3)
-    cov_pv: FloatArray = zeros(0, 3)
-    var_v: FloatArray = zeros(0, 3)
-
-    def __len__(self) -> int:
-        return len(self.p_W)
-
-
-@dataclass(frozen=True, eq=False)
 class Tracks(Frozen):
     """M obstacles, one a row.
 
     Attributes:
-        ids: (M,) their names.
-        estimate: position and velocity, filtered. The position is that of a point fixed
-            to the obstacle, which was its centroid when it was seen first.
+        ids: (M,) track IDs.
+        state: (M, 3, 2) filtered position [m] and velocity [m/s] along each axis of the world. The
+            position is that of a point fixed to the obstacle, at first its centroid.
+        covariance: (M, 3, 2, 2) of the state.
         shift_W: (M, 3) from the frame O, in which its points are kept, to the world:
             p_WQ = p_OQ + shift_W [m].
         p_shift_W: (M, 3) the filter's position when it was shifted last [m].
         sides: (M, 3, 2) the lowest and highest side along the world's axes, from the
             position [m]; NaN while unknown.
-        area: (M,) the largest area seen of it, across the line of sight [m^2].
+        area: (M,) the largest visible area, across the line of sight [m^2].
         moving: (M,) whether it moves.
-        doubt: (M,) share of what should be seen of it that was not where it was
-            remembered: the most of late.
+        doubt: (M,) recent maximum of the share of its visible part that was not where it was
+            remembered.
         significant: (M,) frames in a row whose velocity was significant, each counted
             `_PATIENCE` times, and once where it was only likely.
-        still: (M,) for how long it was not [s].
-        unseen: (M,) for how long it was not measured [s].
-        blind: (M, 3) for how long it was not along each axis of the world [s].
-        odd: (M, 3) outliers in a row along each axis.
-        age: (M,) for how long it is known [s].
+        still: (M,) time since its velocity was significant [s].
+        blind: (M, 3) time since it was measured along each axis of the world [s].
+        odd: (M, 3) whether the last measurement along each axis was an outlier.
+        age: (M,) time since it was seen first [s].
         apart: (M,) frames in a row in which it was seen in parts.
-        together: (M,) for how long it is one cluster with a larger one [s].
+        together: (M,) time as one cluster with a larger obstacle [s].
     """
 
     ids: IntArray = zeros(0, kind=np.int64)
-    estimate: MotionEstimate = field(default_factory=MotionEstimate)
+    state: FloatArray = zeros(0, 3, 2)
+    covariance: FloatArray = zeros(0, 3, 2, 2)
     shift_W: FloatArray = zeros(0, 3)
     p_shift_W: FloatArray = zeros(0, 3)
     sides: FloatArray = zeros(0, 3, 2)
@@ -142,15 +120,29 @@ class Tracks(Frozen):
     doubt: FloatArray = zeros(0)
     significant: IntArray = zeros(0, kind=np.int64)
     still: FloatArray = zeros(0)
-    unseen: FloatArray = zeros(0)
     blind: FloatArray = zeros(0, 3)
-    odd: IntArray = zeros(0, 3, kind=np.int64)
+    odd: BoolArray = zeros(0, 3, kind=bool)
     age: FloatArray = zeros(0)
     apart: IntArray = zeros(0, kind=np.int64)
     together: FloatArray = zeros(0)
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def p_W(self) -> FloatArray:
+        """(M, 3) positions [m]."""
+        return self.state[..., 0]
+
+    @property
+    def v_W(self) -> FloatArray:
+        """(M, 3) velocities [m/s]."""
+        return self.state[..., 1]
+
+    @property
+    def unseen(self) -> FloatArray:
+        """(M,) time since an obstacle was measured along any axis [s]."""
+        return np.asarray(self.blind.min(axis=1))
 
 
 _Value = TypeVar("_Value", bound=Frozen)
@@ -172,149 +164,70 @@ def changed(value: _Value, **parts: Any) -> _Value:
 
 
 def new_tracks(ids: IntArray, p_W: FloatArray) -> Tracks:
-    """Obstacles (M,) at p_W (M, 3) [m], just seen first: at rest, their sides not known."""
-    rows = len(ids)
-    nothing = {
-        name: np.zeros((rows, *part.shape[1:]), dtype=part.dtype)
+    """Makes obstacles (M,) at p_W (M, 3) [m] that are seen first: at rest, of unknown sides."""
+    parts = {
+        name: np.zeros((len(ids), *part.shape[1:]), dtype=part.dtype)
         for name, part in vars(Tracks()).items()
-        if isinstance(part, np.ndarray)
     }
-    sides = np.full((rows, 3, 2), np.nan)
-    parts: dict[str, Any] = {"ids": ids, "p_shift_W": p_W, "sides": sides}
-    return Tracks(**(nothing | parts), estimate=first_seen(p_W))
+    parts |= {"ids": ids, "p_shift_W": p_W, "sides": np.full((len(ids), 3, 2), np.nan)}
+    parts["state"][..., 0], parts["covariance"][:] = p_W, _FIRST_COVARIANCE
+    return Tracks(**parts)
 
 
-def first_seen(p_W: FloatArray) -> MotionEstimate:
-    """Obstacles at p_W (M, 3) [m] of unknown velocity."""
-    shape = p_W.shape
-    return MotionEstimate(
-        p_W,
-        np.zeros(shape),
-        np.full(shape, SIDE_DEVIATION**2),
-        np.zeros(shape),
-        np.full(shape, INITIAL_SPEED**2),
-    )
+_FIRST_COVARIANCE = np.diag([SIDE_DEVIATION**2, INITIAL_SPEED**2])
 
 
-def predicted(estimate: MotionEstimate, dt: float, q: FloatArray | float) -> MotionEstimate:
-    """The estimate dt [s] >= 0 later, for accelerations of the densities q (M, 1) [m^2/s^3]."""
-    return MotionEstimate(
-        estimate.p_W + dt * estimate.v_W,
-        estimate.v_W,
-        estimate.var_p + dt * (2.0 * estimate.cov_pv + dt * estimate.var_v) + q * dt**3 / 3.0,
-        estimate.cov_pv + dt * estimate.var_v + q * dt**2 / 2.0,
-        estimate.var_v + q * dt,
-    )
-
-
-def corrected(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -> MotionEstimate:
-    """The estimate after a measurement.
+def corrected(tracks: Tracks, kind: int, measured: FloatArray, variance: FloatArray) -> Tracks:
+    """Corrects the states by measured positions (kind 0) or velocities (kind 1).
 
     Args:
-        estimate: the prediction.
-        p_W: (M, 3) measured positions [m]; NaN where there is none.
-        variance: (M, 3) of the measurement [m^2].
+        tracks: as predicted.
+        kind: column of the state.
+        measured: (M, 3) [m or m/s]; NaN where there is none.
+        variance: (M, 3) of the measurement.
     """
-    known = np.isfinite(p_W)
-    innovation = np.where(known, p_W - estimate.p_W, 0.0)
-    total = estimate.var_p + variance
-    gain_p = np.where(known, estimate.var_p / total, 0.0)
-    gain_v = np.where(known, estimate.cov_pv / total, 0.0)
-    return MotionEstimate(
-        estimate.p_W + gain_p * innovation,
-        estimate.v_W + gain_v * innovation,
-        (1.0 - gain_p) * estimate.var_p,
-        (1.0 - gain_p) * estimate.cov_pv,
-        estimate.var_v - gain_v * estimate.cov_pv,
+    P, known = tracks.covariance, np.isfinite(measured)
+    innovation = np.where(known, measured - tracks.state[..., kind], 0.0)
+    gain = P[..., kind] / (P[..., kind, kind] + variance)[..., None] * known[..., None]
+    return changed(
+        tracks,
+        state=tracks.state + gain * innovation[..., None],
+        covariance=P - gain[..., None] * P[..., kind, None, :],
     )
 
 
-def exchanged(estimate: MotionEstimate) -> MotionEstimate:
-    """Position and velocity in each other's place: a measured velocity corrects likewise."""
-    return MotionEstimate(
-        estimate.v_W, estimate.p_W, estimate.var_v, estimate.cov_pv, estimate.var_p
-    )
-
-
-def is_outlier(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -> BoolArray:
-    """(M, 3) whether a measurement is farther off along an axis than noise explains.
-
-    Args:
-        estimate: the prediction.
-        p_W: (M, 3) measured positions [m]; NaN where there is none.
-        variance: (M, 3) of the measurement [m^2].
-    """
-    innovation = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
-    limit = _OUTLIER**2 * (estimate.var_p + variance)
-    return np.asarray(innovation**2 > limit)
-
-
-def unsettled(
-    estimate: MotionEstimate,
-    which: BoolArray,
-    registered: BoolArray,
-    p_W: FloatArray,
-    dt: float,
-) -> MotionEstimate:
-    """Forgets how well some obstacles (M,) are known: they do what was not expected.
-
-    The measured jump is what the position may be off. The velocity is as open as at first,
-    or half the jump's speed if that is more, up to 2 m/s, unless it was measured too.
-
-    Args:
-        estimate: the prediction.
-        which: (M, 3) of which obstacles, and along which axes; the others stay as they are.
-        registered: (M, 3) whether the velocity was measured.
-        p_W: (M, 3) measured positions [m]; NaN where there is none.
-        dt: time since the last frame [s].
-    """
-    jump = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
-    speed = np.maximum(INITIAL_SPEED, np.abs(jump) / max(dt, 1e-3) * 0.5)
-    speed = np.minimum(speed, _LARGEST_SPEED)
-    return replace(
-        estimate,
-        var_p=np.where(which, estimate.var_p + jump**2, estimate.var_p),
-        cov_pv=np.where(which, 0.0, estimate.cov_pv),
-        var_v=np.where(which & ~registered, speed**2, estimate.var_v),
-    )
-
-
-def speed_statistic(estimate: MotionEstimate) -> FloatArray:
+def speed_statistic(tracks: Tracks) -> FloatArray:
     """(M,) v^T P_v^-1 v: chi-square of 3 degrees of freedom for an obstacle at rest."""
-    return np.asarray((estimate.v_W**2 / estimate.var_v).sum(axis=1))
+    return np.asarray((tracks.v_W**2 / tracks.covariance[..., 1, 1]).sum(axis=1))
 
 
 _SHRINKING = 0.99  # of the area of an obstacle that is seen whole, a frame
 
 
 def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
-    """Obstacles dt [s] >= 0 later; those that move take their points along.
+    """Predicts obstacles dt [s] >= 0 later; those that move take their points along.
 
     One that was not measured for `COAST_TIME` stops where it is then, and
     all do after a gap of `LONGEST_GAP`.
     """
     gap = dt > LONGEST_GAP
     moving = tracks.moving & (tracks.unseen + dt <= COAST_TIME) & (not gap)
-    estimate = tracks.estimate
     lost = (tracks.moving & ~moving) | gap
-    if lost.any():
-        # Nothing is known of what it did meanwhile.
-        rest = first_seen(estimate.p_W)
-        parts = {
-            name: np.where(lost[:, None], getattr(rest, name), getattr(estimate, name))
-            for name in ("v_W", "var_p", "cov_pv", "var_v")
-        }
-        estimate = MotionEstimate(estimate.p_W, **parts)
+    P = np.where(lost[:, None, None, None], _FIRST_COVARIANCE, tracks.covariance)
     # Where it does not move significantly, noise must not carry it away while hidden.
-    hidden = (tracks.unseen > 0.0)[:, None] | (tracks.blind > BLIND_TIME)
-    still = ~moving[:, None] & hidden
-    estimate = changed(estimate, v_W=np.where(still, 0.0, estimate.v_W))
-    noise = np.where(moving, _MANEUVER, _ACCELERATION)
-    estimate = predicted(estimate, min(dt, LONGEST_GAP), noise[:, None])
-    step = np.where(moving[:, None], estimate.p_W - tracks.p_shift_W, 0.0)
+    hidden = (tracks.blind > BLIND_TIME) | lost[:, None]
+    state = np.array(tracks.state)
+    state[..., 1][~moving[:, None] & hidden] = 0.0
+    dt = min(dt, LONGEST_GAP)
+    F = np.array([[1.0, dt], [0.0, 1.0]])
+    Q = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+    q = np.where(moving, _MANEUVER, _ACCELERATION)[:, None, None, None]
+    state = state @ F.T
+    step = np.where(moving[:, None], state[..., 0] - tracks.p_shift_W, 0.0)
     return changed(
         tracks,
-        estimate=estimate,
+        state=state,
+        covariance=F @ P @ F.T + q * Q,
         shift_W=tracks.shift_W + step,
         p_shift_W=tracks.p_shift_W + step,
         moving=moving,
@@ -329,7 +242,10 @@ def measured_tracks(
     spread: FloatArray,
     dt: float,
 ) -> Tracks:
-    """Obstacles after a frame, dt [s] after the one before.
+    """Corrects obstacles by a frame, dt [s] after the one before.
+
+    An outlier is left out. Two in a row are a maneuver: the position is as uncertain as the jump,
+    and the velocity, unless it is measured too, as at first or as half the jump's speed.
 
     Args:
         tracks: as predicted.
@@ -340,75 +256,67 @@ def measured_tracks(
         dt: see there.
     """
     p_W, variance = measured_position(seen, tracks.sides, tracks.area, deviation)
-    estimate, registered = tracks.estimate, np.isfinite(v_W)
-    if registered.any():
-        estimate = exchanged(corrected(exchanged(estimate), v_W, spread))
-    off = is_outlier(estimate, p_W, variance)
-    again = off & (tracks.odd > 0)
+    registered, known_sides = np.isfinite(v_W), tracks.sides
+    tracks = corrected(tracks, 1, v_W, spread)
+    jump = np.where(np.isfinite(p_W), p_W - tracks.p_W, 0.0)
+    off = jump**2 > _OUTLIER**2 * (tracks.covariance[..., 0, 0] + variance)
+    again = off & tracks.odd
     if again.any():
-        estimate = unsettled(estimate, again, registered, p_W, dt)
+        P = np.array(tracks.covariance)
+        speed = np.clip(0.5 * np.abs(jump) / max(dt, 1e-3), INITIAL_SPEED, _LARGEST_SPEED)
+        P[again, 0, 0] += jump[again] ** 2
+        P[again, 0, 1] = P[again, 1, 0] = 0.0
+        P[again & ~registered, 1, 1] = speed[again & ~registered] ** 2
+        tracks = changed(tracks, covariance=P)
     p_W = np.where(off & ~again, np.nan, p_W)
     told = np.isfinite(p_W) | registered
-    measured: BoolArray = np.asarray(told.any(axis=1))
-    estimate = corrected(estimate, p_W, variance)
+    tracks = corrected(tracks, 0, p_W, variance)
     whole = seen.ends.all(axis=(1, 2))
-    learned = learned_sides(seen, tracks.sides, estimate.p_W)
-    return _decided(
-        changed(
-            tracks,
-            estimate=estimate,
-            sides=np.where(off[:, :, None], tracks.sides, learned),
-            area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
-            unseen=np.where(measured, 0.0, tracks.unseen + dt),
-            blind=np.where(told, 0.0, tracks.blind + dt),
-            odd=np.where(off, tracks.odd + 1, 0),
-            age=tracks.age + dt,
-        ),
-        measured,
-        np.asarray(registered.any(axis=1)),
-        dt,
+    learned = learned_sides(seen, known_sides, tracks.p_W)
+    tracks = changed(
+        tracks,
+        sides=np.where(off[:, :, None], known_sides, learned),
+        area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
+        blind=np.where(told, 0.0, tracks.blind + dt),
+        odd=off,
+        age=tracks.age + dt,
     )
+    measured, found = np.asarray(told.any(axis=1)), np.asarray(registered.any(axis=1))
+    return _decided(tracks, measured, found, dt)
 
 
 def with_motion_of(tracks: Tracks, row: int, other: int) -> Tracks:
-    """The obstacles, of which one has been found to move as another does."""
+    """Gives one obstacle the motion that was found of another."""
     source = np.arange(len(tracks))
     source[row] = other
-    estimate = tracks.estimate
-    estimate = changed(
-        estimate,
-        v_W=estimate.v_W[source],
-        var_v=estimate.var_v[source],
-        cov_pv=np.where((source != np.arange(len(tracks)))[:, None], 0.0, estimate.cov_pv),
-    )
+    state, P = np.array(tracks.state), np.array(tracks.covariance)
+    state[row, :, 1], P[row, :, 1, 1] = state[other, :, 1], P[other, :, 1, 1]
+    P[row, :, 0, 1] = P[row, :, 1, 0] = 0.0
     names = "moving", "significant", "still", "blind"
     parts = {name: getattr(tracks, name)[source] for name in names}
-    return changed(tracks, estimate=estimate, **parts)
+    return changed(tracks, state=state, covariance=P, **parts)
 
 
 def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: float) -> Tracks:
     """Decides which obstacles move, and shifts the points of those that do."""
-    estimate = tracks.estimate
-    statistic = speed_statistic(estimate)
-    speed = _lengths(estimate.v_W)
-    away = estimate.p_W - tracks.p_shift_W
-    distance = _lengths(away)
+    statistic, speed = speed_statistic(tracks), np.linalg.norm(tracks.v_W, axis=1)
+    away = tracks.p_W - tracks.p_shift_W
     doubted = tracks.moving | registered | (tracks.doubt > _DOUBTED)
     fast = (speed > _START_SPEED) & measured
-    starts = (statistic > START) & fast
-    starts &= tracks.moving | (doubted & (distance > _MOVED))
+    distant = np.linalg.norm(away, axis=1) > _MOVED
+    starts = (statistic > START) & fast & (tracks.moving | (doubted & distant))
     likely = (statistic > _STOP) & fast & (tracks.doubt > _STRONG_DOUBT)
-    enough = _START_FRAMES * _PATIENCE
     at_once = registered & (statistic > _CERTAIN)
-    count = tracks.significant + np.where(starts, np.where(at_once, enough, _PATIENCE), 1)
-    significant = np.where(starts | likely, count, 0)
+    count = tracks.significant + np.where(starts, np.where(at_once, _ENOUGH, _PATIENCE), 1)
+    # Distant obstacles are not measured in each frame.
+    significant = np.where(measured, np.where(starts | likely, count, 0), tracks.significant)
     calm = (statistic < _STOP) | (speed < _FLOOR)
     still = np.where(calm, tracks.still + dt, 0.0)
-    moving = tracks.moving | (significant >= enough)
-    moving &= still < _STOP_TIME
+    moving = (tracks.moving | (significant >= _ENOUGH)) & (still < _STOP_TIME)
     # What is at rest is found elsewhere only along what was measured.
     found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)
-    follows = measured & (moving | (doubted & (_lengths(found) > _JUMP)))
+    jumped = doubted & (np.linalg.norm(found, axis=1) > _JUMP)
+    follows = measured & (moving | jumped)
     step = np.where(follows[:, None], found, 0.0)
     settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
     return changed(
@@ -419,10 +327,6 @@ def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: flo
         shift_W=tracks.shift_W + step,
         p_shift_W=tracks.p_shift_W + step + settling,
     )
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))
 
 
 _MOST = 160
@@ -573,7 +477,7 @@ def registered_tracks(
         shift, spread = registered(
             then.p_WQ,
             seen[np.isin(cluster, cluster[mine])],
-            dt * tracks.estimate.v_W[row],
+            dt * tracks.v_W[row],
             unknown,
             deviation[row],
         )
@@ -582,11 +486,12 @@ def registered_tracks(
     return v_W, variance, kept
 
 
-_BINS = 256
-_BEHIND = 0.01  # an obstacle's own surface is behind what would stand before it, at 1 m [m]
-_WALK = 24  # how far from an obstacle's side its surroundings are looked at [pixel]
-_EMPTY = 12  # so many pixels in a row without depth show that nothing is beside it
-_SIDE_PIXELS = 48  # pixels of a side that are looked at
+_BEHIND = 0.01
+"""Depth by which an obstacle's own surface is behind what would stand before it, at 1 m [m]."""
+_STEPS = np.arange(1, 24)
+"""Steps along which the surroundings of an obstacle's side are looked at [pixel]."""
+_EMPTY = 12
+"""Number of pixels without depth in a row that show that nothing is beside an obstacle."""
 
 
 def surfaces(
@@ -635,28 +540,17 @@ def tail_places(
         which nothing is seen.
     """
     sides = np.full((len(tail), 3, 2), np.nan)
-    axis = np.arange(3)
     for m in np.unique(row):
         mine = row == m
-        along = points[mine].T
-        low, high = along.min(axis=1), along.max(axis=1)
-        extended = high > low
-        scale = (_BINS - 1) / np.where(extended, high - low, 1.0)
-        place = ((along - low[:, None]) * scale[:, None]).astype(np.int64)
-        place += _BINS * axis[:, None]
-        weight = np.tile(area[mine], 3)
-        histogram = np.bincount(place.ravel(), weight, 3 * _BINS).reshape(3, _BINS)
-        for side, bins in enumerate((histogram, histogram[:, ::-1])):
-            total = np.cumsum(bins, axis=1)
-            n = np.minimum((total < tail[m]).sum(axis=1), _BINS - 1)
-            before = np.where(n > 0, total[axis, n - 1], 0.0)
-            part = np.minimum((tail[m] - before) / np.maximum(bins[axis, n], 1e-12), 1.0)
-            reach = (_BINS - n - part if side else n + part) / scale
-            sides[m, :, side] = np.where(extended, low + reach, low)
+        order = points[mine].argsort(axis=0)
+        along = np.take_along_axis(points[mine], order, axis=0)
+        size = area[mine][order]
+        for k in range(3):
+            sides[m, k, 0] = np.interp(tail[m], size[:, k].cumsum(), along[:, k])
+            sides[m, k, 1] = np.interp(tail[m], size[::-1, k].cumsum(), along[::-1, k])
     return sides
 
 
-@compiled
 def open_sides(
     points: FloatArray,
     pixel: IntArray,
@@ -665,9 +559,8 @@ def open_sides(
     view: View,
     owner: NDArray[np.int16],
     plane: FloatArray,
-    margin: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """How many pixels of each side end at free space, not at what hides the rest of it.
+    """Counts the pixels of each side that end at free space, not at what hides the rest of it.
 
     From each pixel of a side the image is followed outward until it shows something
     else: what lies behind shows where the obstacle ends; what lies before it, what stands
@@ -683,74 +576,41 @@ def open_sides(
         view: the depth image.
         owner: (H W,) int16 obstacle that each pixel shows, -1: none.
         plane: (4,) the table's normal and offset in the world.
-        margin: depth difference that tells "before" and "behind" from "at", and height of
-            what stands on the table [m].
 
     Returns:
         (M, 3, 2) how many do, and of how many.
     """
     z, K, X_WC = view
-    asked, free = np.zeros(sides.shape), np.zeros(sides.shape)
-    rows, columns = z.shape
-    for i in range(len(points)):
-        m = row[i]
-        for k in range(3):
-            for side in range(2):
-                if side == 0:
-                    beyond = points[i, k] <= sides[m, k, 0]
-                else:
-                    beyond = points[i, k] >= sides[m, k, 1]
-                if not beyond or asked[m, k, side] >= _SIDE_PIXELS:
-                    continue
-                v0 = pixel[i] // columns
-                u0 = pixel[i] - v0 * columns
-                depth = z[v0, u0]
-                # The image of the axis, outward.
-                sign = 1.0 if side == 1 else -1.0
-                x, y = (u0 - K[2]) / K[0], (v0 - K[3]) / K[1]
-                du = sign * K[0] * (X_WC[k, 0] - x * X_WC[k, 2])
-                dv = sign * K[1] * (X_WC[k, 1] - y * X_WC[k, 2])
-                length = np.sqrt(du * du + dv * dv)
-                asked[m, k, side] += 1.0
-                if length < 0.3 * K[0]:
-                    # Along the line of sight: nothing beside it tells.
-                    free[m, k, side] += 1.0
-                    continue
-                du, dv = du / length, dv / length
-                # By how much nearer the obstacle would be if it went on beyond the side [m/pixel].
-                nearer = -sign * X_WC[k, 2] * depth / length
-                empty = 0
-                for step in range(1, _WALK):
-                    u, v = np.int64(np.rint(u0 + step * du)), np.int64(np.rint(v0 + step * dv))
-                    if u < 0 or u >= columns or v < 0 or v >= rows:
-                        break
-                    other = z[v, u]
-                    if not other > 0.0:
-                        empty += 1
-                        if empty < _EMPTY:
-                            continue
-                        free[m, k, side] += 1.0
-                        break
-                    empty = 0
-                    if owner[v * columns + u] == m:
-                        # The noise of a depth grows with its square.
-                        if other > depth - step * nearer + _BEHIND * depth * depth:
-                            free[m, k, side] += 1.0
-                            break
-                        continue
-                    if other > depth + margin:
-                        free[m, k, side] += 1.0
-                        break
-                    if other < depth - margin:
-                        break
-                    a, b = other * (u - K[2]) / K[0], other * (v - K[3]) / K[1]
-                    height = -plane[3]
-                    for c in range(3):
-                        at = X_WC[c, 0] * a + X_WC[c, 1] * b + X_WC[c, 2] * other + X_WC[c, 3]
-                        height += plane[c] * at
-                    if height > margin:
-                        break
-    return free, asked
+    low, high = np.moveaxis(sides[row], 2, 0)
+    i, k, side = np.nonzero(np.stack([points <= low, points >= high], axis=2))
+    v0, u0 = np.divmod(pixel[i], z.shape[1])
+    depth = z[v0, u0].astype(float)[:, None]
+    # The axis outward in the camera's frame, and its image.
+    outward = (2 * side - 1)[:, None] * X_WC[k, :3]
+    x, y = (u0 - K[2]) / K[0], (v0 - K[3]) / K[1]
+    du, dv = K[0] * (outward[:, 0] - x * outward[:, 2]), K[1] * (outward[:, 1] - y * outward[:, 2])
+    length = np.maximum(np.hypot(du, dv), 1e-9)
+    u = np.rint(u0[:, None] + _STEPS * (du / length)[:, None]).astype(int)
+    v = np.rint(v0[:, None] + _STEPS * (dv / length)[:, None]).astype(int)
+    inside = (u >= 0) & (u < z.shape[1]) & (v >= 0) & (v < z.shape[0])
+    at = np.where(inside, v * z.shape[1] + u, 0)
+    other, mine = z.ravel()[at].astype(float), owner[at] == row[i, None]
+    told = inside & (other > 0.0)
+    # By how much nearer the obstacle would be if it went on beyond the side.
+    nearer = _STEPS * (-outward[:, 2] / length)[:, None] * depth
+    end = np.where(mine, depth - nearer + _BEHIND * depth**2, depth + DEPTH_MARGIN)
+    last = np.maximum.accumulate(np.where(told, _STEPS, 0), axis=1)
+    free = np.where(told, other > end, inside & (_STEPS - last >= _EMPTY))
+    normal = plane[:3] @ X_WC[:3, :3]
+    ray = normal[0] * (u - K[2]) / K[0] + normal[1] * (v - K[3]) / K[1] + normal[2]
+    height = other * ray + plane[:3] @ X_WC[:3, 3] - plane[3]
+    before = (other < depth - DEPTH_MARGIN) | (height > DEPTH_MARGIN)
+    first = (free | ~inside | (told & ~mine & before)).argmax(axis=1)
+    # Along the line of sight nothing beside it tells.
+    ends = free[np.arange(len(i)), first] | (length < 0.3 * K[0])
+    key, size = np.ravel_multi_index((row[i], k, side), sides.shape), sides.size
+    counts = [np.bincount(each, minlength=size).reshape(sides.shape) for each in (key[ends], key)]
+    return counts[0].astype(float), counts[1].astype(float)
 
 
 _PIXELS = 800  # about how many pixels of a cluster are looked at
@@ -838,7 +698,7 @@ def seen_sides(
             owner = np.full(view.z.size, -1, dtype=np.int16)
             for row, pixels in zip(cluster_row, image, strict=True):
                 owner[pixels] = row
-            found = open_sides(part[0], *part[2:4], place, view, owner, plane, DEPTH_MARGIN)
+            found = open_sides(part[0], *part[2:4], place, view, owner, plane)
             free, asked = free + found[0], asked + found[1]
         ends = free / np.maximum(asked, 1.0) >= _OPEN_SHARE
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
