@@ -51,14 +51,13 @@ def replay(
         planned_path,
         show_readings,
     )
-    from drake_oa.scenario.loading import scenario_files
     from drake_oa.viewing.viewer import open_page, recording, start_viewer, wait_for_viewer
 
     logs = load_logs(log)
     chosen = choose_motion(log, logs, motion)
     shown = logs[chosen]
     scenario = logged_scenario(log, shown)
-    check_outputs(html, read=[log, *scenario_files(scenario)])
+    check_outputs(html, read=[log])
     viewer = start_viewer(browser=meshcat)
     with build_errors():
         planned_W = planned_path(scenario, logs)
@@ -97,7 +96,6 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import plot_run
     from drake_oa.runs.replay import choose_motion, logged_scenario
-    from drake_oa.scenario.loading import scenario_files
 
     out = out or log.with_suffix(".png")
     check_plot_file("--out", out)
@@ -105,7 +103,7 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
     chosen = choose_motion(log, logs, None)
     logs = {name: of for name, of in logs.items() if len(of.t)}
     scenario = logged_scenario(log, logs[chosen])
-    check_outputs(out, read=[log, *scenario_files(scenario)])
+    check_outputs(out, read=[log])
     title = f"{log.stem}: {scenario.description}".removesuffix(": ")
     with build_errors():
         plot_run(out, title, scenario, logs)

@@ -45,10 +45,10 @@ def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) ->
     Raises:
         ValueError, OSError: for a scenario that cannot be read, or a file that cannot be written.
     """
-    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
+    from drake_oa.scenario.loading import load_scenario, scenario_path
 
     scenario = load_scenario(name, overrides)
-    check_outputs(*outputs, read=[scenario_path(name), *scenario_files(scenario)])
+    check_outputs(*outputs, read=[scenario_path(name)])
     return scenario
 
 

@@ -164,11 +164,8 @@ class DrakeStruct:
             try:
                 return yaml_load_typed(schema=source, data=yaml_dump(value))
             except (RuntimeError, ValueError, TypeError, AttributeError) as error:
-                known = [field.name for field in source.__fields__]
-                given = value if isinstance(value, Mapping) else {}
-                hints = [did_you_mean(name, known) for name in given if name not in known]
-                valid = f"; valid fields: {', '.join(known)}" if hints else ""
-                raise ValueError(f"{error}{''.join(hints)}{valid}") from None
+                known = ", ".join(field.name for field in source.__fields__)
+                raise ValueError(f"{error}; valid fields: {known}") from None
 
         return core_schema.no_info_plain_validator_function(
             load,

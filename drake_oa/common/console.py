@@ -1,4 +1,4 @@
-"""What commands print: exit statuses, errors, tables and progress; plain when piped."""
+"""Output of commands: exit statuses, errors, tables and progress."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
-from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -78,7 +77,7 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class TextTable:
-    """Table with notes below it: ruled and colored on a terminal, aligned text elsewhere.
+    """Table with notes below it, printed as aligned text.
 
     Attributes:
         columns: specification of each column; a column whose key no row has is omitted, and the
@@ -93,55 +92,29 @@ class TextTable:
     notes: Sequence[str] = ()
     transposed: bool = False
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __str__(self) -> str:
+        """Returns the table as aligned text, as wide as its columns."""
         known = [of for of in self.columns if any(of.key in row for row in self.rows)]
         columns = [
             [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)] for of in known
         ]
-        grid = columns if self.transposed else list(zip(*columns, strict=True))
-        header, *cells = grid or [()]
-        terminal, has_header = console.is_terminal, any(header)
-        table = Table(
-            box=box.SIMPLE_HEAD if terminal and has_header else None,
-            show_header=has_header,
-            header_style="bold" if terminal else "",
-            pad_edge=False,
-            padding=(0, 1 if terminal else 2, 0, 0),
-        )
+        header, *cells = columns if self.transposed else list(zip(*columns, strict=True)) or [()]
+        table = Table(box=None, show_header=any(header), pad_edge=False, padding=(0, 2, 0, 0))
         for number, heading in enumerate(header):
             side = None if self.transposed else known[number].side
             # Text, as a cell's brackets are no markup.
-            table.add_column(
-                Text(heading),
-                justify=side or ("right" if number else "left"),
-                style="cyan" if terminal and number == 0 else "",
-                overflow="fold",
-            )
+            table.add_column(Text(heading), justify=side or ("right" if number else "left"))
         for row in cells:
             table.add_row(*map(Text, row))
-        if grid:
-            yield table
-        for note in self.notes:
-            yield Text(note, style="yellow" if note.startswith("warning") else "")
-
-    def __str__(self) -> str:
-        """Returns plain text without colors, as wide as the table."""
         console = Console(file=io.StringIO(), width=_WIDE, color_system=None, force_terminal=False)
         with console.capture() as captured:
-            console.print(self)
+            console.print(*[table] * bool(header), *map(Text, self.notes), sep="\n")
         return "\n".join(line.rstrip() for line in captured.get().rstrip("\n").splitlines())
 
 
 def show(*tables: TextTable) -> None:
-    """Prints tables on stdout with a blank line between them; plain text when piped."""
-    console = Console()
-    for number, table in enumerate(tables):
-        if number:
-            print()
-        if console.is_terminal:
-            console.print(table)
-        else:
-            print(table)
+    """Prints tables on stdout with a blank line between them."""
+    print(*tables, sep="\n\n")
 
 
 @contextmanager

@@ -277,14 +277,3 @@ def software_versions() -> tuple[str, ...]:
             found.append(f"{name} {version(name)}")
     made = provenance()
     return (*found, f"date {made['date']}", f"source_digest {made['source_digest']}")
-
-
-def check_memory(what: str, size: int) -> None:
-    """Raises ValueError when `size` bytes for `what` are more than available."""
-    lines = Path("/proc/meminfo").read_text().splitlines()
-    available = 1024 * next(int(line.split()[1]) for line in lines if "MemAvailable" in line)
-    if size > available:
-        raise ValueError(
-            f"{what}: would take about {size / 1e9:.3g} GB of memory; {available / 1e9:.3g} GB "
-            f"are available"
-        )

@@ -65,14 +65,7 @@ from drake_oa.regulation.proposals import (
     rows_of,
     terms_of,
 )
-from drake_oa.robot.arm import (
-    FARTHEST,
-    Chain,
-    Spheres,
-    inverse_kinematics,
-    nearest_free_place,
-    tool_poses,
-)
+from drake_oa.robot.arm import Chain, Spheres, inverse_kinematics, tool_poses
 
 _LED = 201
 """Samples by which the arm is led along a motion."""
@@ -453,18 +446,13 @@ class MotionSearch:
         return np.append(end[:9], sight.p_WG), first
 
     def _no_goal(self, sight: Sight) -> str:
-        """Returns a note on the obstacle at the goal, and the nearest free place."""
+        """Names the obstacle that the arm would touch at the goal; "" if it cannot be there."""
         X_WG, first = self._goal(sight)
         at_goal = inverse_kinematics(self._chain, X_WG, first, seeds=4)
         if not len(at_goal):
             return ""
-        free = nearest_free_place(self._chain, X_WG, at_goal[0], lambda q: self._is_free(sight, q))
         touched = self._nearest(sight, self._distances(sight, at_goal[:1]))
-        note = f"at its goal the arm would touch {touched}; "
-        if free is None:
-            return f"{note}the tool has no free place within {FARTHEST:g} m"
-        place = ", ".join(f"{value:.3f}" for value in free)
-        return f"{note}the tool's nearest free place is [{place}] m"
+        return f"at its goal the arm would touch {touched}"
 
     def _planned(self, here: SelectedMotion, sight: Sight) -> tuple[SelectedMotion | None, bool]:
         """Plans a path in the joints, for the whole requested clearance or a share of it.

@@ -15,7 +15,6 @@ square of the error (T. Sugihara, 2011).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +24,6 @@ from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
 
 from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.common.thinking import count
-from drake_oa.geometry.directions import DIRECTIONS
 
 PULL = 20.0
 """How fast the null space is drawn to the guiding posture: what is left of the way to it falls to
@@ -43,10 +40,6 @@ _OFF_PATH = 5e-3
 """Error at which a path counts as not followed [m, rad]."""
 _SAME = 0.1
 """Configurations are the same whose joints all differ by less [rad]."""
-FARTHEST = 0.3
-"""Largest distance at which a free pose is sought instead of an occupied one [m]."""
-_SHELL = 0.01
-"""Distance between the shells in which it is sought [m]."""
 
 
 class Chain(NamedTuple):
@@ -513,31 +506,3 @@ def solve_tool_pose(
     reach(drawn, target, chain, near, 1.0)
     q[chain.q_index] = drawn[0] if reach(drawn, target, chain, near, 0.0)[0] <= _NEAR else found[0]
     return q
-
-
-def nearest_free_place(
-    chain: Chain, X_WE: FloatArray, near: FloatArray, is_free: Callable[[FloatArray], bool]
-) -> FloatArray | None:
-    """Where the tool, turned as in a pose, can be nearest to it, in `DIRECTIONS` from there.
-
-    Args:
-        chain: the arm.
-        X_WE: (12,) the pose: rotation, row by row, and position [m].
-        near: (n,) joints to begin with [rad].
-        is_free: whether a posture (n,) will do.
-
-    Returns:
-        (3,) the place [m]; None: there is none within `FARTHEST`.
-    """
-
-    def held(distance: float, direction: FloatArray) -> bool:
-        target = np.append(X_WE[:9], X_WE[9:] + distance * direction)
-        postures = inverse_kinematics(chain, target, near, seeds=4)
-        count(configurations=len(postures))
-        return any(map(is_free, postures))
-
-    for distance in np.arange(_SHELL, FARTHEST, _SHELL):
-        for direction in DIRECTIONS:
-            if held(distance, direction):
-                return np.asarray(X_WE[9:] + distance * direction)
-    return None

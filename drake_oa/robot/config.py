@@ -73,7 +73,7 @@ class BasePose:
 
 @dataclass(config=BLOCK)
 class SphereParameters:
-    """Accuracy of the spheres that cover the robot, and selection of self-collision pairs."""
+    """Accuracy of the spheres that cover the robot."""
 
     overshoot: float = Field(default=0.003, gt=0.0, le=0.1)
     """Distance by which spheres of the links exceed the links' surface, approximately [m]. Raising
@@ -84,11 +84,6 @@ class SphereParameters:
     fixed_overshoot: float = Field(default=0.02, gt=0.0, le=0.1)
     """The distance `overshoot` for bodies that no joint moves [m]. Raising it needs fewer spheres
     and makes those bodies thicker."""
-    postures: int = Field(default=2000, ge=1, le=1_000_000)
-    """Number of random configurations in which pairs of bodies that may collide are found [1].
-    Raising it finds rare pairs and takes longer."""
-    seed: int = Field(default=0, ge=0, le=2**31)
-    """Seed of the random configurations [1]."""
 
 
 @dataclass(config=BLOCK)

@@ -32,8 +32,10 @@ _ROUNDED = 1e-9
 """Added to bounding spheres [m]."""
 _CLUSTER = 8
 """Spheres of a cluster at most."""
-_LOW, _FEW = 0.05, 30
-"""What of the postures is not most of them, and how many tell too little."""
+_POSTURES = 2000
+"""Number of random postures in which pairs of bodies that may touch are found."""
+_LOW = 0.05
+"""Share of the postures that is disregarded where most of them count."""
 _MOST = 200
 """Most spheres of a body; where more are needed they stick out farther."""
 _BALL_STEPS = 300
@@ -93,22 +95,14 @@ def make_arm_spheres(
         parameters: how near the spheres fit.
 
     Raises:
-        ValueError: for a robot without collision geometry on what its joints move, a joint
-            between base and tool that is not revolute, none at all, a shape that is not
-            bounded, names that are not of bodies.
+        ValueError: for a robot without collision geometry on the links that its joints move, a
+            joint between base and tool that is not revolute, a shape that is not bounded.
     """
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     joints = joints_to(plant, robot.tool_frame)
-    tool = robot.tool_frame.body()
-    if not joints:
-        raise ValueError(
-            f"no joint moves '{tool.name()}', which carries the tool frame; there must be "
-            "revolute joints between the base and the tool"
-        )
     moved = moved_by(plant, joints)
     # Of all model instances: a gripper may be one of its own. Body 0 is the world.
     everything = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]
-    names = [body.name() for body in everything]
     bodies = [body for body in everything if plant.GetCollisionGeometriesForBody(body)]
     bodies.sort(key=lambda body: (moved.get(body.index(), -1), int(body.index())))
     joint = np.array([moved.get(body.index(), -1) for body in bodies], dtype=np.int64)
@@ -118,9 +112,6 @@ def make_arm_spheres(
             f"none of the links that the joints move ({', '.join(links)}) has collision geometry; "
             "the model needs a <collision> of bounded shape on those that are to be kept clear"
         )
-    unknown = sorted(set(tool_links) - set(names))
-    if unknown:
-        raise ValueError(f"tool_links: no body {', '.join(unknown)}; there are {', '.join(names)}")
     group_names = tuple(body.name() for body in bodies)
     is_tool = np.array([name in tool_links for name in group_names])
     geometries = [plant.GetCollisionGeometriesForBody(body) for body in bodies]
@@ -145,7 +136,7 @@ def make_arm_spheres(
         and any(not inspector.CollisionFiltered(a, b) for a in geometries[i] for b in geometries[j])
     ]
     arrays = _joined(covers, X_JB, joint, is_tool, pairs)
-    arrays = _with_pairs_found(robot, q, geometries, arrays, parameters)
+    arrays = _with_pairs_found(robot, q, geometries, arrays)
     return ArmSpheres(arrays, group_names, np.array([found.overshoot for found in covers]))
 
 
@@ -212,7 +203,6 @@ def _with_pairs_found(
     q: FloatArray,
     geometries: Sequence[Sequence[GeometryId]],
     spheres: Spheres,
-    parameters: SphereParameters,
 ) -> Spheres:
     """Removes pairs of groups that always touch, and finds how much overlap is harmless.
 
@@ -225,8 +215,7 @@ def _with_pairs_found(
     # Joints without limits, or with those of more than a turn, turn once.
     is_round = ~(chain.upper - chain.lower < 2.0 * np.pi)
     lower, upper = np.where(is_round, -np.pi, chain.lower), np.where(is_round, np.pi, chain.upper)
-    random = np.random.default_rng(parameters.seed)
-    postures = random.uniform(lower, upper, (parameters.postures, len(lower)))
+    postures = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, len(lower)))
     p_WS = sphere_centers(chain, spheres, postures)
     bounds = spheres._replace(joint=spheres.group_joint, p_JS=spheres.bound[:, :3])
     p_WG = sphere_centers(chain, bounds, postures)
@@ -258,7 +247,7 @@ def _with_pairs_found(
             continue
         kept.append(pair)
         slack = (shape_distance - apart[rows])[is_free]
-        is_frequent = len(slack) >= max(_FEW, _OFTEN * len(postures))
+        is_frequent = len(slack) >= _OFTEN * len(postures)
         allowance.append(
             max(0.0, 2.0 * slack.min() - np.quantile(slack, _LOW)) if is_frequent else 0.0
         )

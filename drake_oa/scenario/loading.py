@@ -4,11 +4,9 @@ The YAML text becomes plain data, overrides are merged into them, and pydantic c
 while it builds the `Scenario`; checks that involve several blocks follow.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 from pydrake.common.yaml import yaml_dump
 
@@ -189,19 +187,6 @@ def _absolute(file: Any, base: Path) -> Any:
     if isinstance(file, str) and file and "://" not in file:
         return str(base.absolute() / Path(file).expanduser())
     return file
-
-
-def scenario_files(scenario: Scenario) -> Iterator[Path]:
-    """Yields the files that fields of a scenario name, and those in folders that they name."""
-    stack = [read_yaml(scenario_text(scenario))]
-    while stack:
-        value = stack.pop()
-        if isinstance(value, dict | list):
-            stack += value.values() if isinstance(value, dict) else value
-        elif isinstance(value, str):
-            file = unquote(value.removeprefix("file://")) if value.startswith("file:") else value
-            if os.path.isabs(file) and os.path.exists(file):
-                yield from Path(file).iterdir() if os.path.isdir(file) else [Path(file)]
 
 
 def scenario_text(scenario: Scenario) -> str:

@@ -1,10 +1,9 @@
-"""Tables and progress as a terminal shows them, and plain elsewhere."""
+"""Tables are aligned text, and progress is shown on a terminal."""
 
 import io
 import sys
 
 import pytest
-from rich.console import Console
 
 from drake_oa.common.console import Column, TextTable, progress_bar, show
 
@@ -23,15 +22,7 @@ TABLE = TextTable(
 )
 
 
-def on_terminal(table: TextTable, width: int) -> list[list[str]]:
-    """Words of the lines of a table, without blank lines."""
-    screen = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    with screen.capture() as captured:
-        screen.print(table)
-    return [line.split() for line in captured.get().splitlines() if line.strip()]
-
-
-def test_elsewhere_a_table_is_aligned_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_is_aligned_text(capsys: pytest.CaptureFixture[str]) -> None:
     columns = [Column("first", ""), Column("second", "")]
     show(TABLE, TextTable(columns, [{"first": "x " * 500, "second": 1}], transposed=True))
     table, long = capsys.readouterr().out.split("\n\n")
@@ -42,14 +33,6 @@ def test_elsewhere_a_table_is_aligned_text(capsys: pytest.CaptureFixture[str]) -
         "note: all",
     ]
     assert [line.strip() for line in long.splitlines()] == [("x " * 500).strip(), "1"]
-
-
-def test_on_a_terminal_it_is_ruled_and_fits() -> None:
-    heading, rule, *rows, note = on_terminal(TABLE, 60)
-    assert heading == ["method", "goal", "error", "[mm]", "scenes", "note"]
-    assert set(rule[0]) == {"─"}
-    assert [row[0] for row in rows] == ["paper", "verified"]
-    assert note == ["note:", "all"]
 
 
 def test_progress_is_for_terminals(

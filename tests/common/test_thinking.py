@@ -109,20 +109,6 @@ def test_a_decision_is_in_force_when_its_work_is_done() -> None:
     assert bench.at(0.16).tau == 1.2
 
 
-def test_one_decision_is_made_after_the_other() -> None:
-    # 0.25 s: longer than two periods.
-    search = Scripted(12, *choices(1.1, 1.2))
-    bench = Bench(search)
-    assert bench.at(0.245).tau == 0.0
-    assert len(search.asked) == 1
-    assert bench.at(0.26).tau == 1.1
-    assert bench.at(0.31).tau == 1.1
-    assert len(search.asked) == 2
-    assert search.asked[1].command.tau == 1.1
-    assert bench.decision == pytest.approx([0.301, 0.25])
-    assert bench.at(0.57).tau == 1.2
-
-
 def test_without_a_cost_a_decision_is_in_force_at_once() -> None:
     bench = Bench(Scripted(12, *choices(1.1, 1.2)), thinking=None)
     bench.simulator.Initialize()
@@ -149,9 +135,3 @@ def test_a_decision_that_no_longer_fits_is_dropped(what: str) -> None:
     assert bench.at(0.245).tau == 1.1
     assert search.asked[2].command.tau == 1.1
     assert bench.at(0.27).tau == 1.3
-
-
-def test_a_motion_that_goes_on_again_does_not_begin_anew() -> None:
-    bench = Bench(Scripted(2, choice(1.1), choice(1.2).changed(command={"restart": True})))
-    assert [bench.at(number * STEP + 1e-6).anew for number in range(14, 19)] == [False] * 5
-    assert bench.at(0.19).tau == 1.1

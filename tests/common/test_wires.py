@@ -29,20 +29,6 @@ def value(diagram: Diagram, name: str) -> float:
     return float(diagram.GetOutputPort(name).Eval(context)[0])
 
 
-@pytest.mark.parametrize("reader_first", [False, True])
-def test_the_order_of_adding_does_not_matter(wires: Wires, reader_first: bool) -> None:
-    def add(which: bool) -> None:
-        if which:
-            wires.add("out", PassThrough(1), reads={"u": "x"}, offers={"y": "seen"})
-        else:
-            wires.add("in", source(3.0), offers={"y0": "x"})
-
-    add(reader_first)
-    add(not reader_first)
-    wires.export("seen")
-    assert value(built(wires), "seen") == 3.0
-
-
 def test_what_is_put_between_changes_what_all_read(wires: Wires) -> None:
     wires.add("reader", PassThrough(1), reads={"u": "x"}, offers={"y": "read"})
     wires.interpose("x", "twice", Gain(2.0, 1))

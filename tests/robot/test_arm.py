@@ -17,9 +17,7 @@ from drake_oa.robot.arm import (
     inverse_kinematics,
     joint_margins,
     make_chain,
-    nearest_free_place,
     pose_error,
-    reach,
     scratch,
     solve_tool_pose,
     tool_poses,
@@ -83,16 +81,6 @@ def test_the_error_is_the_largest_of_way_and_turn(panda_chain: Chain, seed: int)
     assert largest == pytest.approx(np.abs(e).max())
 
 
-@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, -1], [0.6, 0, 0.8]])
-def test_half_a_turn_is_an_error_that_is_left(panda_chain: Chain, axis: list[float]) -> None:
-    X_WE = pose(panda_chain, HOME)
-    target = shifted(X_WE, np.zeros(3), np.pi * np.array(axis))
-    assert pose_error(np.array([X_WE]), target, np.empty(6)) > 0.9
-    q = HOME[None].copy()
-    q[0, 6] -= np.pi * np.sign(q[0, 6])
-    assert reach(q, X_WE, panda_chain, HOME, 0.0)[0] < 0.9
-
-
 @settings(max_examples=30)
 @given(seed=SEEDS)
 def test_a_path_is_followed(panda_chain: Chain, six_chain: Chain, seed: int) -> None:
@@ -109,18 +97,13 @@ def test_a_path_is_followed(panda_chain: Chain, six_chain: Chain, seed: int) -> 
         np.testing.assert_allclose(margin, expected, atol=1e-9)
 
 
-def test_the_null_space_is_drawn_to_the_guide_and_led_along_it(panda_chain: Chain) -> None:
+def test_the_null_space_is_drawn_to_the_guide(panda_chain: Chain) -> None:
     """The tool stands; only the elbow of seven joints can swing then."""
     targets = np.tile(pose(panda_chain, HOME), (60, 1))
     guide = HOME + [0.5, 0.2, -0.5, 0.0, 0.0, 0.0, 0.0]
     way, errors = tracked(panda_chain, HOME, targets, guide)
     assert errors.max() < 2e-3
     assert np.linalg.norm(way[-1] - guide) < np.linalg.norm(HOME - guide) - 0.1
-    back, errors = tracked(panda_chain, way[-1], targets, HOME)
-    assert errors.max() < 2e-3
-    np.testing.assert_allclose(back[-1], HOME, atol=0.01)
-    still, _ = tracked(panda_chain, HOME, targets, guide, 0.0)
-    np.testing.assert_allclose(still[-1], HOME, atol=1e-9)
     led, errors = tracked(panda_chain, way[0], targets, way)
     assert errors.max() < 1e-4
     np.testing.assert_allclose(led, way, atol=2e-3)
@@ -184,17 +167,3 @@ def test_a_tool_pose_is_solved_near_the_seed(panda: RobotPlant, panda_chain: Cha
     assert np.linalg.norm(samples - HOME, axis=1).min() > np.linalg.norm(q[:7] - HOME) - 1e-6
     with pytest.raises(ValueError, match=r"out of reach: tool_point cannot be at \[1\.2, "):
         solve_tool_pose(panda.plant, tool, RigidTransform(down, [1.2, 0.0, 0.3]), seed)
-
-
-def test_the_nearest_free_place_is_the_one_that_is_free_and_near(panda_chain: Chain) -> None:
-    X_WE = pose(panda_chain, HOME)
-    wall = X_WE[9] - 0.049
-
-    def is_free(q: FloatArray) -> bool:
-        return bool(pose(panda_chain, q)[9] < wall)
-
-    found = nearest_free_place(panda_chain, X_WE, HOME, is_free)
-    assert found is not None
-    np.testing.assert_allclose(found[1:], X_WE[10:], atol=1e-9)
-    assert wall - 0.011 <= found[0] < wall
-    assert nearest_free_place(panda_chain, X_WE, HOME, lambda q: False) is None

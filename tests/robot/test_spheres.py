@@ -25,7 +25,7 @@ from drake_oa.robot.plant import (
 from drake_oa.robot.sphere_cover import SHIPPED, cover, cover_key, known_cover
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres, sphere_centers
 
-COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03, postures=200)
+COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
 
 
@@ -231,7 +231,7 @@ def test_six_joints_and_a_base_that_leans(tmp_path: Path) -> None:
     check_against_scene_graph(robot, np.zeros(6), found, 5, 15)
     assert [0, 6] in found.arrays.pairs.tolist()
     # Spheres so coarse that links overlap which are kept apart by the one between them.
-    coarse = SphereParameters(overshoot=0.05, tool_overshoot=0.05, postures=1000)
+    coarse = SphereParameters(overshoot=0.05, tool_overshoot=0.05)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
     assert (found.arrays.allowance > 0.0).any()
     # Also in postures that were not drawn.
@@ -253,5 +253,3 @@ def test_robots_that_cannot_be_served_are_refused(tmp_path: Path) -> None:
         make_arm_spheres(
             arm_of_links(tmp_path / "b.urdf", collision=False), np.zeros(6), [], COARSE
         )
-    with pytest.raises(ValueError, match="no joint moves 'link2'"):
-        make_arm_spheres(arm_of_links(tmp_path / "f.urdf", "ff"), np.zeros(0), [], COARSE)

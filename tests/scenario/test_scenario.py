@@ -29,13 +29,6 @@ def test_defaults_are_a_valid_scenario() -> None:
     assert isinstance(scenario.perception, GroundTruth)
 
 
-def test_noise_is_changed_or_left_out() -> None:
-    assert load_scenario("tabletop_box", ["perception.noise=null"]).perception.noise is None
-    changed = load_scenario("tabletop_box", ["perception.noise={far: 3.0, shadows: false}"])
-    assert changed.perception.noise == CameraNoise(far=3.0, shadows=False)
-    assert load_scenario("tabletop_box", ["perception=!DepthCamera {}"]).perception.noise is None
-
-
 def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:
     assert isinstance(parse_scenario("{}").regulation, Verified)
     # Without a tag it is the default one.
@@ -44,12 +37,6 @@ def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:
     paper = load_scenario("free_space", ["regulation=!Paper {}"])
     assert isinstance(paper.regulation, Paper)
     assert isinstance(parse_scenario(scenario_text(paper)).regulation, Paper)
-
-
-def test_override_replaces_one_field() -> None:
-    scenario = load_scenario("tabletop_box", ["task.clearance=0.1", "seed=7"])
-    assert scenario.task.clearance == 0.1
-    assert scenario.seed == 7
 
 
 TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamera"
@@ -157,19 +144,6 @@ def test_an_override_that_is_none_is_named(override: str, said: str) -> None:
         load_scenario("tabletop_box", [override])
     assert override.partition("=")[0] in str(error.value)
     assert said in str(error.value)
-
-
-def test_blocks_of_drake_are_read_with_their_tags() -> None:
-    scenario = parse_scenario(
-        """
-        cameras:
-        - focal: !FovDegrees {x: 58.0}
-          renderer_class: !RenderEngineVtkParams {}
-          X_PB: {translation: !GaussianVector {mean: [1, 2, 3], stddev: [0, 0, 0]}}
-        - {name: other, center_x: null, renderer_class: RenderEngineVtk}
-        """
-    )
-    assert [camera.name for camera in scenario.cameras] == ["preview_camera", "other"]
 
 
 FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.proposals=f"]

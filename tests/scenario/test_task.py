@@ -1,7 +1,5 @@
 """Positions of a goal that is moved."""
 
-from dataclasses import replace
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,20 +12,6 @@ tasks = st.lists(
     max_size=4,
     unique_by=lambda m: m[0],
 ).map(lambda moves: Task(goal_moves=[list(move) for move in sorted(moves)]))
-
-
-def test_a_goal_stays_until_it_is_moved() -> None:
-    task = Task(goal=[0.1, 0.2, 0.3], goal_moves=[[1.0, 0.4, 0.2, 0.3], [2.0, 0.4, 0.2, 0.5]])
-    for time, goal in (
-        (0.0, [0.1, 0.2, 0.3]),
-        (0.999, [0.1, 0.2, 0.3]),
-        (1.0, [0.4, 0.2, 0.3]),
-        (2.0, [0.4, 0.2, 0.5]),
-        (99.0, [0.4, 0.2, 0.5]),
-    ):
-        np.testing.assert_array_equal(goal_at(task, time), goal)
-    assert last_move(task) == 2.0
-    assert last_move(replace(task, goal_moves=[])) == 0.0
 
 
 @given(tasks, st.floats(0.0, 20.0))

@@ -14,12 +14,11 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.motion import make_dmp, make_orientation_integrator
 from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.dmp import goal_vector, orientation_along
-from drake_oa.robot.plant import make_robot_plant, tool_corners
+from drake_oa.robot.plant import tool_corners
 from drake_oa.scenario.demonstration import demonstrated_orientation
 from drake_oa.scenario.end_poses import (
     end_rotations,
     held_robots,
-    start_positions,
     tool_orientation,
 )
 from drake_oa.scenario.loading import load_scenario
@@ -90,7 +89,7 @@ def test_a_demonstration_tells_start_goal_and_way(kind: str, tmp_path: Path) -> 
     # And between other ends, what the scenario asks for.
     other = tool_orientation(scenario(shown(tmp_path, R=R), "task.rpy_goal=[3.0, 0.0, 0.5]"))
     assert other is not None
-    np.testing.assert_allclose(other.R_WS, R[0], atol=1e-12)
+    np.testing.assert_allclose(other.R_WS, R[0], atol=1e-5)
     np.testing.assert_allclose(other.R_WG, matrix([3.0, 0.0, 0.5]), atol=1e-12)
 
 
@@ -125,18 +124,6 @@ def test_what_does_not_go_together_is_refused() -> None:
         tool_orientation(half)
     with pytest.raises(ScenarioError, match=r"task\.rpy_start: needs a robot"):
         tool_orientation(load_scenario("free_space", ["task.rpy_start=[0, 0, 0]"]))
-
-
-def test_the_robot_starts_as_the_tool_is_to_be_held() -> None:
-    tilted = scenario("task.rpy_start=[2.8, 0.1, 1.2]")
-    assert tilted.robot is not None
-    robot_plant = make_robot_plant(tilted.robot)
-    q = start_positions(tilted)
-    context = robot_plant.plant.CreateDefaultContext()
-    robot_plant.plant.SetPositions(context, q)
-    X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
-    np.testing.assert_allclose(X_WE.rotation().matrix(), matrix([2.8, 0.1, 1.2]), atol=1e-5)
-    np.testing.assert_allclose(X_WE.translation(), tilted.task.start, atol=1e-5)
 
 
 def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> None:
