@@ -1,4 +1,4 @@
-"""Decorators of compiled functions, the place of what they compile, and threads for all cores."""
+"""Decorators of compiled functions, the place of their code, and threads for all cores."""
 
 from __future__ import annotations
 
@@ -92,16 +92,16 @@ numba.config.CACHE_LOCATOR_CLASSES = ",".join(
 # Said for each: one that says nothing of fastmath takes its caller's, if that is the first to
 # have it compiled, and the cache then hands it to everyone, where 0 * inf may be anything.
 compiled = njit(cache=True, error_model="numpy", fastmath=False, _nrt=True)
-"""As `numba.njit`: kept on disk, division by zero as NumPy has it, and no liberties."""
+"""Decorator like `numba.njit`: kept on disk, division by zero as in NumPy, strict arithmetic."""
 
 leaf = njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)
-"""As `compiled`, for what allocates nothing: references to its arrays are not counted.
+"""Decorator like `compiled` for functions that allocate nothing: no counts of references.
 
 Counting them takes 10 ns an array and call, more than a short kernel that is given many.
 """
 
 parted = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-"""As `compiled`, for the parts that `on_cores` runs beside each other."""
+"""Decorator like `compiled` for the parts that `on_cores` runs in parallel."""
 
 
 @cache

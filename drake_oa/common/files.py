@@ -214,7 +214,7 @@ def saved_figure(path: Path, width: float, height: float, title: str = "") -> It
 
 
 def user_cache(name: str) -> Path:
-    """A folder of the user's for what is made once and can be made again; it need not be there."""
+    """Returns the folder of the user's cache for a kind of results; it need not exist."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "drake_oa" / name
 
@@ -270,7 +270,7 @@ def provenance() -> dict[str, str]:
 
 
 def software_versions() -> tuple[str, ...]:
-    """ "name value" of what a result depends on: packages, date and source digest."""
+    """Returns "name value" of packages, date and source digest, on which a result depends."""
     found = []
     for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
         with contextlib.suppress(PackageNotFoundError):

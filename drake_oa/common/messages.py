@@ -66,7 +66,7 @@ class TablePlane(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class ObstacleClouds(Frozen):
-    """What a perception source saw at one instant.
+    """Observation of the obstacles at one instant.
 
     Attributes:
         stamp: simulation time at which the scene looked so [s]; -inf before the
@@ -129,7 +129,7 @@ class EllipsoidSet(Frozen):
 
 
 class HoldCause(StrEnum):
-    """What holds the motion, if anything does. Decisions go by it; a note says it in words."""
+    """Reason for which the motion is held, for decisions; a note states it in words."""
 
     NONE = "none"
     DECIDING = "deciding"
@@ -137,14 +137,14 @@ class HoldCause(StrEnum):
     SPEED_SCALE = "speed_scale"
     """The speed is scaled to nothing from outside."""
     SUPERVISOR = "supervisor"
-    """The same, by the supervisor: so told by who sees both."""
+    """The speed is scaled to nothing by the supervisor; set by the monitor of a run."""
     OBSTACLES = "obstacles"
     """They are not seen, in the way, or no way past them is known."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyState(Frozen):
-    """Where the dynamic movement primitive is.
+    """State of the dynamic movement primitive.
 
     Attributes:
         p_WE: (3,) position of the end effector E in the world frame [m].
@@ -256,7 +256,7 @@ class Route(Frozen):
 
 
 OUT_OF_WORLD = 25.0
-"""What is farther from the world's origin counts as absent [m]."""
+"""Distance from the world's origin beyond which a thing counts as absent [m]."""
 
 
 CHAIN, SIDE = 0, 1

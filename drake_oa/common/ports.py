@@ -1,4 +1,4 @@
-"""What systems share: typed abstract inputs, periods, and a robot's model in their Context."""
+"""Helpers of systems: typed abstract inputs, periods, and a robot's model in their Context."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from drake_oa.common.messages import FloatArray
 T = TypeVar("T")
 
 DECISION_OFFSET = 1e-3
-"""How long after the beginning of a period a layer decides [s]: it sees what came just then."""
+"""Delay of a layer's decision after the beginning of a period [s], so that inputs are new."""
 
 
 def read_value(system: LeafSystem, port: InputPort, context: Context, kind: type[T]) -> T:
-    """Evaluates an abstract input port and checks the type of what it holds.
+    """Evaluates an abstract input port and checks the type of its value.
 
     Raises:
         TypeError: naming system, port, the type found and the type expected.
@@ -51,7 +51,7 @@ _ORIGIN = np.zeros(3)
 
 
 class Cell(Generic[T]):
-    """What a cache entry of Python values holds, to be put in without the copy that Drake makes.
+    """Slot of a cache entry for a Python value, which is set without the copy that Drake makes.
 
     Attributes:
         value: changed by nobody, so that clones share it; None before the first.

@@ -1,4 +1,4 @@
-"""Decisions that take time: their work, what it costs, and what is in force meanwhile.
+"""Decisions that take time: their work, its duration, and the decision in force meanwhile.
 
 A clock would make no two runs alike; a count is the same on every machine. `counted` opens an
 account, and what dominates the decisions adds to it by `count`: roll-outs of motions,
@@ -21,7 +21,7 @@ from drake_oa.common.messages import Frozen
 
 @dc.dataclass
 class Work:
-    """What has been done.
+    """Counts of the work of a decision.
 
     Attributes:
         searches: batches of motions that were rolled out.
@@ -63,7 +63,7 @@ _account: ContextVar[Work | None] = ContextVar("work", default=None)
 
 @contextmanager
 def counted() -> Iterator[Work]:
-    """An account of what is done inside; one that is open already gets it in the end."""
+    """Opens an account of the work in the block, which an outer account receives, too."""
     work = Work()
     token = _account.set(work)
     try:
@@ -86,7 +86,7 @@ T = TypeVar("T")
 
 @dc.dataclass(frozen=True, eq=False)
 class Thoughts(Frozen, Generic[T]):
-    """What one core has decided, and is deciding: it makes one decision after the other.
+    """Decision in force and decision being made; one core makes one after the other.
 
     A decision is computed when it begins, from what is known then, and is in force from
     `due` on; until then what was in force stays so.
@@ -138,5 +138,5 @@ class Thoughts(Frozen, Generic[T]):
 
     @property
     def last(self) -> tuple[float, float]:
-        """When the last decision began, and what it costs [s]; for a port of size 2."""
+        """Begin and duration of the last decision [s], for a port of size 2."""
         return (self.begun, self.cost)

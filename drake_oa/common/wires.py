@@ -185,7 +185,7 @@ class Wires:
         return self._source(signal) is not None
 
     def connect(self) -> None:
-        """Adds the systems to the builder and connects what reads a signal to its source.
+        """Adds the systems to the builder and connects the readers of signals to their sources.
 
         Raises:
             ValueError: if a system is put behind a signal that nobody offers.

@@ -163,7 +163,7 @@ class SharedMotion(ctypes.Structure):
         return row[:ARM_JOINTS], row[ARM_JOINTS:]
 
     def set_state(self, state: PlayerState, note: str) -> None:
-        """Sets what the player does, and why."""
+        """Sets the activity of the player and its reason."""
         self._note = note.encode()[: _NOTE - 1]
         self._state = state
 

@@ -106,7 +106,7 @@ class RobotLink:
         self._process.start()
 
     def close(self) -> None:
-        """Brings the arm to rest along what was written, and ends the player."""
+        """Brings the arm to rest along the planned motion, and ends the player."""
         self.motion.end = 1.0
         if self._process is not None:
             self._process.join(timeout=5.0)

@@ -1,4 +1,4 @@
-"""What the robot holds in its gripper: primitive shapes fixed to the hand."""
+"""Grasped object of the robot: primitive shapes fixed to the hand."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _FRICTION = 0.7
 
 
 def carried_links(robot: Robot) -> list[str]:
-    """Names of the bodies that `add_carried` adds, one a shape."""
+    """Returns the names of the bodies that `add_carried` adds, one a shape."""
     return [f"carried{row}" for row in range(len(robot.carried))]
 
 
 def tool_links(robot: Robot) -> list[str]:
-    """The bodies that make up the tool: those of the model, and what is carried."""
+    """Returns the names of the tool's bodies: those of the model, and the grasped object's."""
     return [*robot.tool_links, *carried_links(robot)]
 
 
@@ -51,7 +51,7 @@ def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robo
 
 
 def part_carried(plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | None) -> None:
-    """Lets what is held and the tool that holds it pass through one another.
+    """Excludes contacts between the grasped object and the tool.
 
     Args:
         plant: finalized, with `robot.carried`.

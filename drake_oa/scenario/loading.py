@@ -151,7 +151,7 @@ def _fault_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
-    """Makes relative file names absolute, those of models URLs; URLs, and what is no text, stay.
+    """Makes relative file names absolute, those of models URLs; URLs and other values stay.
 
     Where a list of files is asked for, one alone stands for a list of it, and "" for none.
     """

@@ -100,7 +100,7 @@ def obstacle_problems(obstacles: Sequence[Obstacle]) -> Iterator[str]:
 
 
 ABSENT_HEIGHT = 50.0
-"""How far above its place an obstacle waits while it is absent [m]: out of any camera's sight."""
+"""Height above its place of an obstacle that is absent [m]: out of any camera's sight."""
 
 
 _ROUNDING = 1e-9  # of a time [s]
@@ -115,7 +115,7 @@ def is_present(present: Sequence[float], time: float) -> bool:
 
 
 def offset_at(waypoints: FloatArray, time: float, present: Sequence[float] = ()) -> FloatArray:
-    """Where a course is: straight and at a constant speed between waypoints, at rest outside.
+    """Interpolates a course: straight and at constant speed between waypoints, at rest outside.
 
     Args:
         waypoints: (N, 4) rows t, x, y, z with increasing t [s, m]; (0, 4): it stays.

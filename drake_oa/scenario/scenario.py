@@ -33,7 +33,7 @@ from drake_oa.scenario.task import Task
 
 Layer = Literal["perception", "descriptor", "decision", "motion"]
 LAYERS = typing.get_args(Layer)
-"""What a viewer draws, as folders of its scene tree: clouds and cameras; ellipsoids and their
+"""Layers of a viewer, as folders of its scene tree: clouds and cameras; ellipsoids and their
 sections; cost rings and chosen sides; planned and executed path."""
 
 

@@ -1,4 +1,4 @@
-"""What comes with the package: files of scenarios and models, and what scenarios say they are."""
+"""Scenarios of the package: their files, descriptions and required packages."""
 
 from importlib import resources
 from pathlib import Path

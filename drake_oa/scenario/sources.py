@@ -1,4 +1,4 @@
-"""What follows from a scenario's perception block and the task: periods, margins, given things."""
+"""Values that follow from a scenario's perception block: periods, margins, given ellipsoids."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 _SURFACE_GAP = 0.01
-"""How far a link may come into a surface between the points that ground truth has of it [m]."""
+"""Maximum depth of a link in a surface between the points that ground truth has of it [m]."""
 
 
 _GIVEN_PERIOD = 1.0 / 15.0
@@ -24,14 +24,14 @@ _ODD = 0x9E3779B97F4A7C15
 
 
 def noise_seed(scenario: Scenario, camera: str) -> int:
-    """Of the noise of a camera that perception sees by; of the first one the scenario's own."""
+    """Returns the seed of a camera's noise; that of the first camera is the scenario's."""
     source = scenario.perception
     row = source.names.index(camera) if isinstance(source, CameraSource) else 0
     return (scenario.seed + row * _ODD) % 2**63
 
 
 def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfig]:
-    """Of the cameras that perception sees by, in its order."""
+    """Returns the configurations of the cameras of perception, in its order."""
     named = {config.name: config for config in scenario.cameras}
     return [named[name] for name in source.names]
 
@@ -76,7 +76,7 @@ def perception_period(scenario: Scenario) -> float:
 
 
 def padding(source: object) -> float:
-    """How far an obstacle's surface may lie outside the points that are seen of it [m]."""
+    """Returns the maximum distance of an obstacle's surface outside its observed points [m]."""
     if isinstance(source, (CameraSource, RecordedClouds)):
         return 0.5 * source.segmentation.voxel
     return _SURFACE_GAP

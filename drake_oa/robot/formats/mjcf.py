@@ -1,4 +1,4 @@
-"""MJCF of an arm as Drake reads it: classes with what they inherit, motors, a base without weld.
+"""MJCF of an arm as Drake reads it: complete classes, motors, a base without weld.
 
 Drake's parser knows what a default class states itself, not what it inherits; it reads meshes as
 .obj, of actuators motors alone, and welds the base to the world where it is.
@@ -62,7 +62,7 @@ def change_mjcf(root: Element, find: Callable[[str], Path]) -> None:
 
 
 def _inherit(default: Element, above: dict[str, dict[str, str]]) -> None:
-    """Writes what a default class inherits, attributes by tag, into it and those inside it."""
+    """Writes inherited attributes, by tag, into a default class and those inside it."""
     for tag, inherited in above.items():
         part = default.find(tag)
         if part is None:

@@ -48,7 +48,7 @@ def add_installed_package(packages: PackageMap, url: str, field: str = "robot.mo
 
 
 def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
-    """Returns the root of a URDF or MJCF, changed to what Drake reads; None for an SDF.
+    """Returns the root of a URDF or MJCF, changed so that Drake reads it; None for an SDF.
 
     Raises:
         ScenarioError: for a mesh that cannot be read, a wrong value, or a file that is no XML.
