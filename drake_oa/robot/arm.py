@@ -26,8 +26,8 @@ from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 PULL = 20.0
-"""Rate at which the null space is drawn to the guiding posture: the distance to it falls to 1 / e in
-1 / 20 of the motion."""
+"""Rate at which the null space is drawn to the guiding posture: the distance to it falls to
+1 / e in 1 / 20 of the motion."""
 _DRAWN, _LANDED = 1e-4, 1e-7
 """Damping of the two steps [m^2]: at 1e-4 a singular arm moves a joint by 1 rad for 1 cm."""
 _LANDINGS, _MISSED = 4, 1e-4

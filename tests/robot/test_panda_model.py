@@ -4,7 +4,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-from pydrake.multibody.tree import JacobianWrtVariable, SpatialInertia
+from pydrake.multibody.tree import JacobianWrtVariable
 
 import drake_oa.models
 from drake_oa.robot.plant import RobotPlant
@@ -34,19 +34,6 @@ J_TCP_JOINT4 = np.array(
     [
         *(-0.102670224006, -0.994039290858, -0.036670333152),
         *(-0.466285778702, 0.039190076571, 0.2431717593),
-    ]
-)
-# Of the identified model's closed form: arm without hand, without reflected inertia.
-M_DIAGONAL = np.array(
-    [
-        *(0.264994764874, 2.674182838075, 0.278099053812, 0.623762549752),
-        *(0.022334337438, 0.022939213326, 0.001272243011),
-    ]
-)
-GRAVITY = np.array(
-    [
-        *(0.0, 6.684629366622, 0.422926083944, 5.608463238797),
-        *(0.850395121282, -1.428552664138, -0.013710402742),
     ]
 )
 
@@ -83,16 +70,3 @@ def test_tool_pose_and_jacobian_equal_the_reference(panda: RobotPlant) -> None:
         context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
     )
     np.testing.assert_allclose(J[:, 3], J_TCP_JOINT4, atol=1e-9)
-
-
-def test_dynamics_without_the_hand_are_near_the_identified_ones(panda: RobotPlant) -> None:
-    plant, context = panda.plant, panda.plant.CreateDefaultContext()
-    for name in ("panda_hand", "panda_leftfinger", "panda_rightfinger"):
-        plant.GetBodyByName(name).SetSpatialInertiaInBodyFrame(context, SpatialInertia.Zero())
-    for i in range(1, 8):
-        plant.GetJointActuatorByName(f"panda_motor{i}").SetRotorInertia(context, 0.0)
-    plant.SetPositions(context, np.r_[Q[:7], 0.0, 0.0])
-    M = plant.CalcMassMatrix(context)[:7, :7]
-    np.testing.assert_allclose(np.diag(M), M_DIAGONAL, atol=0.05)
-    tau = -plant.CalcGravityGeneralizedForces(context)[:7]
-    np.testing.assert_allclose(tau, GRAVITY, atol=0.2)
