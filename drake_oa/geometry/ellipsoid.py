@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
+from scipy.spatial.distance import cdist
 
 from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen
@@ -224,16 +225,13 @@ def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLi
         e2: (..., 3) unit vector in W perpendicular to it.
     """
     U = np.stack([e1, e2], axis=-2)
-    S = section_matrix(R, semi_axes, U)
-    s11, s12, s22 = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
-    half, determinant = 0.5 * (s11 - s22), s11 * s22 - s12 * s12
-    big = 0.5 * (s11 + s22) + np.hypot(half, s12)
-    # The product of the eigenvalues keeps the small one exact for flat sections.
-    first = np.where(half >= 0.0, big, determinant / big)
-    angle = 0.5 * np.arctan2(np.where(half >= 0.0, s12, -s12), np.abs(half))
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
-    return Section(np.stack([first, determinant / first], axis=-1) ** -0.5, turn @ U)
+    value, V = np.linalg.eigh(section_matrix(R, semi_axes, U))
+    # Of the rows of V^T, the one nearer to e1 comes first.
+    swapped = np.abs(V[..., 0, 0]) < np.abs(V[..., 0, 1])
+    value = np.where(swapped[..., None], value[..., ::-1], value)
+    turn = np.swapaxes(np.where(swapped[..., None, None], V[..., ::-1], V), -1, -2)
+    sign = np.where(turn[..., :1, :1] < 0.0, -1.0, 1.0)
+    return Section(value**-0.5, sign * turn @ U)
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:
@@ -303,5 +301,11 @@ def _farthest(
     points: FloatArray, tool: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> tuple[float, int, int]:
     """Largest gauge of points - tool, and the rows where it is."""
-    value, i, j = kernels.farthest_pair((points - center) @ R / semi_axes, tool @ R / semi_axes)
-    return float(np.sqrt(value)), int(i), int(j)
+    y, s = (points - center) @ R / semi_axes, tool @ R / semi_axes
+    length = np.linalg.norm(y, axis=1)
+    # By the triangle inequality shorter rows do not matter; the margin is for rounding.
+    least = cdist(y[[length.argmax()]], s).max() - np.linalg.norm(s, axis=1).max()
+    rows = np.flatnonzero(length >= least * (1.0 - 1e-12))
+    gauge = cdist(y[rows], s)
+    i, j = divmod(int(gauge.argmax()), len(s))
+    return float(gauge[i, j]), int(rows[i]), j

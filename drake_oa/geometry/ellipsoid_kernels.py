@@ -10,85 +10,50 @@ import math
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled
+from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
 
-_TINY = 1e-150
-"""Ratios below this are zero: their squares would not be normal numbers."""
+_THIN = 1e-9
+"""Minimum coordinate of a point off an ellipsoid's plane of symmetry, by its semi-axis."""
 
 
-@compiled
-def nearest_point(y: FloatArray, e: FloatArray, w: FloatArray, x: FloatArray) -> float:
-    """Point x nearest to y >= 0 on the ellipsoid of semi-axes e, in its own axes.
+@leaf
+def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> tuple[float, float, float, float]:
+    """Signed distance to an ellipsoid and its gradient.
 
-    With k the smallest axis, r_i = (e_i / e_k)^2 and w_i = r_i y_i / e_i, the nearest
-    point is x_i = e_i w_i / (s + r_i - 1), where s >= 0 is the largest root of the
-    secular equation sum_i (w_i / (s + r_i - 1))^2 = 1. Newton's method on the inverse
-    square root of that sum, which is concave, climbs to the root from below.
-
-    Args:
-        y: (3,) non-negative coordinates.
-        e: (3,) positive semi-axes.
-        w: (3,) scratch.
-        x: (3,) the nearest point, written.
-
-    Returns:
-        The signed distance, negative inside.
+    The nearest point is e_i^2 y_i / (s + e_i^2), s the largest root of the secular equation
+    sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013): Newton's method on the inverse square
+    root of the sum, which is concave, climbs to it from below.
     """
-    k = 0
-    for i in range(1, 3):
-        if e[i] < e[k]:
-            k = i
-    # In place of r_i - 1, which would cancel for nearly equal axes.
-    scale = 1.0 / (e[k] * e[k])
-    gap = (
-        (e[0] - e[k]) * (e[0] + e[k]) * scale,
-        (e[1] - e[k]) * (e[1] + e[k]) * scale,
-        (e[2] - e[k]) * (e[2] + e[k]) * scale,
-    )
-    radius2, on_plane, low = 0.0, 0.0, 0.0
-    for i in range(3):
-        z = y[i] / e[i]
-        radius2 += z * z
-        w[i] = e[i] * e[i] * scale * z if z > _TINY else 0.0
-        if w[i] > 0.0:
-            on_plane += (w[i] / (gap[i])) ** 2
-            low = max(low, w[i] - gap[i])
-    s = low
-    if w[k] > 0.0 or on_plane >= 1.0:
-        for _ in range(100):
-            total, slope = 0.0, 0.0
-            for i in range(3):
-                if w[i] > 0.0:
-                    depth = s + gap[i]
-                    term = (w[i] / depth) ** 2
-                    total += term
-                    slope += term / depth
-            step = total * (math.sqrt(total) - 1.0) / slope
-            s += max(step, 0.0)
-            if not step > 2e-16 * s:
-                break
-    else:
-        s = 0.0
-    distance2, rest = 0.0, 1.0
-    for i in range(3):
-        share = w[i] / (s + gap[i]) if w[i] > 0.0 else 0.0
-        x[i] = e[i] * share
-        rest -= share * share
-    if s == 0.0:
-        x[k] = e[k] * math.sqrt(max(rest, 0.0))
-    for i in range(3):
-        distance2 += (y[i] - x[i]) ** 2
-    distance = math.sqrt(distance2)
-    return -distance if radius2 < 1.0 else distance
+    a2, b2, c2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
+    # Off the planes of symmetry, so that the root is the one of the sum.
+    u = e[0] * max(abs(x), _THIN * e[0])
+    v = e[1] * max(abs(y), _THIN * e[1])
+    w = e[2] * max(abs(z), _THIN * e[2])
+    s = max(u - a2, v - b2, w - c2)
+    for _ in range(100):
+        p, q, r = u / (s + a2), v / (s + b2), w / (s + c2)
+        total = p * p + q * q + r * r
+        slope = p * p / (s + a2) + q * q / (s + b2) + r * r / (s + c2)
+        step = total * (math.sqrt(total) - 1.0) / slope
+        s += max(step, 0.0)
+        if not step > 1e-15 * (abs(s) + a2):
+            break
+    p, q, r = e[0] * u / (s + a2), e[1] * v / (s + b2), e[2] * w / (s + c2)
+    gx = math.copysign(p / a2, x)
+    gy = math.copysign(q / b2, y)
+    gz = math.copysign(r / c2, z)
+    size = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
+    p, q, r = p - abs(x), q - abs(y), r - abs(z)
+    d = math.copysign(math.sqrt(p * p + q * q + r * r), s)
+    return d, gx * size, gy * size, gz * size
 
 
 @compiled
 def signed_distances(y: FloatArray, e: FloatArray, distance: FloatArray) -> None:
-    """Writes the signed distances (N,) of points y >= 0 to ellipsoids of semi-axes e, (N, 3)."""
-    w, x = np.empty(3), np.empty(3)
+    """Writes the signed distances (N,) of points y to ellipsoids of semi-axes e, both (N, 3)."""
     for n in range(len(distance)):
-        distance[n] = nearest_point(y[n], e[n], w, x)
+        distance[n] = to_ellipsoid(y[n, 0], y[n, 1], y[n, 2], (e[n, 0], e[n, 1], e[n, 2]))[0]
 
 
 @compiled
@@ -147,34 +112,6 @@ def optimal_weights(
 
 
 @compiled
-def farthest_pair(y: FloatArray, s: FloatArray) -> tuple[float, int, int]:
-    """Largest |y_i - s_j|^2 over rows of y (N, 3) and s (K, 3), with i and j.
-
-    Rows too short to matter, by the triangle inequality, are passed over.
-    """
-    count = y.shape[0]
-    length = np.empty(count)
-    first, reach = 0, 0.0
-    for i in range(count):
-        length[i] = math.sqrt(y[i, 0] ** 2 + y[i, 1] ** 2 + y[i, 2] ** 2)
-        if length[i] > length[first]:
-            first = i
-    for j in range(s.shape[0]):
-        reach = max(reach, math.sqrt(s[j, 0] ** 2 + s[j, 1] ** 2 + s[j, 2] ** 2))
-    best, at_i, at_j = -1.0, 0, 0
-    for n in range(-1, count):
-        i = first if n < 0 else n
-        # The margin is for rounding: no row may be passed over by a last digit.
-        if (length[i] + reach) ** 2 * (1.0 + 1e-12) < best:
-            continue
-        for j in range(s.shape[0]):
-            value = (y[i, 0] - s[j, 0]) ** 2 + (y[i, 1] - s[j, 1]) ** 2 + (y[i, 2] - s[j, 2]) ** 2
-            if value > best:
-                best, at_i, at_j = value, i, j
-    return best, at_i, at_j
-
-
-@compiled
 def tangent_heading(
     p: FloatArray,
     center: FloatArray,
@@ -228,11 +165,11 @@ def tangent_heading(
     psi = 0.5 * math.atan2(2.0 * b12, b11 - b22)
     c, s = math.cos(psi), math.sin(psi)
     a, b = math.sqrt(big), math.sqrt(max((b11 * b22 - b12 * b12) / big, 0.0))
-    y, w, x = np.array([abs(reach * c), abs(reach * s), 0.0]), np.empty(3), np.empty(3)
-    depth = clearance - nearest_point(y, np.array([a, b, a]), w, x)
     # E is at -reach c, reach s in them; a tie goes to the side of omega.
-    g0 = math.copysign(x[0] / a**2, -c if reach * c != 0.0 else s)
-    g1 = math.copysign(x[1] / b**2, s if reach * s != 0.0 else c)
+    away, x, y, _ = to_ellipsoid(abs(reach * c), abs(reach * s), 0.0, (a, b, a))
+    depth = clearance - away
+    g0 = math.copysign(x, -c if reach * c != 0.0 else s)
+    g1 = math.copysign(y, s if reach * s != 0.0 else c)
     phi = math.atan2(-(c * g0 - s * g1), s * g0 + c * g1)
     outward = 0.0
     if depth > 0.0:

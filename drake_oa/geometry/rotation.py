@@ -42,25 +42,13 @@ def rotation_vector(R: FloatArray) -> FloatArray:
     return (angle / norm if sense >= 0.0 else -angle / norm) * axis
 
 
-@compiled
 def rotation_of(quaternion: FloatArray) -> FloatArray:
     """Rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
 
     All NaN where the quaternion is zero or not finite.
     """
-    largest = 0.0
-    for i in range(4):
-        largest = max(largest, abs(quaternion[i]))
-    # Divided by the largest first, no square of a finite number over- or underflows.
-    w, x, y, z = quaternion / largest
-    twice = 2.0 / (w * w + x * x + y * y + z * z)
-    R = np.empty((3, 3))
-    R[0, 0], R[1, 1], R[2, 2] = (
-        1.0 - twice * (y * y + z * z),
-        1.0 - twice * (x * x + z * z),
-        1.0 - twice * (x * x + y * y),
-    )
-    R[0, 1], R[1, 0] = twice * (x * y - w * z), twice * (x * y + w * z)
-    R[0, 2], R[2, 0] = twice * (x * z + w * y), twice * (x * z - w * y)
-    R[1, 2], R[2, 1] = twice * (y * z - w * x), twice * (y * z + w * x)
-    return R
+    with np.errstate(invalid="ignore"):
+        scaled = quaternion / np.abs(quaternion).max()
+        w, x, y, z = scaled / math.sqrt(scaled @ scaled)
+        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.asarray(np.eye(3) + 2.0 * (w * K + K @ K))

@@ -27,6 +27,7 @@ from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
 from drake_oa.geometry.directions import lattice
 from drake_oa.geometry.distance_field import OFFSET, DistanceField
+from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
 PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
@@ -37,8 +38,6 @@ SURROUNDINGS = -1
 
 _TINY = 1e-12
 """A point this near to a solid's inner box or hull has no direction away from it [m]."""
-_THIN = 1e-9
-"""A coordinate within this of an ellipsoid's plane of symmetry, by its semi-axis, counts as it."""
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 CORNERS = lattice(*[(-1.0, 1.0)] * 3)
 """(8, 3) corners of a cube."""
@@ -56,8 +55,7 @@ class Solids(NamedTuple):
             `_interpolated`.
         layout: (K, 6) kind; of a hull its first face and one past the last, of a field where it
             begins among the voxels, and nx, ny, nz; name.
-        faces: (F, 10) unit normal and offset in O; centre and radius of a sphere that holds the
-            face [m]; its first triangle and one past the last.
+        faces: (F, 6) unit normal and offset in O [m]; its first triangle and one past the last.
         triangles: (T, 9) corners a, b, c in O [m].
         voxels: float32 values of all fields [m].
     """
@@ -390,14 +388,9 @@ def solids_of(items: Sequence[Solid]) -> Solids:
             layout[row, 1:5] = cells, *item.grid.values.shape
             grids.append(item.grid)
             cells += item.grid.values.size
-    faces = np.zeros((len(corners), 10))
-    faces[:, :4] = np.concatenate(planes)
-    for row, face in enumerate(corners):
-        points = face.reshape(-1, 3)
-        faces[row, 4:7] = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        faces[row, 7] = np.linalg.norm(points - faces[row, 4:7], axis=1).max()
-    ends = np.cumsum([len(face) for face in corners])
-    faces[1:, 8], faces[:, 9] = ends[:-1], ends
+    ends = np.cumsum([len(face) for face in corners], dtype=float)
+    starts = np.concatenate([[0.0], ends])[: len(ends)]
+    faces = np.column_stack([np.concatenate(planes), starts, ends])
     triangles = np.concatenate([np.zeros((0, 9))] + [face.reshape(-1, 9) for face in corners])
     return Solids(ball, X_WO, size, layout, faces, triangles, _voxels(*grids))
 
@@ -500,27 +493,33 @@ def surface_points(solid: Solid, count: int = 300) -> FloatArray:
     Raises:
         ValueError: for another solid, naming it.
     """
-    if solid.kind == HULL:
-        return _hull_points(solid, count)
-    half, (*inner, radius, is_cylinder) = solid.half_extents, solid.size
-    if solid.kind == ELLIPSOID or not any(inner):
-        return np.asarray(_sphere_points(count) * half)
-    if is_cylinder:
-        return _cylinder_points(half[0], half[2], count)
-    if radius:
-        return _capsule_points(radius, inner[2], count)
-    return _box_points(half, count)
-
-
-def _box_points(half: FloatArray, count: int) -> FloatArray:
-    # As far apart along a long edge as along a short one: nothing slips in between.
-    area = 8.0 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
-    sides = np.maximum(2, np.round(2.0 * half / np.sqrt(area / count)).astype(int) + 1)
-    lines, faces = [np.linspace(-1.0, 1.0, count) for count in sides], []
-    for axis in range(3):
-        of_face = [line[[0, -1]] if k == axis else line for k, line in enumerate(lines)]
-        faces.append(lattice(*of_face))
-    return np.asarray(np.unique(np.concatenate(faces), axis=0) * half)
+    shell = solid
+    if solid.kind != HULL:
+        half, (*inner, radius, is_cylinder) = solid.half_extents, solid.size
+        if solid.kind == ELLIPSOID or not any(inner):
+            return np.asarray(_sphere_points(count) * half)
+        corners = CORNERS * half
+        if is_cylinder or radius:
+            angle = np.arange(24) * (np.pi / 12.0)
+            rim = half[0] * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+            corners = np.concatenate([rim - [0.0, 0.0, inner[2]], rim + [0.0, 0.0, inner[2]]])
+        if radius:
+            caps = radius * _sphere_points(count // 4)
+            caps[:, 2] += np.copysign(inner[2], caps[:, 2])
+            corners = np.concatenate([corners, caps])
+        shell = hull(corners)
+    # The vertices, and points spread over the faces by area.
+    vertices = outline_corners(shell)
+    a, b, c = np.concatenate(shell.corners).swapaxes(0, 1)
+    area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    k = np.arange(max(0, count - len(vertices))) + 0.5
+    chosen = np.searchsorted(area, k / max(1, len(k)) * area[-1])
+    # Low-discrepancy barycentric coordinates, folded into the triangle.
+    s, t = np.mod(k * 0.7548776662466927, 1.0), np.mod(k * 0.5698402909980532, 1.0)
+    fold = s + t > 1.0
+    s, t = np.where(fold, 1.0 - s, s)[:, None], np.where(fold, 1.0 - t, t)[:, None]
+    within = a[chosen] + s * (b - a)[chosen] + t * (c - a)[chosen]
+    return np.concatenate([vertices, within])
 
 
 def _sphere_points(count: int) -> FloatArray:
@@ -530,46 +529,6 @@ def _sphere_points(count: int) -> FloatArray:
     radius, angle = np.sqrt(1.0 - z * z), _GOLDEN_ANGLE * k
     spiral = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
     return np.concatenate([np.eye(3), -np.eye(3), spiral])
-
-
-def _capsule_points(radius: float, half_length: float, count: int) -> FloatArray:
-    """Points on the two caps and on rings of the mantle between them."""
-    caps = _sphere_points(count // 2) * radius
-    caps[:, 2] += np.where(caps[:, 2] >= 0.0, half_length, -half_length)
-    return np.concatenate([caps, _rings(radius, half_length, count // 2)])
-
-
-def _cylinder_points(radius: float, half_length: float, count: int) -> FloatArray:
-    """Rings of the mantle, its rims included, and a spiral on either lid."""
-    k = np.arange(max(4, count // 6))
-    r, angle = radius * np.sqrt(k / len(k)), _GOLDEN_ANGLE * k
-    lid = np.stack([r * np.cos(angle), r * np.sin(angle), np.full(len(k), half_length)], axis=1)
-    return np.concatenate(
-        [_rings(radius, half_length, 2 * count // 3), lid, lid * np.array([1.0, 1.0, -1.0])]
-    )
-
-
-def _rings(radius: float, half_length: float, count: int) -> FloatArray:
-    around = 24 if count >= 48 else count // 2
-    angle = np.arange(around) * (2.0 * np.pi / around)
-    height = np.linspace(-half_length, half_length, max(2, count // around))
-    z, angle = (grid.ravel() for grid in np.meshgrid(height, angle))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-
-
-def _hull_points(solid: Solid, count: int) -> FloatArray:
-    """The hull's vertices and points spread over its faces by area."""
-    vertices = outline_corners(solid)
-    a, b, c = np.concatenate(solid.corners).swapaxes(0, 1)
-    area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    k = np.arange(max(0, count - len(vertices))) + 0.5
-    chosen = np.searchsorted(area, k / max(1, len(k)) * area[-1])
-    # Low-discrepancy barycentric coordinates, folded into the triangle.
-    s, t = np.mod(k * 0.7548776662466927, 1.0), np.mod(k * 0.5698402909980532, 1.0)
-    fold = s + t > 1.0
-    s, t = np.where(fold, 1.0 - s, s)[:, None], np.where(fold, 1.0 - t, t)[:, None]
-    inner = a[chosen] + s * (b - a)[chosen] + t * (c - a)[chosen]
-    return np.concatenate([vertices, inner])
 
 
 @leaf
@@ -606,7 +565,7 @@ def solid_gradient(
     elif kind == HALF_SPACE:
         d, a, b, c = c, 0.0, 0.0, 1.0
     elif kind == ELLIPSOID:
-        d, a, b, c = _to_ellipsoid(a, b, c, size)
+        d, a, b, c = to_ellipsoid(a, b, c, size)
     else:
         d, a, b, c = _to_hull(solids.faces, solids.triangles, span, a, b, c)
     return (
@@ -692,38 +651,6 @@ def _to_primitive(
 
 
 @leaf
-def _to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> tuple[float, float, float, float]:
-    """Signed distance to an ellipsoid and its gradient.
-
-    The nearest point is e_i^2 y_i / (s + e_i^2), s the largest root of the secular equation
-    sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013): Newton's method on the inverse square
-    root of the sum, which is concave, climbs to it from below.
-    """
-    a2, b2, c2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
-    # Off the planes of symmetry, so that the root is the one of the sum.
-    u = e[0] * max(abs(x), _THIN * e[0])
-    v = e[1] * max(abs(y), _THIN * e[1])
-    w = e[2] * max(abs(z), _THIN * e[2])
-    s = max(u - a2, v - b2, w - c2)
-    for _ in range(100):
-        p, q, r = u / (s + a2), v / (s + b2), w / (s + c2)
-        total = p * p + q * q + r * r
-        slope = p * p / (s + a2) + q * q / (s + b2) + r * r / (s + c2)
-        step = total * (math.sqrt(total) - 1.0) / slope
-        s += max(step, 0.0)
-        if not step > 1e-15 * (abs(s) + a2):
-            break
-    p, q, r = e[0] * u / (s + a2), e[1] * v / (s + b2), e[2] * w / (s + c2)
-    gx = math.copysign(p / a2, x)
-    gy = math.copysign(q / b2, y)
-    gz = math.copysign(r / c2, z)
-    size = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
-    p, q, r = p - abs(x), q - abs(y), r - abs(z)
-    d = math.copysign(math.sqrt(p * p + q * q + r * r), s)
-    return d, gx * size, gy * size, gz * size
-
-
-@leaf
 def _to_hull(
     faces: FloatArray, c: FloatArray, span: IntArray, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
@@ -736,20 +663,13 @@ def _to_hull(
             most, at = above, f
     if most <= _TINY:
         return most, faces[at, 0], faces[at, 1], faces[at, 2]
-    # Outside: the nearest of the triangles that the point is above, from the likeliest face.
-    best, nearest, gx, gy, gz = np.inf, np.inf, 0.0, 0.0, 0.0
-    for number in range(first - 1, last):
-        f = at if number < first else number
-        if number == at:
-            continue
+    # Outside: the nearest of the triangles that the point is above.
+    best, gx, gy, gz = np.inf, 0.0, 0.0, 0.0
+    for f in range(first, last):
         above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
         if above <= 0.0 or above * above >= best:
             continue
-        ax, ay, az = x - faces[f, 4], y - faces[f, 5], z - faces[f, 6]
-        reach = nearest + faces[f, 7]
-        if ax * ax + ay * ay + az * az >= reach * reach:
-            continue
-        for n in range(int(faces[f, 8]), int(faces[f, 9])):
+        for n in range(int(faces[f, 4]), int(faces[f, 5])):
             ax, ay, az = x - c[n, 0], y - c[n, 1], z - c[n, 2]
             ux, uy, uz = c[n, 3] - c[n, 0], c[n, 4] - c[n, 1], c[n, 5] - c[n, 2]
             vx, vy, vz = c[n, 6] - c[n, 0], c[n, 7] - c[n, 1], c[n, 8] - c[n, 2]
@@ -780,7 +700,7 @@ def _to_hull(
             square = bx * bx + by * by + bz * bz
             if square < best:
                 best, gx, gy, gz = square, bx, by, bz
-                nearest = math.sqrt(best)
+    nearest = math.sqrt(best)
     return nearest, gx / nearest, gy / nearest, gz / nearest
 
 
