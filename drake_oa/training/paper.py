@@ -264,10 +264,6 @@ def _chain(
         "seed": seed,
         "ranges": {"lower": lower.tolist(), "upper": upper.tolist()},
         "rows": {target: of["rows"] for target, of in errors.items()},
-        "rows_used": {
-            "all": f"clearance >= {MIN_CLEARANCE} m, goal error at the end <= {NEAR_GOAL} m",
-            "alpha": f"also clearance < start's own - {SATURATED} m" if constrained else "",
-        },
         "rollouts": rows.rollouts,
         "training": {
             "hidden": list(HIDDEN),

@@ -30,7 +30,6 @@ from drake_oa.planning.point_search import PointSearch, ellipsoid_solids, path_d
 from drake_oa.planning.search import SEARCH
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
-from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
@@ -129,7 +128,7 @@ class SideSearch(PointSearch):
         genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF)
         return genes
 
-    def seeded(self, sides: FloatArray, guided: Obstacles | None) -> tuple[FloatArray, IntArray]:
+    def seeded(self, sides: FloatArray) -> tuple[FloatArray, IntArray]:
         """Returns the given candidates."""
         return self.bounded(sides), np.full(len(sides), SEARCH)
 
@@ -308,16 +307,14 @@ class SetNetwork(nn.Module):
 
 
 class Scores(NamedTuple):
-    """How a network does on rows that it has not seen.
+    """Errors of a network on rows that it has not seen.
 
     Attributes:
-        genes: (7,) mean absolute error of each gene, of those that keep what is asked.
-        length: root mean square error of ln length, of the same.
-        kept: share of the rows of which it says rightly whether what is asked is kept.
+        genes: mean absolute error of the scaled genes, where the requested clearance is kept.
+        kept: fraction of the rows for which the network says rightly whether it is.
     """
 
-    genes: FloatArray
-    length: float
+    genes: float
     kept: float
 
 
@@ -353,12 +350,11 @@ def fit(
             cycle.step()
         report("train", (epoch + 1) / recipe.epochs)
     with torch.no_grad():
-        part = tuple(column[held] for column in tensors)
-        said, good = net(part[0]), part[3] > 0.5
-        off = (said[good, :N_GENES] - part[1][good]).abs().mean(dim=0).cpu().numpy()
-        length = (said[good, N_GENES] - part[2][good]).square().mean().sqrt()
+        each, genes, _, kept = (column[held] for column in tensors)
+        said, good = net(each), kept > 0.5
+        error = (said[good, :N_GENES] - genes[good]).abs().mean()
         right = ((said[:, N_GENES + 1] > 0.0) == good).float().mean()
-    return Scores(off * GENE_SCALE, float(length), float(right))
+    return Scores(float(error), float(right))
 
 
 def train_proposals(
@@ -405,23 +401,17 @@ def train_proposals(
         "seed": seed,
         **provenance(),
         **asdict(recipe),
-        "scores": [score._asdict() | {"genes": score.genes.tolist()} for score in scores],
+        "scores": [score._asdict() for score in scores],
     }
     return ProposalNetwork(net.arrays(), metadata), scores
 
 
 def proposal_table(scores: Sequence[Scores]) -> TextTable:
-    """Returns the scores of each round as a table."""
-    genes = ("side [rad]", "place", "aside", "ln kappa", "ln psi", "ln alpha", "ln tau")
-    columns = [
+    """Tabulates the scores of each round."""
+    columns = (
         Column("round"),
-        *(Column(name, form="{:.3f}") for name in genes),
-        Column("length", "ln length", "{:.3f}"),
-        Column("kept", "kept told", "{:.3f}"),
-    ]
-    rows = [
-        {"round": number, **dict(zip(genes, score.genes, strict=True)), **score._asdict()}
-        for number, score in enumerate(scores, 1)
-    ]
-    note = "mean absolute errors, of ln length root mean square, on a twentieth that is held out"
-    return TextTable(columns, rows, [note])
+        Column("genes", "error of scaled genes", "{:.3f}"),
+        Column("kept", "clearance predicted", "{:.3f}"),
+    )
+    rows = [{"round": number, **score._asdict()} for number, score in enumerate(scores, 1)]
+    return TextTable(columns, rows, ["on a twentieth of the rows that is held out"])

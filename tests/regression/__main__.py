@@ -24,13 +24,10 @@ _JOBS = 2
 def main() -> int:
     """Runs a set of checks; returns 1 if one fails."""
     parser = argparse.ArgumentParser(prog="python -m tests.regression", description=__doc__)
-    parser.add_argument("checks", choices=("scenarios", "suites", "scenes"))
+    parser.add_argument("checks", choices=("scenarios", "suites"))
     parser.add_argument("--write", action="store_true", help="replace the stored results")
     parser.add_argument("--jobs", type=int, default=_JOBS, help="worker processes")
     options = parser.parse_args()
-    if options.checks == "scenes":
-        runs.write_scenes()
-        return 0
     if options.checks == "scenarios":
         found = {"scenarios": _results(runs.scenario_calls(), options.jobs)}
     else:

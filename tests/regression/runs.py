@@ -21,7 +21,7 @@ from drake_oa.studies.cameras import ONE, seen_from
 from drake_oa.studies.mbm.suite import mbm_suites
 from drake_oa.studies.panda.evaluation import Criteria, run_text
 from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, base_scenario
-from drake_oa.studies.panda.scenes import MOVING_KINDS, draw_panda_scene
+from drake_oa.studies.panda.scenes import MOVING_KINDS
 from drake_oa.studies.paper_tables import (
     TRIAL_KINDS,
     judge_novel,
@@ -40,7 +40,6 @@ ARCHIVE = Path(__file__).parents[3] / "shared/problems/motionbenchmaker_panda.ta
 _SEEDS = range(3)
 _PANDA_SUITES = {"tabletop": LIKE, "clutter6": LIKE, "elbow": ELBOW_LIKE, "moving": LIKE}
 """Suite -> shipped scenario with its camera, robot and parameters."""
-_PANDA_SCENES = 10
 _PROBLEMS = 5
 """Problems of each set."""
 _TRIALS = 11
@@ -168,23 +167,6 @@ def second_table() -> dict[str, Any]:
         f"{row['baseline']:g} m": {key: row[key] for key in row["agrees"]}
         for row in figures["by_baseline"]
     }
-
-
-def write_scenes() -> None:
-    """Draws and stores the scenes of the suites; all stored results of them become void."""
-    SCENES.mkdir(exist_ok=True)
-    for suite in _PANDA_SUITES:
-        scenes = [_drawn(suite, number) for number in range(_PANDA_SCENES)]
-        lines = ",\n".join(json.dumps(scene) for scene in scenes)
-        (SCENES / f"{suite}.json").write_text(f"[\n{lines}\n]\n")
-
-
-def _drawn(suite: str, number: int) -> dict[str, Any]:
-    scenario = draw_panda_scene(0, number, kind=suite)
-    data = read_yaml(scenario_text(scenario))
-    task = data["task"]
-    own = {"start": task["start"], "goal": task["goal"], "obstacles": data["obstacles"]}
-    return {"seed": scenario.seed, **own}
 
 
 def _stored_scenes(suite: str) -> list[dict[str, Any]]:

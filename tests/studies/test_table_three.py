@@ -14,7 +14,6 @@ from drake_oa.studies.paper_tables import (
     TRIAL_KINDS,
     table_three,
     trial_figures,
-    trial_suites,
     trial_text,
 )
 
@@ -50,20 +49,6 @@ def test_a_trial_is_the_shipped_scenario_with_the_noise_of_its_seed(kind: str) -
     assert text == scenario_text(load_scenario(f"paper_{kind}", ["seed=7"]))
     # The method of the suites is what the scenario has.
     assert scenario_text(with_method(parse_scenario(text), "paper")) == text
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"methods": ("verified",)}, "unknown method 'verified'; table3 has: preplanned, paper"),
-        ({"trials": 0}, "--scenes must be at least 1"),
-        ({"seed": -1}, "--seed must be 0 or more"),
-    ],
-)
-def test_what_no_trial_is_is_refused(given: dict[str, Any], said: str) -> None:
-    asked = {"methods": ("paper",), "trials": 1, "seed": 0, "perception": "truth", "duration": None}
-    with pytest.raises(ValueError, match=said):
-        trial_suites(**(asked | given))  # type: ignore[arg-type]
 
 
 def test_the_command_prints_the_table_and_writes_it(

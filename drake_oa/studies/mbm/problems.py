@@ -34,9 +34,6 @@ from drake_oa.robot.config import Robot
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
-LARGEST_FILE = 2**20
-"""Maximum size of a file in an archive [bytes]."""
-
 _MEMBER = re.compile(r"(?:.*/)?(?P<set>[^/]+)/(?P<kind>scene|request)(?P<number>\d{1,9})\.yaml")
 _UNIT = 1e-3
 """A quaternion's length is 1 within this."""
@@ -82,21 +79,16 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
 
     Raises:
         OSError: if it cannot be read.
-        ValueError: if it is no such archive, a file in it is too large, or one is missing.
+        ValueError: if it is no such archive, or a file in it is missing.
     """
     found: dict[str, dict[int, dict[str, str]]] = {}
     try:
         with tarfile.open(file, "r:bz2") as archive:
             for member in archive:
                 named, content = _MEMBER.fullmatch(member.name), archive.extractfile(member)
-                if named is None or content is None:
-                    continue
-                if member.size > LARGEST_FILE:
-                    raise ValueError(
-                        f"{file}: {member.name} is larger than {LARGEST_FILE // 2**20} MiB"
-                    )
-                of_set = found.setdefault(named["set"], {})
-                of_set.setdefault(int(named["number"]), {})[named["kind"]] = content.read().decode()
+                if named is not None and content is not None:
+                    texts = found.setdefault(named["set"], {}).setdefault(int(named["number"]), {})
+                    texts[named["kind"]] = content.read().decode()
     except (tarfile.TarError, EOFError, UnicodeDecodeError) as error:
         raise ValueError(f"{file}: not a .tar.bz2 archive of text files: {error}") from None
     if not found:

@@ -36,14 +36,12 @@ class Outcome:
     Attributes:
         judged: label of each case -> the batches judged, in the order of the scenes.
         seconds: computing time [s].
-        steps: number of computed policy steps.
         complete: whether all scenes were run in all cases.
         error: reason for which not, where the method failed.
     """
 
     judged: dict[str, list[Judgement]] = field(default_factory=dict)
     seconds: float = 0.0
-    steps: int = 0
     complete: bool = False
     error: str | None = None
 
@@ -97,7 +95,6 @@ def evaluate(
                     motions = method(some, case.setting)
                     parts.append(judge(judged_among(some), motions))
                     outcome.seconds += motions.seconds
-                    outcome.steps += motions.steps * len(some)
                     on_progress(name, len(some))
             outcome.complete = True
         except KeyboardInterrupt:
@@ -146,14 +143,12 @@ def method_figures(outcome: Outcome, cases: Sequence[Case]) -> dict[str, Any]:
 
     `motion_figures` over the suite's scenes; with several cases, over those that ask for
     a clearance and scale the duration, and `settings` has each case by its label. Besides:
-    `step_us` (microseconds a policy step), `seconds` (computing time of all cases),
-    `complete`, `error` (where it failed) and, for scenes of several baselines,
-    `by_baseline`.
+    `seconds` (computing time of all cases), `complete`, `error` (where it failed) and, for scenes
+    of several baselines, `by_baseline`.
     """
     main = [case.label for case in cases if case.setting.constrained and case.setting.scale_time]
     judged = outcome.of(*main)
     figures = motion_figures(judged)
-    figures["step_us"] = 1e6 * outcome.seconds / outcome.steps if outcome.steps else None
     figures["seconds"] = outcome.seconds
     figures["complete"] = outcome.complete
     if outcome.error is not None:

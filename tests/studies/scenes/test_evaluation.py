@@ -64,7 +64,6 @@ def test_a_failure_or_an_interrupt_keeps_what_was_judged(
     assert "(not complete)" in lines[1]
     if whole is not None:
         assert whole["complete"]
-        assert whole["step_us"] == pytest.approx(1.0)
         assert [row["scenes"] for row in whole["by_baseline"]] == [10, 10, 10, 10]
         assert sum(line.startswith("goal at") for line in lines) == 8
 

@@ -69,23 +69,6 @@ def test_released_trajectories_are_reproduced(reference, name, monkeypatch):
         np.testing.assert_allclose(motions.path[0, 1:501], data[name][row], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [(1e9, 0.8, 0.0), (1e4, 0.0, 0.0), (1e4, 1.0, -50.0)],
-)
-@pytest.mark.filterwarnings("error")
-def test_motions_stay_finite(parameters):
-    scenes = draw_scenes("hit", 5, seed=2)
-    motions = released_motions(scenes, Setting(), np.array(parameters))
-    assert np.isfinite(motions.path).all()
-    assert np.isfinite(motions.velocity).all()
-
-
-def test_an_obstacle_at_the_start_is_no_trouble():
-    motions = run(make_scenes(1.0, np.zeros((1, 3)), np.full((1, 3), 0.05)), Setting())
-    assert np.isfinite(motions.path).all()
-
-
 def test_tau_of_one_obstacle():
     scenes = make_scenes(1.0, [[0.5, 0.12, 0.0]], [[0.1, 0.2, 0.05]], clearance=0.15)
     way = 2.0 * math.hypot(0.5, 0.12) + 2.0 * (0.2 + 0.15)
