@@ -1,5 +1,4 @@
 from dataclasses import replace
-from unittest.mock import Mock
 
 import numpy as np
 import pydrake.geometry as drake
@@ -80,27 +79,10 @@ def half_space_at(X):
     return replace(solid.half_space(), X_WO=X)
 
 
-def test_a_hull_is_drakes_to_a_small_sphere():
+def test_a_hull_is_as_far_as_its_nearest_point():
     scene = solids_of(World([drake.Convex(ROUND.T, "round")]).solids())
-    radius = 1e-3
-    graph = drake.SceneGraph()
-    source = graph.RegisterSource("source")
-    probe = graph.RegisterFrame(source, drake.GeometryFrame("probe"))
-    X = RigidTransform(RotationMatrix(X_WG[:3, :3]), X_WG[:3, 3])
-    still = drake.GeometryInstance(X, drake.Convex(ROUND.T, "round"), "round")
-    ball = drake.GeometryInstance(RigidTransform(), drake.Sphere(radius), "ball")
-    for instance in (still, ball):
-        instance.set_proximity_properties(drake.ProximityProperties())
-    ids = graph.RegisterAnchoredGeometry(source, still), graph.RegisterGeometry(source, probe, ball)
-    context, poses = graph.CreateDefaultContext(), drake.FramePoseVector()
     for p in POINTS[:150]:
-        poses.set_value(probe, RigidTransform(p))
-        graph.get_source_pose_port(source).FixValue(context, poses)
-        query = graph.get_query_output_port().Eval(context)
-        expected = query.ComputeSignedDistancePairClosestPoints(*ids).distance
         (d,) = solid.least_distances(scene, p[None], 0.0, np.inf, -np.inf)
-        # Drake's are iterative here.
-        assert d - radius == pytest.approx(expected, abs=1e-4)
         # Outside, by the weights of the nearest point of the hull.
         q = X_WG[:3, :3].T @ (p - X_WG[:3, 3])
         rows = np.vstack([ROUND.T, np.full(len(ROUND), 1e3)])
@@ -228,12 +210,6 @@ def test_the_shapes_of_a_scenario_have_their_place():
     centers = [X_WG[:3, :3] @ c + X_WG[:3, 3] for c in ([0.2, 0, 0], [0, 0, 0], [0, 0, 1.0])]
     for k, (center, depth) in enumerate(zip(centers, (-0.05, -0.1, -0.1), strict=True)):
         assert solid.solid_distance(scene, k, *center, 2.0) == pytest.approx(depth)
-
-
-def test_an_unknown_shape_is_named():
-    shape = Mock(GetShape=lambda _: drake.MeshcatCone(0.1, 0.1, 0.1), GetName=lambda _: "tip")
-    with pytest.raises(ValueError, match="tip: a MeshcatCone is no solid"):
-        solid.read_solid(shape, None)
 
 
 def test_a_scene_at_rest_has_no_solid_that_moves():

@@ -38,10 +38,6 @@ def test_the_space_is_near_the_arm_and_above_the_table():
             assert points[:, 2].max() <= height + HEIGHT
 
 
-def test_no_space_is_no_unseen_space():
-    assert NearSpace(COLUMN, RADIUS, -5.0).unseen_share([]) == 0.0
-
-
 def test_a_camera_that_sees_everything_leaves_nothing():
     thin = NearSpace(COLUMN, np.full(len(RADIUS), 1e-6), 0.0)
     assert thin.unseen_share([around(0.3)]) == 0.0
@@ -80,12 +76,3 @@ def test_the_arm_hides_what_is_behind_it(azimuth):
     assert 0.02 < alone < 0.5
     # The camera on the other side sees what the arm hides from this one.
     assert SPACE.unseen_share([around(azimuth), around(azimuth + np.pi)]) < 0.1 * alone
-
-
-def test_the_share_is_the_mean_over_configurations():
-    aside = COLUMN + [0.3, 0.0, 0.0]
-    camera = around(0.4, focal=900.0)
-    apart = [NearSpace(c, RADIUS, 0.0).unseen_share([camera]) for c in (COLUMN, aside)]
-    both = NearSpace(np.concatenate([COLUMN, aside]), RADIUS, 0.0).unseen_share([camera])
-    assert apart[0] != apart[1]
-    assert both == pytest.approx(np.mean(apart))

@@ -73,13 +73,6 @@ def test_table_and_cloud_are_handed_on():
     np.testing.assert_allclose(cloud.xyzs().T, points, atol=1e-6)
 
 
-def test_no_obstacle_and_no_table_are_fine():
-    diagram, perception, context = make_scene(obstacles=())
-    Simulator(diagram, context).Initialize()
-    obstacles = seen(perception, context)
-    assert (len(obstacles), obstacles.stamp, obstacles.table) == (0, 0.0, None)
-
-
 def test_an_obstacle_without_geometry_is_refused():
     with pytest.raises(ValueError, match="'empty' has no collision geometry"):
         make_scene(obstacles=("box", "empty"))

@@ -63,14 +63,6 @@ def test_all_formats_of_a_folder_are_read_in_order_of_stamp(tmp_path):
         np.testing.assert_array_equal(frame.K, K)
 
 
-def test_without_stamps_the_order_of_names_and_the_period_count(tmp_path):
-    for name in ("b_2", "a_10", "c"):
-        write_cloud(tmp_path / f"{name}.ply")
-    frames = read_recording(tmp_path, period=0.5)
-    found = [(frame.path.stem, frame.stamp) for frame in frames]
-    assert found == [("a_10", 0.0), ("b_2", 0.5), ("c", 1.0)]
-
-
 @pytest.mark.parametrize(
     ("name", "content"),
     [

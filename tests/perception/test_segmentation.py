@@ -1,4 +1,3 @@
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from drake_oa.geometry.solids import box as box_solid
 from drake_oa.geometry.solids import solids_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
-from drake_oa.perception.tracking import ObstacleMemory, fuse
 from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
 
 X_WC = camera_pose()
@@ -110,14 +108,6 @@ def test_a_cloud_gives_what_its_image_gives():
             assert abs(len(a) - len(b)) < 0.1 * len(a)
 
 
-@pytest.mark.parametrize("value", [np.nan, 50.0])
-def test_an_image_without_valid_pixel_says_so(value):
-    found = segment_depth(np.full(SIZE, value, dtype=np.float32), K, X_WC)
-    assert found.clouds_W == ()
-    assert found.table is None
-    assert found.note == "no valid pixel"
-
-
 def test_an_empty_image_and_an_empty_cloud_say_so():
     assert segment_depth(np.zeros((0, 0)), K, None).note == "no valid pixel"
     assert segment_points(np.full((9, 3), np.nan), None).note == "no valid point"
@@ -141,33 +131,6 @@ def test_missing_pixels_do_no_harm():
     for value in (np.nan, 0.0, np.inf):
         depth[rng.random(SIZE) < 0.1] = value
     assert len(segment_depth(depth, K, X_WC).clouds_W) == 2
-
-
-def test_each_kernel_is_compiled_once():
-    K, X_WC = np.array([60.0, 60.0, 39.5, 29.5]), np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WC[2, 3] = 1.0
-    depth = np.ones((60, 80))
-    depth[20:40, 20:30], depth[20:40, 32:60] = 0.9, 0.8
-    posed = solids_of([box_solid([0.1, 0.1, 0.1])])
-    v, u = np.mgrid[:60, :80]
-    points = np.stack([(u - K[2]) / K[0] * depth, (v - K[3]) / K[1] * depth, depth], axis=-1)
-    known, stamp = ObstacleMemory(), 0.0
-    for config in (SegmentationConfig(min_occupancy=1), SegmentationConfig(table_height=0.0)):
-        for pose in (X_WC, X_WC.astype(np.float32), None):
-            frame = segment_depth(depth, K, pose, config, posed)
-            stamp += 0.1
-            known = fuse(known, frame, stamp, config, posed)
-            segment_points(points.reshape(-1, 3), pose, config, posed)
-    compiled = {
-        f"{module}.{name}": item
-        for module in list(sys.modules)
-        if module.startswith("drake_oa.perception.")
-        for name, item in vars(sys.modules[module]).items()
-        if hasattr(item, "signatures")
-    }
-    assert compiled
-    for name, kernel in compiled.items():
-        assert len(kernel.signatures) <= 1, (name, kernel.signatures)
 
 
 def test_without_a_table_all_that_is_seen_is_an_obstacle():
