@@ -81,7 +81,7 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
     """Draw a logged run.
 
     Draws clearance of tool and robot against the requested one, phase and speed scale with the
-    times in which the motion was slowed or held, joint torques against their limits, tracking
+    times in which the motion was held, the largest joint torque against its limit, tracking
     error, and the path from above and from the side.
 
     For example:

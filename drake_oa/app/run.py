@@ -37,9 +37,11 @@ from drake_oa.common.files import replace_json, replace_text, reserve_file
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
     from pydrake.lcm import DrakeLcm
+    from pydrake.systems.framework import Context
 
     from drake_oa.runs.motion_log import MotionLog
     from drake_oa.runs.page import LivePanel
+    from drake_oa.runs.simulation import MotionWatcher
     from drake_oa.scenario.scenario import Scenario
 
 LOG_FOLDER = Path("drake_oa_runs")
@@ -310,21 +312,10 @@ def _simulate_both(this: _Run) -> None:
         # Errors of the modulated motion are reported before the first one is simulated.
         built = build_avoidance(this.scenario, meshcat=this.meshcat)
     panel = _open_panel(this)
-
-    def motion(name: str, on_progress: Callable[[float, float], None]) -> MotionLog:
-        modulated = name == "modulated"
-        return simulate(
-            this.scenario,
-            modulated=modulated,
-            duration=this.duration,
-            on_progress=on_progress,
-            on_look=panel if modulated else None,
-            diagram=built if modulated else None,
-        )
-
-    for name in ("preplanned", "modulated"):
-        if this.failure is None:
-            _add_motion(this, name, motion)
+    run_motion = partial(simulate, this.scenario, duration=this.duration)
+    _add_motion(this, "preplanned", partial(run_motion, modulated=False))
+    if this.failure is None:
+        _add_motion(this, "modulated", partial(run_motion, modulated=True, diagram=built), panel)
 
 
 def _drive(this: _Run, lcm_url: str, rate: float) -> None:
@@ -340,30 +331,33 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
         print("the arm is ready", file=sys.stderr)
         this.scenario = driven.known
         panel = _open_panel(this)
-
-        def motion(_: str, on_progress: Callable[[float, float], None]) -> MotionLog:
-            return drive(
-                driven, link, duration=this.duration, on_progress=on_progress, on_look=panel
-            )
-
-        _add_motion(this, "modulated", motion)
+        _add_motion(this, "modulated", partial(drive, driven, link, duration=this.duration), panel)
         print(link.summary, file=sys.stderr)
 
 
 def _add_motion(
-    this: _Run,
-    name: str,
-    motion: Callable[[str, Callable[[float, float], None]], MotionLog],
+    this: _Run, name: str, motion: Callable[..., MotionLog], panel: LivePanel | None = None
 ) -> None:
-    """Runs one more motion, and logs it up to where it ends or is cut short."""
+    """Runs one more motion with a progress bar, and logs it up to its end or interruption."""
+    from drake_oa.policy.dmp import normalised_time
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.simulation import MotionInterruptedError
     from drake_oa.viewing.viewer import recording
 
     recorded = this.meshcat if this.html and name == "modulated" else None
     try:
-        with build_errors(), recording(recorded), _progress(this, name) as on_progress:
-            this.logs[name] = motion(name, on_progress)
+        with build_errors(), recording(recorded), progress_bar(1.0) as update:
+
+            def look(watcher: MotionWatcher, root: Context) -> None:
+                this.raise_if_asked()
+                time = root.get_time()
+                share = normalised_time(watcher.phase, this.scenario.policy.alpha_k)
+                share = max(share, time / (this.duration or math.inf))
+                update(f"{name:>10} {time:6.2f} s", share)
+                if panel is not None:
+                    panel(watcher, root)
+
+            this.logs[name] = motion(on_look=look)
     except MotionInterruptedError as error:
         this.logs[name], this.failure = error.log, error.__cause__ or error
         logging.getLogger(__name__).info("where it happened", exc_info=True)
@@ -417,23 +411,6 @@ def _open_panel(this: _Run) -> LivePanel | None:
     title = f"{this.name}: {motion_name(True)}"
     page = open_page(this.meshcat, title, this.scenario.description)
     return LivePanel(page, this.scenario)
-
-
-@contextlib.contextmanager
-def _progress(this: _Run, motion: str) -> Iterator[Callable[[float, float], None]]:
-    """Shows a bar over the motion on a terminal; nothing when piped."""
-    from drake_oa.policy.dmp import normalised_time
-
-    with progress_bar(1.0) as update:
-
-        def advance(time: float, phase: float) -> None:
-            this.raise_if_asked()
-            share = normalised_time(phase, this.scenario.policy.alpha_k)
-            if this.duration is not None:
-                share = max(share, time / this.duration)
-            update(f"{motion:>10} {time:6.2f} s", share)
-
-        yield advance
 
 
 class Terminated(KeyboardInterrupt):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Diagram
 
 from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
@@ -20,6 +19,7 @@ from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import (
     EVENT,
+    Look,
     MotionInterruptedError,
     MotionWatcher,
     columns_of,
@@ -87,8 +87,7 @@ def drive(
     link: RobotLink,
     *,
     duration: float | None = None,
-    on_progress: Callable[[float, float], None] | None = None,
-    on_look: Callable[[MotionWatcher, Context], None] | None = None,
+    on_look: Look = lambda watcher, root: None,
 ) -> MotionLog:
     """Runs the modulated motion on the arm; its end is `simulate`'s.
 
@@ -96,7 +95,6 @@ def drive(
         driven: of `ready`.
         link: likewise.
         duration: as for `simulate`.
-        on_progress: as for `simulate`.
         on_look: as for `simulate`.
 
     Returns:
@@ -106,13 +104,7 @@ def drive(
         MotionInterruptedError: as `simulate` does; also if the arm was stopped.
     """
     # The world rests when the scenario's own would, as far as it tells.
-    watcher = MotionWatcher(
-        driven.diagram,
-        driven.scenario,
-        duration,
-        on_progress=on_progress,
-        on_look=on_look,
-    )
+    watcher = MotionWatcher(driven.diagram, driven.scenario, duration, on_look)
     simulator = Simulator(driven.diagram)
     try:
         return _with_events(run_motion(driven.known, simulator, watcher, modulated=True), link)

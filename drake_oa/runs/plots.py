@@ -21,7 +21,6 @@ from drake_oa.scenario.task import goal_steps
 _COLORS = {"modulated": "#00798c", "preplanned": "#111111"}
 _OBSTACLE, _DESIRED, _ENDS = "#d1495b", "#edae49", "#0072b2"
 """Colors of obstacles, of the desired path, and of start and goal."""
-_PAUSE_COLORS = {"slow": "#f7e8b5", "hold": "#edae49", "stop": "#d1495b"}
 _PANELS = (
     ("distance to the nearest obstacle", "clearance [m]"),
     ("phase and speed", "phase, speed scale [1]"),
@@ -48,8 +47,8 @@ def add_legend(ax: Axes, **options: Any) -> None:
 def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, MotionLog]) -> None:
     """Draws a run: panels over time on the left, the path from two sides on the right.
 
-    Without a robot there are neither torques nor a tracking error. Pauses and joints are those of
-    the modulated motion, or of the only motion.
+    Without a robot there are neither torques nor a tracking error. Pauses are those of the
+    modulated motion, or of the only motion.
 
     Args:
         path: the file of the figure.
@@ -70,7 +69,7 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
         left, right = cast("list[SubFigure]", figure.subfigures(1, 2, width_ratios=[1.35, 1.0]))
         panels = list(left.subplots(2 if scenario.robot is None else 4, 1, sharex=True))
         for name, log in logs.items():
-            _draw_motion(panels, name, scenario, log, each_joint=name == main)
+            _draw_motion(panels, name, scenario, log)
         for ax, axes in zip(right.subplots(2, 1), ([0, 1], [along, 2]), strict=True):
             ax.plot(*start[axes], "o", color=_ENDS, markersize=9, zorder=3, label="start")
             ax.plot(*goals.T[axes], "*", color=_ENDS, markersize=9, zorder=3, label="goal")
@@ -90,9 +89,7 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
         panels[-1].set_xlabel("time [s]")
 
 
-def _draw_motion(
-    panels: Sequence[Axes], name: str, scenario: Scenario, log: MotionLog, *, each_joint: bool
-) -> None:
+def _draw_motion(panels: Sequence[Axes], name: str, scenario: Scenario, log: MotionLog) -> None:
     """Draws clearance, phase and speed of a motion; of a robot torques and tracking error, too."""
     metrics, color = motion_metrics(scenario, log), _COLORS.get(name)
     clearance, phase, *of_robot = panels
@@ -103,28 +100,18 @@ def _draw_motion(
         return
     torque, error = of_robot
     clearance.plot(log.t, metrics.robot_clearance, ":", color=color, label=f"{name}, any link")
-    share = log.torque / log.effort_limit
-    if each_joint:
-        torque.plot(log.t, share, label=list(log.actuator_name))
-    else:
-        largest = np.abs(share).max(axis=1, initial=0.0)
-        torque.plot(log.t, largest, color="0.65", label=f"{name}, largest")
+    share = np.abs(log.torque / log.effort_limit).max(axis=1, initial=0.0)
+    torque.plot(log.t, share, color=color, label=f"{name}, largest of all joints")
     distance = 1e3 * np.linalg.norm(log.p_WE - log.desired_position, axis=1)
     error.plot(log.t, distance, color=color, label=name)
 
 
 def _shade_pauses(panels: Sequence[Axes], log: MotionLog) -> None:
-    """Shades the times in which a motion was slowed, held or stopped."""
-    free = (HoldCause.NONE, HoldCause.SUPERVISOR)
-    holds = ["run" if hold in free else "hold" for hold in log.event_hold]
-    for times, kinds in (
-        (log.supervision_time, log.supervision_action),
-        (log.event_time, holds),
-    ):
-        spans = pairwise([*times.tolist(), log.simulated_time])
-        for span, kind in zip(spans, kinds, strict=True):
-            for ax in panels if kind in _PAUSE_COLORS else ():
-                ax.axvspan(*span, color=_PAUSE_COLORS[kind], alpha=0.45, zorder=0)
+    """Shades the times in which a motion was held."""
+    spans = pairwise([*log.event_time.tolist(), log.simulated_time])
+    for span, hold in zip(spans, log.event_hold, strict=True):
+        for ax in panels if hold != HoldCause.NONE else ():
+            ax.axvspan(*span, color=_DESIRED, alpha=0.45, zorder=0)
 
 
 def _draw_path(ax: Axes, name: str, log: MotionLog, axes: list[int]) -> None:

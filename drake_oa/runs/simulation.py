@@ -128,6 +128,7 @@ class MotionWatcher:
         out_of_range: of each, how many obstacles the regressor chain was not trained for.
         events: (time [s], what holds the motion, note) whenever the policy's note changed.
         supervision: (time [s], action, reason) whenever the supervisor's decision changed.
+        phase: canonical phase, 1 falling to 0.
         ending: what ended the motion; None until then.
         motion_end: when it did [s]; NaN until then.
         settled: whether all has come to rest since.
@@ -138,9 +139,7 @@ class MotionWatcher:
         diagram: Diagram,
         scenario: Scenario,
         duration: float | None = None,
-        *,
-        on_progress: Callable[[float, float], None] | None = None,
-        on_look: Callable[[MotionWatcher, Context], None] | None = None,
+        on_look: Look = lambda watcher, root: None,
     ) -> None:
         """Finds what it looks at.
 
@@ -152,8 +151,7 @@ class MotionWatcher:
                 [s]; None: `LONGEST_SCALING` demonstrated durations, from the last move of the
                 goal on, and the run goes on for at most `LONGEST_SETTLING` after that and all
                 that is to happen.
-            on_progress: called with time [s] and phase, or None.
-            on_look: called after each look with this and the diagram's Context, or None.
+            on_look: called after each look with this and the diagram's Context.
         """
         self._diagram = diagram
         described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
@@ -169,7 +167,8 @@ class MotionWatcher:
         )
         self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
-        self._on_progress, self._on_look = on_progress, on_look
+        self._on_look = on_look
+        self.phase = 1.0
         self._next_time = 0.0
         self._last_move = last_move(scenario.task)
         usual = make_dmp(scenario).duration * LONGEST_SCALING + self._last_move
@@ -207,10 +206,8 @@ class MotionWatcher:
             note = f"motion guard: {supervision.reason}"
             policy = replace(policy, hold=HoldCause.SUPERVISOR, note=note)
         self._record(root, now, policy, supervision)
-        if self._on_progress is not None:
-            self._on_progress(now, policy.phase)
-        if self._on_look is not None:
-            self._on_look(self, root)
+        self.phase = policy.phase
+        self._on_look(self, root)
         if self.ending and self.ending.may_go_on and policy.hold is HoldCause.NONE:
             self._end(math.nan, None)
         if not self.ending:
@@ -376,14 +373,17 @@ def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
     return error < ARRIVED and speed < STILL * ARRIVED
 
 
+Look = Callable[[MotionWatcher, Context], None]
+"""Function that is called with the watcher and the root Context of a diagram."""
+
+
 def simulate(
     scenario: Scenario,
     *,
     modulated: bool = True,
     duration: float | None = None,
     meshcat: Meshcat | None = None,
-    on_progress: Callable[[float, float], None] | None = None,
-    on_look: Callable[[MotionWatcher, Context], None] | None = None,
+    on_look: Look = lambda watcher, root: None,
     layers: Layers | None = None,
     customize: Callable[[Wires], None] | None = None,
     diagram: Diagram | None = None,
@@ -408,8 +408,7 @@ def simulate(
         modulated: False runs the pre-planned motion, blind to obstacles.
         duration: time limit, see `MotionWatcher`.
         meshcat: viewer, or None.
-        on_progress: called with time [s] and phase, a few hundred times a second.
-        on_look: called as often, see `MotionWatcher`.
+        on_look: called a few hundred times a second, see `MotionWatcher`.
         layers: as for `build_avoidance`.
         customize: likewise.
         diagram: what `build_avoidance` made of all that; None: it is asked to.
@@ -423,7 +422,7 @@ def simulate(
         diagram = build_avoidance(
             scenario, modulated=modulated, layers=layers, customize=customize, meshcat=meshcat
         )
-    watcher = MotionWatcher(diagram, scenario, duration, on_progress=on_progress, on_look=on_look)
+    watcher = MotionWatcher(diagram, scenario, duration, on_look)
     return run_motion(scenario, Simulator(diagram), watcher, modulated=modulated)
 
 

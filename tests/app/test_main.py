@@ -63,11 +63,6 @@ def test_help_and_scenarios_import_no_large_package() -> None:
     assert float(seconds) < 1.0  # 0.2 s where nothing else is at work.
 
 
-def test_the_shell_completes_scenario_names() -> None:
-    script = cli._app().generate_completion(shell="bash")
-    assert all(f'"{name}"' in script for name in shipped_scenarios())
-
-
 class Terminal(io.StringIO):
     """A stream that is a terminal."""
 

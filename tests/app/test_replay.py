@@ -128,13 +128,6 @@ def test_a_replay_is_one_page_and_can_be_repeated(
     assert pages[0].read_bytes() == pages[1].read_bytes()
 
 
-def test_a_run_cut_short_in_its_first_motion_can_be_shown(point_log: Path) -> None:
-    first = load_logs(point_log)["preplanned"]
-    save_logs(Path("cut.npz"), {"preplanned": replace(first, stop_reason="interrupted")})
-    assert run("replay", "cut.npz", "--html", "cut.html") == 0
-    assert run("plot", "cut.npz") == 0
-
-
 @pytest.mark.parametrize("command", ["replay", "plot"])
 @pytest.mark.parametrize(
     ("kind", "said"),

@@ -197,12 +197,12 @@ def test_where_no_motion_is_possible_the_start_is_held(
     ],
 )
 def test_an_interrupted_run_leaves_its_log(cause: BaseException, name: str) -> None:
-    def interrupt(time: float, phase: float) -> None:
-        if time > 0.5:
+    def interrupt(_: object, root: Context) -> None:
+        if root.get_time() > 0.5:
             raise cause
 
     with pytest.raises(MotionInterruptedError) as caught:
-        simulate(load_scenario("tabletop_box", [GROUND_TRUTH]), on_progress=interrupt)
+        simulate(load_scenario("tabletop_box", [GROUND_TRUTH]), on_look=interrupt)
     log = caught.value.log
     assert log.stop_reason == name
     assert log.duration == pytest.approx(0.5, abs=0.02)

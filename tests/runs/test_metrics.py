@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from pydrake.geometry import PenetrationAsPointPair, QueryObject
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -10,24 +9,11 @@ from drake_oa.geometry.shapes import Sphere
 from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
-from drake_oa.runs.metrics import free_point_metrics, path_length, robot_metrics
+from drake_oa.runs.metrics import free_point_metrics, robot_metrics
 from drake_oa.runs.report import feasible_clearance_of
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from tests.builders import balls
-
-
-def test_length_of_a_square_and_of_a_point() -> None:
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]], dtype=float)
-    assert path_length(square) == pytest.approx(4.0)
-    assert path_length(square[:1]) == 0.0
-
-
-def test_clearance_of_a_point_is_to_the_nearest_ellipsoid() -> None:
-    path = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
-    found = free_point_metrics(path, balls((0.5, 0.3, 0.0), (1.0, 0.0, 0.0)))
-    np.testing.assert_allclose(found.tool_clearance, [np.hypot(0.5, 0.3) - 0.1, 0.2], atol=1e-12)
-    assert found.contacts == ()
 
 
 @pytest.mark.parametrize(
@@ -82,23 +68,6 @@ def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> Non
     assert (found.robot_clearance <= found.tool_clearance).all()
     assert any(name.endswith("obstacle_box") for name in found.contacts)
     assert any("table" in name for name in found.made_contacts)
-
-
-def test_shapes_that_rest_flush_on_each_other_are_not_in_contact(
-    poses: dict[str, FloatArray], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
-    assert robot_metrics(scenario, poses["inside"][None]).contacts
-    penetrations = QueryObject.ComputePointPairPenetration
-
-    def flush(query: QueryObject) -> list[PenetrationAsPointPair]:
-        hits = penetrations(query)
-        for hit in hits:
-            hit.depth = 2e-16
-        return hits
-
-    monkeypatch.setattr(QueryObject, "ComputePointPairPenetration", flush)
-    assert not robot_metrics(scenario, poses["inside"][None]).contacts
 
 
 def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:

@@ -1,6 +1,5 @@
 """The log of a motion, and its file."""
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -59,12 +58,6 @@ def test_what_is_written_is_read_back(log: MotionLog, straight_log: LogOf, tmp_p
             after = getattr(back["modulated"], name)
             assert type(after) is type(before)
             np.testing.assert_array_equal(after, before)
-
-
-def test_the_motion_may_end_before_the_run(log: MotionLog) -> None:
-    assert (log.duration, log.simulated_time) == (0.2, pytest.approx(0.3))
-    assert log.t[log.moving].tolist() == pytest.approx([0.0, 0.1, 0.2])
-    assert replace(log, motion_end=math.nan).duration == log.simulated_time
 
 
 def test_the_table_lists_every_key_and_no_other() -> None:

@@ -2,8 +2,6 @@
 
 import json
 import re
-import socket
-import struct
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -108,23 +106,3 @@ def test_a_frame_waits_until_the_page_has_drawn_the_previous_one(page: LivePage)
     page.pace()
     assert requests
     timer.join()
-
-
-def test_a_proxy_of_the_environment_is_not_asked(
-    viewer: Meshcat, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("no_proxy", raising=False)
-    monkeypatch.setenv("http_proxy", "http://localhost:9")
-    open_page(viewer, "mine", "").close()
-
-
-def test_a_page_that_closes_its_connection_prints_nothing(
-    page: LivePage, capsys: pytest.CaptureFixture[str]
-) -> None:
-    connection = socket.create_connection(("localhost", int(page.url.rpartition(":")[2])))
-    # Closed by a reset, as a browser does that is ended.
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    connection.close()
-    time.sleep(0.2)
-    get(page, "/")
-    assert capsys.readouterr().err == ""

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import (
     TOLD,
@@ -35,18 +33,6 @@ def log_of(straight_log: Callable[..., MotionLog]) -> LogOf:
         return straight_log(len(path), t=times, p_WE=path, desired_position=path, **told, **changes)
 
     return make
-
-
-def test_what_hardware_cannot_measure_is_not_reported_as_zero(
-    log_of: LogOf, panda: RobotPlant
-) -> None:
-    scenario = load_scenario("tabletop_box", ["perception=!LcmCamera {}", "directives=[]"])
-    q = np.tile(home_positions(Robot()), (3, 1))
-    found = motion_report(scenario, log_of(AROUND, q=q))
-    assert (found["collisions"], found["short_of_feasible"]) == (None, None)
-    rows = [row.split() for row in str(report_table({"modulated": found})).splitlines()]
-    assert ["collisions", "-"] in rows
-    assert ["short", "by", "[mm]", "-"] in rows
 
 
 def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
@@ -109,14 +95,7 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         AROUND,
         decision_time=np.array([0.0, 0.1, 0.1, 0.4, 1.0, 5.5]),
         decision_cost=costs,
-        decision_layer=(
-            "regulation",
-            "regulation",
-            "guard",
-            "regulation",
-            "guard",
-            "regulation",
-        ),
+        decision_layer=("regulation", "regulation", "guard", "regulation", "guard", "regulation"),
     )
     found = motion_report(FREE, log)
     assert found["decision_cost"] == {
@@ -131,12 +110,3 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
     table = str(report_table({"modulated": found}))
     assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table
     assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None
-
-
-def test_obstacles_outside_the_trained_range_are_reported(log_of: LogOf) -> None:
-    seen = {"observation_time": np.arange(4.0), "out_of_range": np.array([0, 1, 1, 1])}
-    note = "obstacles outside the regressor chain's trained range in 75% of the observations"
-    for regulation in ("Paper", "Verified"):
-        log = log_of(AROUND, regulation=regulation, **seen)
-        report = run_report("free_space", FREE, {"modulated": log})
-        assert (note in str(report_table(report))) == (regulation == "Paper")
