@@ -28,13 +28,14 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None:
         return
     source, plant = scenario.perception, cell.plant
-    for name in source.names if isinstance(source, CameraSource) and cell.cameras else ():
+    cameras = source if isinstance(source, CameraSource) and cell.cameras else None
+    for name in cameras.names if cameras else ():
         dropouts = [
             fault
             for fault in scenario.faults
             if isinstance(fault, CameraDropout) and fault.camera in ("", name)
         ]
-        if not dropouts:
+        if not dropouts or cameras is None:
             continue
         states = plant.num_multibody_states(cell.robot)
         faults = CameraFaults(
@@ -44,11 +45,11 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
             period=perception_period(scenario),
         )
         own = ("depth_image", "image_stamp")
-        names: dict[str, str | None] = {port: source.signal(port, name) for port in own}
-        names["robot_state"] = source.signal("robot_state_at_image", name)
+        names: dict[str, str | None] = {port: cameras.signal(port, name) for port in own}
+        names["robot_state"] = cameras.signal("robot_state_at_image", name)
         wires.interpose(
-            [source.signal(port, name) for port in ("depth_image", "robot_state_at_image")],
-            source.signal("camera_faults", name),
+            [cameras.signal(port, name) for port in ("depth_image", "robot_state_at_image")],
+            cameras.signal("camera_faults", name),
             faults,
             reads=names,
             offers=names,
