@@ -39,8 +39,6 @@ _ACCELERATION = 0.01
 """Spectral density of the acceleration of an obstacle at rest, each axis [m^2/s^3]."""
 _MANEUVER = 0.05
 """Spectral density of the acceleration of a moving obstacle, each axis [m^2/s^3]."""
-_LARGEST_SPEED = 2.0
-"""Largest deviation of a velocity that has become unknown again [m/s]."""
 _START_SPEED = 0.03
 """Speed above which an obstacle may be found to move [m/s]."""
 START = 21.1
@@ -245,7 +243,7 @@ def measured_tracks(
     """Corrects obstacles by a frame, dt [s] after the one before.
 
     An outlier is left out. Two in a row are a maneuver: the position is as uncertain as the jump,
-    and the velocity, unless it is measured too, as at first or as half the jump's speed.
+    and the velocity, unless it is measured too, as at first.
 
     Args:
         tracks: as predicted.
@@ -263,10 +261,9 @@ def measured_tracks(
     again = off & tracks.odd
     if again.any():
         P = np.array(tracks.covariance)
-        speed = np.clip(0.5 * np.abs(jump) / max(dt, 1e-3), INITIAL_SPEED, _LARGEST_SPEED)
         P[again, 0, 0] += jump[again] ** 2
         P[again, 0, 1] = P[again, 1, 0] = 0.0
-        P[again & ~registered, 1, 1] = speed[again & ~registered] ** 2
+        P[again & ~registered, 1, 1] = INITIAL_SPEED**2
         tracks = changed(tracks, covariance=P)
     p_W = np.where(off & ~again, np.nan, p_W)
     told = np.isfinite(p_W) | registered
@@ -487,7 +484,7 @@ def registered_tracks(
 
 
 _BEHIND = 0.01
-"""Depth by which an obstacle's own surface is behind what would stand before it, at 1 m [m]."""
+"""Depth difference between an obstacle's surface and its continuation beyond a side, at 1 m [m]."""
 _STEPS = np.arange(1, 24)
 """Steps along which the surroundings of an obstacle's side are looked at [pixel]."""
 _EMPTY = 12
@@ -560,7 +557,7 @@ def open_sides(
     owner: NDArray[np.int16],
     plane: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Counts the pixels of each side that end at free space, not at what hides the rest of it.
+    """Counts the pixels at the sides of obstacles with free space beyond them.
 
     From each pixel of a side the image is followed outward until it shows something
     else: what lies behind shows where the obstacle ends; what lies before it, what stands

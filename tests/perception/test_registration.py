@@ -24,8 +24,8 @@ def plane(rng: np.random.Generator, offset: np.ndarray) -> np.ndarray:
     return offset + points + rng.normal(scale=NOISE, size=points.shape) * [0.0, 0.0, 1.0]
 
 
-def lay(before: np.ndarray, now: np.ndarray, guess=(0.0, 0.0, 0.0)):
-    return registered(before, now, np.array(guess), PRIOR)
+def lay(before: np.ndarray, now: np.ndarray):
+    return registered(before, now, np.zeros(3), PRIOR)
 
 
 @settings(max_examples=25, deadline=None)
@@ -37,28 +37,9 @@ def test_a_ball_is_followed_within_its_variance(shift: np.ndarray, seed: int) ->
     assert (np.sqrt(variance) < 2e-3).all()
 
 
-def test_what_comes_into_view_does_not_move_it() -> None:
-    rng = np.random.default_rng(0)
-    shift = np.array([0.0, -0.02, 0.0])
-    before, now = cap(rng, np.zeros(3)), cap(rng, shift)
-    # Beyond the image's border, which stands still.
-    found, _ = lay(before[before[:, 1] < -0.02], now[now[:, 1] < -0.02])
-    np.testing.assert_allclose(found, shift, atol=4e-3)
-
-
 def test_a_plane_that_slides_in_itself_tells_only_of_its_normal() -> None:
     rng = np.random.default_rng(1)
     found, variance = lay(plane(rng, np.zeros(3)), plane(rng, np.array([0.01, 0.0, 0.005])))
     assert found[2] == pytest.approx(0.005, abs=1e-3)
     assert variance[2] < 1e-6
     assert (variance[:2] > 25e-6).all()
-
-
-def test_too_few_points_tell_nothing() -> None:
-    guess = [0.001, 0.0, 0.0]
-    found, variance = lay(np.zeros((3, 3)), np.zeros((600, 3)), guess)
-    np.testing.assert_array_equal(found, guess)
-    np.testing.assert_allclose(variance, PRIOR**2)
-    far, variance = lay(np.zeros((9, 3)), np.ones((600, 3)), guess)
-    np.testing.assert_array_equal(far, guess)
-    np.testing.assert_allclose(variance, PRIOR**2)

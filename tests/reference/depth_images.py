@@ -35,7 +35,7 @@ def rays_of(X_WC: np.ndarray, K, size: tuple[int, int]) -> np.ndarray:
     return rays @ X_WC[:3, :3].T
 
 
-def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0)) -> np.ndarray:
+def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0), K=K) -> np.ndarray:
     """Exact depth of the rectangle z = 0 (x, y, half sizes) and of axis-aligned boxes."""
     rays, origin = rays_of(X_WC, K, SIZE), X_WC[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
