@@ -151,13 +151,6 @@ _CELL_COLUMNS = (
     Column("goal_error_max", "max [mm]", "{:.0f}", 1e3),
     Column("off", "differs"),
 )
-_HEADINGS = {
-    "collisions": "collisions",
-    "clearance_mean": "clearance mean",
-    "clearance_min": "clearance min",
-    "goal_error_mean": "goal mean",
-    "goal_error_max": "goal max",
-}
 _NOTES = (
     f"agree: mean clearances within {1e3 * _MEAN:g} mm, least ones within {1e3 * _LEAST:g} mm,",
     f"collisions within {_COLLISIONS}, goal errors within a factor of {_FACTOR:g}.",
@@ -169,7 +162,7 @@ def table_two(whole: Mapping[str, Any]) -> TextTable:
     """Tabulates `table_two_figures` beside the print."""
     rows = []
     for row in whole["by_baseline"]:
-        off = [_HEADINGS[key] for key, same in row["agrees"].items() if not same]
+        off = [key.replace("_", " ") for key, same in row["agrees"].items() if not same]
         title = f"goal at {row['baseline']:g} m"
         rows.append({"name": title, "off": ", ".join(off) or "none", **row})
         rows.append({"name": "  the paper prints", **TABLE_TWO[row["baseline"]]})

@@ -52,6 +52,8 @@ _TABLE_SCENES = 4000
 _REPORTED = ("tool_clearance_min", "robot_clearance_min", "goal_error", "duration")
 _DIGITS = 6
 
+CRITERIA = Criteria()
+
 Call = tuple[str, tuple[Any, ...]]
 """Name of a function of this module and its arguments."""
 
@@ -183,8 +185,8 @@ def _summary(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _judged(
-    text: str, method: str, perception: str, criteria: Criteria | None = None
+    text: str, method: str, perception: str, criteria: Criteria = CRITERIA
 ) -> dict[str, Any]:
-    result = run_text(text, method, perception, None, criteria or Criteria())
+    result = run_text(text, method, perception, None, criteria)
     success = {"success": result["outcome"] == "success", "reason": result["reason"]}
     return success | _summary(result)

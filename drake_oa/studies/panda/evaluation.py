@@ -159,6 +159,9 @@ class Criteria:
         return "never at rest" if found["settled"] is False else ""
 
 
+_CRITERIA = Criteria()
+
+
 class PandaRun(NamedTuple):
     """A judged run and its log.
 
@@ -192,7 +195,7 @@ def run_and_judge(
     perception: str,
     *,
     duration: float | None = None,
-    criteria: Criteria | None = None,
+    criteria: Criteria = _CRITERIA,
 ) -> PandaRun:
     """Runs a method on a scene.
 
@@ -208,9 +211,8 @@ def run_and_judge(
         method: one of `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of the run [s]; None: that of `simulate`.
-        criteria: what is a success; None: the defaults.
+        criteria: what is a success.
     """
-    criteria = criteria or Criteria()
     scenario = with_method(seen_by(scenario, perception), method)
     failed = False
     try:
@@ -390,7 +392,7 @@ class PandaSuite:
     perception: str
     duration: float | None
     drawings: Mapping[int, Drawing]
-    criteria: Criteria = field(default_factory=Criteria)
+    criteria: Criteria = _CRITERIA
 
     def __post_init__(self) -> None:
         if not self.drawings:

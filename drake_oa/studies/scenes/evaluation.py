@@ -200,58 +200,26 @@ _COLUMNS = (
 )
 
 
-def evaluation_tables(figures: Mapping[str, Any]) -> list[TextTable]:
-    """Tabulates all methods side by side, and each baseline.
+def evaluation_tables(figures: Mapping[str, Any], notes: Sequence[str] = ()) -> list[TextTable]:
+    """Tabulates all methods side by side; then each setting, or each baseline.
 
     Args:
         figures: as `evaluation_figures` makes them.
+        notes: lines below the first table.
     """
     methods: Mapping[str, Any] = figures["methods"]
     rows = [
         {"name": name if method["complete"] else f"{name} (not complete)", **method}
         for name, method in methods.items()
     ]
-    tables = [TextTable((Column("name", "method"), *_COLUMNS), rows)]
+    tables = [TextTable((Column("name", "method"), *_COLUMNS), rows, notes)]
     for name, method in methods.items():
-        baselines = [
-            {"name": f"goal at {part['baseline']:g} m", **part}
-            for part in method.get("by_baseline", ())
-        ]
-        if baselines:
-            tables.append(TextTable((Column("name", name), *_COLUMNS), baselines))
-    return tables
-
-
-FAMILIAR_MOST = 0.03
-"""Distance to the goal that the paper tells as the most of its familiar scenes, tau scaled [m]."""
-
-
-def familiar_tables(figures: Mapping[str, Any]) -> list[TextTable]:
-    """Tabulates each method in the settings of the paper's familiar scenes beside the print.
-
-    Args:
-        figures: as `evaluation_figures` makes them.
-    """
-    columns = (
-        Column("collisions"),
-        Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
-        Column("clearance_min", "min [m]", "{:.3f}"),
-        Column("clearance_max", "max [m]", "{:.3f}"),
-        Column("goal_error_mean", "goal error mean [mm]", "{:.2f}", 1e3),
-        Column("goal_error_max", "max [mm]", "{:.1f}", 1e3),
-        Column("goal_error_printed", "print, at most", "{:.0f}", 1e3),
-    )
-    notes = (
-        "print: no collision in any setting; the goal within 30 mm where tau is scaled; else",
-        'convergence "rapidly deteriorates" as Delta grows; clearances are drawn as boxes only',
-    )
-    tables = []
-    for name, method in figures["methods"].items():
-        rows = []
-        for label, setting in method["settings"].items():
-            most = FAMILIAR_MOST if label.endswith("scaled") else None
-            rows.append({"name": label, **setting, "goal_error_printed": most})
-        tables.append(TextTable((Column("name", name), *columns), rows, notes))
+        parts = method.get("settings", {}) | {
+            f"goal at {part['baseline']:g} m": part for part in method.get("by_baseline", ())
+        }
+        if parts:
+            rows = [{"name": label, **part} for label, part in parts.items()]
+            tables.append(TextTable((Column("name", name), *_COLUMNS), rows))
     return tables
 
 

@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import re
 import tarfile
 from pathlib import Path
 
@@ -129,22 +128,6 @@ def test_an_archive_that_is_off_is_refused(tmp_path, texts, message):
 def test_a_problem_that_is_off_is_named(tmp_path, scene_text, request_text, message):
     with pytest.raises(ValueError, match=rf"box_panda/scene0001: .*({message})"):
         scenario_of(one(tmp_path / "p.tar.bz2", scene_text, request_text))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["mbm"], "--problems requires an argument"),
-        (["mbm", "--sets", "shed"], "unknown set 'shed'; .* has: box"),
-    ],
-)
-def test_what_does_not_go_together_is_said(arguments, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    file = one(tmp_path / "p.tar.bz2")
-    if arguments != ["mbm"]:
-        arguments = [*arguments, "--problems", str(file)]
-    assert main(["evaluate", *arguments]) == 2
-    assert re.search(message, capsys.readouterr().err)
 
 
 def test_a_problem_may_be_seen_by_two_cameras(tmp_path):

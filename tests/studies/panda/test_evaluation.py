@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drake_oa.runs.motion_log import load_logs
-from drake_oa.scenario.loading import parse_scenario
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.studies.panda.evaluation import (
     PandaResults,
     evaluate_panda,
@@ -181,26 +181,8 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
     assert run_figures([_run("success")])["claim_A"] is None
 
 
-_TOUCHING = """
-directives:
-- add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
-task: {start: [0.5, -0.3, 0.3], goal: [0.5, 0.3, 0.3], duration: 0.3}
-obstacles:
-- name: post
-  shapes: [!Cylinder {radius: 0.05, length: 0.3, translation: [0, 0, 0.15]}]
-  translation: [0.5, -0.22, 0]
-"""
-
-
-def test_a_run_that_touches_is_a_contact():
-    result = run_and_judge(parse_scenario(_TOUCHING), "preplanned", "truth", duration=0.3).result
-    assert result["outcome"] == "contact"
-    assert result["reason"] == "time limit of # s"
-    assert any("obstacle_post" in contact for contact in result["contacts"])
-
-
 def test_a_scene_that_cannot_be_run_is_a_result():
-    scenario = parse_scenario(_TOUCHING, ["task.goal=[2.0, 0.0, 0.3]"])
+    scenario = load_scenario("tabletop_box", ["task.goal=[2.0, 0.0, 0.3]"])
     run = run_and_judge(scenario, "preplanned", "truth")
     assert run.log is None
     assert run.result["failed"]

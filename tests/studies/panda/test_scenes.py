@@ -6,10 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from drake_oa.geometry.shapes import Box, Cylinder, pose
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.camera_placement import near_space, view_volumes
 from drake_oa.runs.metrics import robot_metrics
@@ -20,11 +17,8 @@ from drake_oa.studies.panda.moving_scenes import LONGEST
 from drake_oa.studies.panda.scene_arm import scene_arm
 from drake_oa.studies.panda.scene_parts import (
     FREE,
-    LARGEST,
     bounding_ball,
-    draw_obstacles,
     footprint_radius,
-    view_margin,
 )
 from drake_oa.studies.panda.scenes import KINDS, MOVING_KINDS, draw_panda_scene
 
@@ -169,33 +163,3 @@ def test_boxes_of_drpbench_leave_the_robot_free_at_first(scenes, kind):
         scene.obstacles = [item]
         least = 0.1 if "sudden" in kind else 0.01
         assert robot_metrics(scene, q[:1]).robot_clearance.min() >= least
-
-
-_UNIT = np.random.default_rng(0).normal(size=(400, 3))
-_UNIT /= np.linalg.norm(_UNIT, axis=1, keepdims=True)
-
-
-def _surface(shape):
-    """Points of a shape's surface, extreme ones among them, in the obstacle's frame."""
-    if isinstance(shape, Box):
-        points = 0.5 * np.sign(_UNIT) * np.asarray(shape.size)
-    elif isinstance(shape, Cylinder):
-        flat = _UNIT[:, :2] / np.linalg.norm(_UNIT[:, :2], axis=1, keepdims=True)
-        points = np.c_[shape.radius * flat, 0.5 * shape.length * np.sign(_UNIT[:, 2])]
-    else:
-        points = shape.radius * _UNIT
-    return (pose(shape) @ points.T).T
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
-def test_an_obstacle_stands_on_the_table_within_its_bounds(seed):
-    (obstacle,) = draw_obstacles(np.random.default_rng(seed), 1)
-    points = np.concatenate([_surface(shape) for shape in obstacle.shapes])
-    assert -1e-9 <= points[:, 2].min() < 0.03
-    assert points[:, 2].max() <= LARGEST + 1e-9
-    assert np.hypot(points[:, 0], points[:, 1]).max() <= footprint_radius(obstacle) + 1e-9
-    center, radius = bounding_ball(obstacle)
-    from_center = np.linalg.norm(points + obstacle.translation - center, axis=1)
-    assert from_center.max() <= radius + 1e-9
-    assert view_margin(center[None])[0] >= 0.0

@@ -43,15 +43,6 @@ def uniform_motion(steps: int, start: Array, end: Array, duration: float = 2.0) 
     return Motions((start + s * (end - start))[None], velocity, np.array([duration]), 0.0)
 
 
-@pytest.mark.parametrize(("steps", "radius"), [(1, 0.1), (10, 1e-4), (501, 0.01)])
-def test_a_contact_between_samples_is_found(steps: int, radius: float) -> None:
-    center = np.array([[0.43721, 0.5 * radius, 0.0]])
-    scenes = make_scenes(1.0, center, np.full((1, 3), radius))
-    judged = judge(scenes, uniform_motion(steps, np.zeros(3), np.array([1.0, 0.0, 0.0])))
-    assert judged.collided.all()
-    assert judged.kept_clearance[0] == pytest.approx(-0.5 * radius, abs=1e-7)
-
-
 def test_the_feasible_clearance_is_bounded_by_the_ends() -> None:
     scenes = make_scenes(1.0, np.array([[1.0, 0.15, 0.0]]), np.full((1, 3), 0.1))
     judged = judge(scenes, uniform_motion(50, np.zeros(3), np.array([1.0, 0.0, 0.0])))

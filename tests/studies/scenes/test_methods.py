@@ -26,18 +26,6 @@ def test_it_keeps_the_feasible_clearance_and_arrives(suite: str) -> None:
     assert verdict.goal_error.max() <= 1e-3
 
 
-def test_motions_start_at_rest_and_last_as_long_as_they_say() -> None:
-    scenes = draw_scenes("hit", 4, 0)
-    motions = run_verified(scenes, Setting())
-    np.testing.assert_array_equal(motions.path[:, 0], 0.0)
-    np.testing.assert_array_equal(motions.velocity[:, 0], 0.0)
-    # The velocity is that of the path.
-    time = np.linspace(0.0, 1.0, motions.path.shape[1]) * motions.duration[:, None]
-    slope = np.diff(motions.path, axis=1) / np.diff(time, axis=1)[..., None]
-    middle = 0.5 * (motions.velocity[:, 1:] + motions.velocity[:, :-1])
-    np.testing.assert_allclose(slope, middle, atol=0.02)
-
-
 def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
     scenes = draw_scenes("hit", 4, 0)
     scaled, unscaled = (

@@ -89,13 +89,7 @@ def test_the_shipped_chains_are_used_until_arrival(constrained):
     assert (error[~has_arrived, number:] > ARRIVED).all()
 
 
-def test_hoffmanns_term_knows_no_clearance_and_does_not_turn_head_on():
-    scenes = draw_scenes("novel", 8, seed=0)
-    first, second = (
-        run_original(scenes, Setting(constrained=constrained, scale_time=False))
-        for constrained in (True, False)
-    )
-    np.testing.assert_array_equal(first.path, second.path)
+def test_hoffmanns_term_does_not_turn_head_on():
     scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
     motions = run_original(scenes, Setting())
     # Beyond the goal it turns round, and sees the obstacle ahead again.
