@@ -17,7 +17,7 @@ their mean.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,7 @@ from drake_oa.policy.dmp import (
     N_BASIS,
     checked_demonstration,
     checked_turn,
+    in_local_frame,
     interpolant,
     local_frame,
     vectors_from,
@@ -62,26 +63,16 @@ def average_paths(
         path (POINTS, 3) [m] and t (POINTS,) from 0 to the mean duration [s]; at both ends at rest.
 
     Raises:
-        ValueError: naming recording and sample, as `imitate`; or for a baseline that is less than
-            a twentieth of the extent.
+        ValueError: as `imitate`; or for a baseline that is less than a twentieth of the extent.
     """
-    checked = _each(checked_demonstration, paths, stamps)
-    local, ends = [], []
-    for number, (path, _) in enumerate(checked):
-        baseline = float(np.linalg.norm(path[-1] - path[0]))
-        extent = float(np.ptp(path, axis=0).max())
-        if not baseline > (_SHORT * extent if len(path) >= SPARSE else 1e-6 * extent):
-            raise ValueError(
-                f"{_recording(number, len(checked))}the path must end away from where it starts, "
-                f"which is what it is scaled by: its baseline is {baseline:.3g} m, its extent "
-                f"{extent:.3g} m; show it in two parts"
-            )
-        local.append((path - path[-1]) @ local_frame(path[0], path[-1]) / baseline)
+    local, ends, times = [], [], []
+    for shown, given in zip(paths, stamps, strict=True):
+        path, t = checked_demonstration(shown, given)
+        local.append(in_local_frame(path, _SHORT if len(path) >= SPARSE else 1e-6))
         ends.append(path[[0, -1]])
-    x, t = _regressed(local, [t for _, t in checked], n_basis)
+        times.append(t)
+    x, t = _regressed(local, times, n_basis)
     start, goal = np.mean(ends, axis=0)
-    if not np.any(start != goal):
-        raise ValueError("the demonstrations' mean start is their mean goal: they lead back")
     path = goal + float(np.linalg.norm(goal - start)) * x @ local_frame(start, goal).T
     return path, t
 
@@ -101,10 +92,10 @@ def average_orientations(
         R_WE (POINTS, 3, 3) and t (POINTS,) [s]; at both ends at rest.
 
     Raises:
-        ValueError: naming recording and sample, as `imitate_orientation`; or where recordings
+        ValueError: as `imitate_orientation`; or where recordings
             differ by more than a quarter turn from their mean.
     """
-    checked = _each(checked_turn, orientations, stamps)
+    checked = [checked_turn(*pair) for pair in zip(orientations, stamps, strict=True)]
     rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
     vectors = [vectors_from(R, row) for (R, _), row in zip(checked, rows, strict=True)]
     origins = Rotation.from_matrix([R[row] for (R, _), row in zip(checked, rows, strict=True)])
@@ -115,33 +106,12 @@ def average_orientations(
     if off.max() > _UNLIKE:
         number = int(np.argmax(off > _UNLIKE))
         raise ValueError(
-            f"{_recording(number, len(checked))}orientations: it is turned by "
+            f"orientations: demonstration {number + 1} of {len(checked)} is turned by "
             f"{math.degrees(off[number]):.0f} degrees from the mean of all; average those that "
             "turn the same way"
         )
     r, t = _regressed(vectors, [t for _, t in checked], n_basis)
     return (mean * Rotation.from_rotvec(r)).as_matrix(), t
-
-
-def _each(
-    check: Callable[[ArrayLike, ArrayLike], tuple[FloatArray, FloatArray]],
-    values: Sequence[ArrayLike],
-    stamps: Sequence[ArrayLike],
-) -> list[tuple[FloatArray, FloatArray]]:
-    """What a check makes of each recording; its error says of which."""
-    if not len(values) or len(values) != len(stamps):
-        raise ValueError(f"{len(values)} demonstrations with {len(stamps)} rows of stamps")
-    found = []
-    for number, (value, t) in enumerate(zip(values, stamps, strict=True)):
-        try:
-            found.append(check(value, t))
-        except ValueError as error:
-            raise ValueError(f"{_recording(number, len(values))}{error}") from None
-    return found
-
-
-def _recording(number: int, count: int) -> str:
-    return f"demonstration {number + 1} of {count}: " if count > 1 else ""
 
 
 def _regressed(

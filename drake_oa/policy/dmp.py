@@ -197,15 +197,22 @@ def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: float) -> 
             do not increase, or a path that ends where it starts.
     """
     path, t = checked_demonstration(path, t)
-    baseline = float(np.linalg.norm(path[-1] - path[0]))
-    extent = float(np.ptp(path, axis=0).max())
-    if not baseline > 1e-6 * extent:
+    return fit_forcing(in_local_frame(path), t, **constants)
+
+
+def in_local_frame(path: FloatArray, share: float = 1e-6) -> FloatArray:
+    """Returns a path (T, 3) from its end, in its local frame, divided by its baseline.
+
+    Raises:
+        ValueError: if the baseline is not longer than a share of the extent.
+    """
+    baseline, extent = float(np.linalg.norm(path[-1] - path[0])), float(np.ptp(path, axis=0).max())
+    if not baseline > share * extent:
         raise ValueError(
-            f"the path must end away from where it starts: its baseline is {baseline} m, "
-            f"its extent {extent} m"
+            "the path must end away from where it starts, which it is scaled by: its baseline is "
+            f"{baseline:.3g} m, its extent {extent:.3g} m; show it in two parts"
         )
-    local = (path - path[-1]) @ local_frame(path[0], path[-1]) / baseline
-    return fit_forcing(local, t, **constants)
+    return np.asarray((path - path[-1]) @ local_frame(path[0], path[-1]) / baseline)
 
 
 def fit_forcing(

@@ -105,7 +105,9 @@ def guide(
                 b11, b12, b22 = (1.0 + k) * b11, (1.0 + k) * b12, (1.0 + k) * b22
                 more = (1.0 + 1.0 / k) * clearance**2
                 root = b12**2 + (reach**2 - b11 - more) * (b22 + more)
-                angle = math.atan2(b22 + more, b12 + math.sqrt(max(root, 0.0)))
+                # Inside of it the heading leans outward.
+                signed = math.copysign(math.sqrt(abs(root)), root)
+                angle = math.atan2(b22 + more, b12 + signed)
                 tangent = mixed(math.cos(angle), e1, math.sin(angle), e2)
                 share = min(2.0 * lean / size, 1.0)
                 heading = mixed(1.0 - share, u, share, tangent)

@@ -52,7 +52,7 @@ def test_one_recording_loses_its_tremor_keeps_its_way_and_ends_at_rest() -> None
     assert of_raw > 10.0 * jerk
 
 
-def test_repetitions_are_averaged_each_counting_the_same() -> None:
+def test_repetitions_elsewhere_turned_larger_and_denser_count_the_same() -> None:
     # The second is sampled four times as often.
     shown = [
         recording(1, bulge=0.1, count=300, duration=4.0, noise=0.0),
@@ -61,16 +61,11 @@ def test_repetitions_are_averaged_each_counting_the_same() -> None:
     mean, t = average_paths(*zip(*shown, strict=True))
     assert t[-1] == pytest.approx(5.0)
     np.testing.assert_allclose(mean, arc(t / 5.0, 0.2), atol=1e-3)
-
-
-def test_repetitions_elsewhere_turned_and_larger_are_the_same_motion() -> None:
     path, t = recording(1, noise=0.0)
     turn = Rotation.from_rotvec([0.0, 0.0, 1.2])
     other = 1.5 * turn.apply(path) + [0.1, 0.2, 0.05]
-    mean, _ = average_paths([path, other], [t, 2.0 * t + 100.0])
-    alone, _ = average_paths([path], [t])
-    dmp, same = (imitate(one) for one in (mean, alone))
-    a, b = (trajectory(one, START, GOAL).p for one in (dmp, same))
+    means = average_paths([path, other], [t, 2.0 * t + 100.0])[0], average_paths([path], [t])[0]
+    a, b = (trajectory(imitate(one), START, GOAL).p for one in means)
     np.testing.assert_allclose(a, b, atol=1e-9)
 
 
@@ -84,18 +79,10 @@ def test_a_few_points_are_gone_through_and_a_gap_is_bridged() -> None:
     assert np.linalg.norm(mean - arc(stamps / stamps[-1]), axis=1).max() < 5e-3
 
 
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (lambda p, t: (p, np.append(t[:-1], t[-2])), "sample 499 at .* follows"),
-        (lambda p, t: (np.vstack([p, p[::-1]]), np.arange(1000.0)), "show it in two parts"),
-    ],
-)
-def test_a_bad_one_of_several_is_named(spoil: object, words: str) -> None:
+def test_a_recording_that_leads_back_is_refused() -> None:
     path, t = recording(1)
-    bad = spoil(path, t)  # type: ignore[operator]
-    with pytest.raises(ValueError, match=f"^demonstration 2 of 2: .*{words}"):
-        average_paths([path, bad[0]], [t, bad[1]])
+    with pytest.raises(ValueError, match="show it in two parts"):
+        average_paths([path, np.vstack([path, path[::-1]])], [t, np.arange(1000.0)])
 
 
 # Orientations
@@ -121,7 +108,7 @@ def test_orientations_are_averaged(angle: float) -> None:
 def test_turns_that_differ_too_much_are_refused() -> None:
     s = np.linspace(0.0, 1.0, 400)
     there, back = (turning(s, angle).as_matrix() for angle in (3.3, -3.3))
-    with pytest.raises(ValueError, match=r"demonstration 1 of 2: .*turned by 95 degrees"):
+    with pytest.raises(ValueError, match="demonstration 1 of 2 is turned by 95 degrees"):
         average_orientations([there, back], [s, s])
-    with pytest.raises(ValueError, match=r"demonstration 2 of 2: .*no rotation matrix"):
+    with pytest.raises(ValueError, match="no rotation matrix"):
         average_orientations([there, 2.0 * there], [s, s])

@@ -1,125 +1,143 @@
-"""The orientation's action layer alone, and beside the position's."""
+"""The orientation's action layer beside the position's, and motions that begin anew."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
+from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray
 from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import imitate, minimum_jerk, minimum_jerk_orientation, orientation_along
+from drake_oa.policy.dmp import (
+    Demonstration,
+    imitate,
+    imitate_orientation,
+    minimum_jerk,
+    minimum_jerk_orientation,
+    minimum_jerk_share,
+    orientation_along,
+)
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from tests.builders import read
 
-START = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix().matrix()
-GOAL = RollPitchYaw(np.pi - 0.4, 0.1, 0.7).ToRotationMatrix().matrix()
+START, GOAL = np.array([0.3, -0.4, 0.3]), np.array([0.3, 0.4, 0.3])
+R_WS = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix().matrix()
+R_WG = RollPitchYaw(np.pi - 0.4, 0.1, 0.7).ToRotationMatrix().matrix()
 PRIMITIVE = minimum_jerk_orientation()
 PERIOD, STEP = 0.008, 0.002
 
 
-class Samples(NamedTuple):
-    """Outputs every `STEP`, as a controller reads them, and the policy's speed."""
+class Beside:
+    """Both action levels in a Simulator, and their outputs every `STEP`, as a controller reads."""
 
-    orientation: Rotation
-    q: FloatArray
-    w: FloatArray
-    alpha: FloatArray
-    speed: FloatArray
+    def __init__(self, duration: float, **inputs: object) -> None:
+        builder = DiagramBuilder()
+        straight = imitate(*minimum_jerk(START, GOAL, duration=duration))
+        self.policy = builder.AddSystem(
+            DmpIntegrator(straight, START, config=Policy(period=PERIOD))
+        )
+        self.turning = builder.AddSystem(
+            OrientationIntegrator(PRIMITIVE, R_WS, R_WG, period=PERIOD)
+        )
+        state = self.policy.GetOutputPort("policy_state")
+        builder.Connect(state, self.turning.GetInputPort("policy_state"))
+        self.simulator, self.steps = Simulator(builder.Build()), 0
+        self.fix(goal=GOAL, **inputs)
 
+    def fix(self, **inputs: object) -> None:
+        root = self.simulator.get_mutable_context()
+        for system in (self.policy, self.turning):
+            for name, value in inputs.items():
+                if system.HasInputPort(name):
+                    abstract = value if isinstance(value, np.ndarray) else Value(value)
+                    context = system.GetMyMutableContextFromRoot(root)
+                    system.GetInputPort(name).FixValue(context, abstract)
 
-def beside() -> Diagram:
-    """The action levels of the position and of the orientation."""
-    builder = DiagramBuilder()
-    path, t = minimum_jerk([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], duration=3.0)
-    policy = builder.AddNamedSystem(
-        "policy", DmpIntegrator(imitate(path, t), np.zeros(3), config=Policy(period=PERIOD))
-    )
-    system = builder.AddNamedSystem(
-        "orientation", OrientationIntegrator(PRIMITIVE, START, GOAL, period=PERIOD)
-    )
-    builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
-    return builder.Build()
-
-
-def simulated(
-    until: float, speeds: tuple[float, ...] = (1.0,), goals: dict[float, FloatArray] | None = None
-) -> Samples:
-    """Simulates with a speed scale a second, the last one to the end, and goals from instants."""
-    diagram = beside()
-    simulator = Simulator(diagram)
-    systems = [diagram.GetSubsystemByName(name) for name in ("policy", "orientation")]
-    policy, turning = systems
-    contexts = [s.GetMyMutableContextFromRoot(simulator.get_mutable_context()) for s in systems]
-    policy.GetInputPort("goal").FixValue(contexts[0], np.array([1.0, 0.0, 0.0]))
-    rows = []
-    for step in range(round(until / STEP)):
-        time = step * STEP
-        speed = speeds[min(int(time), len(speeds) - 1)]
-        policy.GetInputPort("speed_scale").FixValue(contexts[0], np.array([speed]))
-        for begin, goal in (goals or {}).items():
-            if time >= begin:
-                turning.GetInputPort("goal_orientation").FixValue(contexts[1], goal)
-        simulator.AdvanceTo(time)
-        state = policy.GetOutputPort("policy_state").Eval(contexts[0])
-        names = ("orientation", "angular_velocity", "angular_acceleration")
-        outputs = (read(turning, contexts[1], f"desired_{name}") for name in names)
-        rows.append((*outputs, state.speed))
-    q, w, alpha, speed = (np.array(column) for column in zip(*rows, strict=True))
-    return Samples(Rotation.from_quat(q, scalar_first=True), q, w, alpha, speed)
+    def advance(self, end: float) -> tuple[FloatArray, ...]:
+        """Position, quaternion, angular velocity and acceleration from now on, and the speed."""
+        rows, root = [], self.simulator.get_context()
+        while self.steps < round(end / STEP):
+            self.simulator.AdvanceTo(self.steps * STEP)
+            self.steps += 1
+            policy, turning = (
+                system.GetMyContextFromRoot(root) for system in (self.policy, self.turning)
+            )
+            names = ("orientation", "angular_velocity", "angular_acceleration")
+            state = self.policy.GetOutputPort("policy_state").Eval(policy)
+            outputs = [read(self.turning, turning, f"desired_{name}") for name in names]
+            rows.append((read(self.policy, policy, "desired_position"), *outputs, state.speed))
+        return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
-@pytest.fixture(scope="module")
-def free() -> Samples:
-    return simulated(4.0)
+def rotations(q: FloatArray) -> Rotation:
+    return Rotation.from_quat(q, scalar_first=True)
 
 
-def test_it_arrives_with_the_position_and_goes_the_planned_way(free: Samples) -> None:
-    s = np.maximum(STEP * np.arange(len(free.q)) - 2 * PERIOD, 0.0) / 3.0
-    planned = Rotation.from_matrix(orientation_along(PRIMITIVE, START, GOAL, s))
-    assert (free.orientation.inv() * planned).magnitude().max() < 1e-3
-    assert (free.orientation[1500].inv() * Rotation.from_matrix(GOAL)).magnitude() < 1e-3
-    assert np.linalg.norm(free.w[1500]) < 2e-3
+def off(q: FloatArray, R: FloatArray) -> float:
+    """Angle of the last quaternion from an orientation [rad]."""
+    return float((rotations(q[-1]).inv() * Rotation.from_matrix(R)).magnitude())
 
 
-def assert_consistent(run: Samples) -> None:
+def assert_consistent(q: FloatArray, w: FloatArray, alpha: FloatArray) -> None:
     """The quaternion is smooth, and the rates are its derivatives."""
-    assert (np.einsum("ti,ti->t", run.q[1:], run.q[:-1]) > 0.9).all()
-    slope = (run.orientation[1:] * run.orientation[:-1].inv()).as_rotvec() / STEP
-    mean = 0.5 * (run.w[1:] + run.w[:-1])
-    assert np.abs(slope - mean).max() < 2e-5 * max(1.0, np.abs(run.w).max())
+    assert (np.einsum("ti,ti->t", q[1:], q[:-1]) > 0.9).all()
+    slope = (rotations(q[1:]) * rotations(q[:-1]).inv()).as_rotvec() / STEP
+    assert np.abs(slope - 0.5 * (w[1:] + w[:-1])).max() < 2e-5 * max(1.0, np.abs(w).max())
     # Acceleration is linear but at the steps of the policy, which come after its samples.
-    rise, mean = np.diff(run.w, axis=0) / STEP, 0.5 * (run.alpha[1:] + run.alpha[:-1])
-    inside = np.ones(len(rise), dtype=bool)
-    inside[0::4] = False
-    assert np.abs(rise - mean)[inside].max() < 2e-3 * max(1.0, np.abs(run.alpha).max())
+    rise, mean = np.diff(w, axis=0) / STEP, 0.5 * (alpha[1:] + alpha[:-1])
+    inside = np.arange(len(rise)) % 4 > 0
+    assert np.abs(rise - mean)[inside].max() < 2e-3 * max(1.0, np.abs(alpha).max())
 
 
-def test_rates_are_the_derivatives(free: Samples) -> None:
-    assert_consistent(free)
+def test_it_arrives_with_the_position_and_goes_the_planned_way() -> None:
+    _, q, w, alpha, _ = Beside(3.0).advance(4.0)
+    s = np.maximum(STEP * np.arange(len(q)) - 2 * PERIOD, 0.0) / 3.0
+    planned = Rotation.from_matrix(orientation_along(PRIMITIVE, R_WS, R_WG, s))
+    assert (rotations(q).inv() * planned).magnitude().max() < 1e-3
+    assert off(q, R_WG) < 1e-3
+    assert_consistent(q, w, alpha)
 
 
-def test_a_hold_stops_the_orientation_and_then_it_goes_on() -> None:
-    run = simulated(6.0, (1.0, 0.0, 0.5, 1.0))
-    # All of it but the policy's last step before.
-    at_rest = np.flatnonzero(run.speed == 0.0)[10:-5]
-    assert len(at_rest) > 285
-    assert np.abs(run.w[at_rest]).max() == 0.0
-    assert np.ptp(run.q[at_rest], axis=0).max() == 0.0
-    assert (run.orientation[-1].inv() * Rotation.from_matrix(GOAL)).magnitude() < 1e-3
-    assert_consistent(run)
-
-
-def test_a_new_goal_is_reached_without_a_jump() -> None:
+def test_a_hold_stops_the_orientation_and_a_new_goal_is_reached_without_a_jump() -> None:
+    run, parts = Beside(3.0), []
     other = RollPitchYaw(np.pi, -0.2, -0.5).ToRotationMatrix()
-    # Of either sign, as a source may give it.
-    run = simulated(6.0, goals={1.5: -other.ToQuaternion().wxyz()})
-    assert (run.orientation[1:].inv() * run.orientation[:-1]).magnitude().max() < 0.005
-    assert np.linalg.norm(np.diff(run.w, axis=0), axis=1).max() < 0.15
-    assert (run.orientation[-1].inv() * Rotation.from_matrix(other.matrix())).magnitude() < 1e-3
+    for second, scale in enumerate((1.0, 0.0, 0.5, 1.0, 1.0, 1.0), 1):
+        run.fix(speed_scale=np.array([scale]))
+        parts.append(run.advance(second))
+        if second == 3:
+            # Of either sign, as a source may give it.
+            run.fix(goal_orientation=-other.ToQuaternion().wxyz())
+    _, q, w, alpha, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
+    # All of it but the policy's last step before.
+    at_rest = np.flatnonzero(speed == 0.0)[10:-5]
+    assert len(at_rest) > 285
+    assert np.abs(w[at_rest]).max() == 0.0
+    assert np.ptp(q[at_rest], axis=0).max() == 0.0
+    assert off(q, other.matrix()) < 1e-3
+    assert np.linalg.norm(np.diff(w, axis=0), axis=1).max() < 0.15
+    assert_consistent(q, w, alpha)
+
+
+@pytest.mark.parametrize("turned", [np.pi / 3.0, 7.0])
+def test_a_motion_that_begins_anew_imitates_what_is_shown(turned: float) -> None:
+    """A half circle above the line in two seconds, and a turn of up to 400 degrees."""
+    t = np.linspace(0.0, 2.0, 201)
+    angle, center = np.pi * minimum_jerk_share(t / 2.0), 0.5 * (START + GOAL)
+    path = center + 0.4 * np.column_stack([0.0 * t, -np.cos(angle), np.sin(angle)])
+    R = R_WS @ Rotation.from_rotvec(np.outer(turned * angle / np.pi, [0, 0, 1])).as_matrix()
+    shown = Demonstration(imitate(path, t), imitate_orientation(R, t), R[0], R[-1], t / 2.0)
+    inputs = {"ellipsoids_W": EllipsoidSet(stamp=np.inf), "demonstration": shown}
+    begins = CouplingParameters(anew=True, verified=True)
+    p, q, *_ = Beside(1.0, coupling_parameters=begins, **inputs).advance(3.5)
+    np.testing.assert_allclose(np.linalg.norm(p - center, axis=1), 0.4, atol=5e-3)
+    assert p[:, 2].max() > 0.69
+    np.testing.assert_allclose(p[-1], GOAL, atol=1e-3)
+    assert off(q, R[-1]) < 5e-3
+    # Without beginning anew it goes on as it was.
+    p, *_ = Beside(1.0, **inputs).advance(1.5)
+    np.testing.assert_allclose(p[:, 2], START[2], atol=1e-6)
