@@ -158,8 +158,7 @@ def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shap
     if method == "enclosing":
         one = enclosing_ellipsoid(cloud, tool=corners)
         return one.center, one.R, one.semi_axes
-    fit = fit_superquadric(dilate(cloud, corners))
-    return fit.center, fit.R, fit.semi_axes
+    return fit_superquadric(dilate(cloud, corners))
 
 
 def _parts(

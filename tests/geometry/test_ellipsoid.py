@@ -11,11 +11,9 @@ from drake_oa.geometry.ellipsoid import (
     Ellipsoid,
     enclosing_ellipsoid,
     plane_section,
-    shape_matrix,
     signed_distance,
     unit_directions,
 )
-from drake_oa.geometry.ellipsoid_kernels import tangent_heading
 
 seed = st.integers(0, 10**6)
 semi_axis = st.floats(0.01, 1.0)
@@ -128,70 +126,3 @@ def test_section_lies_on_the_ellipsoid_and_on_the_plane(seed, e):
     np.testing.assert_allclose(np.linalg.norm(ring @ R / e, axis=1), 1.0, atol=1e-9)
     np.testing.assert_allclose(ring @ n, 0.0, atol=1e-12)
     assert found.axes[0] @ e1 >= np.cos(np.pi / 4) - 1e-12
-
-
-# The tangent heading.
-
-
-def tangent(p, c, R, e, omega, delta):
-    """Heading past one obstacle."""
-    heading = np.empty(3)
-    tangent_heading(p, c, shape_matrix(R, e), omega, delta, heading)
-    return heading
-
-
-@given(seed, st.floats(0.0, 0.3), st.sampled_from([None, (0, 1), (1, 2), (2, 0)]))
-def test_ray_along_the_heading_keeps_the_clearance(seed, delta, plane):
-    rng = np.random.default_rng(seed)
-    c, R = pose(rng)
-    e = rng.uniform(0.02, 0.5, 3)
-    away, omega = units(rng), units(rng)
-    if plane:
-        angle = rng.uniform(0.0, 2.0 * np.pi)
-        away = np.cos(angle) * R[:, plane[0]] + np.sin(angle) * R[:, plane[1]]
-        omega = rng.normal() * R[:, plane[0]] + rng.normal() * R[:, plane[1]]
-    p = c + away * (e.max() + delta + rng.uniform(1e-6, 1.0))
-    v = tangent(p, c, R, e, omega, delta)
-    e1 = (c - p) / np.linalg.norm(c - p)
-    e2 = omega - (omega @ e1) * e1
-    e2 /= np.linalg.norm(e2)
-    assert np.linalg.norm(v) == pytest.approx(1.0)
-    assert abs(v @ np.cross(e1, e2)) < 1e-9
-    assert v @ e2 >= -1e-12
-    along = (c - p) @ v + np.linspace(-0.5, 0.5, 4001)
-    kept = signed_distance(p + along[:, None] * v, c, R, e)
-    assert kept.min() >= delta - 1e-9
-    # In a principal plane the shadow is the section, and the clearance is just kept.
-    assert plane is None or kept.min() <= delta + 1e-4
-
-
-@given(seed)
-def test_inside_it_leads_outward_and_continuously_across_the_border(seed):
-    rng = np.random.default_rng(seed)
-    c, R = pose(rng)
-    e, delta = rng.uniform(0.05, 0.3, 3), 0.1
-    # In a principal plane shadow and section agree, so the border is where d = delta.
-    away = units(rng)
-    away -= (away @ R[:, 2]) * R[:, 2]
-    away /= np.linalg.norm(away)
-    omega = np.cross(R[:, 2], away)
-
-    def distance(p):
-        return signed_distance(p, c, R, e)
-
-    border = brentq(lambda s: distance(c + s * away) - delta, 0.0, 1.0, xtol=1e-14)
-    inside, outside = (
-        tangent(c + (border + offset) * away, c, R, e, omega, delta) for offset in (-1e-7, 1e-7)
-    )
-    np.testing.assert_allclose(inside, outside, atol=5e-3)
-    p = c + rng.uniform(0.1, 0.9) * border * away
-    v = tangent(p, c, R, e, omega, delta)
-    assert np.linalg.norm(v) == pytest.approx(1.0)
-    assert distance(p + 1e-5 * v) > distance(p)
-
-
-@pytest.mark.parametrize("p", [np.zeros(3), np.array([-1.0, 0.0, 0.0])])
-@pytest.mark.parametrize("omega", [np.zeros(3), np.eye(3)[0], np.eye(3)[2]])
-def test_heading_is_finite_without_a_direction_or_a_distance(p, omega):
-    v = tangent(p, np.zeros(3), np.eye(3), np.array([0.1, 0.2, 0.3]), omega, 0.1)
-    assert np.linalg.norm(v) == pytest.approx(1.0)

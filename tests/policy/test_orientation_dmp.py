@@ -130,7 +130,6 @@ def test_a_goal_half_a_turn_away_is_approached_as_demonstrated() -> None:
         ([np.eye(3), 2.0 * np.eye(3)], "sample 1 is no rotation matrix"),
         (
             [np.eye(3), np.diag([1.0, -1.0, -1.0])],
-            None,
             "sample 0 and the next are half a turn apart",
         ),
         (turned(np.outer(SHARE, [0.0, 0.0, 12.0])), "at most 300 degrees can be imitated"),
