@@ -16,7 +16,7 @@ from drake_oa.common.messages import FloatArray
 
 
 def write_weights(
-    path: str | Path, arrays: Mapping[str, FloatArray], metadata: Mapping[str, Any], kind: str
+    path: str | Path, arrays: Mapping[str, Any], metadata: Mapping[str, Any], kind: str
 ) -> None:
     """Writes arrays and metadata; `kind` names the format.
 
