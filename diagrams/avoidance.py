@@ -35,7 +35,7 @@ AddLayer = Callable[[Wires, Scenario, Cell | None], None]
 
 
 def nothing(wires: Wires, scenario: Scenario, station: Cell | None) -> None:
-    """The layer that adds nothing."""
+    """Adds nothing, in place of a layer."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.perception import PointCloud
@@ -56,11 +55,6 @@ ECHOES = {
 """Outputs that hand on an input that is not a number, and the time of a contact that never comes;
 the controller commands no torque of them."""
 
-SELDOM_READ = {
-    "DmpIntegrator.demonstration",
-    "MotionGuard.demonstration",
-}
-"""Inputs that are read where a motion begins or something moves."""
 
 Parts = list[tuple[LeafSystem, Context]]
 
@@ -234,17 +228,3 @@ def test_an_input_that_is_not_a_number_is_no_command(parts: Parts) -> None:
                 name = full_name(output)
                 if output.get_data_type() == PortDataType.kVectorValued and name not in ECHOES:
                     assert np.isfinite(output.Eval(one.get_context())).all(), name
-
-
-def test_a_message_of_another_type_is_refused_by_the_name_of_its_port(parts: Parts) -> None:
-    for system, inner in parts:
-        for port in inputs_of(system):
-            is_vector = port.get_data_type() == PortDataType.kVectorValued
-            if is_vector or type(port.Allocate()) is not Value[object]:
-                continue  # Drake refuses it.
-            if full_name(port) in SELDOM_READ:
-                continue
-            one = alone(system, inner)
-            port.FixValue(one.get_mutable_context(), Value(object()))
-            with pytest.raises(TypeError, match=f"'{port.get_name()}' holds a object; it must be"):
-                outputs_at(one, 0.02)

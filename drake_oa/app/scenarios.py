@@ -85,18 +85,12 @@ def scenarios(*, files: bool = False) -> None:
         for name, path in shipped.items():
             print(f"{name:<{width}}  {path}")
         return
-    needed = {name: missing_package(path) for name, path in shipped.items()}
-    rows = [
-        {
-            "name": name,
-            "text": description(path) + (f" (needs {needed[name]})" if needed[name] else ""),
-        }
-        for name, path in shipped.items()
-    ]
-    notes = (
-        ["what a scenario needs: pip install 'drake_oa[robots]'"] if any(needed.values()) else []
-    )
-    show(TextTable([Column(key, "", side="left") for key in ("name", "text")], rows, notes))
+    rows = []
+    for name, path in shipped.items():
+        package = missing_package(path)
+        needs = f" (needs {package}: pip install 'drake_oa[robots]')" if package else ""
+        rows.append({"name": name, "text": description(path) + needs})
+    show(TextTable([Column(key, "", side="left") for key in ("name", "text")], rows))
 
 
 SCHEMA = "scenario.schema.json"

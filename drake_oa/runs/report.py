@@ -210,12 +210,6 @@ def shares(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str,
     return {name: share for name, share in found.items() if share > 0.0 and name}
 
 
-def _sources_text(sources: dict[str, float] | None) -> str | None:
-    return (
-        None if not sources else ", ".join(f"{name} {share:.0%}" for name, share in sources.items())
-    )
-
-
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
     """The report of `drake-oa run --json`; see `motion_report` for each motion.
 
@@ -257,15 +251,11 @@ def report_table(report: dict[str, Any]) -> TextTable:
 
     The notes below it name clearance that was not feasible or not kept, and contacts.
     """
-    rows = [
-        {
-            "motion": motion,
-            "source": _sources_text(report[motion]["sources"]),
-            **report[motion],
-        }
-        for motion in ("preplanned", "modulated")
-        if motion in report
-    ]
+    rows = []
+    for motion in ("preplanned", "modulated"):
+        if found := report.get(motion):
+            sources = [f"{name} {share:.0%}" for name, share in (found["sources"] or {}).items()]
+            rows.append({"motion": motion, "source": ", ".join(sources) or None, **found})
     notes = dict.fromkeys(note for row in rows for note in _notes(row["motion"], row))
     return TextTable(_COLUMNS, rows, list(notes), transposed=True)
 

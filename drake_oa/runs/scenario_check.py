@@ -1,4 +1,4 @@
-"""What only shows when a scenario is built: whether all of it can be, and what its ends leave."""
+"""Checks of a scenario that require its diagram, and the clearances at start and goal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drake_oa.world.station import make_station
 
 
 def unbuildable(scenario: Scenario) -> list[str]:
-    """What keeps a scenario from being built, a line each: world, both ends, all layers."""
+    """Returns the errors of building a scenario, a line each: world, both ends, all layers."""
     steps: list[Callable[[], object]] = [lambda: build_avoidance(scenario)]
     if scenario.robot is not None:
         steps = [

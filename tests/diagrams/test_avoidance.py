@@ -36,22 +36,6 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
     assert log.event == (DECIDING, "")
 
 
-@pytest.mark.parametrize(
-    ("name", "duration", "hit"),
-    [
-        ("tabletop_box", 3.2, ["obstacle_box"]),
-        ("long_tool", 5.2, ["carried0"]),
-        ("shelf_elbow", 4.0, ["panda_link"]),
-        ("moving_obstacle", 4.0, ["obstacle_box", "obstacle_ball"]),
-    ],
-)
-def test_the_nominal_motion_hits_the_obstacles(name: str, duration: float, hit: list[str]) -> None:
-    scenario = load_scenario(name)
-    log = simulate(scenario, modulated=False, duration=duration)
-    contacts = " ".join(robot_metrics(scenario, log.q[::5], log.q_world[::5]).contacts)
-    assert all(words in contacts for words in hit)
-
-
 def test_the_avoiding_motion_keeps_the_clearance_and_is_not_held_up() -> None:
     # The latency would let the motion begin later.
     scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "thinking=null"])
