@@ -340,7 +340,7 @@ class MotionGuard(LeafSystem):
             # A motion under way, in a Context that another simulator takes over.
             return EventStatus.DidNothing()
         q, _ = self._arm.split(self._robot.Eval(context))
-        rest = np.append(q, np.zeros(self._n))
+        rest = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else before.x
         held.set_value(replace(before, x=rest, path=rest, end=time))
         return EventStatus.Succeeded()
 
