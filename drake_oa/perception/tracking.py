@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import (
     BoolArray,
@@ -50,7 +51,6 @@ from drake_oa.perception.velocity import (
     registered_tracks,
     seen_sides,
     speed_statistic,
-    with_motion_of,
 )
 from drake_oa.perception.visibility import (
     SAME_RADIUS,
@@ -257,7 +257,7 @@ def associate(
     for c in np.flatnonzero(mixed):
         inside = np.flatnonzero(cluster == c)
         rows = np.flatnonzero(claims[c])
-        point_row[inside] = _divided(points[inside], vote_row[inside], rows, remembered, owner)
+        point_row[inside] = _divided(points[inside], rows, remembered, owner)
         largest = rows[known[rows].argmax()]
         partner[rows[rows != largest]] = largest
     return Association(point_row, cluster_row, mixed, new, partner)
@@ -286,20 +286,12 @@ def _match_centroids(
 
 
 def _divided(
-    points: FloatArray, vote: IntArray, rows: IntArray, remembered: FloatArray, owner: IntArray
+    points: FloatArray, rows: IntArray, remembered: FloatArray, owner: IntArray
 ) -> IntArray:
-    """Rows (Q,) for the points of one cluster that several obstacles claim."""
-    result = np.where(np.isin(vote, rows), vote, -1)
-    far = np.flatnonzero(result < 0)
-    if len(far):
-        gaps = []
-        for m in rows:
-            mine = remembered[owner == m]
-            low, high = mine.min(axis=0), mine.max(axis=0)
-            outside = np.maximum(0.0, np.maximum(low - points[far], points[far] - high))
-            gaps.append(np.linalg.norm(outside, axis=1))
-        result[far] = rows[np.argmin(gaps, axis=0)]
-    return np.asarray(result, dtype=np.int64)
+    """Divides points (Q, 3) of one cluster among obstacles, by the nearest remembered point."""
+    among = np.isin(owner, rows)
+    _, nearest = cKDTree(remembered[among]).query(points)
+    return np.asarray(owner[among][nearest], dtype=np.int64)
 
 
 def fuse(
@@ -346,24 +338,11 @@ def fuse(
         raise ValueError(f"the stamp of a frame must be finite [s], not {stamp}")
     if not frame.usable:
         return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
-    before = previous.taken
-    if stamp == before:
+    if stamp == previous.taken:
         return replace(previous, obstacles=replace(previous.obstacles, note=""))
-    if stamp < before:
+    if stamp < previous.taken:
         previous = ObstacleMemory(next_id=previous.next_id)
-        before = -math.inf
-    first = before == -math.inf
-    step = _Step(
-        previous,
-        frame,
-        complete,
-        0.0 if first else stamp - before,
-        config or SegmentationConfig(),
-        robot,
-        first,
-        stamp,
-    )
-    return step.run(stamp)
+    return _Step(previous, frame, stamp, config or SegmentationConfig(), robot, complete).run()
 
 
 class _Look(NamedTuple):
@@ -392,23 +371,21 @@ class _Step:
         self,
         previous: ObstacleMemory,
         frame: Segmentation,
-        complete: bool,
-        dt: float,
+        stamp: float,
         config: SegmentationConfig,
         robot: Solids | None,
-        first: bool,
-        stamp: float,
+        complete: bool,
     ) -> None:
-        self.previous, self.frame, self.complete, self.dt = previous, frame, complete, dt
-        self.config, self.robot, self.first = config, robot, first
+        self.previous, self.frame, self.complete, self.stamp = previous, frame, complete, stamp
+        self.config, self.robot, self.first = config, robot, previous.taken == -math.inf
+        self.dt = 0.0 if self.first else stamp - previous.taken
         self.tracks, self.points = previous.tracks, previous.points
         lengths = [len(cloud) for cloud in frame.clouds_W]
         self.seen = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
         self.cluster = np.repeat(np.arange(len(lengths)), lengths)
         self.next_id = previous.next_id
-        self.stamp = stamp
 
-    def run(self, stamp: float) -> ObstacleMemory:
+    def run(self) -> ObstacleMemory:
         """The memory after the frame."""
         self.tracks = predicted_tracks(self.tracks, self.dt)
         look = self._look()
@@ -435,7 +412,7 @@ class _Step:
         self._split(split)
         self._merge(association, known)
         self._forget()
-        return self._handed_on(stamp)
+        return self._handed_on()
 
     def _look(self) -> _Look:
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
@@ -636,10 +613,7 @@ class _Step:
             self.tracks = changed(self.tracks, sides=sides, area=area, apart=apart)
 
     def _merge(self, association: Association, known: int) -> None:
-        """Joins obstacles that are one cluster: moving alike for long, or both seen of late.
-
-        The latter are parts of what comes into view.
-        """
+        """Joins obstacles that are one cluster and move alike for long."""
         tracks = self.tracks
         partner = np.full(len(tracks), -1, dtype=np.int64)
         partner[:known] = association.partner
@@ -647,12 +621,9 @@ class _Step:
         alike = np.linalg.norm(v_W - v_W[partner], axis=1) < _ALIKE
         together = np.where((partner >= 0) & alike, tracks.together + self.dt, 0.0)
         self.tracks = changed(tracks, together=together)
-        new = tracks.age < _MERGE_TIME
-        joined = (together >= _MERGE_TIME) | ((partner >= 0) & new & new[partner])
+        joined = together >= _MERGE_TIME
         for row in np.flatnonzero(joined):
             into = int(partner[row])
-            if self.tracks.moving[row] and not self.tracks.moving[into]:
-                self.tracks = with_motion_of(self.tracks, into, int(row))
             p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
             mine = owner == row
             p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
@@ -676,7 +647,7 @@ class _Step:
     def _fewest(self) -> int:
         return max(4, self.config.min_cluster_voxels // 2)
 
-    def _handed_on(self, stamp: float) -> ObstacleMemory:
+    def _handed_on(self) -> ObstacleMemory:
         tracks, points = self.tracks, self.points
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
         listed = confirmed >= self._fewest()
@@ -689,7 +660,7 @@ class _Step:
             for row in late
         )
         obstacles = ObstacleClouds(
-            stamp,
+            self.stamp,
             tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
             tracks.ids[listed],
             held_table(self.previous.obstacles.table, self.frame.table, _TABLE_SHIFT),
@@ -703,7 +674,7 @@ class _Step:
             points,
             held,
             self._references,
-            stamp,
+            self.stamp,
             self.previous.told,
         )
 

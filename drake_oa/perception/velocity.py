@@ -102,7 +102,6 @@ class Tracks(Frozen):
         still: (M,) time since its velocity was significant [s].
         blind: (M, 3) time since it was measured along each axis of the world [s].
         odd: (M, 3) whether the last measurement along each axis was an outlier.
-        age: (M,) time since it was seen first [s].
         apart: (M,) frames in a row in which it was seen in parts.
         together: (M,) time as one cluster with a larger obstacle [s].
     """
@@ -120,7 +119,6 @@ class Tracks(Frozen):
     still: FloatArray = zeros(0)
     blind: FloatArray = zeros(0, 3)
     odd: BoolArray = zeros(0, 3, kind=bool)
-    age: FloatArray = zeros(0)
     apart: IntArray = zeros(0, kind=np.int64)
     together: FloatArray = zeros(0)
 
@@ -276,22 +274,9 @@ def measured_tracks(
         area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
         blind=np.where(told, 0.0, tracks.blind + dt),
         odd=off,
-        age=tracks.age + dt,
     )
     measured, found = np.asarray(told.any(axis=1)), np.asarray(registered.any(axis=1))
     return _decided(tracks, measured, found, dt)
-
-
-def with_motion_of(tracks: Tracks, row: int, other: int) -> Tracks:
-    """Gives one obstacle the motion that was found of another."""
-    source = np.arange(len(tracks))
-    source[row] = other
-    state, P = np.array(tracks.state), np.array(tracks.covariance)
-    state[row, :, 1], P[row, :, 1, 1] = state[other, :, 1], P[other, :, 1, 1]
-    P[row, :, 0, 1] = P[row, :, 1, 0] = 0.0
-    names = "moving", "significant", "still", "blind"
-    parts = {name: getattr(tracks, name)[source] for name in names}
-    return changed(tracks, state=state, covariance=P, **parts)
 
 
 def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: float) -> Tracks:
