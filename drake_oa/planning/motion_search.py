@@ -60,6 +60,7 @@ from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
     ANGLE,
+    N_GENES,
     avoidance_terms,
     genes_of,
     rows_of,
@@ -353,7 +354,10 @@ class MotionSearch:
             most=math.inf if sight.policy.phase == 1.0 else self._parameters.frame,
         )
         scene, rows = search.scene, route.ranking
-        sides = genes_of(scene, terms_of(coupling)[rows], coupling.scaling[rows])
+        sides = np.zeros((0, N_GENES))
+        # Rows of the paper's chain alone have no centers.
+        if len(rows):
+            sides = genes_of(scene, terms_of(coupling)[rows], coupling.scaling[rows])
         chain = _guided_command(coupling, route, scene)
         found = search.run(sides, guided=_guided(chain), source=max(command.source, NOMINAL))
         source = int(found.source[0])
