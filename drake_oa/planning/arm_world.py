@@ -189,11 +189,13 @@ def exceeds(world: ArmWorld, q: FloatArray) -> bool:
 
 
 @compiled
-def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[float, int]:
+def share_clear(
+    world: ArmWorld, one: FloatArray, other: FloatArray, stride: float = STRIDE
+) -> tuple[float, int]:
     """Computes the share of the straight way between two configurations (n,) that is clear.
 
-    No step moves a sphere by more than the excess over the requested clearances, or `STRIDE`: at
-    most half of it can be lost between two steps.
+    No step moves a sphere by more than the excess over the requested clearances, or by `stride`
+    [m]: at most half of it can be lost between two steps.
 
     Returns:
         The share, 1 for all of it, and the number of checked configurations.
@@ -205,8 +207,8 @@ def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[fl
         bound += world.chain.reach[i] * abs(other[i] - one[i])
     if bound == 0.0:
         return 1.0, 0
-    stride = STRIDE / bound
-    share, clear, checked = min(stride, 1.0), 0.0, 0
+    step = stride / bound
+    share, clear, checked = min(step, 1.0), 0.0, 0
     while True:
         for i in range(n):
             q[i] = one[i] + share * (other[i] - one[i])
@@ -216,7 +218,7 @@ def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[fl
             return clear, checked
         if share == 1.0:
             return 1.0, checked
-        clear, share = share, min(share + max(stride, kept / bound), 1.0)
+        clear, share = share, min(share + max(step, kept / bound), 1.0)
 
 
 @compiled

@@ -62,6 +62,7 @@ _MOST_ASKED = 400
 _FARTHEST = 1e3
 """Points and speeds beyond this are none [m, m/s]."""
 
+_NOT_FINITE = "obstacles_W holds what is not finite"
 _UNKNOWN = np.zeros((0, 3))
 
 
@@ -99,14 +100,12 @@ class SeenSolids(Frozen):
         fields: those of the obstacles, as in `scene`, but for the table.
         table: as in `scene`, or None.
         moved: names of obstacles that move or have moved.
-        note: empty, or why the last observation does not count.
     """
 
     scene: SolidScene = field(default_factory=SolidScene)
     fields: tuple[SeenField, ...] = ()
     table: TablePlane | None = None
     moved: frozenset[int] = frozenset()
-    note: str = ""
 
 
 def looked_at(
@@ -126,13 +125,10 @@ def looked_at(
             filled.
         views: images of several cameras: what any of them sees through is not filled.
     """
-    is_readable = _is_readable(obstacles, viewpoints_W)
-    note = "" if is_readable else "obstacles_W holds what is not finite"
-    if note or obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
-        scene = before.scene
-        if (said := note or obstacles.note) != scene.note:
-            scene = replace(scene, note=said)
-        return replace(before, scene=scene, note=note)
+    if not _is_readable(obstacles, viewpoints_W):
+        return replace(before, scene=replace(before.scene, note=_NOT_FINITE))
+    if obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
+        return replace(before, scene=replace(before.scene, note=obstacles.note))
     table = before.table
     if obstacles.table is not None:
         table = held_table(table, obstacles.table, _TABLE_SHIFT)
@@ -374,8 +370,8 @@ class CloudSolids(LeafSystem):
 
 
 def _log_change(before: SeenSolids, after: SeenSolids, time: float) -> None:
-    if after.note and not before.note:
-        _logger.warning("t=%.3f s: %s; the solids seen before are kept", time, after.note)
+    if after.scene.note == _NOT_FINITE != before.scene.note:
+        _logger.warning("t=%.3f s: %s; the solids seen before are kept", time, _NOT_FINITE)
     told = {seen.solid.name for seen in before.fields if seen.grid.note}
     for seen in after.fields:
         if seen.grid.note and seen.solid.name not in told:

@@ -2,7 +2,8 @@
 
 RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000), and random shortcuts of its path (R.
 Geraerts and M. H. Overmars, IJRR 2007). A straight way between two configurations is checked in
-steps as long as its clearance allows.
+steps as long as its clearance allows. While the trees grow the steps are coarse; a path is checked
+in full where the trees meet, and what is not clear is cut off.
 
 The same world, ends, seed and limit give the same path: the limit counts configurations.
 """
@@ -15,68 +16,90 @@ import numpy as np
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.thinking import count
-from drake_oa.planning.arm_world import ArmWorld, exceeds, share_clear
+from drake_oa.planning.arm_world import STRIDE, ArmWorld, exceeds, share_clear
 
-_RANGE, _LEAST = 0.8, 0.1
+_RANGE, _LEAST = 0.8, 0.05
 """Longest and shortest step of the trees [rad]."""
+_COARSE = 0.1
+"""As `STRIDE` while the trees grow [m]."""
 _BESIDE, _WIDE = 0.8, 1.0
 """Share of the samples near the straight way, and their standard deviation from it [rad]."""
 _SHORTCUTS = 100
 """Number of shortcuts that are tried on a path."""
 
 
+class _Ways:
+    """Straight ways of an arm among solids, and the number of configurations checked on them."""
+
+    def __init__(self, world: ArmWorld) -> None:
+        self.world, self.checked = world, 0
+
+    def share_clear(self, one: FloatArray, other: FloatArray, stride: float = STRIDE) -> float:
+        """Returns the share of a way that is clear."""
+        share, checked = share_clear(self.world, one, other, stride)
+        self.checked += checked
+        return share
+
+
 class _Tree:
     """Tree of configurations (N, n), of which `used` are set [rad]."""
 
-    def __init__(self, roots: FloatArray, size: int) -> None:
-        self.q, self.used = np.empty((size, roots.shape[1])), len(roots)
+    def __init__(self, ways: _Ways, roots: FloatArray, size: int) -> None:
+        self.ways, self.used = ways, len(roots)
+        self.q = np.empty((size, roots.shape[1]))
         self.q[: self.used] = roots
         self.parent = [-1] * self.used
 
-    def extend(self, world: ArmWorld, row: int, aim: FloatArray) -> tuple[int, bool, int]:
+    def extend(self, row: int, aim: FloatArray) -> tuple[int, bool]:
         """Adds a node toward `aim`, as far as the way is clear and no farther than `_RANGE`.
 
         Returns:
-            The new node, or -1; whether it is the aim; and the number of checked configurations.
+            The new node, or -1, and whether it is the aim.
         """
         q = self.q[row]
         d = math.dist(q, aim)
         share = min(1.0, _RANGE / max(d, _RANGE))
-        clear, checked = share_clear(world, q, q + share * (aim - q))
-        if clear * share * d < min(_LEAST, 0.5 * d):
-            return -1, False, checked
-        self.q[self.used] = q + clear * share * (aim - q)
+        share *= self.ways.share_clear(q, q + share * (aim - q), _COARSE)
+        if share * d < min(_LEAST, 0.5 * d):
+            return -1, False
+        self.q[self.used] = q + share * (aim - q)
         self.parent.append(row)
         self.used += 1
-        return self.used - 1, clear * share == 1.0, checked
+        return self.used - 1, share == 1.0
 
     def nearest(self, q: FloatArray) -> int:
         """Returns the row of the nearest node."""
         return int(((self.q[: self.used] - q) ** 2).sum(axis=1).argmin())
 
-    def branch(self, row: int) -> list[FloatArray]:
-        """Returns the nodes from one back to its root."""
-        found = []
-        while row >= 0:
-            found.append(self.q[row])
-            row = self.parent[row]
-        return found
+    def branch(self, row: int) -> list[int]:
+        """Returns the nodes from one back to its root; empty if a way between them is not clear.
+
+        Nodes beyond such a way are moved to infinity.
+        """
+        rows = [row]
+        while self.parent[rows[-1]] >= 0:
+            row = rows[-1]
+            rows.append(self.parent[row])
+            if self.ways.share_clear(self.q[rows[-1]], self.q[row]) < 1.0:
+                lost = {row}
+                for k in range(row, self.used):
+                    if self.parent[k] in lost:
+                        lost.add(k)
+                self.q[list(lost)] = np.inf
+                return []
+        return rows
 
 
-def _shorten(world: ArmWorld, path: list[FloatArray], random: np.random.Generator) -> int:
-    """Takes random shortcuts of a path; returns the number of checked configurations."""
-    checked = 0
+def _shorten(ways: _Ways, path: list[FloatArray], random: np.random.Generator) -> None:
+    """Takes random shortcuts of a path."""
     for _ in range(_SHORTCUTS):
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
         places = np.sort(random.uniform(0.0, length[-1], 2))
         first, last = np.searchsorted(length[:-1], places, "right") - 1
         ends = np.stack([np.interp(places, length, q) for q in np.transpose(path)], axis=1)
-        if first < last and math.dist(*ends) < places[1] - places[0] - 1e-3:
-            share, looked_at = share_clear(world, *ends)
-            checked += looked_at
-            if share == 1.0:
-                path[first + 1 : last + 1] = ends
-    return checked
+        is_shorter = first < last and math.dist(*ends) < places[1] - places[0] - 1e-3
+        if is_shorter and ways.share_clear(*ends) == 1.0:
+            path[first + 1 : last + 1] = ends
 
 
 def plan_path(
@@ -95,31 +118,27 @@ def plan_path(
         (T, n) corners of the path, from start to goal [rad]; (0, n): none was found.
     """
     goals = goals[[exceeds(world, q) for q in goals]]
-    none, checked = np.zeros((0, len(q_start))), 0
+    path: list[FloatArray] = []
     if not (len(goals) and exceeds(world, q_start)):
-        return none
-    random, size = np.random.default_rng(seed), most + len(goals) + 2
-    start = tree = _Tree(q_start[None], size)
-    other = _Tree(goals, size)
+        return np.zeros((0, len(q_start)))
+    random, size, ways = np.random.default_rng(seed), most + len(goals) + 2, _Ways(world)
+    start = tree = _Tree(ways, q_start[None], size)
+    other = _Tree(ways, goals, size)
     aim = goals[0]
-    while checked < most:
-        new, _, looked_at = tree.extend(world, tree.nearest(aim), aim)
-        checked += looked_at
+    while ways.checked < most and not path:
+        new, _ = tree.extend(tree.nearest(aim), aim)
         row, reached = other.nearest(tree.q[new]) if new >= 0 else -1, False
-        while row >= 0 and not reached and checked < most:
-            row, reached, looked_at = other.extend(world, row, tree.q[new])
-            checked += looked_at
-        if reached:
-            halves = tree.branch(new)[::-1], other.branch(row)[1:]
-            path = [*halves[0], *halves[1]]
+        while row >= 0 and not reached and ways.checked < most:
+            row, reached = other.extend(row, tree.q[new])
+        if reached and (one := tree.branch(new)) and (two := other.branch(row)):
+            path = [*tree.q[one[::-1]], *other.q[two[1:]]]
             path = path if tree is start else path[::-1]
-            count(configurations=checked + _shorten(world, path, random))
-            return np.array(path)
+            _shorten(ways, path, random)
         tree, other = other, tree
         aim = random.uniform(world.chain.lower, world.chain.upper)
         if random.random() < _BESIDE:
             aim = q_start + random.random() * (goals[0] - q_start)
             aim = aim + _WIDE * random.normal(size=len(q_start))
             aim = np.clip(aim, world.chain.lower, world.chain.upper)
-    count(configurations=checked)
-    return none
+    count(configurations=ways.checked)
+    return np.array(path).reshape(-1, len(q_start))

@@ -11,17 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.compiled import CORES, on_cores, parted
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.common.thinking import count
-from drake_oa.geometry.solids import Solids, ball_bound, ellipsoid, solid_distance, solids_of
+from drake_oa.geometry.solids import Solids, ellipsoid, least_distances, solids_of
 from drake_oa.planning.search import BAD, PRICE, Search
 from drake_oa.policy.rollout import Scene, ToolRollouts
 
 _TOUCH = 50.0
 """Additional cost of contact."""
-_EACH = 8
-"""Number of paths for which another thread pays."""
 
 
 def ellipsoid_solids(ellipsoids: EllipsoidSet) -> Solids:
@@ -35,33 +32,25 @@ def ellipsoid_solids(ellipsoids: EllipsoidSet) -> Solids:
     return solids_of(rows)
 
 
-def path_distances(solids: Solids, path: FloatArray, seconds: FloatArray) -> FloatArray:
+def path_distances(
+    solids: Solids, path: FloatArray, seconds: FloatArray, most: float = np.inf
+) -> FloatArray:
     """Returns the least distances (N, K) of paths to solids that move [m].
 
     Args:
         solids: K solids.
         path: (N, T, 3) points at equal intervals from time 0 on [m]; NaN after the end.
         seconds: (N,) the intervals [s].
+        most: distance above which none is computed [m].
     """
-    least = np.full((len(path), len(solids.ball)), np.inf)
-    path, seconds = np.ascontiguousarray(path), np.ascontiguousarray(seconds)
-    on_cores(_lower, min(CORES, len(path) // _EACH + 1), solids, path, seconds, least)
+    t = np.arange(path.shape[1]) * seconds[:, None]
+    least = np.empty((len(path), len(solids.ball)))
+    for k, ball in enumerate(solids.ball):
+        one = solids.chosen(np.arange(len(solids.ball)) == k)
+        points = (path - t[..., None] * ball[4:7]).reshape(-1, 3)
+        d = least_distances(one, points, 0.0, most, -np.inf)
+        least[:, k] = d.reshape(t.shape).min(axis=1)
     return least
-
-
-@parted
-def _lower(
-    part: int, parts: int, solids: Solids, path: FloatArray, seconds: FloatArray, least: FloatArray
-) -> None:
-    """Lowers the rows part, part + parts, ... of least (N, K), see `path_distances`."""
-    for i in range(part, len(path), parts):
-        for row in range(path.shape[1]):
-            x, y, z, t = path[i, row, 0], path[i, row, 1], path[i, row, 2], row * seconds[i]
-            if np.isnan(x):
-                break
-            for k in range(least.shape[1]):
-                if ball_bound(solids, k, x, y, z, t) < least[i, k]:
-                    least[i, k] = min(least[i, k], solid_distance(solids, k, x, y, z, t))
 
 
 class PointSearch(Search):
@@ -86,7 +75,9 @@ class PointSearch(Search):
             tool: their paths.
         """
         step = self.seconds(genes) * tool.ds
-        least = path_distances(self.solids, tool.path, step)
+        # Beyond the requested clearance no distance matters.
+        most = float(self.scene.clearance.max(initial=0.0)) + self.parameters.slack
+        least = path_distances(self.solids, tool.path, step, most)
         goal = np.full((len(genes), 2, 3), np.inf)
         goal[:, 1] = self.scene.p_WG
         at_goal = path_distances(self.solids, goal, step * tool.steps)

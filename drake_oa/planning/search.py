@@ -75,8 +75,6 @@ _GOAL_PRICE, _MISS = 30.0, 2.0
 """Costs of an end that is a baseline away from the goal, and of any end beyond the tolerance."""
 _LATE = 0.05
 """Cost of a unit of normalised time after s = 1."""
-_HURRY = 0.02
-"""Cost of |ln tau| = 1 among moving obstacles."""
 _LINE, _LEAST = 0.2, 5
 """Share of the candidates of a round, and least number, that differ from the best in alpha only."""
 _FIRST_FRESH = 6
@@ -168,7 +166,6 @@ class Search(ABC):
         self.scene, self.dmp, self.policy, self.parameters = scene, dmp, policy, parameters
         self.previous, self.price, self.most = previous, price, most
         self.elites, self.rounds = elites, rounds
-        self.moves = scene.moves
         self.ds = policy.period / dmp.duration
         self.counts = np.zeros(len(SOURCES), dtype=np.int64)
         self._spent = self._latest = 0.0
@@ -276,8 +273,7 @@ class Search(ABC):
         bad = _GOAL_PRICE * missed / L + _MISS * (missed > 0.0)
         price = np.where(genes[:, ALPHA] > -np.inf, price_at(self.price, genes[:, ANGLE]), 0.0)
         late = np.maximum(tool.steps * self.ds + self.scene.s - 1.0, 0.0)
-        hurry = np.abs(genes[:, TAU]) if self.moves else 0.0
-        small = _LATE * late + _HURRY * hurry + price
+        small = _LATE * late + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
     def seeded(self, sides: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -312,8 +308,7 @@ class Search(ABC):
         trial = np.concatenate([line, kin])
         if number >= _FIRST_FRESH and not ranked.solved:
             trial = np.where(random.is_fresh[:, None], random.fresh, trial)
-        if not self.moves:
-            trial[:, TAU] = 0.0
+        trial[:, TAU] = 0.0
         return self.bounded(trial)
 
     def bounded(self, genes: FloatArray) -> FloatArray:
@@ -366,8 +361,6 @@ class ArmSearch(Search):
         """
         super().__init__(scene, **more)
         self.world, self.q, self.leading = world, q, leading
-        # MotionGuard is responsible for moving obstacles.
-        self.moves = False
         self.every = max(round(1.0 / (self.ds * samples)), 1)
         self.planned_length = _length(self.dmp) * scene.baseline
 

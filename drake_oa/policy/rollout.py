@@ -59,11 +59,6 @@ class Scene(Frozen):
         """(3,) start of the motion [m]."""
         return self.p_WG - self.baseline * self.R_WL[:, 0]
 
-    @property
-    def moves(self) -> bool:
-        """Whether an obstacle moves."""
-        return bool(self.ellipsoids.v_WO.any())
-
 
 def scene_under_way(
     policy: PolicyState,

@@ -53,13 +53,10 @@ def track(
     guide = np.empty((2, n))
     guide[1] = posture[:n]
     guide[0] = posture[:n] - step * posture[n:]
-    X_next, (wx, wy, wz) = X_WE.copy(), step * V_WE[:3]
+    X_next = X_WE.copy()
+    X_next[9:] += step * V_WE[3:]
     for k in range(3):
-        x, y, z = X_WE[k], X_WE[3 + k], X_WE[6 + k]
-        X_next[k] += wy * z - wz * y
-        X_next[3 + k] += wz * x - wx * z
-        X_next[6 + k] += wx * y - wy * x
-        X_next[9 + k] += step * V_WE[3 + k]
+        X_next[k:9:3] += step * np.cross(V_WE[:3], X_WE[k:9:3])
     after = q.copy()
     follow(after, X_next, guide, 1, pull, chain, room)
     ahead = after.copy()

@@ -25,11 +25,11 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.solids import Solids, SolidScene, least_distances
+from drake_oa.geometry.solids import SolidScene, least_distances
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.spheres import sphere_centers
 from drake_oa.safety.guarded_arm import GuardedArm
@@ -86,26 +86,6 @@ def violated_claim(
     point, place = (v_WS[is_fast] @ _PLACES.T > v_unseen * _SHARE).nonzero()
     places = np.concatenate([centers, centers[point] + rho[point, None] * _PLACES[place]])
     unseen = places[~free_space.contains(places)]
-    is_open = _is_any_open(unseen, p_WS[0], arm.spheres.radius, solids, scene.stamp)
+    unseen = unseen[least_distances(solids, unseen, scene.stamp, _SKIN, -1.0) >= _SKIN]
+    is_open = (cdist(unseen, p_WS[0]) >= arm.spheres.radius + _SKIN).all(axis=1).any()
     return "B" if is_open else ""
-
-
-@compiled
-def _is_any_open(
-    places: FloatArray, p_WS: FloatArray, radius: FloatArray, solids: Solids, stamp: float
-) -> bool:
-    """Checks whether any place (N, 3) is outside the spheres p_WS (S, 3), (S,) and the solids."""
-    for i in range(len(places)):
-        x, y, z = places[i]
-        is_taken = False
-        for k in range(len(p_WS)):
-            square = (x - p_WS[k, 0]) ** 2 + (y - p_WS[k, 1]) ** 2 + (z - p_WS[k, 2]) ** 2
-            if square < (radius[k] + _SKIN) ** 2:
-                is_taken = True
-                break
-        if (
-            not is_taken
-            and least_distances(solids, places[i : i + 1], stamp, _SKIN, -1.0)[0] >= _SKIN
-        ):
-            return True
-    return False

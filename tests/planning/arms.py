@@ -1,4 +1,4 @@
-"""Arms among things: as the kernels of planning take them, and as Drake's SceneGraph has them."""
+"""Arms among solids, as the kernels of planning take them."""
 
 from __future__ import annotations
 
@@ -6,26 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import GeometryId
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import SpatialInertia
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.shapes import Box, Sphere, shape_geometry
+from drake_oa.geometry.shapes import Box, Sphere
 from drake_oa.geometry.solids import Solid, shape_solids, solids_of
 from drake_oa.planning.arm_world import (
-    LINKS,
-    TOOL,
     ArmWorld,
     Asked,
 )
-from drake_oa.robot.arm import Chain, chain_poses, joints_to, make_chain, moved_by
+from drake_oa.robot.arm import Chain, chain_poses, make_chain
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 
 
@@ -99,29 +93,15 @@ def arm_alone(config: Robot) -> ArmAlone:
     return ArmAlone(config, robot, spheres, chain, q)
 
 
-@dataclass(frozen=True, eq=False)
-class Thing:
-    """A shape at a pose (4, 4) at time 0, with a velocity (3,) [m/s]."""
-
-    shape: Box | Sphere
-    X_WO: FloatArray
-    v_WO: FloatArray
-
-    def solid(self, label: str = "thing") -> Solid:
-        (solid,) = shape_solids([self.shape], self.X_WO, v_WO=self.v_WO, label=label)
-        return solid
-
-
 def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> Solid:
     """A box along the world's axes, at rest."""
-    return Thing(Box(list(size)), RigidTransform(list(p_WO)).GetAsMatrix4(), np.zeros(3)).solid(
-        label
-    )
+    X_WO = RigidTransform(list(p_WO)).GetAsMatrix4()
+    return shape_solids([Box(list(size))], X_WO, label=label)[0]
 
 
-def random_things(random: np.random.Generator, count: int, moving: int = 0) -> list[Thing]:
+def random_solids(random: np.random.Generator, count: int, moving: int = 0) -> list[Solid]:
     """Boxes and spheres about an arm's base, the first of them moving."""
-    things = []
+    solids: list[Solid] = []
     for k in range(count):
         size = random.uniform(0.05, 0.2, 3)
         shape = Box(size.tolist()) if random.random() < 0.5 else Sphere(0.5 * size[0])
@@ -129,63 +109,9 @@ def random_things(random: np.random.Generator, count: int, moving: int = 0) -> l
         X[:3, :3] = Rotation.from_rotvec(random.normal(size=3)).as_matrix()
         X[:2, 3] = random.uniform(0.35, 0.8) * np.array([np.cos(angle), np.sin(angle)])
         X[2, 3] = random.uniform(0.0, 0.9)
-        v = random.uniform(-0.2, 0.2, 3) if k < moving else np.zeros(3)
-        things.append(Thing(shape, X, v))
-    return things
-
-
-class Truth:
-    """The arm's true shapes among things, as SceneGraph has them."""
-
-    def __init__(self, arm: ArmAlone, things: Sequence[Thing]) -> None:
-        builder = DiagramBuilder()
-        self._plant, graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-        robot, self._things = add_robot(self._plant, arm.config), things
-        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)
-        instance = self._plant.AddModelInstance("things")
-        self._bodies = [
-            self._plant.AddRigidBody(f"thing{k}", instance, inertia) for k in range(len(things))
-        ]
-        of_things = [
-            self._plant.RegisterCollisionGeometry(
-                body, RigidTransform(), shape_geometry(thing.shape), "shape", CoulombFriction()
-            )
-            for body, thing in zip(self._bodies, things, strict=True)
-        ]
-        self._plant.Finalize()
-        self._diagram = builder.Build()
-        self._root = self._diagram.CreateDefaultContext()
-        self._context = self._plant.GetMyMutableContextFromRoot(self._root)
-        self._port, self._graph = graph.get_query_output_port(), graph
-        self._arm, self._robot = arm, robot
-        joints = joints_to(arm.robot.plant, arm.robot.tool_frame)
-        moved = moved_by(
-            self._plant, [self._plant.GetJointByName(joint.name(), robot) for joint in joints]
-        )
-        names = set(tool_links(arm.config))
-        self.pairs: list[tuple[int, GeometryId, GeometryId]] = [
-            (TOOL if self._plant.get_body(body).name() in names else LINKS, of_arm, of_thing)
-            for body in moved
-            for of_arm in self._plant.GetCollisionGeometriesForBody(self._plant.get_body(body))
-            for of_thing in of_things
-        ]
-
-    def least(self, q: FloatArray, t: float) -> FloatArray:
-        """(2,) least distances of tool and links to the things at a time [m]."""
-        full = self._arm.q_full.copy()
-        full[self._arm.chain.q_index] = q
-        self._plant.SetPositions(self._context, self._robot, full)
-        for body, thing in zip(self._bodies, self._things, strict=True):
-            p, R = thing.X_WO[:3, 3] + t * thing.v_WO, RotationMatrix(thing.X_WO[:3, :3])
-            self._plant.SetFreeBodyPose(self._context, body, RigidTransform(R, p))
-        query, least = (
-            self._port.Eval(self._graph.GetMyContextFromRoot(self._root)),
-            np.full(2, 9e9),
-        )
-        for row, one, other in self.pairs:
-            d = query.ComputeSignedDistancePairClosestPoints(one, other).distance
-            least[row] = min(least[row], d)
-        return least
+        v_WO = random.uniform(-0.2, 0.2, 3) * (k < moving)
+        solids += shape_solids([shape], X, v_WO=v_WO)
+    return solids
 
 
 def wall_with_gap(height: float = 0.5, gap: float = 0.35) -> list[Solid]:

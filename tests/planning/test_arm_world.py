@@ -18,14 +18,14 @@ from drake_oa.planning.arm_world import (
     self_distance,
     share_clear,
 )
-from tests.planning.arms import ArmAlone, random_things
+from tests.planning.arms import ArmAlone, random_solids
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
 def random_world(arm: ArmAlone, random: np.random.Generator) -> ArmWorld:
     shard = hull(random.uniform(-0.1, 0.1, (12, 3)) + [0.4, 0.2, 0.5])
-    things = [thing.solid() for thing in random_things(random, 4, moving=2)]
+    things = random_solids(random, 4, moving=2)
     world = arm.among([*things, shard, half_space()], own=random.uniform(0.0, 0.05))
     table = random.uniform(-0.05, 0.2, world.asked.of_solids.shape)
     table[random.random(table.shape) < 0.2] = -np.inf
@@ -74,7 +74,7 @@ def test_limits_count(panda_arm: ArmAlone, seed: int) -> None:
 @given(seed=SEEDS)
 def test_a_clear_way_is_clear_between_its_samples(panda_arm: ArmAlone, seed: int) -> None:
     random = np.random.default_rng(seed)
-    world = panda_arm.among([thing.solid() for thing in random_things(random, 5)])
+    world = panda_arm.among(random_solids(random, 5))
     one = panda_arm.random_q(random)
     assume(exceeds(world, one))
     other = one + random.normal(size=7) * random.uniform(0.05, 0.6)

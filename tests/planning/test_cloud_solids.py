@@ -48,24 +48,16 @@ def distance(solids: Solids, row: int, point, time=0.0):
     return solid_distance(solids, row, *map(float, point), time)
 
 
-def true_distance(points):
-    """Of points (N, 3) outside the box."""
-    return np.linalg.norm(np.maximum(np.abs(points - CENTER) - HALF, 0.0), axis=1)
-
-
 def test_a_seen_box_is_a_solid_with_its_far_side():
     scene = looked_at(SeenSolids(), seen(box()), CAMERA[None]).scene
-    assert scene.labels == ("obstacle 0", "the table")
-    assert scene.stamp == 1.0
-    assert not scene.moves
-    points = CENTER + RNG.uniform(-0.3, 0.3, (1000, 3))
-    points = points[(np.abs(points - CENTER) > HALF).any(axis=1)]
-    error = np.array([distance(scene.solids, 0, p) for p in points]) - true_distance(points)
+    assert (scene.labels, scene.stamp, scene.moves) == (("obstacle 0", "the table"), 1.0, False)
+    points = RNG.uniform(-0.3, 0.3, (1000, 3))
+    true = np.linalg.norm(np.maximum(np.abs(points) - HALF, 0.0), axis=1)
+    error = np.array([distance(scene.solids, 0, p) for p in CENTER + points]) - true
     # Never too far by more than a voxel, its hidden sides included, and rarely much too near.
-    assert error.max() <= VOXEL
-    assert np.median(np.abs(error)) <= VOXEL
+    assert error[true > 0.0].max() <= VOXEL
+    assert np.median(np.abs(error[true > 0.0])) <= VOXEL
     assert distance(scene.solids, 0, CENTER) < -0.02
-    assert distance(scene.solids, 1, [0.0, 0.0, 0.3]) == pytest.approx(0.3)
 
 
 def test_noise_leaves_the_arrays_as_they_are():
@@ -83,15 +75,13 @@ def test_noise_leaves_the_arrays_as_they_are():
 
 def test_what_grows_or_goes_is_made_anew():
     first = looked_at(SeenSolids(), seen(box()), CAMERA[None])
-    stick = CENTER + np.stack([np.zeros(9), np.zeros(9), np.linspace(0.1, 0.14, 9)], axis=1)
+    stick = CENTER + np.linspace([0.0, 0.0, 0.1], [0.0, 0.0, 0.14], 9)
     grown = looked_at(first, seen(np.concatenate([box(), stick])), CAMERA[None])
-    assert not grown.scene.same_as(first.scene)
     assert distance(grown.scene.solids, 0, stick[-1]) <= VOXEL
-    short = np.array([0.04, 0.1, 0.08])
-    less = looked_at(first, seen(box(short, CENTER - [0.0, 0.0, 0.02])), CAMERA[None])
+    short = box(HALF - [0.0, 0.0, 0.02], CENTER - [0.0, 0.0, 0.02])
+    less = looked_at(first, seen(short), CAMERA[None])
     assert distance(less.scene.solids, 0, CENTER + [0.0, 0.0, 0.15]) > 0.06
-    gone = looked_at(first, seen(), CAMERA[None])
-    assert gone.scene.labels == ("the table",)
+    assert looked_at(first, seen(), CAMERA[None]).scene.labels == ("the table",)
 
 
 def test_a_moving_obstacle_keeps_its_field_and_is_deeper():
@@ -125,13 +115,13 @@ def test_what_is_not_finite_changes_nothing(bad):
     for given in (seen(cloud, stamp=2.0), seen(box(), stamp=2.0, v_WO=[[0.0, bad, 0.0]])):
         now = looked_at(first, given, CAMERA[None])
         assert (now.scene.solids is first.scene.solids, now.scene.stamp) == (True, 1.0)
-        assert now.note == now.scene.note != ""
-    assert not looked_at(now, seen(box(), stamp=3.0), CAMERA[None]).note
+        assert "not finite" in now.scene.note
+    assert not looked_at(now, seen(box(), stamp=3.0), CAMERA[None]).scene.note
 
 
 def test_a_late_observation_or_one_without_a_table_keeps_the_scene():
     first = looked_at(SeenSolids(), seen(box()), CAMERA[None])
-    assert looked_at(first, seen(stamp=0.5), CAMERA[None]).scene is first.scene
+    assert looked_at(first, seen(stamp=0.5), CAMERA[None]).scene.solids is first.scene.solids
     after = looked_at(first, seen(box(), stamp=2.0, table=None), CAMERA[None])
     assert after.scene.labels == ("obstacle 0", "the table")
     before = unseen(TABLE)
@@ -152,16 +142,13 @@ def test_the_system_keeps_its_scene_and_warns_once(caplog):
     context = made.CreateDefaultContext()
     one = updated(made, context, seen(box(), np.zeros((0, 3)), ids=[3, 4]), 0.1)
     assert one.labels == ("obstacle 3", "the table")
-    bad, large = box(), RNG.uniform(-1.5, 1.5, (2000, 3))
+    bad = box()
     bad[0] = np.nan
     with caplog.at_level(logging.INFO, "drake_oa"):
         for time in (0.3, 0.4):
             assert updated(made, context, seen(bad, stamp=1.2), time).same_as(one)
-        for time in (5.0, 6.0):
-            updated(made, context, seen(large + [0.0, 0.1 * time, 0.0], stamp=time), time)
-    bad_one, coarse = (record.getMessage() for record in caplog.records)
-    assert "not finite" in bad_one
-    assert "obstacle 0: voxels of" in coarse
+    (record,) = caplog.records
+    assert "not finite" in record.getMessage()
 
 
 def post(height):

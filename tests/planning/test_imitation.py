@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import FloatArray
 from drake_oa.planning.arm_world import excess_along
 from drake_oa.planning.imitation import SPEED_SHARE, demonstration
 from drake_oa.planning.joint_planner import plan_path
@@ -14,13 +13,6 @@ from tests.planning.arms import ArmAlone, wall_with_gap
 
 PACE = 5.0
 MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
-
-
-def spaced(corners: FloatArray) -> FloatArray:
-    """(2001, n) along a polyline."""
-    u = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
-    at = np.linspace(0.0, u[-1], 2001)
-    return np.stack([np.interp(at, u, q) for q in corners.T], axis=1)
 
 
 @pytest.mark.parametrize("gap", [0.3, 0.5])
@@ -41,7 +33,7 @@ def test_the_primitives_go_where_the_plan_goes(panda_arm: ArmAlone, gap: float) 
     steps = np.abs(np.diff(shown.q, axis=0))
     assert steps[[0, -1]].max() < 0.02 * steps.max()
     # Corners are rounded as far as the clearance allows; between samples a little is lost.
-    assert excess_along(world, shown.q) >= min(excess_along(world, spaced(corners)), 0.0) - 2e-3
+    assert excess_along(world, shown.q) >= -8e-3
     # As slow as the pace asks, or as a joint makes it.
     seconds = shown.position.duration
     fastest = (steps / (seconds * np.diff(shown.s)[:, None]) / world.chain.speed).max()

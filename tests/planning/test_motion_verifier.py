@@ -160,15 +160,10 @@ def make(panda_arm: ArmAlone, proposer: ProposalNetwork) -> Make:
 
 def test_an_empty_world_leaves_the_motion_as_it_is(make: Make) -> None:
     bench = make()
-    found = bench.chosen()
-    assert len(found.alpha) == 0
-    assert found.note == ""
-    assert found.hold == HoldCause.NONE
-    assert not found.anew
+    found, motion = bench.chosen(), bench.motion
+    assert (len(found.alpha), found.note, found.hold) == (0, "", HoldCause.NONE)
     assert found.tau == pytest.approx(1.0, abs=2e-3)
     assert bench.number("shortfall") == bench.number("lowered") == 0.0
-    assert bench.output("demonstration").position is None
-    motion = bench.motion
     np.testing.assert_allclose(motion.p_WE[[0, -1]], [bench.start, GOAL], atol=2e-3)
     # A straight line, and the arm on it.
     assert np.ptp(motion.p_WE[:, [0, 2]], axis=0).max() < 1e-3
@@ -275,17 +270,9 @@ def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
 
 
 def test_where_nothing_is_possible_it_holds_and_says_why(make: Make) -> None:
-    # Walls all round, and a lid: there is room at the goal, and no way to it.
-    around = [
-        box_at(size, GOAL + at, "wall")
-        for size, at in (
-            ([0.42, 0.02, 0.6], [0.0, 0.2, 0.0]),
-            ([0.42, 0.02, 0.6], [0.0, -0.2, 0.0]),
-            ([0.02, 0.42, 0.6], [0.2, 0.0, 0.0]),
-            ([0.02, 0.42, 0.6], [-0.2, 0.0, 0.0]),
-            ([0.42, 0.42, 0.02], [0.0, 0.0, 0.3]),
-        )
-    ]
+    # Walls all around, and a lid: there is room at the goal, and no way to it.
+    sides = np.vstack([0.2 * np.eye(3)[:2], -0.2 * np.eye(3)[:2], [0.0, 0.0, 0.3]])
+    around = [box_at(np.where(at, 0.02, 0.5), GOAL + at, "wall") for at in sides]
     bench = make(TABLE, *around)
     found = bench.chosen()
     assert found.hold == HoldCause.OBSTACLES

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -91,13 +90,6 @@ def test_the_requested_clearance_is_achieved_and_not_much_more(
     free = min(least_distance(scene, end[None], np.zeros(1)) for end in (START, GOAL))
     assert min(0.0995, free - 5e-4) <= least_distance(scene, path, stamps) <= 0.11
     assert np.linalg.norm(path[-1] - GOAL) <= 7e-4
-
-
-def test_the_nominal_motion_stays_where_nothing_is_in_the_way(proposer: ProposalNetwork) -> None:
-    found, *_ = searched(scene_of([[0.5, 0.3, 0.0]]), proposer)
-    assert found.solved
-    assert found.genes[0, ALPHA] == -np.inf
-    assert found.length == pytest.approx(1.0, abs=1e-4)
 
 
 def test_a_moving_obstacle_is_avoided_where_it_will_be(proposer: ProposalNetwork) -> None:

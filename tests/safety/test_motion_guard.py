@@ -45,7 +45,7 @@ class Bench:
             ("desired_velocity", np.zeros(3)),
             ("desired_orientation", quaternion),
             ("desired_angular_velocity", np.zeros(3)),
-            ("desired_posture", np.append(self.q, np.zeros(len(self.q)))),
+            ("desired_posture", np.append(self.q, np.zeros(7))),
             ("policy_state", Value(policy)),
             ("motion", Value(motion)),
             ("solids_W", Value(SolidScene.of(0.0, []))),

@@ -9,7 +9,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import SolidScene, sphere
 from drake_oa.perception.depth_perception import FreeSpace
-from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.passive_safety import violated_claim
 from tests.planning.arms import ArmAlone
@@ -34,23 +33,12 @@ def claim_of(
     return violated_claim(arm, t, course, scene, space, V=0.8, v_unseen=0.25)
 
 
-def ahead(panda: ArmAlone, guarded: GuardedArm, way: float) -> FloatArray:
-    """Place (3,) so far from the tool in the direction in which joint 1 turns [m]."""
-    p_WE = tool_poses(guarded.chain, np.array(panda.q)[None])[0, 9:]
-    along = np.array([-p_WE[1], p_WE[0], 0.0]) / np.hypot(*p_WE[:2])
-    return np.asarray(p_WE + way * along)
-
-
-def moving_ball(p_WO: FloatArray, v_WO: tuple[float, ...] = (0.0, 0.0, 0.3)) -> SolidScene:
-    X_WO = np.eye(4)
-    X_WO[:3, 3] = p_WO
-    return SolidScene.of(0.0, [replace(sphere(0.05), X_WO=X_WO, v_WO=np.array(v_WO))])
-
-
-def seen(depth: float) -> FreeSpace:
-    """Every pixel has this depth [m]."""
-    image = np.full((240, 320), depth, dtype=np.float32)
-    return FreeSpace((View(image, K, X_WC),), 0.0)
+def moving_ball(panda: ArmAlone, way: float, speed: float) -> SolidScene:
+    """A ball so far from the tool in the direction in which joint 1 turns [m], that rises."""
+    X_WO, p_WE = np.eye(4), panda.X_WE[9:]
+    X_WO[:3, 3] = p_WE + way * np.array([-p_WE[1], p_WE[0], 0.0]) / np.hypot(*p_WE[:2])
+    ball = replace(sphere(0.05), X_WO=X_WO, v_WO=np.array([0.0, 0.0, speed]))
+    return SolidScene.of(0.0, [ball])
 
 
 @pytest.mark.parametrize(
@@ -67,8 +55,7 @@ def seen(depth: float) -> FreeSpace:
 def test_claim_a(
     panda: ArmAlone, guarded: GuardedArm, way: float, rate: float, speed: float, claim: str
 ) -> None:
-    scene = moving_ball(ahead(panda, guarded, way), (0.0, 0.0, speed))
-    assert claim_of(guarded, panda.q, rate, scene) == claim
+    assert claim_of(guarded, panda.q, rate, moving_ball(panda, way, speed)) == claim
 
 
 @pytest.mark.parametrize(
@@ -79,4 +66,7 @@ def test_claim_a(
 def test_claim_b(
     panda: ArmAlone, guarded: GuardedArm, depth: float, rate: float, claim: str
 ) -> None:
-    assert claim_of(guarded, panda.q, rate, SolidScene.of(0.0, []), seen(depth)) == claim
+    # Every pixel has this depth.
+    image = np.full((240, 320), depth, dtype=np.float32)
+    space = FreeSpace((View.of(image, K, X_WC),), 0.0)
+    assert claim_of(guarded, panda.q, rate, SolidScene.of(0.0, []), space) == claim

@@ -1,4 +1,4 @@
-"""What the supervisor demands and decides."""
+"""Demands of the monitors, and the speed of the phase."""
 
 import numpy as np
 import pytest
@@ -19,24 +19,13 @@ from drake_oa.safety.supervision import (
 STEP = 0.008
 
 
-@pytest.mark.parametrize(
-    ("action", "scale", "reason"),
-    [
-        ("follow", 1.0, ""),
-        ("slow", 0.3, "near obstacle 4, contact in 0.50 s"),
-        ("evade", 0.0, "evades obstacle 4, contact in 0.50 s"),
-    ],
-)
-def test_the_phase_runs_as_the_guard_decides(action: str, scale: float, reason: str) -> None:
-    decision = GuardDecision(action, scale, contact=1.5, obstacle="obstacle 4")
-    demand = watch_guard(decision, 1.0, late=False, moves=True)
-    assert (demand.scale, demand.reason, demand.lasting) == (scale, reason, False)
-    assert watch_guard(decision, 1.0, late=True, moves=True).scale == 0.0
-
-
-def test_distance_from_the_path_and_old_observations_slow() -> None:
-    assert [watch_path(d).scale for d in (0.0, 0.02, 0.2)] == [1.0, 1.0, 0.0]
-    assert watch_path(0.06).scale == pytest.approx(0.5)
+def test_guard_path_and_old_observations_slow() -> None:
+    for action, scale, reason in (("follow", 1.0, ""), ("slow", 0.3, "near 4, contact in 0.50 s")):
+        decision = GuardDecision(action, scale, contact=1.5, obstacle="4")
+        demand = watch_guard(decision, 1.0, late=False, moves=True)
+        assert (demand.scale, demand.reason, demand.lasting) == (scale, reason, False)
+        assert watch_guard(decision, 1.0, late=True, moves=True).scale == 0.0
+    assert [watch_path(d).scale for d in (0.0, 0.02, 0.06, 0.2)] == pytest.approx([1, 1, 0.5, 0])
     seen = SolidScene(1.0)
     scales = [watch_observation(seen, 1.0 + age, 0.1, 0.5).scale for age in (0.1, 0.3, 0.5, 0.51)]
     assert scales == pytest.approx([1.0, 0.5, 0.1, 0.0])
@@ -46,16 +35,10 @@ def test_distance_from_the_path_and_old_observations_slow() -> None:
 def test_lasting_saturation_slows_and_is_forgiven() -> None:
     state, scales = Supervision(), []
     for step in range(60):
-        time = step * STEP
-        state, demand = watch_torque(state, step < 40, time, STEP)
+        state, demand = watch_torque(state, step < 40, step * STEP, STEP)
         scales.append(demand.scale)
-    assert scales[12] == 1.0
-    assert scales[14] == pytest.approx(0.7)
-    assert min(scales) == pytest.approx(0.7**3)
+    assert (scales[12], min(scales)) == (1.0, pytest.approx(0.7**3))
     assert scales[-1] == pytest.approx(0.7**3 + 20 * STEP / RECOVERY_TIME)
-    for step in range(1000):
-        state, demand = watch_torque(state, True, step * STEP, STEP)
-    assert demand.scale == pytest.approx(0.1)
 
 
 def run(
@@ -80,8 +63,6 @@ def test_speed_falls_at_once_and_rises_slowly() -> None:
     # A hold ends only well above where it began.
     assert run([Demand(0.2, "why", "why")], 5, held)[-1].action == "hold"
     assert run([Demand(0.4, "why", "why")], 5, held)[-1].action == "slow"
-    # A motion that was not held goes on at that speed.
-    assert run([Demand(0.2, "why", "why")], 1, Supervision())[0].action == "slow"
 
 
 def test_flickering_demands_and_new_causes_are_told_after_a_while() -> None:
