@@ -68,5 +68,5 @@ def test_claim_b(
 ) -> None:
     # Every pixel has this depth.
     image = np.full((240, 320), depth, dtype=np.float32)
-    space = FreeSpace((View.of(image, K, X_WC),), 0.0)
+    space = FreeSpace((View(image, K, X_WC),), 0.0)
     assert claim_of(guarded, panda.q, rate, SolidScene.of(0.0, []), space) == claim
