@@ -15,8 +15,7 @@ What the three share:
 
     cameras    where depth cameras stand that are not a shipped scenario's
     results    calls carried out here, in processes or on a Dask cluster (joblib), with results on
-               disk by a digest of all that they follow from; a count of dropped candidates
-    tables     figures as one text table
+               disk by a digest of all that they follow from
 
 Read `panda/evaluation.py` first: an evaluation from its scenes to its results on disk.
 """

@@ -1,6 +1,6 @@
 """Methods on synthetic scenes: a point that moves among ellipsoids, as in the paper's experiments.
 
-In: a suite's scenes (`suites`, or a file), N at once as arrays (`scenes.Scenes`: metres and m/s,
+In: a suite's scenes (`suites`), N at once as arrays (`scenes.Scenes`: metres and m/s,
 in the frame of the motion, start at the origin, goal at (baseline, 0, 0)), and methods
 (`methods`), each a function of scenes and a setting. Out: `scenes.Motions`, sampled paths and
 velocities, which `judge` looks at to convergence between the samples, and figures over all of
@@ -9,8 +9,7 @@ them (`evaluation`, `drake_oa.studies.plots`).
     methods        by name: `verified`, the project's, the regressor's proposals and more, checked
                    by roll-outs; `movement_primitives`, the package of that name; and
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
-                   Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7);
-                   what print and released code leave open is its `Reading`
+                   Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7)
 
 `evaluation` runs them batch by batch, and keeps what was judged when one fails; it also compares
 both coupling terms at the same peak and area, the paper's dead-zone figure. The judge shares no
