@@ -15,7 +15,7 @@ each.
   kinematics within the joint limits.
 - `spheres`: the robot, with what it holds, as spheres that enclose its collision geometry; pairs of
   bodies that may touch are found in random postures. `sphere_cover`: a body's spheres by a greedy
-  set cover of its surface; those of the Panda are shipped.
+  set cover, proven; those of the Panda are shipped.
 - `inertias`: a model with those of a file in place of its own.
 
 Begin with `plant.make_robot_plant` and `arm.make_chain`.

@@ -1,4 +1,4 @@
-"""Few spheres that provably enclose the surface of a body's collision shapes."""
+"""A few spheres that enclose a body's collision shapes, proven, and how far they stick out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -24,23 +24,30 @@ from drake_oa.geometry.solids import (
     least_distances,
     outline_corners,
     solids_of,
+    sphere,
     surface_points,
 )
 
-_MAX_CENTERS = 1500
-"""Maximum number of candidate spheres of a body."""
-_SURFACE = 300
-"""Approximate number of candidates below the surface of a shape."""
-_CHOICES = 12
-"""Number of candidates that enclose a large cell from which it is not divided; 1 of a small one."""
-_COARSE, _FINEST = 0.2, 0.07
-"""Radii of the balls around small cells, and around the smallest, over the overshoot."""
+_MOST_CENTERS, _MOST_SAMPLES = 3000, 12000
+"""Maximum numbers of candidate centers, and of points that must be covered, of a body."""
+_SURFACE = 600
+"""Points on the surface of a shape, about."""
+_ALONG_EDGE = 2.7
+"""Distance of balls along an edge, over the overshoot."""
+_ROUNDS = 4
+"""Maximum number of additions of bare points."""
+_CELLS = 40
+"""Cells along half of a body's longest extent that the proof begins with."""
+_MANY = 300
+"""Number of bare points from which the search restarts."""
+_CERTAIN = 1.0 / 16.0
+"""Half the edge of the smallest cells, over the overshoot."""
 _WIDER = 1.2
 """Factor of the overshoot while the spheres are too many."""
 _DIGITS = 9
-"""Decimals of lengths [m] that distinguish shapes: those of one model differ less by rounding."""
+"""Decimals of lengths [m] that tell shapes apart: those of one model differ less by rounding."""
 _VERSION = 2
-"""Version of the covers in files, to be raised when these must be computed again."""
+"""Version of the algorithm, to be raised when covers change: earlier ones are computed again."""
 SHIPPED = package_file("package://drake_oa/panda/spheres.npz")
 """Covers of the Panda's bodies by `cover_key`: (K, 4) centers in the body's frame and radii [m]."""
 
@@ -52,7 +59,7 @@ class Cover:
     Attributes:
         centers: (K, 3) in the body's frame [m].
         radii: (K,) [m].
-        overshoot: maximum distance of a point of the spheres from the shapes [m].
+        overshoot: how far they stick out of the shapes at most [m].
     """
 
     centers: FloatArray
@@ -61,102 +68,57 @@ class Cover:
 
 
 def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
-    """Computes spheres that enclose the surface of the union of a body's shapes.
+    """Spheres that enclose the union of a body's shapes.
 
-    Candidates stand on a lattice in the shapes and below their surface, each as large as the
-    overshoot allows: its radius is the depth of its center plus the overshoot. The surface is
-    covered by cells, which are halved until enough candidates enclose the ball around each. A
-    greedy set cover of the cells selects few candidates, and each shrinks as far as its cells
-    allow.
+    Balls stand on a lattice in the shapes, each as large as sticks out by the asked overshoot: by
+    its radius less the depth of its centre, in a convex shape. A greedy set cover of points in
+    the shapes takes few of them, and each becomes as small as these points let it. What lies
+    between the points is proven by cells, halved where no ball holds the ball round the cell:
+    what is found bare joins the points, and the last open cells have balls grow. Spheres stay.
 
     Args:
-        solids: the body's shapes, at least one, at their poses in the body.
-        overshoot: maximum distance by which the spheres may exceed the shapes [m].
-        most: maximum number of spheres; the overshoot grows until it suffices.
+        solids: the body's shapes, one at least, at their poses in the body.
+        overshoot: by how much the spheres may stick out, but for the proof's growth [m].
+        most: spheres at most; where more were needed the overshoot grows.
 
     Raises:
         ValueError: for a shape that is not bounded.
     """
-    scene, step = solids_of(solids), 2.7 * overshoot
+    scene = solids_of(solids)
+    if all(_is_rod(solid) and solid.size[2] == 0.0 for solid in solids):
+        centers = np.array([solid.X_WO[:3, 3] for solid in solids])
+        return _measured(scene, centers, np.array([solid.radius for solid in solids]))
+    points, rounds, finer = _samples(solids, scene, overshoot), 0, 0
     while True:
-        centers = np.concatenate([_candidates(solid, overshoot, step) for solid in solids])
-        if len(centers) <= _MAX_CENTERS:
-            break
-        step *= _WIDER
-    while True:
-        radii = np.maximum(-_distances(scene, centers), 0.0) + overshoot
-        cells, need = _surface_cells(solids, scene, centers, radii, overshoot)
-        is_open = ~(need <= radii).any(axis=1)
-        if is_open.any():
-            # On a sharp edge: cells there become candidates themselves.
-            edge = cells[is_open]
-            centers = np.concatenate([centers, edge[:: len(edge) // _SURFACE + 1]])
+        certain = _CERTAIN * overshoot
+        tried = (finer,) if finer else (1, 2, 3)
+        found = [_chosen(solids, scene, overshoot, certain, f, points) for f in tried]
+        counts = [len(chosen) for *_, chosen in found]
+        finer = tried[int(np.argmin(counts))]
+        centers, depth, radii, chosen = found[int(np.argmin(counts))]
+        if len(chosen) > most:
+            overshoot, finer = overshoot * _WIDER, 0
             continue
-        chosen = _choose(need <= radii)
-        if len(chosen) <= most:
-            break
-        overshoot *= _WIDER
-    centers, radii, need = centers[chosen], radii[chosen], need[:, chosen]
-    covers = need <= radii
-    for k in range(len(chosen)):
-        alone = covers[:, k] & (covers.sum(axis=1) == 1)
-        radii[k] = need[alone, k].max(initial=0.0)
-        covers[:, k] &= need[:, k] <= radii[k]
-    return _measured(scene, centers[radii > 0.0], radii[radii > 0.0])
+        centers, radii, depth = centers[chosen], radii[chosen], depth[chosen]
+        _tighten(centers, radii, points)
+        # A ball that is not needed for any point has become one of no size.
+        centers, depth = centers[radii > 0.0], depth[radii > 0.0]
+        radii = radii[radii > 0.0] + math.sqrt(3.0) * certain
+        many = _MANY if rounds < _ROUNDS else math.inf
+        gaps, half = _gaps(solids, scene, _balls_of(centers, radii), certain, many)
+        if half <= certain:
+            _grow(gaps, math.sqrt(3.0) * half, centers, depth, radii)
+            if rounds >= _ROUNDS or (radii - depth).max() <= overshoot:
+                break
+        points, rounds = np.concatenate([points, gaps]), rounds + 1
+    return _measured(scene, centers, radii)
 
 
-def _candidates(solid: Solid, inset: float, step: float) -> FloatArray:
-    """Returns points (K, 3) in a shape, in the body's frame, on a lattice and below the surface.
-
-    Args:
-        solid: the shape.
-        inset: depth of the outermost points, about [m].
-        step: maximum distance of neighbors on the lattice [m].
-    """
-    half = np.maximum(solid.half_extents - inset, 0.0)
-    is_rod = solid.kind == PRIMITIVE and not any(solid.size[:2])
-    if is_rod:
-        # Of a sphere or capsule, spheres about points of the axis are the deepest.
-        half = np.array([0.0, 0.0, solid.size[2]])
-    axes = [np.linspace(-h, h, 1 + math.ceil(2.0 * h / step)) for h in half]
-    inner = solid.placed(lattice(*axes) + solid.center)
-    inner = inner[_distances(solids_of([solid]), inner) <= 1e-9]
-    if is_rod:
-        return inner
-    surface = solid.placed(surface_points(solid, _SURFACE))
-    inwards = surface.mean(axis=0) - surface
-    away = np.linalg.norm(inwards, axis=1, keepdims=True)
-    return np.concatenate([inner, surface + inwards * np.minimum(1.0, inset / (away + 1e-9))])
-
-
-def _surface_cells(
-    solids: Sequence[Solid],
-    scene: Solids,
-    centers: FloatArray,
-    radii: FloatArray,
-    overshoot: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Divides space into cells, and returns those with surface.
-
-    Returns:
-        Their middles (N, 3), and the radii (N, K) from which on balls about the centers enclose
-        them [m].
-    """
-    corners = np.concatenate([solid.placed(outline_corners(solid)) for solid in solids])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    cells, half = 0.5 * (low + high)[None], 0.5 * float((high - low).max()) + 1e-9
-    found, needed = [], []
-    while len(cells):
-        reach = math.sqrt(3.0) * half
-        cells = cells[np.abs(_distances(scene, cells)) <= reach]
-        need = cdist(cells, centers) + reach
-        choices = _CHOICES if reach > _COARSE * overshoot else reach > _FINEST * overshoot
-        done = (need <= radii).sum(axis=1) >= choices
-        found.append(cells[done])
-        needed.append(need[done])
-        half /= 2.0
-        cells = (cells[~done][:, None] + half * CORNERS).reshape(-1, 3)
-    return np.concatenate(found), np.concatenate(needed)
+def _balls_of(centers: FloatArray, radii: FloatArray) -> Solids:
+    """Makes the scene of balls with centers (K, 3) and radii (K,) [m]."""
+    X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
+    X_BO[:, :3, 3] = centers
+    return solids_of([replace(sphere(r), X_WO=X) for r, X in zip(radii, X_BO, strict=True)])
 
 
 def known_cover(solids: Sequence[Solid], overshoot: float, most: int, announce: str) -> Cover:
@@ -195,6 +157,11 @@ def cover_key(solids: Sequence[Solid], overshoot: float, most: int = 200) -> str
     return found.hexdigest()[:32]
 
 
+def _is_rod(solid: Solid) -> bool:
+    """Returns whether it is a sphere or a capsule: balls on its z axis are the deepest."""
+    return solid.kind == PRIMITIVE and not any(solid.size[:2])
+
+
 def _measured(scene: Solids, centers: FloatArray, radii: FloatArray) -> Cover:
     """Balls that enclose shapes, with how near they fit."""
     return Cover(centers, radii, max(0.0, float((radii + _distances(scene, centers)).max())))
@@ -203,6 +170,66 @@ def _measured(scene: Solids, centers: FloatArray, radii: FloatArray) -> Cover:
 def _distances(scene: Solids, points: FloatArray) -> FloatArray:
     """Computes the signed distances (N,) of points (N, 3) to the nearest solid [m]."""
     return least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
+
+
+def _lattice(solid: Solid, inset: float, step: float, finer: int = 1) -> FloatArray:
+    """Points in a shape, in the body's frame, (K, 3).
+
+    Args:
+        solid: the shape.
+        inset: how deep in the box round the shape the outermost are [m].
+        step: how far apart they are at most [m].
+        finer: into how many parts that is divided.
+    """
+    half = np.maximum(solid.half_extents - inset, 0.0)
+    if _is_rod(solid):
+        half, step = np.array([0.0, 0.0, solid.size[2]]), min(step, 0.005)
+    axes = [np.linspace(-h, h, 1 + finer * math.ceil(2.0 * h / step)) for h in half]
+    p_BQ = solid.placed(lattice(*axes) + solid.center)
+    return np.asarray(p_BQ[_distances(solids_of([solid]), p_BQ) <= 1e-9])
+
+
+def _surface(solid: Solid) -> FloatArray:
+    """Points (K, 3) on a shape, in the body's frame [m]."""
+    return solid.placed(surface_points(solid, _SURFACE))
+
+
+def _below_surface(solid: Solid, depth: float) -> FloatArray:
+    """Points (K, 3) that far from those of the surface, towards their mean [m].
+
+    Of a rod and of a box, the lattices of which have such points, there are none.
+    """
+    if solid.kind == PRIMITIVE and not solid.size[4]:
+        return np.zeros((0, 3))
+    surface = _surface(solid)
+    inwards = surface.mean(axis=0) - surface
+    away = np.linalg.norm(inwards, axis=1, keepdims=True)
+    return np.asarray(surface + inwards * np.minimum(1.0, depth / np.maximum(away, 1e-9)))
+
+
+def _chosen(
+    solids: Sequence[Solid],
+    scene: Solids,
+    overshoot: float,
+    certain: float,
+    finer: int,
+    points: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """Balls (K, 3), their centres' depths and radii (K,), and which of them cover the points."""
+    # In a row along a box's edge, each a step from the next and as deep as they stick out, balls
+    # of twice the overshoot cover the edge with steps of up to 2 sqrt(2) of it.
+    step = max(_ALONG_EDGE * overshoot, finer * _least_step(solids, _MOST_CENTERS))
+    while True:
+        centers = np.concatenate(
+            [_lattice(solid, overshoot, step, finer) for solid in solids]
+            + [_below_surface(solid, overshoot) for solid in solids]
+        )
+        if len(centers) <= _MOST_CENTERS:
+            break
+        step *= 1.2
+    depth = np.maximum(-_distances(scene, centers), 0.0)
+    radii = depth + overshoot - math.sqrt(3.0) * certain
+    return centers, depth, radii, _choose(cdist(points, centers) <= radii)
 
 
 def _choose(covers: BoolArray) -> IntArray:
@@ -230,3 +257,82 @@ def _choose(covers: BoolArray) -> IntArray:
         else:
             times -= covers[:, best]
     return np.array(kept, dtype=np.int64)
+
+
+def _tighten(centers: FloatArray, radii: FloatArray, points: FloatArray) -> None:
+    """Makes each of K balls (K, 3), (K,) in turn as small as the points (N, 3) let it be."""
+    away = cdist(centers, points)
+    covers = away <= radii[:, None]
+    times = covers.sum(axis=0)
+    for k, mine in enumerate(covers):
+        radii[k] = away[k, mine & (times == 1)].max(initial=0.0)
+        times -= mine & (away[k] > radii[k])
+
+
+def _grow(
+    points: FloatArray, reach: float, centers: FloatArray, depth: FloatArray, radii: FloatArray
+) -> None:
+    """Makes balls larger until the ball of a reach round each of the points is in one of them.
+
+    Args:
+        points: (N, 3) [m].
+        reach: [m].
+        centers: (K, 3) the balls' [m].
+        depth: (K,) of the centres in the shape; that which sticks out least by it grows [m].
+        radii: (K,) [m]; some become larger.
+    """
+    while len(points):
+        need = np.linalg.norm(centers - points[0], axis=1) + reach
+        best = int((need - depth).argmin())
+        radii[best] = max(need[best], radii[best])
+        points = points[1:]
+        points = points[np.linalg.norm(points - centers[best], axis=1) + reach > radii[best]]
+
+
+def _samples(solids: Sequence[Solid], scene: Solids, overshoot: float) -> FloatArray:
+    """Points on the outside of the shapes' union, and some in it, that are to be covered."""
+    step = max(overshoot / 3.0, _least_step(solids, 7 * _MOST_SAMPLES))
+    while True:
+        inner = np.concatenate([_lattice(solid, 0.0, step) for solid in solids])
+        depth = -_distances(scene, inner)
+        outer, inner = inner[depth < 1e-9], inner[depth >= 1e-9][::7]
+        if len(outer) + len(inner) <= _MOST_SAMPLES:
+            break
+        step *= 1.2
+    surface = np.concatenate([_surface(solid) for solid in solids])
+    surface = surface[_distances(scene, surface) > -1e-6]
+    return np.concatenate([surface, outer, inner])
+
+
+def _least_step(solids: Sequence[Solid], count: int) -> float:
+    """Returns the step of a lattice of about so many points in the boxes around the shapes."""
+    volume = sum(float(np.prod(2.0 * solid.half_extents)) for solid in solids if not _is_rod(solid))
+    return 0.8 * float(np.cbrt(volume / count))
+
+
+def _gaps(
+    solids: Sequence[Solid], scene: Solids, balls: Solids, certain: float, many: float
+) -> tuple[FloatArray, float]:
+    """Middles (M, 3) of cells of the shapes that are not proven to be in a ball, and half an edge.
+
+    The half edge is at most `certain`; or it is inf, and the middles, more than many, are bare
+    themselves, and not all that are not proven.
+    """
+    corners = np.concatenate([solid.placed(outline_corners(solid)) for solid in solids])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    half = float((high - low).max()) / _CELLS
+    cells = lattice(*map(np.arange, low + half, high + half, 3 * [2.0 * half]))
+    while True:
+        reach = math.sqrt(3.0) * half
+        # No farther, and no deeper, than decides.
+        apart = least_distances(scene, cells, 0.0, 2.0 * reach, 0.0)
+        cells, apart = cells[apart <= reach], apart[apart <= reach]
+        short = least_distances(balls, cells, 0.0, 2.0 * reach, -reach)
+        cells, apart, short = (array[short > -reach] for array in (cells, apart, short))
+        bare = cells[(apart <= 0.0) & (short > certain)]
+        if len(bare) > many:
+            return bare, math.inf
+        if half <= certain or len(cells) == 0:
+            return cells, min(half, certain)
+        half /= 2.0
+        cells = (cells[:, None] + half * CORNERS).reshape(-1, 3)
