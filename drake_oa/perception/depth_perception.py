@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.perception import PointCloud
-from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem, State
+from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen, ObstacleClouds, zeros
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, ObstacleClouds
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.pinhole import View, pinhole, pixel_at
 from drake_oa.geometry.solids import RobotSolids, Solids
@@ -27,67 +26,39 @@ from drake_oa.perception.tracking import ObstacleMemory, fuse
 _logger = logging.getLogger("drake_oa")
 
 
-@dataclass(frozen=True, eq=False)
-class _Points(Frozen):
-    points_W: NDArray[np.floating] = zeros(0, 3)
-
-
-@dataclass(frozen=True)
 class PerceptionState:
-    """Where a perception source keeps what it last saw, in its Context.
+    """Memory of a perception source, in its Context."""
 
-    Attributes:
-        obstacles: index of the ObstacleClouds.
-        points: index of the points to view.
-        memory: index of the ObstacleMemory that the obstacles were taken from; an empty
-            one where a source needs none.
-    """
-
-    obstacles: AbstractStateIndex
-    points: AbstractStateIndex
-    memory: AbstractStateIndex
-
-    @staticmethod
-    def declare(system: LeafSystem) -> PerceptionState:
-        """Declares the state, and the output ports ``obstacles_W`` and ``cloud`` on it."""
-        indices = PerceptionState(
-            system.DeclareAbstractState(Value(ObstacleClouds())),
-            system.DeclareAbstractState(Value(_Points())),
-            system.DeclareAbstractState(Value(ObstacleMemory())),
-        )
-        system.DeclareStateOutputPort("obstacles_W", indices.obstacles)
+    def __init__(self, system: LeafSystem) -> None:
+        """Declares the state, and the output ports ``obstacles_W`` and ``cloud`` of it."""
+        self._index = system.DeclareAbstractState(Value(ObstacleMemory()))
+        ticket = {system.abstract_state_ticket(self._index)}
         system.DeclareAbstractOutputPort(
-            "cloud",
-            lambda: Value(PointCloud(0)),
-            indices.calc_cloud,
-            prerequisites_of_calc={system.abstract_state_ticket(indices.points)},
+            "obstacles_W", lambda: Value(ObstacleClouds()), self._calc_obstacles, ticket
         )
-        return indices
+        # Not in the state, which is copied at every step of every system.
+        system.DeclareAbstractOutputPort(
+            "cloud", lambda: Value(PointCloud(0)), self._calc_cloud, ticket
+        )
 
-    def calc_cloud(self, context: Context, output: AbstractValue) -> None:
-        """The points as a PointCloud. It is made on demand: a Context that held it would
-        copy it at every step of every system."""
-        values: Any = context.get_abstract_state()
-        points_W = values.get_value(int(self.points)).get_value().points_W
+    def _calc_obstacles(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self.read(context).obstacles)
+
+    def _calc_cloud(self, context: Context, output: AbstractValue) -> None:
+        points_W = self.read(context).cloud_W
         cloud = PointCloud(len(points_W))
         cloud.mutable_xyzs()[:] = points_W.T
         output.set_value(cloud)
 
     def read(self, context: Context) -> ObstacleMemory:
-        """What is remembered in a Context."""
-        values: Any = context.get_abstract_state()
-        memory: ObstacleMemory = values.get_value(int(self.memory)).get_value()
+        """Memory in a Context."""
+        memory: Any = context.get_abstract_state(int(self._index)).get_value()
         return memory
 
-    def write(
-        self, state: State, memory: ObstacleMemory, points_W: NDArray[np.floating] | None
-    ) -> None:
-        """Stores the memory and, unless it is None, the cloud to view, (N, 3) [m]."""
-        values: Any = state.get_mutable_abstract_state()
-        values.get_mutable_value(int(self.obstacles)).set_value(memory.obstacles)
-        values.get_mutable_value(int(self.memory)).set_value(memory)
-        if points_W is not None:
-            values.get_mutable_value(int(self.points)).set_value(_Points(points_W))
+    def write(self, state: State, memory: ObstacleMemory) -> None:
+        """Stores the memory."""
+        value: Any = state.get_mutable_abstract_state(int(self._index))
+        value.set_value(memory)
 
 
 def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
@@ -252,7 +223,7 @@ class DepthPerception(LeafSystem):
         period = valid_period(period)
         several = len(cameras) > 1
         self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
-        self._state = PerceptionState.declare(self)
+        self._state = PerceptionState(self)
         self._range = depth_range
         self._free_space = self.DeclareAbstractState(Value(FreeSpace()))
         self.DeclareStateOutputPort("free_space_W", self._free_space)
@@ -286,7 +257,7 @@ class DepthPerception(LeafSystem):
         ]
         if not any(stamps[row] >= newest - _SAME_TIME for row in shown):
             note = _NO_NEW_IMAGE if self._overdue(newest, time) else previous.obstacles.note
-            self._write(context, state, replace(previous, told=told), note, None)
+            self._write(context, state, replace(previous, told=told), note)
             return
         robot = self._posed_robot([self._ports[row] for row in shown], context)
         frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
@@ -318,21 +289,15 @@ class DepthPerception(LeafSystem):
             views = tuple(seen.get(row) for row in range(len(stamps)))
             free_space = FreeSpace(views, newest, *self._range)
             state.get_mutable_abstract_state(self._free_space).set_value(free_space)
-        self._write(context, state, memory, note, frame.points_W if frame.usable else None)
+            memory = replace(memory, cloud_W=frame.points_W)
+        self._write(context, state, memory, note)
 
-    def _write(
-        self,
-        context: Context,
-        state: State,
-        memory: ObstacleMemory,
-        note: str,
-        points_W: NDArray[np.floating] | None,
-    ) -> None:
+    def _write(self, context: Context, state: State, memory: ObstacleMemory, note: str) -> None:
         before = self._state.read(context).obstacles.note
         log_change(self, before, note, context.get_time())
         if note != memory.obstacles.note:
             memory = replace(memory, obstacles=replace(memory.obstacles, note=note))
-        self._state.write(state, memory, points_W)
+        self._state.write(state, memory)
 
     def _overdue(self, stamp: float, time: float) -> bool:
         """Whether it is to be said that there is no image after the last one."""

@@ -79,13 +79,18 @@ class GroundTruthPerception(LeafSystem):
         )
         period = valid_period(period)
         self._query_port = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))
-        self._state = PerceptionState.declare(self)
+        self._state = PerceptionState(self)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
 
     def _update(self, context: Context, state: State) -> None:
         query = read_value(self, self._query_port, context, QueryObject)
-        clouds, ids = [], []
+        time, before = context.get_time(), self._state.read(context).obstacles
+        dt, earlier = (
+            time - before.stamp,
+            dict(zip(before.ids.tolist(), before.clouds_W, strict=True)),
+        )
+        clouds, ids, velocities = [], [], []
         for name, parts in enumerate(self._samples):
             placed = []
             for frame, p_BQ in parts:
@@ -94,31 +99,21 @@ class GroundTruthPerception(LeafSystem):
             cloud = np.concatenate(placed)
             if np.abs(cloud[0]).max() > OUT_OF_WORLD:
                 continue
+            moved = (cloud - earlier.get(name, cloud)).mean(axis=0)
+            is_moving = dt > 0.0 and np.linalg.norm(moved) >= _AT_REST * dt
+            velocities.append(moved / dt if is_moving else np.zeros(3))
             cloud.flags.writeable = False
             clouds.append(cloud)
             ids.append(name)
-        time, before = context.get_time(), self._state.read(context).obstacles
-        v_WO = _velocities(before, clouds, ids, time - before.stamp)
         obstacles = ObstacleClouds(
-            time, tuple(clouds), np.array(ids, dtype=np.int64), self._table, v_WO=v_WO
+            time,
+            tuple(clouds),
+            np.array(ids, dtype=np.int64),
+            self._table,
+            v_WO=np.reshape(velocities, (-1, 3)),
         )
-        memory = ObstacleMemory(obstacles)
-        self._state.write(state, memory, np.concatenate([np.zeros((0, 3)), *clouds]))
-
-
-def _velocities(
-    before: ObstacleClouds, clouds: list[FloatArray], ids: list[int], dt: float
-) -> FloatArray:
-    """(M, 3) velocities of the clouds' centroids [m/s]; zero where dt [s] tells none."""
-    v_WO = np.zeros((len(clouds), 3))
-    if not 0.0 < dt < np.inf:
-        return v_WO
-    earlier = dict(zip(before.ids.tolist(), before.clouds_W, strict=True))
-    for row, (name, new) in enumerate(zip(ids, clouds, strict=True)):
-        if name in earlier:
-            v_WO[row] = (new - earlier[name]).mean(axis=0) / dt
-    v_WO[np.linalg.norm(v_WO, axis=1) < _AT_REST] = 0.0
-    return v_WO
+        points = np.concatenate([np.zeros((0, 3)), *clouds])
+        self._state.write(state, ObstacleMemory(obstacles, cloud_W=points))
 
 
 def _body_fixed_samples(

@@ -85,7 +85,7 @@ class RecordedPerception(LeafSystem):
         self._config = config or SegmentationConfig()
         self._robot = robot
         self._loop = loop
-        self._state = PerceptionState.declare(self)
+        self._state = PerceptionState(self)
         # Counts the frames due so far; -1 before the first.
         self._played = self.DeclareAbstractState(Value(-1))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
@@ -106,7 +106,7 @@ class RecordedPerception(LeafSystem):
                 # Nothing is known of motion after the last frame.
                 at_rest = np.zeros_like(before.v_WO)
                 same = replace(before, stamp=context.get_time(), v_WO=at_rest)
-                self._state.write(state, replace(previous, obstacles=same), None)
+                self._state.write(state, replace(previous, obstacles=same))
             return
         played.set_value(due)
         recorded = self._frames[due % len(self._frames)]
@@ -121,7 +121,9 @@ class RecordedPerception(LeafSystem):
             previous = ObstacleMemory(next_id=previous.next_id)
         memory = fuse(previous, frame, stamp, self._config, robot)
         log_change(self, before.note, memory.obstacles.note, context.get_time())
-        self._state.write(state, memory, frame.points_W if frame.usable else None)
+        if frame.usable:
+            memory = replace(memory, cloud_W=frame.points_W)
+        self._state.write(state, memory)
 
     def _due(self, time: float) -> tuple[int, float]:
         """Number (counting on through loops) and due time [s] of the newest frame."""

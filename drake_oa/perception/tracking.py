@@ -161,6 +161,7 @@ class ObstacleMemory(Frozen):
         references: id -> surface in an earlier frame, for its velocity.
         taken: time of the last frame [s].
         told: (n,) times of the last image of each camera that told something [s].
+        cloud_W: (K, 3) points of the last frame, for viewing [m].
     """
 
     obstacles: ObstacleClouds = field(default_factory=ObstacleClouds)
@@ -171,6 +172,7 @@ class ObstacleMemory(Frozen):
     references: dict[int, Reference] = field(default_factory=dict)
     taken: float = -np.inf
     told: FloatArray = zeros(0)
+    cloud_W: FloatArray = zeros(0, 3)
 
 
 _Value = TypeVar("_Value", bound=Frozen)

@@ -246,24 +246,15 @@ def with_unseen_ends(
     Returns:
         `obstacles` itself where none is cut off.
     """
-    clouds = tuple(_with_ends(cloud, cameras, seen_free) for cloud in obstacles.clouds_W)
+    clouds = []
+    for cloud in obstacles.clouds_W:
+        ends = [end for X_WC, image in cameras for end in _ends(cloud, X_WC, image)]
+        if seen_free is not None:
+            ends = [end[~seen_free(end)] for end in ends]
+        clouds.append(np.concatenate([cloud, *ends]) if any(map(len, ends)) else cloud)
     if all(one is other for one, other in zip(clouds, obstacles.clouds_W, strict=True)):
         return obstacles
-    return replace(obstacles, clouds_W=clouds)
-
-
-def _with_ends(
-    cloud: FloatArray,
-    cameras: Sequence[tuple[FloatArray, ImageRange]],
-    seen_free: Callable[[FloatArray], BoolArray] | None,
-) -> FloatArray:
-    """A cloud (N, 3), with its ends; as it is where it is not finite."""
-    if not np.isfinite(cloud).all():
-        return cloud
-    ends = [end for X_WC, image in cameras for end in _ends(cloud, X_WC, image)]
-    if seen_free is not None:
-        ends = [end[~seen_free(end)] for end in ends]
-    return np.concatenate([cloud, *ends]) if any(map(len, ends)) else cloud
+    return replace(obstacles, clouds_W=tuple(clouds))
 
 
 def _ends(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
