@@ -112,7 +112,7 @@ obstacles: [{name: a, shapes: [!Sphere {radius: 0.1}], translation: [0.45, -0.45
 """
 """Scenario with an obstacle at the start."""
 
-DATA = ("versions", "dropped")
+DATA = ("versions", "dropped", "sources")
 """Keys whose values have keys that are data."""
 
 
