@@ -18,7 +18,7 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
-from drake_oa.safety.guarded_arm import GuardedArm, make_guarded_arm
+from drake_oa.safety.joint_motions import GuardedArm, make_guarded_arm
 from drake_oa.scenario.end_poses import posture_guide, start_positions
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.live_camera import Outside

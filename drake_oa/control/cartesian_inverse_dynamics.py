@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context
 from drake_oa.common.messages import FloatArray
 from drake_oa.control.joint_inverse_dynamics import InverseDynamics
 from drake_oa.control.operational_space import operational_space_drive
-from drake_oa.geometry.rotation import rotation_of, rotation_vector
+from drake_oa.robot.arm import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
 """Error of the tool position along an axis above which the integral rests: another cause is likely

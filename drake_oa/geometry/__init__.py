@@ -1,4 +1,4 @@
-"""Geometry as functions of arrays: rotations, ellipsoids, superquadrics, solids, points.
+"""Geometry as functions of arrays: ellipsoids, superquadrics, solids, points.
 
 No systems and no state. Lengths are in metres, angles in radians; `p_WQ` are points Q in the
 world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float64.
@@ -14,7 +14,7 @@ world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, the blocks of a scenario.
 - `voxels`: mean points by voxel, and clusters of near points.
 - `pinhole`: the camera's projection, and a `View`: image, intrinsics and pose together.
-- `rotation`, `directions`: rotation vectors, quaternions, turns about an axis; 26 directions.
+- `directions`: 26 directions.
 
 Compiled kernels take C-contiguous arrays of one type each, so that numba compiles each of them
 once and caches it on disk; a NamedTuple such as `View` or `Solids` counts as one argument.

@@ -21,7 +21,7 @@ from drake_oa.planning.arm_world import STRIDE, ArmWorld, exceeds, share_clear
 _RANGE, _LEAST = 0.8, 0.05
 """Longest and shortest step of the trees [rad]."""
 _COARSE = 0.1
-"""As `STRIDE` while the trees grow [m]."""
+"""Distance between two checked configurations of an edge while the trees grow [m]."""
 _BESIDE, _WIDE = 0.8, 1.0
 """Share of the samples near the straight way, and their standard deviation from it [rad]."""
 _SHORTCUTS = 100

@@ -18,8 +18,7 @@ Method
     that is pushed from its command resets the command.
 
 Parts: `motion_guard` (system), `maneuvers` (decision), `passive_safety` (speed limited by what was
-seen), `joint_motions` (kernels), `supervision` (speed of the phase), `guarded_arm` (the arm as
-spheres).
+seen), `joint_motions` (the arm as spheres, kernels), `supervision` (speed of the phase).
 
 Configuration: `config`, the blocks `guard` and `supervisor` of a scenario.
 

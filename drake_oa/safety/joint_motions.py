@@ -1,28 +1,84 @@
-"""Joint motions in time: tracking of the tool's motion, legs of maneuvers, and their clearance.
+"""The guarded arm and its joint motions in time: tracking of the tool, legs, and clearance.
 
 A maneuver consists of two legs. In each leg every joint moves to its own target at bounded speed
-and acceleration, and stays there: each leg ends at rest by itself.
+and acceleration (trapezoidal velocity), and stays there: each leg ends at rest by itself.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from drake_oa.common.compiled import CORES, compiled, leaf, on_cores, parted
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.thinking import count
 from drake_oa.planning.arm_world import LINKS, SELF, TOOL, ArmWorld, lower_excess
-from drake_oa.robot.arm import Chain, chain_poses, follow, scratch, step_toward
+from drake_oa.robot.arm import Chain, Spheres, chain_poses, follow, joints_to, scratch, step_toward
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.robot.spheres import ArmSpheres
 
 _DRAWN = 1e-4
 """Damping of the velocity of a tracked motion [m^2]."""
 _DEPTH = 0.03
 """Depth of a contact that costs twice as much as a touch [m]."""
+_AT_LIMIT = 1e-3
+"""Distance beyond a joint's limit that is only an error of interpolation [rad]."""
 _EACH = 8
 """Motions for which another thread pays."""
+
+
+@dataclass(frozen=True, eq=False)
+class GuardedArm(Frozen):
+    """An arm of n revolute joints, as spheres in G groups.
+
+    Attributes:
+        chain, spheres: see `drake_oa.planning.arm_world.ArmWorld`.
+        joints: (n,) names of the joints.
+        index: (n,) where they are in the robot's positions.
+        size: how many positions the robot has, and velocities.
+        overshoot: (G,) how far the spheres of each body stick out of it at most [m].
+    """
+
+    chain: Chain
+    spheres: Spheres
+    joints: tuple[str, ...]
+    index: IntArray
+    size: int
+    overshoot: FloatArray
+
+    def __post_init__(self) -> None:
+        """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
+
+    def split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) positions and velocities of the joints in the robot's state x (2 size,)."""
+        return np.array(x[self.index]), np.array(x[self.size + self.index])
+
+
+def make_guarded_arm(robot: RobotPlant, chain: Chain, covered: ArmSpheres) -> GuardedArm:
+    """The arm of a robot.
+
+    Args:
+        robot: the robot alone.
+        chain: its joints.
+        covered: it as spheres.
+
+    Raises:
+        ValueError: if a joint of the robot has several degrees of freedom.
+    """
+    plant = robot.plant
+    if plant.num_positions() != plant.num_velocities():
+        raise ValueError("robot: each joint must have one degree of freedom")
+    return GuardedArm(
+        chain=chain,
+        spheres=covered.arrays,
+        joints=tuple(joint.name() for joint in joints_to(plant, robot.tool_frame)),
+        index=chain.q_index,
+        size=plant.num_positions(),
+        overshoot=covered.overshoot,
+    )
 
 
 @compiled
@@ -66,57 +122,96 @@ def track(
     return after, (ahead - after) / step
 
 
+@leaf
+def advance_leg(
+    q: FloatArray, v: FloatArray, target: FloatArray, speed: FloatArray, acceleration: FloatArray,
+    step: float,
+) -> None:  # fmt: skip
+    """Moves joints q (n,) at velocities v (n,), in place, by one step toward a target.
+
+    Args:
+        q, v: positions [rad] and velocities [rad/s].
+        target: (n,) positions at which the joints come to rest [rad].
+        speed: (n,) limits of the speeds in this leg [rad/s].
+        acceleration: (n,) limits of the accelerations [rad/s^2].
+        step: length of the step [s].
+    """
+    for i in range(len(q)):
+        way, change = target[i] - q[i], acceleration[i] * step
+        # Speed from which the joint still stops at the target, in steps of this length.
+        most = math.sqrt(0.25 * change * change + 2.0 * acceleration[i] * abs(way)) - 0.5 * change
+        wanted = math.copysign(min(most, speed[i]), way)
+        after = v[i] + min(max(wanted - v[i], -change), change)
+        moved = 0.5 * (v[i] + after) * step
+        if abs(way) <= 0.25 * change * step and abs(v[i]) <= change:
+            q[i], v[i] = target[i], 0.0
+        else:
+            q[i], v[i] = q[i] + moved, after
+
+
 _CONVERGENCE = 30.0
 """Rate at which joints converge to a path that they can follow [1/s]."""
 
 
-@leaf
-def advance(
-    q: FloatArray, v: FloatArray, q_path: FloatArray, v_path: FloatArray, speed: FloatArray,
-    acceleration: float, step: float,
-) -> None:  # fmt: skip
-    """Moves joints, in place, by one step toward a path.
+def approach(
+    x: FloatArray, path: FloatArray, speed: FloatArray, acceleration: float, step: float
+) -> FloatArray:
+    """Computes the joint state one step later of joints that follow a path.
 
     Args:
-        q, v: (n,) positions [rad] and velocities [rad/s].
-        q_path, v_path: (n,) those of the path after the step.
+        x: (2n,) positions [rad] and velocities [rad/s] now.
+        path: (2n,) those of the path after the step.
         speed: (n,) limits of the speeds [rad/s].
         acceleration: limit of the accelerations [rad/s^2].
         step: length of the step [s].
     """
-    change = acceleration * step
-    for i in range(len(q)):
-        way = q_path[i] - q[i] - 0.5 * step * (v[i] + v_path[i])
-        closing = min(_CONVERGENCE * abs(way), math.sqrt(acceleration * abs(way)))
-        wanted = v_path[i] + math.copysign(closing, way)
-        wanted = min(max(wanted, -speed[i]), speed[i])
-        after = v[i] + min(max(wanted - v[i], -change), change)
-        q[i] += 0.5 * step * (v[i] + after)
-        v[i] = after
+    n, change = len(speed), acceleration * step
+    q, v = x[:n], x[n:]
+    way = path[:n] - q - 0.5 * step * (v + path[n:])
+    closing = np.minimum(_CONVERGENCE * np.abs(way), np.sqrt(acceleration * np.abs(way)))
+    wanted = np.clip(path[n:] + np.copysign(closing, way), -speed, speed)
+    after = v + np.clip(wanted - v, -change, change)
+    return np.append(q + 0.5 * step * (v + after), after)
+
+
+class Legs(NamedTuple):
+    """N maneuvers of two legs each.
+
+    Attributes:
+        target: (N, 2, n) where each leg ends [rad].
+        speed: (N, 2, n) limits of the joint speeds [rad/s].
+        switch: (N,) time at which the second leg begins, from the beginning [s].
+    """
+
+    target: FloatArray
+    speed: FloatArray
+    switch: FloatArray
 
 
 @compiled
 def roll_out_legs(
-    q: FloatArray, v: FloatArray, target: FloatArray, speed: FloatArray, switch: float,
-    acceleration: float, step: float, every: int, samples: int,
+    q: FloatArray, v: FloatArray, legs: Legs, acceleration: FloatArray, step: float, every: int,
+    samples: int,
 ) -> FloatArray:  # fmt: skip
-    """Computes joint positions (samples, n) along a maneuver, every so many steps [rad].
+    """Computes joint positions (N, samples, n) along maneuvers, every so many steps [rad].
 
     Args:
-        q, v: (n,) joint state at the beginning, changed in place [rad, rad/s].
-        target: (2, n) ends of the legs [rad].
-        speed: (2, n) limits of the joint speeds [rad/s].
-        switch: time at which the second leg begins, from the beginning [s].
-        acceleration: limit of the accelerations [rad/s^2].
+        q, v: (n,) joint state at the beginning [rad, rad/s].
+        legs: the maneuvers.
+        acceleration: (n,) limits [rad/s^2].
         step: length of a step [s].
         every: number of steps between two samples, the first of which is after so many steps.
         samples: number of samples.
     """
-    found, rest = np.empty((samples, len(q))), np.zeros(len(q))
-    for k in range(samples * every):
-        leg = 1 if k * step >= switch else 0
-        advance(q, v, target[leg], rest, speed[leg], acceleration, step)
-        found[k // every] = q
+    N, n = len(legs.target), len(q)
+    found = np.empty((N, samples, n))
+    for i in range(N):
+        p, w = q.copy(), v.copy()
+        for k in range(samples * every):
+            leg = 1 if k * step >= legs.switch[i] else 0
+            advance_leg(p, w, legs.target[i, leg], legs.speed[i, leg], acceleration, step)
+            if (k + 1) % every == 0:
+                found[i, k // every] = p
     return found
 
 
@@ -156,11 +251,11 @@ def judge_motions(
         step: time between two of them [s].
         margin: distance to moving obstacles below which nearness costs [m].
     """
-    table = np.zeros((len(q), 4))
+    table = np.zeros((len(q), 5))
     threads = min(CORES, len(q) // _EACH + 1)
     on_cores(_judge_some, threads, resting, moving, q, step, margin, table)
-    count(configurations=q.shape[0] * q.shape[1])
-    return Judged(*np.ascontiguousarray(table.T))
+    count(configurations=int(table[:, 4].sum()))
+    return Judged(*np.ascontiguousarray(table[:, :4].T))
 
 
 @parted
@@ -168,13 +263,13 @@ def _judge_some(
     part: int, parts: int, resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float,
     margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Judges motions part, part + parts, ...; out (N, 4): `Judged`."""
+    """Judges motions part, part + parts, ...; out (N, 5): `Judged` and configurations."""
     chain, spheres = resting.chain, resting.spheres
     T, n = q.shape[1:]
     X, center = np.empty((n + 2, 12)), np.empty((len(spheres.group_joint), 3))
     least, near = np.empty(3), np.empty(3)
     for i in range(part, len(q), parts):
-        out[i, 3] = np.inf
+        first, looked = np.inf, 0
         for k in range(T):
             since = (k + 1) * step
             t, weight = moving.now + since, math.exp(-since / _DECAY)
@@ -184,6 +279,7 @@ def _judge_some(
             lower_excess(X, t, spheres, moving.solids, moving.asked, center, near, -np.inf)
             least[:] = _MARGIN_RESTING
             lower_excess(X, t, spheres, resting.solids, resting.asked, center, least, -np.inf)
+            looked += 1
             free = min(near[TOOL], near[LINKS])
             rest = min(least[TOOL], least[LINKS])
             lack = most - free
@@ -197,7 +293,12 @@ def _judge_some(
             within = min(rest, least[SELF])
             if free < 0.0:
                 within = min(within, free)
+            for j in range(n):
+                beyond = max(chain.lower[j] - q[i, k, j], q[i, k, j] - chain.upper[j])
+                if beyond > _AT_LIMIT:
+                    within = min(within, -_DEPTH)
             if within < 0.0:
-                out[i, 3] = since
+                first = since
                 out[i, 0] = _DECAY * weight * (1.0 + min(-within / _DEPTH, 3.0))
                 break
+        out[i, 3], out[i, 4] = first, looked

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from functools import cached_property, lru_cache
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -28,20 +29,26 @@ from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_distance
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
-from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import judge_motions, roll_out_legs
+from drake_oa.safety.joint_motions import (
+    GuardedArm,
+    Judged,
+    Legs,
+    advance_leg,
+    judge_motions,
+    roll_out_legs,
+)
 from drake_oa.safety.passive_safety import Claim, violated_claim
 
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
-_SCALES: dict[float, Action] = {1.0: "follow", 0.6: "slow", 0.3: "slow", 0.15: "slow", 0.0: "wait"}
+_SCALES = (1.0, 0.6, 0.3, 0.15, 0.0)
 """Shares of full speed at which the verified motion is tried."""
 HORIZON, _SAMPLES = 1.4, 28
 """Time over which motions are predicted [s], and configurations of each that are judged."""
 _CONTACT, _NEAR_MOVING, _NEAR_RESTING = 60.0, 6.0, 2.0
 """Weights w_c, w_m and w_r of the cost."""
-_TURN, _TURN_EVERY = 0.1, 4
+_TURN, _TURN_EVERY = 0.1, 2
 """Weight w_o [1/rad], and number of samples from one tool pose to the next."""
 _HYSTERESIS = 0.1
 """Delay by which another maneuver must be better than the one in use [s]."""
@@ -59,9 +66,8 @@ _CLEAR = 0.02
 """Cost of nearness up to which the verified motion is followed without alternatives [s]."""
 _SETTLED = 4.0
 """Rate at which an offset from the verified motion decays [1/s]."""
-_INSIDE, _AT_LIMIT = 0.03, 1e-3
-"""Distance of targets to the joints' limits, and distance beyond a limit that is only an error of
-interpolation [rad]."""
+_INSIDE = 0.03
+"""Distance of targets to the joints' limits [rad]."""
 _PARENTS = 8
 """Number of motions that are refined."""
 _TRIES = 40
@@ -171,9 +177,17 @@ class GuardSearch:
         self._interval = self._every * step
         self._times = self._interval * np.arange(1, _SAMPLES + 1)
         self._until_next = math.ceil(period / self._interval)
-        self.acceleration = parameters.acceleration
+        n = len(arm.joints)
+        self.acceleration = np.full(n, parameters.acceleration)
         self.speed = np.array(arm.chain.speed) * parameters.speed_share
         self._lower, self._upper = arm.chain.lower + _INSIDE, arm.chain.upper - _INSIDE
+        # Of a verified motion, which is the same for many decisions.
+        self._own = lru_cache(maxsize=2)(
+            lambda motion: min(
+                (self_distance(arm.chain, arm.spheres, np.array(q)) for q in _samples(motion)),
+                default=math.inf,
+            )
+        )
 
     def decide(self, before: GuardDecision, sight: GuardSight) -> GuardDecision:
         """Selects the motion from `sight.begin` on.
@@ -182,69 +196,67 @@ class GuardSearch:
             before: motion in use.
             sight: input.
         """
-        look = self._look(sight)
-        options = [GuardDecision(a, scale) for scale, a in _SCALES.items() if sight.on_path]
-        claim: Claim = ""
-        found, contact = self._evaluated(look, options), math.inf
-        if found:
-            contact = found[0].first
-            is_clear = contact == math.inf and found[0].near_moving <= _CLEAR
-            if is_clear and not self._violated(found[0].q, sight):
-                return replace(found[0].motion, contact=contact, obstacle=look.nearest)
-        if sight.scene.moves or not sight.on_path:
-            legs = self._evaluated(look, self._maneuvers(before, sight))
-            if not before.follows:
-                # The first maneuver is the one in use.
-                back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
-                bonus = _HYSTERESIS * min(1.0, 2.0 * back)
-                legs[0] = legs[0]._replace(cost=legs[0].cost - bonus)
-            found += legs + self._evaluated(look, self._refined(legs, sight))
-        least, motion = math.inf, self.brake(sight.q, sight.v)
-        for one in sorted(found, key=_cost)[:_TRIES]:
-            if one.cost < least:
-                violated = self._violated(one.q, sight)
-                claim = claim or violated
-                if one.cost + _VIOLATION[violated] < least:
-                    least, motion = one.cost + _VIOLATION[violated], one.motion
-        return replace(motion, contact=contact, claim=claim, obstacle=look.nearest)
+        look = _Look(self._arm, sight, self._padding, self._own(sight.motion))
+        moves = sight.scene.moves
+        followed = GuardDecision()
+        if sight.on_path:
+            ahead = self._followed(sight, 1.0)
+            free = self._judge(look, ahead[None])
+            contact = sight.begin + float(free.first[0])
+            followed = replace(followed, contact=contact, obstacle=look.nearest)
+            clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
+            if clear and not self._violated(ahead, sight):
+                return followed
+        options, q = self._followed_options(sight)
+        if moves or not sight.on_path:
+            legs = self._maneuvers(before, sight)
+            options += legs
+            q = np.concatenate([q, self._rolled(legs, sight)])
+        judged = self._judge(look, q)
+        cost = self._cost(judged, options, q, sight)
+        if not before.follows and len(options) > len(_SCALES) * sight.on_path:
+            # The first maneuver is the one in use.
+            row = len(_SCALES) * sight.on_path
+            back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
+            cost[row] -= _HYSTERESIS * min(1.0, 2.0 * back)
+        if moves or not sight.on_path:
+            better = self._refined(options, cost, sight)
+            q_better = self._rolled(better, sight)
+            q = np.concatenate([q, q_better])
+            judged_better = self._judge(look, q_better)
+            cost = np.append(cost, self._cost(judged_better, better, q_better, sight))
+            options += better
+        chosen = self._selected(look, options, q, cost)
+        return replace(chosen, contact=followed.contact)
 
-    def _look(self, sight: GuardSight) -> _Look:
-        """Computes the required clearances.
+    def _selected(
+        self,
+        look: _Look,
+        options: list[GuardDecision],
+        q: FloatArray,
+        cost: FloatArray,
+    ) -> GuardDecision:
+        """Returns the motion of least cost, that of violated claims included.
 
-        Of group g and resting solid k: the least of `_TOUCH_RESTING`, the present distance less
-        a slack, and what the verified motion keeps less a slack, or the depth by which the
-        spheres stick out if that is less; likewise of the arm to itself. Of moving solids:
-        `padding + _TOUCH_MOVING`, or the present distance less a slack.
+        Args:
+            look: the arm among the solids.
+            options: N motions.
+            q: (N, T, n) configurations along them [rad].
+            cost: (N,) without claims [s].
         """
-        arm, scene = self._arm, sight.scene
-        chain, spheres, solids = arm.chain, arm.spheres, scene.solids
-        moves, fixed = solids.moving, spheres.group_joint < 0
-        now = group_distances(
-            chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
-        )
-        # Up to about 80 configurations along the verified motion.
-        q_motion = sight.motion.q[:: max(len(sight.motion.q) // 80, 1)]
-        path = np.array([sight.q_path, *q_motion])
-        most = _TOUCH_RESTING + 0.1
-        kept = group_distances(chain, spheres, solids, path, sight.begin, most)
-        rest = np.minimum(_TOUCH_RESTING, now - _SLACK)
-        rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
-        near = np.minimum(self._padding + _TOUCH_MOVING, now - _SLACK)
-        rest[:, moves] = near[:, ~moves] = -np.inf
-        rest[fixed] = near[fixed] = -np.inf
-        own = min(self_distance(chain, spheres, q) for q in (np.array(sight.q), *path))
-        of_self = min(_SELF, own - _SLACK)
-        tool = np.zeros(len(fixed), dtype=bool)
-        nearest = ""
-        if moves.any():
-            distance = now[~fixed].min(axis=0, initial=math.inf)
-            nearest = scene.labels[int(np.where(moves, distance, np.inf).argmin())]
-        return _Look(
-            sight,
-            ArmWorld(chain, spheres, solids, Asked(rest, of_self, tool), sight.begin),
-            ArmWorld(chain, spheres, solids, Asked(near, -np.inf, tool), sight.begin),
-            nearest,
-        )
+        sight, least = look.sight, math.inf
+        claim: Claim = ""
+        chosen = self.brake(sight.q, sight.v)
+        brakes = [row for row, option in enumerate(options) if option.action == "brake"]
+        for row in [*cost.argsort()[:_TRIES].tolist(), *brakes]:
+            if cost[row] >= least:
+                continue
+            violated = self._violated(q[row], sight)
+            claim = claim or violated
+            if cost[row] + _VIOLATION[violated] < least:
+                least = cost[row] + _VIOLATION[violated]
+                chosen = options[row]
+        return replace(chosen, claim=claim, obstacle=look.nearest)
 
     def _violated(self, q: FloatArray, sight: GuardSight) -> Claim:
         """Returns the claim that a motion q (T, n) violates that is braked after one period."""
@@ -253,50 +265,48 @@ class GuardSearch:
             return ""
         follows = np.vstack([sight.q, q[: m + 1]])
         v = (follows[m + 1] - follows[m]) / self._interval
-        rest = self._rolled(self.brake(follows[m], v), follows[m], v, 0.0, _REST)
-        course = np.concatenate([follows[: m + 1], rest])
-        t = sight.begin + self._interval * np.arange(float(len(course)))
-        count(configurations=len(t))
+        stop = self.brake(follows[m], v)
+        legs = Legs(stop.target[None], stop.speed[None], np.array([math.inf]))
+        rest = roll_out_legs(
+            np.array(follows[m]), v, legs, self.acceleration, self._step, self._every,
+            _REST,
+        )  # fmt: skip
+        t = sight.begin + self._interval * np.arange(float(m + 1 + _REST))
+        course = np.concatenate([follows[: m + 1], rest[0]])
+        count(configurations=len(course))
         return violated_claim(
             self._arm, t, course, sight.scene, sight.free_space, V=p.obstacle_speed,
             v_unseen=p.v_unseen,
         )  # fmt: skip
 
-    def _evaluated(self, look: _Look, options: list[GuardDecision]) -> list[_Candidate]:
-        """Rolls motions out, and computes their costs."""
-        sight, horizon = look.sight, self._times[-1]
-        q = np.empty((len(options), _SAMPLES, len(sight.q)))
-        for row, option in enumerate(options):
-            if option.follows:
-                q[row] = self._followed(sight, option.scale)
-            else:
-                q[row] = self._rolled(option, sight.q, sight.v, sight.begin, _SAMPLES)
-        judged = judge_motions(
-            look.resting, look.moving, q, self._interval, self._parameters.margin_moving
-        )
+    def _judge(self, look: _Look, q: FloatArray) -> Judged:
+        margin = self._parameters.margin_moving
+        return judge_motions(look.resting, look.moving, q, self._interval, margin)
+
+    def _cost(
+        self, judged: Judged, options: list[GuardDecision], q: FloatArray, sight: GuardSight
+    ) -> FloatArray:
+        """Returns the costs (N,) of motions q (N, T, n) [s]."""
+        horizon = self._times[-1]
         cost = _CONTACT * judged.contact + _NEAR_MOVING * judged.near_moving
-        cost = cost + _NEAR_RESTING * judged.near_resting + horizon
-        chain, away = self._arm.chain, np.abs(q - sight.q_path) / self.speed
-        beyond = np.maximum(chain.lower - q, q - chain.upper).max(axis=(1, 2), initial=0.0)
-        cost[beyond > _AT_LIMIT] += _CONTACT
-        turn, found = self._turns(q, sight), []
+        cost = cost + _NEAR_RESTING * judged.near_resting
+        away = np.abs(q - sight.q_path) / self.speed
+        turn = self._turns(q, sight)
         for row, option in enumerate(options):
-            lost = cost[row]
             if option.follows:
                 rates = self._rates(sight, option.scale)
-                lost -= float(rates.sum()) * self._interval / sight.full_rate
+                cost[row] += horizon - float(rates.sum()) * self._interval / sight.full_rate
             else:
                 back = away[row].max(axis=1)
-                lost += back[-1] + 0.3 * away[row, -1].mean() + float(back.sum()) * self._interval
-                lost += _TURN * horizon * turn[row].mean()
+                left = back[-1] + 0.3 * away[row, -1].mean()
+                cost[row] += horizon + left + float(back.sum()) * self._interval
+                cost[row] += _TURN * horizon * turn[row].mean()
                 if turn[row, 1:].max() > max(self._turn_limit, turn[row, 0]) + _SLACK:
-                    lost = math.inf
-            first = sight.begin + float(judged.first[row])
-            found.append(_Candidate(option, q[row], lost, first, judged.near_moving[row]))
-        return found
+                    cost[row] = math.inf
+        return np.asarray(cost)
 
     def _turns(self, q: FloatArray, sight: GuardSight) -> FloatArray:
-        """Returns angles (N, 1 + T / 4) of the tool to its orientation on the verified motion.
+        """Returns angles (N, 1 + T / 2) of the tool to its orientation on the verified motion.
 
         The first is that of `sight.q`, the others those along motions q (N, T, n) [rad].
         """
@@ -306,7 +316,7 @@ class GuardSearch:
         R_WE = tool_poses(self._arm.chain, postures)[:, :9]
         count(steps=len(postures))
         cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
-        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(some.shape[:2]))
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(len(q), -1))
 
     # --- candidates ------------------------------------------------------------------------
 
@@ -325,15 +335,25 @@ class GuardSearch:
         away = sight.q - motion.joints(sight.s)
         return np.asarray(motion.joints(s) + np.exp(-_SETTLED * self._times)[:, None] * away)
 
-    def _rolled(
-        self, maneuver: GuardDecision, q: FloatArray, v: FloatArray, begin: float, samples: int
-    ) -> FloatArray:
-        """Returns configurations (samples, n) along a maneuver from a joint state at a time."""
-        count(steps=samples * self._every)
-        arrays = (np.array(of) for of in (q, v, maneuver.target, maneuver.speed))
-        return roll_out_legs(
-            *arrays, maneuver.switch - begin, self.acceleration, self._step, self._every, samples
+    def _followed_options(self, sight: GuardSight) -> tuple[list[GuardDecision], FloatArray]:
+        if not sight.on_path:
+            return [], np.zeros((0, _SAMPLES, len(sight.q)))
+        names: dict[float, Action] = {1.0: "follow", 0.0: "wait"}
+        options = [GuardDecision(names.get(scale, "slow"), scale) for scale in _SCALES]
+        return options, np.stack([self._followed(sight, scale) for scale in _SCALES])
+
+    def _rolled(self, options: list[GuardDecision], sight: GuardSight) -> FloatArray:
+        """Returns configurations (N, T, n) along maneuvers."""
+        legs = Legs(
+            np.stack([option.target for option in options]),
+            np.stack([option.speed for option in options]),
+            np.array([option.switch - sight.begin for option in options]),
         )
+        count(steps=len(options) * _SAMPLES * self._every)
+        return roll_out_legs(
+            np.array(sight.q), np.array(sight.v), legs, self.acceleration, self._step, self._every,
+            _SAMPLES,
+        )  # fmt: skip
 
     def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Returns the configuration (n,) in which full braking ends [rad]."""
@@ -348,8 +368,10 @@ class GuardSearch:
             x: positions [rad] and velocities [rad/s].
             time: beginning of the step [s].
         """
-        legs = np.array(maneuver.target), np.array(maneuver.speed), maneuver.switch - time
-        roll_out_legs(*np.split(x, 2), *legs, self.acceleration, self._step, 1, 1)
+        q, v = np.split(x, 2)
+        leg = int(time >= maneuver.switch)
+        target, speed = np.array(maneuver.target[leg]), np.array(maneuver.speed[leg])
+        advance_leg(q, v, target, speed, self.acceleration, self._step)
 
     def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
         """Returns the maneuver that brings the arm to rest from a joint state (n,), (n,)."""
@@ -367,27 +389,48 @@ class GuardSearch:
             _legs("evade", path, _synchronized(sight.q, path, full, share))
             for share in (1.0, 0.6, 0.3, 0.12)
         ]
+        for wait in (0.3, 0.6):
+            back = _synchronized(rest, path, full, 0.9)
+            found.append(_legs("evade", rest, full, path, back, begin + wait))
+        n = len(rest)
         while len(found) < p.candidates:
-            target = rest + rng.choice([0.0, 0.6]) * rng.random() * (path - rest)
-            target = target + rng.normal(size=len(rest)) * rng.choice([0.15, 0.4, 0.9])
+            kind = rng.integers(4)
+            if kind == 0:
+                target = rest + rng.normal(size=n) * rng.choice([0.15, 0.4, 0.9])
+            elif kind == 1:
+                turned = rng.random(n) < 0.5
+                target = rest + turned * rng.normal(size=n) * rng.choice([0.4, 1.0])
+            elif kind == 2:
+                target = rng.uniform(self._lower, self._upper)
+            else:
+                target = rest + rng.uniform(0.0, 0.6) * (path - rest)
+                target = target + rng.normal(size=n) * rng.choice([0.2, 0.5])
             target = np.clip(target, self._lower, self._upper)
-            back = _synchronized(target, path, full, rng.choice([0.5, 1.0]))
-            switch = begin + rng.choice([rng.uniform(0.1, 0.9), math.inf])
-            found.append(_legs("evade", target, full, path, back, switch))
+            if rng.random() < 0.5:
+                found.append(_legs("evade", target, full))
+            else:
+                back = _synchronized(target, path, full, rng.choice([0.5, 1.0]))
+                switch = begin + rng.uniform(0.1, 0.9)
+                found.append(_legs("evade", target, full, path, back, switch))
         return found
 
-    def _refined(self, maneuvers: list[_Candidate], sight: GuardSight) -> list[GuardDecision]:
+    def _refined(
+        self, options: list[GuardDecision], cost: FloatArray, sight: GuardSight
+    ) -> list[GuardDecision]:
         """Returns variations of the best maneuvers."""
         rng = np.random.default_rng([self._parameters.seed, sight.number, 1])
-        best, found = sorted(maneuvers, key=_cost)[:_PARENTS], []
+        ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
+        n, found = len(sight.q), []
         for i in range(self._parameters.refinements):
-            parent = best[i % len(best)].motion
-            target = parent.target[0] + rng.normal(size=len(sight.q)) * rng.choice([0.05, 0.2])
+            parent = options[ranked[i % min(_PARENTS, len(ranked))]]
+            target = parent.target[0] + rng.normal(size=n) * rng.choice([0.05, 0.2])
             target = np.clip(target, self._lower, self._upper)
-            switch = max(sight.begin, parent.switch + 0.1 * rng.normal())
-            found.append(
-                _legs("evade", target, parent.speed[0], parent.target[1], parent.speed[1], switch)
-            )
+            is_single = bool((parent.target[0] == parent.target[1]).all())
+            last = target if is_single else parent.target[1]
+            switch = parent.switch
+            if math.isfinite(switch):
+                switch = max(sight.begin, switch + 0.1 * rng.normal())
+            found.append(_legs("evade", target, parent.speed[0], last, parent.speed[1], switch))
         return found
 
 
@@ -400,9 +443,11 @@ def _legs(
     switch: float = math.inf,
 ) -> GuardDecision:
     """Returns a maneuver of one leg, or of two."""
-    target = np.stack([first, first if last is None else last])
-    speeds = np.stack([speed, speed if last_speed is None else last_speed])
-    return GuardDecision(action, 0.0, target, speeds, switch)
+    if last is None or last_speed is None:
+        last, last_speed = first, speed
+    return GuardDecision(
+        action, 0.0, np.stack([first, last]), np.stack([speed, last_speed]), switch
+    )
 
 
 def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: float) -> FloatArray:
@@ -412,38 +457,58 @@ def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: f
     return np.asarray(np.clip(way / seconds, 0.02, speed))
 
 
-class _Candidate(NamedTuple):
-    """Motion with its prediction.
-
-    Attributes:
-        motion: the decision.
-        q: (T, n) configurations along it [rad].
-        cost: without violated claims [s].
-        first: time of the first contact [s]; inf: there is none.
-        near_moving: cost of nearness to moving obstacles [s].
-    """
-
-    motion: GuardDecision
-    q: FloatArray
-    cost: float
-    first: float
-    near_moving: float
+def _samples(motion: PlannedMotion) -> FloatArray:
+    """Returns up to about 80 configurations (M, n) along a motion [rad]."""
+    return motion.q[:: max(len(motion.q) // 80, 1)]
 
 
-def _cost(candidate: _Candidate) -> float:
-    return candidate.cost
+class _Look:
+    """Arm among the solids of one observation, with the clearances required of both kinds."""
 
+    def __init__(
+        self,
+        arm: GuardedArm,
+        sight: GuardSight,
+        padding: float,
+        least_own: float,
+    ) -> None:
+        """Computes the required clearances.
 
-class _Look(NamedTuple):
-    """Arm among the solids of one observation.
+        Of group g and resting solid k: the least of `_TOUCH_RESTING`, the present distance less
+        a slack, and what the verified motion keeps less a slack, or the depth by which the
+        spheres stick out if that is less; likewise of the arm to itself, `least_own` being what the
+        verified motion keeps. Of moving solids: `padding + _TOUCH_MOVING`, or the
+        present distance less a slack.
+        """
+        self.sight = sight
+        chain, spheres, solids = arm.chain, arm.spheres, sight.scene.solids
+        moves = solids.moving
+        self._now = group_distances(
+            chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
+        )
+        fixed = spheres.group_joint < 0
+        rest = np.minimum(_TOUCH_RESTING, self._now - _SLACK)
+        path = _samples(sight.motion).reshape(-1, len(sight.q))
+        path = np.ascontiguousarray(np.vstack([sight.q_path[None], path]))
+        most = _TOUCH_RESTING + 0.1
+        kept = group_distances(chain, spheres, solids, path, sight.begin, most)
+        rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
+        rest[:, moves] = -np.inf
+        near = np.minimum(padding + _TOUCH_MOVING, self._now - _SLACK)
+        near[:, ~moves] = -np.inf
+        rest[fixed] = near[fixed] = -np.inf
+        own = [float(self_distance(chain, spheres, np.array(q))) for q in (sight.q, sight.q_path)]
+        of_self = min(_SELF, min(own) - 1e-3, least_own - _SLACK)
+        tool = np.zeros(len(fixed), dtype=bool)
+        self.resting = ArmWorld(chain, spheres, solids, Asked(rest, of_self, tool), sight.begin)
+        self.moving = ArmWorld(chain, spheres, solids, Asked(near, -np.inf, tool), sight.begin)
+        self._moves, self._fixed = moves, fixed
 
-    Attributes:
-        sight: input of the decision.
-        resting, moving: the arm, with the clearances required of both kinds of solids.
-        nearest: label of the moving solid that is nearest to the arm now; "": none moves.
-    """
-
-    sight: GuardSight
-    resting: ArmWorld
-    moving: ArmWorld
-    nearest: str
+    @cached_property
+    def nearest(self) -> str:
+        """Label of the moving solid that is nearest to the arm now; "": none moves."""
+        if not self._moves.any():
+            return ""
+        distance = self._now[~self._fixed].min(axis=0, initial=math.inf)
+        row = int(np.where(self._moves, distance, np.inf).argmin())
+        return self.sight.scene.labels[row]

@@ -20,14 +20,12 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
-from drake_oa.geometry.rotation import rotation_of, rotation_vector
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.policy.dmp import Demonstration, normalised_time
-from drake_oa.robot.arm import tool_poses
+from drake_oa.robot.arm import rotation_of, rotation_vector, tool_poses
 from drake_oa.safety.config import GuardParameters
-from drake_oa.safety.guarded_arm import GuardedArm
-from drake_oa.safety.joint_motions import advance, track
+from drake_oa.safety.joint_motions import GuardedArm, approach, track
 from drake_oa.safety.maneuvers import (
     ACTIONS,
     ARRIVED,
@@ -430,7 +428,7 @@ class MotionGuard(LeafSystem):
         lost_since = math.inf
         if state.decision.follows:
             limit = self._parameters.acceleration_limit
-            advance(*np.split(ahead, 2), *np.split(path, 2), arm.chain.speed, limit, step)
+            ahead = approach(ahead, path, np.array(arm.chain.speed), limit, step)
         else:
             self._search.advance(state.decision, ahead, time)
             away = float(np.abs(ahead - path)[:n].max())

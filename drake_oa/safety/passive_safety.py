@@ -25,14 +25,14 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.solids import SolidScene, least_distances
+from drake_oa.geometry.solids import Solids, SolidScene, least_distances
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.spheres import sphere_centers
-from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.joint_motions import GuardedArm
 
 Claim = Literal["", "A", "B"]
 CLAIMS: tuple[Claim, ...] = get_args(Claim)
@@ -72,12 +72,10 @@ def violated_claim(
     p_WS = sphere_centers(arm.chain, arm.spheres, np.ascontiguousarray(q))
     dt = np.diff(t)[:, None]
     reach = arm.spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
-    if scene.moves:
-        moving, far = solids.chosen(solids.moving), float(reach.max())
-        d = least_distances(moving, p_WS.reshape(-1, 3), scene.stamp, far, -1.0)
-        d = d.reshape(p_WS.shape[:2])
-        if ((d[:-1] < reach) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
-            return "A"
+    if scene.moves and _is_any_near(
+        p_WS, dt[:, 0], reach, solids.chosen(solids.moving), scene.stamp
+    ):
+        return "A"
     if free_space is None:
         return ""
     v_WS = np.diff(p_WS, axis=0) / dt[..., None]
@@ -86,6 +84,46 @@ def violated_claim(
     point, place = (v_WS[is_fast] @ _PLACES.T > v_unseen * _SHARE).nonzero()
     places = np.concatenate([centers, centers[point] + rho[point, None] * _PLACES[place]])
     unseen = places[~free_space.contains(places)]
-    unseen = unseen[least_distances(solids, unseen, scene.stamp, _SKIN, -1.0) >= _SKIN]
-    is_open = (cdist(unseen, p_WS[0]) >= arm.spheres.radius + _SKIN).all(axis=1).any()
+    is_open = _is_any_open(unseen, p_WS[0], arm.spheres.radius, solids, scene.stamp)
     return "B" if is_open else ""
+
+
+@compiled
+def _is_any_near(
+    p_WS: FloatArray, dt: FloatArray, reach: FloatArray, solids: Solids, stamp: float
+) -> bool:
+    """Checks whether any center p_WS (T, S, 3) approaches the solids within its reach (T-1, S)."""
+    place = np.empty((1, 3))
+    for k in range(len(dt)):
+        for i in range(p_WS.shape[1]):
+            if (p_WS[k, i] == p_WS[k + 1, i]).all():
+                continue
+            far = reach[k, i]
+            place[0] = p_WS[k, i]
+            d = least_distances(solids, place, stamp, far, -1.0)[0]
+            if d < far:
+                place[0] = p_WS[k + 1, i]
+                if d - least_distances(solids, place, stamp, far, -1.0)[0] > _AT_REST * dt[k]:
+                    return True
+    return False
+
+
+@compiled
+def _is_any_open(
+    places: FloatArray, p_WS: FloatArray, radius: FloatArray, solids: Solids, stamp: float
+) -> bool:
+    """Checks whether any place (N, 3) is outside the spheres p_WS (S, 3), (S,) and the solids."""
+    for i in range(len(places)):
+        x, y, z = places[i]
+        is_taken = False
+        for k in range(len(p_WS)):
+            square = (x - p_WS[k, 0]) ** 2 + (y - p_WS[k, 1]) ** 2 + (z - p_WS[k, 2]) ** 2
+            if square < (radius[k] + _SKIN) ** 2:
+                is_taken = True
+                break
+        if (
+            not is_taken
+            and least_distances(solids, places[i : i + 1], stamp, _SKIN, -1.0)[0] >= _SKIN
+        ):
+            return True
+    return False

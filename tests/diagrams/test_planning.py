@@ -129,7 +129,7 @@ def test_a_motion_ends_when_it_has_arrived_not_before() -> None:
     assert (late.stop_reason, late.regulation) == ("goal", "Paper")
     assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < LATEST_END
     assert np.linalg.norm(late.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
-    slow = simulate(load_scenario("free_space", ["policy.n_basis=5", "policy.alpha_k=2.0", empty]))
+    slow = simulate(load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty]))
     assert -math.log(slow.phase[slow.moving][-1]) / 2.0 == pytest.approx(LATEST_END, abs=0.02)
     left = slow.desired_position[slow.moving][-1] - [1.0, 0.0, 0.0]
     error = 1e3 * float(np.linalg.norm(left))

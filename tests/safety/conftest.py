@@ -3,7 +3,7 @@
 import pytest
 
 from drake_oa.robot.config import Robot, SphereParameters
-from drake_oa.safety.guarded_arm import GuardedArm, make_guarded_arm
+from drake_oa.safety.joint_motions import GuardedArm, make_guarded_arm
 from tests.planning.arms import ArmAlone, arm_alone
 
 COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03)

@@ -13,7 +13,7 @@ from drake_oa.geometry.solids import Solid, SolidScene, solids_of, sphere
 from drake_oa.planning.arm_world import group_distances
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
-from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.joint_motions import GuardedArm
 from drake_oa.safety.motion_guard import MotionGuard
 from tests.planning.arms import ArmAlone
 

@@ -9,7 +9,7 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import SolidScene, sphere
 from drake_oa.perception.depth_perception import FreeSpace
-from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.joint_motions import GuardedArm
 from drake_oa.safety.passive_safety import violated_claim
 from tests.planning.arms import ArmAlone
 

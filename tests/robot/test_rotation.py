@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.geometry.rotation import rotation_of, rotation_vector
+from drake_oa.robot.arm import rotation_of, rotation_vector
 
 
 @given(st.integers(0, 10**6), st.floats(1e-3, 1e3))
