@@ -50,9 +50,9 @@ _RATE = 20.0
 _CARRY, _CARRIED = 0.1, 5e-4
 """Time constant with which the desired position follows the tool [s], and distance at which it
 rests, so that the motion to be planned keeps its start [m]."""
-_PATIENCE = 1.0
-"""Time for which the arm rests away from the verified motion, after which a new one is planned from
-there [s]."""
+_PATIENCE, _PROGRESS = 1.0, 0.02
+"""Time in which the arm comes no nearer to the verified motion by so much, after which it stops
+and a new one is planned from there [s, rad]."""
 _LONGEST_WAIT = 5.0
 """Time for which such a motion is awaited before the arm tries to return again [s]."""
 _STILL = 0.01
@@ -78,8 +78,9 @@ class GuardState(Frozen):
         path: (2n,) joint state on the verified motion at the end, at its phase [rad, rad/s].
         carry: (3,) velocity by which the desired position is displaced to the tool [m/s].
         thoughts: the decision in force, and the pending one.
-        lost_since: time since which the arm rests away from the verified motion [s]; inf: it does
-            not.
+        lost_since: time since which the arm comes no nearer to the verified motion that it has left
+            [s]; inf: it does, or has not left it.
+        nearest: least distance of the joints to it since then [rad].
         expires: time at which the decision in force is too old [s].
         slow_until: time until which the arm moves slowly after a contact [s].
         number: of decisions so far.
@@ -93,6 +94,7 @@ class GuardState(Frozen):
     carry: FloatArray = zeros(3)
     thoughts: Thoughts[GuardDecision] = field(default_factory=lambda: Thoughts(GuardDecision()))
     lost_since: float = math.inf
+    nearest: float = math.inf
     expires: float = math.inf
     slow_until: float = -math.inf
     number: int = 0
@@ -191,8 +193,8 @@ class MotionGuard(LeafSystem):
     While no maneuver is active, the commanded joints have the tool at the desired pose, by a
     damped Gauss-Newton step each `step`, and their null space follows the posture. Each `period`
     `drake_oa.safety.maneuvers` compares this motion with slower ones and, if obstacles move, with
-    maneuvers. During a maneuver the phase rests; then the arm returns to the motion. If it rests
-    elsewhere for 1 s, the desired position follows the tool, and a motion that
+    maneuvers. During a maneuver the phase rests; then the arm returns to the motion. If it comes no
+    nearer to it for 1 s, the arm stops, the desired position follows the tool, and a motion that
     begins there is awaited. Where no newer decision comes into force in time, the phase or the arm
     comes to rest.
 
@@ -359,7 +361,7 @@ class MotionGuard(LeafSystem):
         before = self._supervised(context, before, scene, time)
         if time > before.expires and not before.decision.follows:
             before = self._braked(before, before.x)
-        held.set_value(self._advanced(context, before, time))
+        held.set_value(self._advanced(context, before, time, moves=scene.moves))
         return EventStatus.Succeeded()
 
     def _braked(self, state: GuardState, x: FloatArray) -> GuardState:
@@ -413,8 +415,17 @@ class MotionGuard(LeafSystem):
             _logger.warning("t=%.3f s: supervisor %s", time, said)
         return replace(state, supervision=after)
 
-    def _advanced(self, context: Context, state: GuardState, time: float) -> GuardState:
-        """Returns the state with the next step of the commanded motion."""
+    def _advanced(
+        self, context: Context, state: GuardState, time: float, *, moves: bool
+    ) -> GuardState:
+        """Returns the state with the next step of the commanded motion.
+
+        Args:
+            context: of the system.
+            state: of the guard.
+            time: now [s].
+            moves: whether an obstacle moves.
+        """
         n, step, arm = self._n, self._step_length, self._arm
         X_WE, posture = self._desired_pose(context), np.array(self._posture.Eval(context))
         V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
@@ -425,14 +436,14 @@ class MotionGuard(LeafSystem):
             supervision = state.supervision.broken("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
         path, ahead, carry = np.append(q, v), np.array(state.x), np.zeros(3)
-        lost_since = math.inf
+        lost_since = nearest = math.inf
         if state.decision.follows:
             limit = self._parameters.acceleration_limit
             ahead = approach(ahead, path, np.array(arm.chain.speed), limit, step)
         else:
             self._search.advance(state.decision, ahead, time)
             away = float(np.abs(ahead - path)[:n].max())
-            lost_since = self._lost_since(state, away, time)
+            lost_since, nearest = self._lost_since(state, away, time, moves=moves)
         if state.is_lost and lost_since < math.inf:
             # The desired position follows the tool, and a motion that begins there is awaited.
             error = -_pose_error(X_WE, tool_poses(arm.chain, ahead[None, :n])[0])
@@ -448,22 +459,31 @@ class MotionGuard(LeafSystem):
             path=path,
             carry=carry,
             lost_since=lost_since,
+            nearest=nearest,
         )
 
-    def _lost_since(self, state: GuardState, away: float, time: float) -> float:
-        """Computes since when the arm rests away from its path [s]; inf: it does not.
+    def _lost_since(
+        self, state: GuardState, away: float, time: float, *, moves: bool
+    ) -> tuple[float, float]:
+        """Computes since when the arm comes no nearer to its path, and its least distance to it.
 
         Args:
             state: of the guard.
             away: largest distance of a joint from the path [rad].
             time: now [s].
+            moves: whether an obstacle moves, for which the arm may still be evading.
+
+        Returns:
+            Time [s], inf if the arm is not stuck, and distance [rad].
         """
         if time - state.lost_since > _PATIENCE + _LONGEST_WAIT or away <= ARRIVED:
-            return math.inf
+            return math.inf, away
         if state.is_lost:
-            return state.lost_since
+            return state.lost_since, state.nearest
         rests = time > state.slow_until and state.speed <= _STILL
-        return min(state.lost_since, time) if rests else math.inf
+        if (moves and not rests) or away < state.nearest - _PROGRESS:
+            return time, away
+        return min(state.lost_since, time), state.nearest
 
     # --- decisions -------------------------------------------------------------------------
 
