@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph, Shape
 from pydrake.math import RigidTransform
@@ -19,7 +18,6 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.scenario.shipped import missing_package, shipped_scenarios
 
 
 def balls(
@@ -76,10 +74,3 @@ def command(*arguments: object) -> int:
         return main([str(argument) for argument in arguments])
     except SystemExit as done:
         return int(done.code or 0)
-
-
-def skip_without_model(scenario: str) -> None:
-    """Skips a test of a shipped scenario whose robot is of a package that is not installed."""
-    package = missing_package(shipped_scenarios()[scenario])
-    if package:
-        pytest.skip(f"{package} is not installed: pip install 'drake_oa[robots]'")

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pydrake.systems.framework import Context
 
 from drake_oa.app import main as cli
 from drake_oa.runs import simulation
@@ -98,30 +99,39 @@ def test_set_replaces_fields_of_a_file_and_the_motion_arrives(
 
 
 @pytest.mark.parametrize(
-    ("fault", "status", "message"),
-    [(KeyboardInterrupt(), 130, "interrupted"), (RuntimeError("boom"), 1, "cut short")],
+    ("fault", "status", "message", "reason"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted", "interrupted"),
+        (RuntimeError("boom"), 1, "cut short", "RuntimeError: boom"),
+    ],
 )
 def test_a_motion_that_is_cut_short_is_reported_and_written(
     fault: BaseException,
     status: int,
     message: str,
+    reason: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     original = simulation.simulate
 
+    def look(_: object, root: Context) -> None:
+        if root.get_time() > 0.1:
+            raise fault
+
     def simulate(scenario: object, *, modulated: bool, **options: object) -> object:
-        log = original(scenario, modulated=modulated, **options)
-        if not modulated:
-            return log
-        raise simulation.MotionInterruptedError(log) from fault
+        options |= {"on_look": look} if modulated else {}
+        return original(scenario, modulated=modulated, **options)
 
     monkeypatch.setattr(simulation, "simulate", simulate)
-    arguments = ("--duration", "0.05", "--json", "report.json", "--log", "run.npz")
+    arguments = ("--duration", "0.2", "--json", "report.json", "--log", "run.npz")
     assert run("run", "free_space", *arguments) == status
     assert message in capsys.readouterr().err.splitlines()[-1]
-    assert set(json.loads(Path("report.json").read_text())) >= {"preplanned", "modulated"}
-    assert list(load_logs(Path("run.npz"))) == ["preplanned", "modulated"]
+    report = json.loads(Path("report.json").read_text())
+    assert reason == report["modulated"]["stop_reason"]
+    logs = load_logs(Path("run.npz"))
+    assert list(logs) == ["preplanned", "modulated"]
+    assert logs["modulated"].duration == pytest.approx(0.1, abs=0.02)
 
 
 def test_ctrl_c_in_a_command_is_one_line(

@@ -11,22 +11,6 @@ from tests.builders import command
 run = partial(command, "evaluate")
 
 
-def test_table_one_is_printed_and_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "new" / "one.json"
-    assert run("table1", "--json", str(out)) == 0
-    assert "0.543" in capsys.readouterr().out
-    assert json.loads(out.read_text())["table"] == "table1"
-
-
-def test_table_two_counts_by_baseline(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "two.json"
-    assert run("table2", "--scenes", "8", "--seed", "3", "--json", str(out)) == 0
-    assert "table2: 8 scenes of seed 3" in capsys.readouterr().out
-    assert [part["scenes"] for part in json.loads(out.read_text())["by_baseline"]] == [2, 2, 2, 2]
-
-
 def test_of_fewer_scenes_than_baselines_the_rest_is_empty(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

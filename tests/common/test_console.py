@@ -1,11 +1,8 @@
 """Tables are aligned text, and progress is shown on a terminal."""
 
-import io
-import sys
-
 import pytest
 
-from drake_oa.common.console import Column, TextTable, progress_bar, show
+from drake_oa.common.console import Column, TextTable, show
 
 TABLE = TextTable(
     [
@@ -33,22 +30,3 @@ def test_a_table_is_aligned_text(capsys: pytest.CaptureFixture[str]) -> None:
         "note: all",
     ]
     assert [line.strip() for line in long.splitlines()] == [("x " * 500).strip(), "1"]
-
-
-def test_progress_is_for_terminals(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with progress_bar(4.0) as update:
-        update("half", 2.0)
-    assert capsys.readouterr().err == ""
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    screen = Terminal()
-    monkeypatch.setattr(sys, "stderr", screen)
-    with progress_bar(4.0) as update:
-        update("half", 2.0)
-    assert "half" in screen.getvalue()
-    assert "50%" in screen.getvalue()

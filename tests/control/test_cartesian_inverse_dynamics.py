@@ -138,23 +138,6 @@ def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
     np.testing.assert_allclose(read(system, "actuation", context), expected, atol=1e-9)
 
 
-def test_a_cell_turned_about_the_vertical_gets_the_same_torques(make: Callable) -> None:
-    system, torques = make(), []
-    for yaw in (0.0, -1.2):
-        turn, x = RotationMatrix.MakeZRotation(yaw), X_START.copy()
-        x[0] = yaw
-        context = fixed(
-            system,
-            robot_state=x,
-            desired_position=turn @ START,
-            desired_orientation=(turn @ TILTED).ToQuaternion().wxyz(),
-            desired_angular_velocity=turn @ np.array([0.1, -0.3, 0.2]),
-            desired_posture=np.append(x[:7], np.zeros(7)),
-        )
-        torques.append(read(system, "actuation", context))
-    np.testing.assert_allclose(torques[1], torques[0], atol=1e-8)
-
-
 @pytest.mark.parametrize(
     ("error", "added"), [(0.9 * LARGEST_ERROR, LARGEST_ACCELERATION), (np.inf, 0.0)]
 )

@@ -1,7 +1,5 @@
 """World that changes during the motion, in the whole diagram."""
 
-import logging
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.task import goal_at
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = "regulation=!Paper {}"  # Nothing is searched for.
 FRAME = 1.0 / 30.0
 
 
@@ -62,23 +59,6 @@ def test_a_motion_continues_to_where_the_goal_is_moved() -> None:
     assert np.linalg.norm(log.desired_acceleration, axis=1).max() < most
     jump = np.linalg.norm(np.diff(log.desired_velocity, axis=0), axis=1)
     assert jump.max() < most * 0.0041
-
-
-def test_a_goal_moved_into_an_obstacle_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
-    ellipsoid = load_scenario("free_space").perception.ellipsoids[0]  # type: ignore[union-attr]
-    inside = ", ".join(map(str, ellipsoid.center))
-    moves = f"[[0.5, {inside}], [3.0, 1.0, 0.0, 0.2]]"
-    with caplog.at_level(logging.WARNING, logger="drake_oa"):
-        log = simulate(load_scenario("free_space", [f"task.goal_moves={moves}"]))
-    assert log.stop_reason == "goal"
-    said = list(zip(log.event_time.round(1).tolist(), log.event, strict=True))
-    assert [when for when, _ in said] == [0.5, 3.0]
-    assert said[0][1].startswith("goal inside obstacle")
-    assert said[1][1] == ""
-    held = (log.t > 0.9) & (log.t < 2.95)
-    assert np.linalg.norm(log.desired_velocity[held], axis=1).max() < 1e-9
-    np.testing.assert_allclose(log.p_WE[-1], [1.0, 0.0, 0.2], atol=1e-3)
-    assert sum("goal inside obstacle" in record.message for record in caplog.records) == 1
 
 
 # A push.

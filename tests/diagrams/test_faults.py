@@ -20,7 +20,7 @@ from drake_oa.common.messages import (
 from drake_oa.diagrams.avoidance import Layers
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.report import motion_report
-from drake_oa.runs.simulation import MotionInterruptedError, simulate
+from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 from tests.builders import balls
 from tests.diagrams.fault_systems import nan_frames
@@ -79,9 +79,6 @@ def test_each_fault_ends_as_it_should_without_a_contact(
     if override != PLATE:
         assert report["contacts"] == []
     assert told in "; ".join((*log.supervision_reason, *log.event, caplog.text))
-
-
-# Models and cameras that differ.
 
 
 # Observations that a source system switches.
@@ -181,33 +178,3 @@ def test_where_no_motion_is_possible_the_start_is_held(
     # The desired motion comes to rest at the policy's first step after.
     assert not log.desired_velocity[log.t >= HOLD + POLICY_STEP - 1e-9].any()
     assert np.linalg.norm(log.desired_position[-1]) < 0.01
-
-
-# Clouds, with the whole robot.
-
-
-# The end before the end.
-
-
-@pytest.mark.parametrize(
-    ("cause", "name"),
-    [
-        (KeyboardInterrupt(), "interrupted"),
-        (RuntimeError("out of memory"), "RuntimeError: out of memory"),
-    ],
-)
-def test_an_interrupted_run_leaves_its_log(cause: BaseException, name: str) -> None:
-    def interrupt(_: object, root: Context) -> None:
-        if root.get_time() > 0.5:
-            raise cause
-
-    with pytest.raises(MotionInterruptedError) as caught:
-        simulate(load_scenario("tabletop_box", [GROUND_TRUTH]), on_look=interrupt)
-    log = caught.value.log
-    assert log.stop_reason == name
-    assert log.duration == pytest.approx(0.5, abs=0.02)
-    assert len(log.q) == len(log.t) == len(log.torque) > 50
-    assert len(log.observation_stamp) > 5
-    report = motion_report(load_scenario("tabletop_box"), log)
-    assert report["stop_reason"] == name
-    assert report["collisions"] == 0

@@ -6,9 +6,8 @@ import re
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
-from scipy.interpolate import make_interp_spline
 
-from drake_oa.common.messages import HoldCause, PlannedMotion
+from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.runs.simulation import LATEST_END, simulate
@@ -95,31 +94,6 @@ def test_it_waits_for_what_leaves_no_way_and_goes_on_when_that_leaves():
     speed = np.linalg.norm(np.gradient(log.p_WE, log.t, axis=0), axis=1)
     assert speed[log.t < 0.4].max() < 0.02
     assert speed[log.t > 0.6].max() > 0.02
-
-
-SETTLED = 0.3
-"""Time by which the decisions that begin a motion are made [s]."""
-
-
-@pytest.mark.slow
-def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
-    # The latency would let the motion begin later.
-    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "thinking=null"])
-    log = simulate(scenario)
-    diagram = build_avoidance(scenario)
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(SETTLED)
-    selector = diagram.GetSubsystemByName("motion_verifier")
-    port = selector.GetOutputPort("motion")
-    motion: PlannedMotion = port.Eval(selector.GetMyContextFromRoot(simulator.get_context()))
-    # The samples are centimetres apart.
-    s = np.linspace(motion.s[0], motion.s[-1], 1000)
-    p_WE, q = (make_interp_spline(motion.s, samples)(s) for samples in (motion.p_WE, motion.q))
-    after = slice(int(np.searchsorted(log.t, SETTLED)), log.moving.stop)
-    off = np.linalg.norm(log.p_WE[after, None] - p_WE, axis=2).min(axis=1)
-    assert off.max() < 5e-3
-    executed = log.q[after, : q.shape[1]]
-    assert np.abs(executed[:, None] - q).max(axis=2).min(axis=1).max() < 0.03
 
 
 def test_a_motion_ends_when_it_has_arrived_not_before() -> None:

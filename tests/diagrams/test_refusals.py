@@ -45,7 +45,7 @@ PAPER = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
         (BOX, ["cameras=[{name: camera, output_delay: 0.5}]"], ["camera 'camera'"]),
         (
             "free_space",
-            ["regulation.weights=package://drake_oa/weights/paper_chain.safetensors"],
+            [PAPER],
             ["regulation.weights: ", "rad/s", "paper_running"],
         ),
     ],

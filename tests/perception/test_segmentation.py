@@ -93,21 +93,6 @@ def test_an_unknown_pose_makes_the_table_the_world():
     assert found.X_WC[2, 3] == pytest.approx(0.8, abs=2e-3)
 
 
-def test_a_cloud_gives_what_its_image_gives():
-    depth = ray_cast(X_WC, TWO)
-    v, u = np.nonzero(np.isfinite(depth) & (depth < 2.5))
-    z = depth[v, u]
-    p_CQ = np.stack([(u - K[2]) / K[0] * z, (v - K[3]) / K[1] * z, z], axis=1)
-    image = segment_depth(depth, K, X_WC)
-    p_WQ = p_CQ @ X_WC[:3, :3].T + X_WC[:3, 3]
-    assert len(segment_points(p_CQ, None).clouds_W) == 2
-    for points, pose in ((p_CQ, X_WC), (p_WQ, np.eye(4))):
-        found = segment_points(points, pose)
-        assert len(found.clouds_W) == 2
-        for a, b in zip(image.clouds_W, found.clouds_W, strict=True):
-            assert abs(len(a) - len(b)) < 0.1 * len(a)
-
-
 def test_an_empty_image_and_an_empty_cloud_say_so():
     assert segment_depth(np.zeros((0, 0)), K, None).note == "no valid pixel"
     assert segment_points(np.full((9, 3), np.nan), None).note == "no valid point"
@@ -123,14 +108,6 @@ def test_a_bare_table_is_no_fault(table):
     found = segment_depth(ray_cast(X_WC, (), *table), K, X_WC)
     assert (found.note, found.clouds_W) == ("", ())
     assert found.table is not None
-
-
-def test_missing_pixels_do_no_harm():
-    depth = ray_cast(X_WC, TWO)
-    rng = np.random.default_rng(1)
-    for value in (np.nan, 0.0, np.inf):
-        depth[rng.random(SIZE) < 0.1] = value
-    assert len(segment_depth(depth, K, X_WC).clouds_W) == 2
 
 
 def test_without_a_table_all_that_is_seen_is_an_obstacle():

@@ -1,6 +1,5 @@
 """Solids of what perception sees: kept while nothing new is seen, and else made anew."""
 
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -46,18 +45,6 @@ def seen(*clouds, stamp=1.0, table=TABLE, ids=None, v_WO=()):
 
 def distance(solids: Solids, row: int, point, time=0.0):
     return solid_distance(solids, row, *map(float, point), time)
-
-
-def test_a_seen_box_is_a_solid_with_its_far_side():
-    scene = looked_at(SeenSolids(), seen(box()), CAMERA[None]).scene
-    assert (scene.labels, scene.stamp, scene.moves) == (("obstacle 0", "the table"), 1.0, False)
-    points = RNG.uniform(-0.3, 0.3, (1000, 3))
-    true = np.linalg.norm(np.maximum(np.abs(points) - HALF, 0.0), axis=1)
-    error = np.array([distance(scene.solids, 0, p) for p in CENTER + points]) - true
-    # Never too far by more than a voxel, its hidden sides included, and rarely much too near.
-    assert error[true > 0.0].max() <= VOXEL
-    assert np.median(np.abs(error[true > 0.0])) <= VOXEL
-    assert distance(scene.solids, 0, CENTER) < -0.02
 
 
 def test_noise_leaves_the_arrays_as_they_are():
@@ -135,20 +122,6 @@ def updated(made, context, obstacles, time):
     made.GetInputPort("obstacles_W").FixValue(context, AbstractValue.Make(obstacles))
     made.ExecuteInitializationEvents(context)
     return made.GetOutputPort("solids_W").Eval(context)
-
-
-def test_the_system_keeps_its_scene_and_warns_once(caplog):
-    made = CloudSolids(period=0.1)
-    context = made.CreateDefaultContext()
-    one = updated(made, context, seen(box(), np.zeros((0, 3)), ids=[3, 4]), 0.1)
-    assert one.labels == ("obstacle 3", "the table")
-    bad = box()
-    bad[0] = np.nan
-    with caplog.at_level(logging.INFO, "drake_oa"):
-        for time in (0.3, 0.4):
-            assert updated(made, context, seen(bad, stamp=1.2), time).same_as(one)
-    (record,) = caplog.records
-    assert "not finite" in record.getMessage()
 
 
 def post(height):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -27,10 +26,9 @@ from drake_oa.common.messages import (
 from drake_oa.geometry.solids import Solid, SolidScene, solids_of
 from drake_oa.planning import search
 from drake_oa.planning.arm_world import group_distances
-from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
+from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ProposalNetwork
@@ -206,17 +204,6 @@ def test_the_rows_of_the_chain_are_one_candidate(make: Make) -> None:
     assert bench.output("candidates")[search.CHAIN] == 1
 
 
-def test_where_rings_forbid_every_side_the_motion_holds_and_says_so(make: Make) -> None:
-    bench = make(BOX, rings={"never": _ring(lambda w: w[:, 0] < 2.0)})
-    bench.fix(ellipsoids_W=SEEN)
-    found = bench.chosen()
-    assert found.note == "every side is forbidden by the rings never"
-    assert found.hold == HoldCause.OBSTACLES
-    # Where nothing is in the way no side is asked for.
-    bench.see()
-    assert bench.chosen(0.1).note == ""
-
-
 def test_a_box_in_the_way_is_passed_as_near_as_requested(make: Make) -> None:
     bench = make()
     bench.fix(solids_W=SolidScene())
@@ -283,31 +270,6 @@ def test_where_nothing_is_possible_it_holds_and_says_why(make: Make) -> None:
     found = bench.chosen(1.0)
     assert found.note == ""
     assert found.hold == HoldCause.NONE
-
-
-def test_a_goal_in_contact_is_held_with_the_obstacle_in_the_way(make: Make) -> None:
-    # The tool point is in a crate's top by 2 cm.
-    crate = box_at([0.2, 0.2, 0.3], GOAL + [0.0, 0.0, 0.02 - 0.15], "crate")
-    bench = make(TABLE, crate)
-    found = bench.chosen()
-    assert found.hold == HoldCause.OBSTACLES
-    assert found.note == "at its goal the arm would touch crate"
-
-
-def test_a_motion_holds_from_where_it_leads_and_not_from_elsewhere(make: Make) -> None:
-    bench = make(TABLE, BOX)
-    at_start = Sight(bench.policy, GOAL, bench.arm.q, bench.scene)
-    made = bench.search.decide(SelectedMotion(), at_start)
-    motion, row = made.prediction.motion, 8
-    z_W = np.gradient(motion.p_WE, motion.s, axis=0)[row]
-    phase = math.exp(-bench.dmp.alpha_k * motion.s[row])
-    led = replace(bench.policy, p_WE=motion.p_WE[row], z_W=z_W, phase=phase, speed=0.2)
-    there = replace(at_start, policy=led, q=motion.q[row])
-    assert bench.search.still_holds(made, there)
-    # Mirrored at the plane of the baseline and the term's normal it turns to the other side.
-    omega = np.cross(made.command.terms[0, NORMAL : NORMAL + 3], bench.policy.R_WL[:, 0])
-    away = replace(led, z_W=z_W - 2.0 * (omega @ z_W) * omega)
-    assert not bench.search.still_holds(made, replace(there, policy=away))
 
 
 def test_a_tool_in_contact_may_leave_it(make: Make, caplog: pytest.LogCaptureFixture) -> None:

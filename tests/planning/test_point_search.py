@@ -17,11 +17,8 @@ from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
     ALPHA,
-    N_GENES,
     TAU,
     ProposalNetwork,
-    avoidance_terms,
-    genes_of,
 )
 
 DURATION = 3.0
@@ -114,11 +111,3 @@ def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(
     found, path, stamps = searched(scene, proposer)
     assert not found.solved
     assert 0.04 < least_distance(scene, path, stamps) < 0.07
-
-
-def test_genes_and_terms_are_inverse() -> None:
-    scene, rng = scene_of([[0.5, 0.0, 0.0]]), np.random.default_rng(0)
-    low, high = [-3.0, 0.1, -0.3, -2.0, -1.5, 0.0, -0.4], [3.0, 0.9, 0.0, 5.0, 1.5, 9.0, 0.9]
-    genes = rng.uniform(low, high, (50, N_GENES))
-    again = genes_of(scene, avoidance_terms(scene, genes), np.exp(genes[:, TAU]))
-    np.testing.assert_allclose(again, genes, atol=1e-12)

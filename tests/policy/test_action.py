@@ -182,22 +182,6 @@ def test_the_compiled_step_is_the_readable_one(seed: int) -> None:
     assert after.tau == pytest.approx(1.3)
 
 
-def test_given_normals_and_tau_go_before_those_of_the_route() -> None:
-    some = scene(9)
-    state, (ellipsoids, coupling, route) = under_way(some, 9), some[2:]
-    other = -route.normal_W
-    unguided = replace(route, normal_W=other, remaining_clearance=np.zeros(len(other)))
-    expected = step_of(state, ellipsoids, coupling, unguided)
-    found = step_of(state, ellipsoids, replace(coupling, normal_W=other), route)
-    np.testing.assert_array_equal(found.z_W, expected.z_W)
-    slow = step_of(state, ellipsoids, replace(coupling, tau=0.8), route)
-    assert (slow.tau, expected.tau) == (0.8, 1.3)
-    # A zero row is none.
-    none = replace(coupling, normal_W=np.zeros_like(other))
-    ours, theirs = (step_of(state, ellipsoids, one, route).z_W for one in (none, coupling))
-    np.testing.assert_array_equal(ours, theirs)
-
-
 @pytest.mark.parametrize(
     ("coupling", "route", "said"),
     [
@@ -256,27 +240,6 @@ def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: floa
     expected = STEP * (0.5 * (u[hold:] + u[hold - 1 : -1])).sum(axis=0)
     moved_by = held[-1].end.p_WE - held[hold - 1].end.p_WE
     np.testing.assert_allclose(moved_by, expected, atol=1e-12)
-
-
-@given(seed=seeds, step=st.floats(1e-4, STEP))
-def test_a_motion_that_begins_straight_at_a_term_turns_to_its_side(seed: int, step: float) -> None:
-    rng = np.random.default_rng(seed)
-    start, goal = rng.uniform(-1.0, 1.0, (2, 3))
-    _, y, z = local_frame(start, goal).T
-    angle = rng.uniform(0.0, 2.0 * np.pi)
-    coupled = CouplingParameters(
-        *np.array([[100.0], [1.0], [1.0]]),
-        in_range=np.ones(1, dtype=bool),
-        center_W=(start + rng.uniform(0.3, 0.95) * (goal - start))[None],
-        normal_W=(np.cos(angle) * z - np.sin(angle) * y)[None],
-        verified=True,
-    )
-    around = Surroundings.of(EllipsoidSet(stamp=0.0), coupled, None)
-    segment = begun(start, goal)
-    # An imitated motion may begin with a little step back, and its heading passes through none.
-    for row in range(round(0.1 / step)):
-        segment = LEVEL.step(segment, goal, around, row * step, step)
-    assert segment.end.z_W @ (np.cos(angle) * y + np.sin(angle) * z) > 0.0
 
 
 def test_a_resting_motion_begins_anew_where_it_is() -> None:

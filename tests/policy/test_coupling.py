@@ -16,7 +16,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import (
     HEADING,
     N_COLUMNS,
-    dead_zone_free_rate,
     rotate,
     turn_step,
 )
@@ -45,12 +44,6 @@ def random_rows(rng: np.random.Generator, count: int, log_strength: float = 14.0
     heading *= rng.integers(0, 2, (count, 1))
     rows[:, 9:] *= rng.integers(0, 2, (count, 1))
     return rows
-
-
-def test_the_dead_zone_free_rate_is_that_of_the_paper() -> None:
-    rate = dead_zone_free_rate([-0.5, 0.0, 1e-3, 0.5], 0.2, 100.0, 0.7, 5.0)
-    assert rate[1] > rate[2] > rate[3] == -rate[0] > 0.0
-    np.testing.assert_allclose(rate[3], 100.0 * np.exp(-((0.5 / 0.7) ** 2)) * np.exp(-0.2))
 
 
 @MANY

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from drake_oa.policy.action_kernels import spring_flow
-from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk, trajectory
+from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk, trajectory
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -70,17 +70,6 @@ def test_smooth_paths_are_imitated_and_turned_and_scaled_to_other_ends(seed, sam
 def test_unusable_demonstrations_are_refused(path, t, message):
     with pytest.raises(ValueError, match=message):
         imitate(path, t)
-
-
-def test_forcing_is_the_normalized_weighted_sum_times_the_phase():
-    centers, weights = np.array([1.0, 0.5]), np.array([[3.0, -2.0]])
-    dmp = Dmp(80.0, 20.0, 4.6, centers, np.array([4.0, 8.0]), weights)
-    basis = np.exp([-4.0 * 0.3**2, -8.0 * 0.2**2])
-    expected = (3.0 * basis[0] - 2.0 * basis[1]) / basis.sum() * 0.7
-    np.testing.assert_allclose(dmp.forcing(np.array([0.7])), [[expected]], rtol=1e-14)
-    # Far from every center it is that of the nearest.
-    narrow = Dmp(80.0, 20.0, 4.6, centers, np.full(2, 1e9), weights)
-    np.testing.assert_allclose(narrow.forcing(np.array([0.1, 0.0])), [[-0.2], [0.0]], rtol=1e-14)
 
 
 @settings(max_examples=50)

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import (
     demonstrated_goal,
-    evaluate,
     imitate_orientation,
     minimum_jerk_orientation,
     minimum_jerk_share,
@@ -93,22 +92,6 @@ def test_the_demonstrated_wiggle_is_added_on_the_way_to_another_goal_in_any_step
     second = roll_orientation(wiggling, end, *state, end=1.0 - middle)
     np.testing.assert_allclose(second.p[-1], own.p[-1], atol=1e-4)
     assert second.k[-1] == pytest.approx(own.k[-1])
-
-
-@settings(max_examples=50)
-@given(vectors, vectors, vectors, st.floats(0.0, 5.0), st.floats(0.1, 0.9))
-def test_angular_rates_are_those_of_finite_differences(
-    axis: FloatArray, rate: FloatArray, other: FloatArray, angle: float, time: float
-) -> None:
-    r = angle * axis / max(float(np.linalg.norm(axis)), 1e-2)
-    ends = np.array([[r, rate], [r + other, 2.0 * other - rate]])
-    h, origin = 1e-4, Rotation.from_rotvec(axis)
-    before, now, after = (evaluate(ends, 1.0, origin, time + dt) for dt in (-h, 0.0, h))
-    assert (before[:4] * after[:4]).sum() > 0.9
-    R = [Rotation.from_quat(one[:4], scalar_first=True) for one in (before, now, after)]
-    back, ahead = ((one * R[1].inv()).as_rotvec() for one in (R[0], R[2]))
-    np.testing.assert_allclose((ahead - back) / (2.0 * h), now[4:7], atol=1e-5)
-    np.testing.assert_allclose((ahead + back) / h**2, now[7:], atol=1e-2)
 
 
 def test_a_goal_half_a_turn_away_is_approached_as_demonstrated() -> None:

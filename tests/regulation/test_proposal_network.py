@@ -13,17 +13,14 @@ from drake_oa.common.files import package_file
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.proposals import (
-    ALPHA,
     ANGLE,
     HALF,
     N_GENES,
     N_SIDES,
     ProposalNetwork,
     describe,
-    ladder,
     load_proposals,
     save_proposals,
-    strengths,
 )
 
 
@@ -99,24 +96,6 @@ def test_every_side_has_a_proposal(proposer: ProposalNetwork) -> None:
     assert np.abs(off).max() <= HALF + 1e-12
     # Without obstacles there is none.
     assert len(proposer.rows(some_scene(1, 0), 3.0)) == 0
-
-
-@given(st.integers(1, 300), st.integers(1, 16))
-def test_a_ladder_has_as_many_rungs_as_it_is_asked_for_and_more_for_the_first(
-    count: int, sides: int
-) -> None:
-    rank, share = ladder(count, sides)
-    assert len(rank) == len(share) == count
-    assert rank.max() < sides
-    assert ((share >= 0.0) & (share <= 1.0)).all()
-    assert (np.diff(np.bincount(rank)) <= 0).all()
-
-
-def test_strengths_are_weaker_than_a_feasible_one_and_stronger_than_others() -> None:
-    weaker, stronger = (strengths(np.zeros(N_GENES), kept, 0.5, 4) for kept in (True, False))
-    assert ((weaker[:, ALPHA] > -0.5) & (weaker[:, ALPHA] < 0.0)).all()
-    assert (stronger[:, ALPHA] > 0.0).all()
-    np.testing.assert_array_equal(np.delete(weaker, ALPHA, axis=1), 0.0)
 
 
 def test_a_file_holds_it_whole(proposer: ProposalNetwork, tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """The regressor chain: forward pass, weights files, sections of ellipsoids."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,6 @@ from drake_oa.regulation.regressor import (
     section_extents,
 )
 from tests.builders import balls
-
-WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
 
 
 def random_chain(n_inputs=3):
@@ -95,21 +92,6 @@ def test_a_file_gives_back_the_chain(tmp_path, n_inputs):
     # The chain of two inputs knows of no clearance.
     other = loaded.parameters(np.full((1, 2), 0.1), 0.3, 1.0)
     assert (other.as_array() == theirs.as_array()).all() == (n_inputs == 2)
-
-
-@pytest.mark.parametrize(
-    ("name", "printed"),
-    [
-        ("paper_chain", {"kappa": 0.251, "psi": 0.244}),
-        ("paper_chain_unconstrained", {"kappa": 0.539, "psi": 0.802, "alpha": 0.893}),
-    ],
-)
-def test_the_papers_chains_are_shipped_and_score_as_printed(name, printed):
-    chain = load_chain(WEIGHTS / f"{name}.safetensors")
-    assert chain.metadata["units"]["alpha"] == "rad/s"
-    for target, value in printed.items():
-        for part in ("train", "test"):
-            assert chain.metadata["nmse"][target][part] == pytest.approx(value, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,10 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.arm import (
     Chain,
-    chain_poses,
     follow,
     inverse_kinematics,
     joint_margins,
     make_chain,
-    pose_error,
     scratch,
     solve_tool_pose,
     tool_poses,
@@ -64,21 +62,6 @@ def tracked(
         joints.append(q.copy())
         np.testing.assert_array_equal(room.X[-1], pose(chain, q))
     return np.array(joints), np.array(errors)
-
-
-@settings(max_examples=30)
-@given(seed=SEEDS)
-def test_the_error_is_the_largest_of_way_and_turn(panda_chain: Chain, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    X, e = np.empty((9, 12)), np.empty(6)
-    chain_poses(random.uniform(panda_chain.lower, panda_chain.upper), panda_chain.X_PJ, X)
-    p = random.normal(size=3) * 10 ** random.uniform(-6, 0)
-    turn = random.normal(size=3)
-    turn *= 10 ** random.uniform(-6, 0.49) / np.linalg.norm(turn)
-    largest = pose_error(X, shifted(X[-1], p, turn), e)
-    np.testing.assert_allclose(e[3:], p, atol=1e-12)
-    np.testing.assert_allclose(e[:3], turn, rtol=1e-3, atol=1e-9)
-    assert largest == pytest.approx(np.abs(e).max())
 
 
 @settings(max_examples=30)

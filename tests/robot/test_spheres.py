@@ -41,10 +41,6 @@ def one_of(kind: str, size: tuple[float, float, float]) -> solid.Solid:
     }[kind]()
 
 
-def distances(scene: solid.Solids, points: FloatArray) -> FloatArray:
-    return solid.least_distances(scene, points, 0.0, np.inf, -np.inf)
-
-
 def check_encloses(shape: solid.Solid, spheres: FloatArray) -> None:
     """Checks that the points on a shape are in spheres (K, 4), of center and radius."""
     points = shape.placed(solid.surface_points(shape, 3000))

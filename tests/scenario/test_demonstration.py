@@ -95,14 +95,7 @@ def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
         (["x,y,z,qw,qx", "0,0,0,0,0"], ["its first line is", "qw,qx,qy,qz"]),
         (["x,y,z", "0,0,0", "1,a,0"], ["could not convert string 'a'", "row 1, column 2"]),
         (["x,y,z", "0,0,0", "1,nan,0", "1,1,1"], ["sample 1 is not", "sample 0 is line 2"]),
-        (
-            ["t,x,y,z", "0,0,0,0", "1,0,1,0", "0.5,0,2,0"],
-            ["sample 2 at 0.5 s follows 1.0 s"],
-        ),
         (["t,x,y,z", "0,0,0,0", "5200,0,1,0"], ["span 5200 s, at most 600", "in seconds"]),
-        (["x,y,z", "0,0,0"], ["at least 2 samples, not 1"]),
-        (["x,y,z", "0,0,0", "1,0,0", "0,0,0"], ["must end away from where it starts"]),
-        (["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,0,0,0"], ["quaternion of sample 1 is 0"]),
         (
             ["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,1,0,0"],
             ["sample 0 and the next are half a turn apart"],

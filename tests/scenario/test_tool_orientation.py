@@ -99,7 +99,6 @@ def test_a_demonstration_tells_start_goal_and_way(kind: str, tmp_path: Path) -> 
         ({"path": np.zeros((51, 2))}, ["its path is (51, 2)", "`path` (T, 3)"]),
         ({"R": rotations()[:9]}, ["51 positions and 9 orientations", "`quaternion` (T, 4)"]),
         ({"R": rotations(), "quaternion": np.ones((51, 4))}, ["both `quaternion` and `R`"]),
-        ({"quaternion": np.ones((51, 3))}, ["(T, 4) quaternions", "not (51, 3)"]),
         ({"R": np.zeros((51, 3, 3))}, ["sample 0 is no rotation matrix"]),
     ],
 )

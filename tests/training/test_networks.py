@@ -6,33 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from drake_oa.training import networks
 from drake_oa.training.networks import (
     Round,
     choose_device,
     fit,
     make_perceptron,
     nmse,
-    normal_equations,
     train_network,
 )
-
-
-def test_the_normal_equations_are_the_plain_formula(monkeypatch):
-    monkeypatch.setattr(networks, "_BLOCK", 7)
-    rng = np.random.default_rng(0)
-    x, weight = rng.uniform(-1.0, 1.0, (50, 3)), rng.uniform(0.0, 2.0, 50)
-    y, network = np.sin(x.sum(axis=1)), make_perceptron(3, rng)
-    output = network(torch.from_numpy(x))[:, 0]
-    slopes = [
-        torch.autograd.grad(one, list(network.parameters()), retain_graph=True) for one in output
-    ]
-    J = np.array([np.concatenate([s.numpy().ravel() for s in of]) for of in slopes])
-    error = y - output.detach().numpy()
-    gram, gradient, squares = normal_equations(network, *map(torch.from_numpy, (x, y, weight)))
-    np.testing.assert_allclose(gram.numpy(), J.T @ (weight[:, None] * J), rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(gradient.numpy(), J.T @ (weight * error), rtol=1e-10, atol=1e-12)
-    assert squares == pytest.approx(np.sum(weight * error**2), rel=1e-12)
 
 
 def test_each_step_lowers_the_loss_and_the_fit_ends_where_none_does():

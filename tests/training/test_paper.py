@@ -12,7 +12,6 @@ from drake_oa.training.paper import (
     MIN_CLEARANCE,
     PaperRecipe,
     build_paper_set,
-    group_means,
     train_paper,
 )
 
@@ -59,14 +58,3 @@ def test_the_whole_lattice_has_the_rows_of_the_released_network():
     assert len(rows.places) == pytest.approx(1_249_134, abs=300)
     # The range of its scaling, authors_rc.npz.
     assert rows.clearance.max() == pytest.approx(0.474818, abs=2e-4)
-
-
-def test_fitting_the_means_is_fitting_the_rows():
-    rng = np.random.default_rng(0)
-    index = rng.integers(0, 3, (200, 2))
-    y = index @ (1.0, -2.0) + rng.normal(size=200)
-    groups, mean, count = group_means(index, y)
-    root = np.sqrt(count)
-    of_means = np.linalg.lstsq(root[:, None] * groups, root * mean, rcond=None)[0]
-    of_rows = np.linalg.lstsq(index.astype(float), y, rcond=None)[0]
-    np.testing.assert_allclose(of_means, of_rows, rtol=1e-10)

@@ -1,17 +1,12 @@
 """Claims of passive motion safety, on motions made by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from drake_oa.geometry.solids import solids_of, sphere
 from drake_oa.perception.coverage import ViewVolume
 from drake_oa.robot.spheres import sphere_centers
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.studies.panda.claims import claim_violations, is_unseen
+from drake_oa.studies.panda.claims import claim_violations
 from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.scenes import draw_panda_scene
 from drake_oa.studies.panda.true_world import make_true_world
@@ -131,33 +126,6 @@ def test_without_an_observation_sight_is_lacking():
     found = claim_violations(world, t, q, np.full(len(t), -np.inf))
     assert found["B"][:-1].all()
     assert not claim_violations(world, t, q, t)["B"].any()
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    x=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0), z=st.floats(-1.0, 6.0), depth=st.floats(0, 6)
-)
-def test_a_place_is_seen_free_before_the_depth_of_its_pixel(x, y, z, depth):
-    """A camera at the origin that looks along z, with 90 degrees in view."""
-    image, K = np.full((200, 200), depth, np.float32), np.array([100.0, 100.0, 99.5, 99.5])
-    sight = image, ViewVolume(np.eye(4), K, image.shape, 0.8, 3.5)
-    nothing = solids_of([replace(sphere(0.1), X_WO=np.diag([1.0, 1.0, 1.0, 1.0]) + _far())])
-    place, arm = np.array([[x, y, z]]), (np.full((1, 3), 50.0), np.ones(1))
-    inside = z > 0.0 and max(abs(x), abs(y)) < 0.99 * z
-    if inside and 0.8 <= z <= min(float(np.float32(depth)), 3.5):
-        assert not is_unseen(place, nothing, arm, [sight])[0]
-    elif not (z > 0.0 and max(abs(x), abs(y)) < 1.01 * z) or z > min(depth, 3.5) + 1e-3 or z < 0.8:
-        assert is_unseen(place, nothing, arm, [sight])[0]
-
-
-def _at(x, y, z):
-    X = np.zeros((4, 4))
-    X[:3, 3] = x, y, z
-    return X
-
-
-def _far():
-    return _at(100.0, 0.0, 0.0)
 
 
 # In scene 5 an arm beside an obstacle that turns round has no maneuver without an approach: 5 of

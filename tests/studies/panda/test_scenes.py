@@ -10,14 +10,10 @@ import pytest
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.camera_placement import near_space, view_volumes
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import parse_scenario, scenario_text
-from drake_oa.studies.panda.evaluation import run_and_judge
-from drake_oa.studies.panda.moving_scenes import LONGEST
 from drake_oa.studies.panda.scene_arm import scene_arm
 from drake_oa.studies.panda.scene_parts import (
     FREE,
-    bounding_ball,
     footprint_radius,
 )
 from drake_oa.studies.panda.scenes import KINDS, MOVING_KINDS, draw_panda_scene
@@ -95,71 +91,3 @@ def test_the_ends_are_free_and_the_planned_motion_is_not_clear(scenes, kind):
         for other in scenario.obstacles[:row]:
             gap = math.dist(one.translation[:2], other.translation[:2])
             assert gap >= radius + footprint_radius(other) + 0.02 - 1e-9
-
-
-def _movers(scene):
-    return [item for item in scene.obstacles if item.waypoints]
-
-
-def _velocities(item):
-    """(N, 3) of the pieces of a course, and (N,) how long they last."""
-    rows = np.diff(np.array(item.waypoints), axis=0)
-    return rows[:, 1:] / rows[:, :1], rows[:, 0]
-
-
-def _track(item, end=LONGEST):
-    return np.array([item.translation + item.offset_at(t) for t in np.arange(0.0, end, 0.02)])
-
-
-@pytest.mark.parametrize(
-    ("kind", "counts", "speed", "height"),
-    [
-        ("moving", (1, 2), 0.4, (0.0, 0.6)),
-        ("moving_hard", (2, 4), 0.8, (0.0, 0.6)),
-        ("moving_high", (2, 4), 0.8, (0.6, 1.0)),
-    ],
-)
-def test_things_cross_the_way_smoothly(scenes, kind, counts, speed, height):
-    moving = _movers(scenes[kind])
-    assert counts[0] <= len(moving) <= counts[1]
-    assert len(scenes[kind].obstacles) - len(moving) <= 2
-    assert height[0] < max(item.translation[2] for item in moving) <= height[1]
-    for item in moving:
-        p, (velocity, _) = _track(item), _velocities(item)
-        assert np.hypot(p[:, 0], p[:, 1]).min() >= bounding_ball(item)[1] + 0.15
-        assert item.waypoints[-1][0] <= LONGEST
-        # Begin and end are at rest; 3 m/s^2 along the way and 0.8^2 / 0.2 across it, for 0.05 s.
-        jumps = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
-        assert np.linalg.norm(jumps, axis=1).max() < 0.05 * math.hypot(3.0, 3.2) + 0.01
-        assert 0.095 <= np.linalg.norm(velocity, axis=1).max() <= speed + 5e-3
-    result = run_and_judge(scenes[kind], "preplanned", "truth").result
-    assert not result["failed"]
-    assert any("moving0" in contact for contact in result["contacts"])
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if "floating" in kind])
-def test_floating_boxes_fly_at_the_base_and_turn_back(scenes, kind):
-    speed = float(kind.partition("_at_")[2] or 0.0)
-    for item in _movers(scenes[kind]):
-        p = _track(item, item.present[1])
-        away = np.linalg.norm(p - [0.15, 0.0, 0.5], axis=1)
-        assert 0.8 - 1e-3 <= away[0] <= 1.0 + 1e-3
-        assert away.max() <= 1.2 + 0.01
-        assert np.hypot(p[:, 0], p[:, 1]).min() >= 0.25 - 0.03
-        speeds = np.linalg.norm(_velocities(item)[0], axis=1)
-        np.testing.assert_allclose(speeds, speed or speeds[0], rtol=0.02)
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.startswith("drp")])
-def test_boxes_of_drpbench_leave_the_robot_free_at_first(scenes, kind):
-    scene = scenes[kind]
-    q = np.stack(end_positions(scene))
-    still = [item for item in scene.obstacles if not item.name.startswith("box")]
-    scene = draw_panda_scene(0, 0, kind=kind, perception="truth")
-    scene.obstacles = still
-    assert robot_metrics(scene, q).robot_clearance.min() >= 0.05
-    for item in scenes[kind].obstacles[: -len(still) or None]:
-        item.waypoints, item.present = [], []
-        scene.obstacles = [item]
-        least = 0.1 if "sudden" in kind else 0.01
-        assert robot_metrics(scene, q[:1]).robot_clearance.min() >= least

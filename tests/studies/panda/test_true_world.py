@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from drake_oa.runs.metrics import robot_judge
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.studies.panda.scenes import draw_panda_scene
 from drake_oa.studies.panda.true_world import STEP, bang_motions, clear_steps, make_true_world
 
 _MOVER = (
@@ -62,21 +61,3 @@ def test_a_resting_arm_is_clear_until_the_obstacle_comes(scenario, world):
     assert clear <= touched[0] <= clear + 3
     later = np.array([touched[0] - 10])
     assert clear_steps(world, stay, later)[0] == clear - later[0]
-
-
-def test_clear_motions_have_no_contact_by_scene_graph():
-    scenario = draw_panda_scene(0, 2, kind="moving_hard", perception="truth")
-    world, judge = make_true_world(scenario), robot_judge(scenario)
-    q_start, _ = end_positions(scenario)
-    chain, random = world.arm.chain, np.random.default_rng(3)
-    legs = random.uniform(chain.lower, chain.upper, (40, 2, 7))
-    q = q_start[chain.q_index]
-    motions = bang_motions(world, q, 0.0 * q, legs, np.full(40, 60), 150)
-    clear = clear_steps(world, motions, np.full(40, 100))
-    assert 0 < (clear > 150).sum() < 40
-    for motion in motions[clear > 150][:5]:
-        path = np.tile(q_start, (151, 1))
-        path[:, chain.q_index] = motion
-        q_world = np.array([judge.positions_at(STEP * (100 + row)) for row in range(151)])
-        found = judge.metrics(path, q_world)
-        assert found.contacts == found.self_contacts == ()

@@ -4,10 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.studies.scenes import paper_method
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
@@ -18,30 +15,15 @@ from drake_oa.studies.scenes.paper_method import (
     released_motions,
     run,
     run_original,
-    section_axes,
-    sections,
     time_scale,
 )
 from drake_oa.studies.scenes.scenes import make_scenes
-from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
+from drake_oa.studies.scenes.suites import draw_scenes
 from drake_oa.training import released_law
 from drake_oa.training.released_law import STEPS, Steps, released_forcing
 
 DEMO = Steps(500, 0.005)
 """Time steps of the released demonstration program."""
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_the_first_axis_of_the_section_is_within_45_degrees_of_the_baseline(seed):
-    rng = np.random.default_rng(seed)
-    R, frame = random_rotations(rng, 2)
-    a, normal = rng.uniform(0.02, 0.3, 3), frame[:, 2]
-    (found,) = section_axes(frame[None, :, 0], normal[None], R[None], a[None])
-    e1 = frame[:, 0]
-    section = plane_section(R, a, e1, np.cross(normal, e1))
-    across = [abs(axis[0]) for axis in section.axes]
-    expected = section.semi_axes if across[0] >= across[1] else section.semi_axes[::-1]
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_the_forcing_term_is_the_released_one(reference):
@@ -95,19 +77,3 @@ def test_hoffmanns_term_does_not_turn_head_on():
     # Beyond the goal it turns round, and sees the obstacle ahead again.
     assert np.abs(motions.path[0, : STEPS.number, 1:]).max() < 1e-9
     assert judge(scenes, motions).collided[0]
-
-
-def test_distances_in_the_p_plane_are_those_to_the_section():
-    rng = np.random.default_rng(4)
-    center = np.column_stack([np.full(20, 0.5), rng.uniform(-0.2, 0.2, (20, 2))])
-    center[0, 1:] = 0.0
-    a = rng.uniform(0.05, 0.2, (20, 3))
-    scenes = make_scenes(1.0, center, a, R=random_rotations(rng, 20))
-    cut = sections(scenes)
-    R = cut.R
-    np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    np.testing.assert_allclose(np.einsum("ni,ni->n", R[:, :, 2], center), 0.0, atol=1e-9)
-    # Points of the section's outline are on the ellipsoid.
-    for k in range(2):
-        point = np.einsum("nij,ni->nj", scenes.R, cut.semi_axes[:, k, None] * R[:, :, k])
-        np.testing.assert_allclose(((point / a) ** 2).sum(axis=1), 1.0)
