@@ -25,11 +25,6 @@ def around(azimuth, distance=2.0, **options):
     return view(place, **options)
 
 
-def test_a_camera_that_sees_everything_leaves_nothing():
-    thin = NearSpace(COLUMN, np.full(len(RADIUS), 1e-6), 0.0)
-    assert thin.unseen_share([around(0.3)]) == 0.0
-
-
 @pytest.mark.parametrize(
     "blind",
     [

@@ -13,7 +13,6 @@ from drake_oa.runs import motion_log
 from drake_oa.runs.motion_log import (
     MotionLog,
     load_logs,
-    pack_decisions,
     pack_ellipsoids,
     save_logs,
 )
@@ -122,15 +121,3 @@ def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer(log: MotionLo
         seen = whole.observation(row)
         for name in ("p_WO", "R_WO", "semi_axes", "v_WO", "ids"):
             np.testing.assert_array_equal(getattr(seen, name), getattr(frame, name))
-
-
-def test_decisions_are_packed_in_order_of_their_beginning() -> None:
-    ports = {
-        "decision_guard": np.array([[np.nan, 0.0], [0.1, 0.02], [0.1, 0.02]]),
-        "decision_regulation": np.array([[0.0, 0.05], [0.0, 0.05], [0.2, 0.001]]),
-        "goal": np.zeros((3, 3)),
-    }
-    found = pack_decisions(ports)
-    assert found["decision_time"].tolist() == [0.0, 0.1, 0.2]
-    assert found["decision_cost"].tolist() == [0.05, 0.02, 0.001]
-    assert found["decision_layer"] == ("regulation", "guard", "regulation")

@@ -8,7 +8,6 @@ import torch
 
 from drake_oa.training.networks import (
     Round,
-    choose_device,
     fit,
     make_perceptron,
     nmse,
@@ -49,9 +48,3 @@ def test_a_network_learns_its_rows(device):
         device=device,
     )
     assert nmse(y, network.evaluate(x)) < 5e-3
-
-
-@pytest.mark.parametrize("present", [False, True])
-def test_cuda_is_used_where_torch_finds_it(monkeypatch, present):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: present)
-    assert choose_device("auto") == ("cuda" if present else "cpu")

@@ -1,6 +1,5 @@
 """Obstacles written in a scenario, and what the station makes of them."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -90,17 +89,6 @@ def test_a_course_is_straight_between_waypoints_and_rests_outside() -> None:
         (9.0, [1.0, 2.0, 1.0]),
     ):
         np.testing.assert_allclose(offset_at(course, time), offset)
-
-
-def test_an_obstacle_that_is_absent_is_far_above_its_course() -> None:
-    still = Obstacle(name="ball", shapes=[Sphere(radius=0.05)])
-    waypoints = [[1.0, 1.0, 0.0, 0.0], [2.0, 0.0, 1.0, 0.0]]
-    obstacle = replace(still, waypoints=waypoints, present=[1.2, 3.0])
-    for time, away in ((1.1, ABSENT_HEIGHT), (1.2, 0.0), (2.9, 0.0), (3.0, ABSENT_HEIGHT)):
-        course = offset_at(np.array(waypoints), time)
-        np.testing.assert_array_equal(obstacle.offset_at(time), course + [0.0, 0.0, away])
-    assert obstacle.driven
-    assert not still.driven
 
 
 def test_obstacles_pass_through_one_another_and_the_table():

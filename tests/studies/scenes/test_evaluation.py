@@ -19,7 +19,7 @@ from drake_oa.studies.scenes.evaluation import (
 from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.paper_method import BETA
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
-from drake_oa.studies.scenes.suites import SUITES, draw_scenes, find_suite
+from drake_oa.studies.scenes.suites import SUITES, draw_scenes
 
 Method = Callable[[Scenes, Setting], Motions]
 NOVEL = SUITES["novel"].cases
@@ -66,16 +66,6 @@ def test_a_failure_or_an_interrupt_keeps_what_was_judged(
         assert whole["complete"]
         assert [row["scenes"] for row in whole["by_baseline"]] == [10, 10, 10, 10]
         assert sum(line.startswith("goal at") for line in lines) == 8
-
-
-def test_familiar_has_every_setting_and_counts_those_that_ask(straight: Method) -> None:
-    cases = find_suite("familiar").cases
-    outcomes = evaluate(draw_scenes("familiar", 9), cases, {"m": straight}).outcomes
-    figures = evaluation_figures("familiar", None, (), cases, outcomes)["methods"]["m"]
-    assert figures["scenes"] == 45
-    assert len(figures["covers"]) == 5
-    assert len(figures["settings"]) == 12
-    assert {row["scenes"] for row in figures["settings"].values()} == {9}
 
 
 def judgement(**changes: float) -> Judgement:
