@@ -40,13 +40,10 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 
 @contextmanager
-def announced_compilation(estimate: str | None = None) -> Iterator[None]:
+def announced_compilation() -> Iterator[None]:
     """Prints a line on stderr when kernels are compiled in the block rather than read from files.
 
     That is so in a checkout, and after an update of the package or of numba.
-
-    Args:
-        estimate: approximate duration for all the kernels that are used; None: not known.
     """
     # Not at the top: see the module.
     from numba.core import event
@@ -54,8 +51,7 @@ def announced_compilation(estimate: str | None = None) -> Iterator[None]:
     class Announcement(event.TimingListener):
         def on_start(self, event: event.Event) -> None:
             if self._depth == 0 and not self.done:
-                duration = f" (about {estimate})" if estimate else ""
-                print(f"compiling kernels, once{duration} ...", file=sys.stderr)
+                print("compiling kernels, once ...", file=sys.stderr)
             super().on_start(event)
 
     announcement = Announcement()

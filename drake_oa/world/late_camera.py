@@ -7,14 +7,14 @@ them.
 
 from __future__ import annotations
 
-import atexit
 import gc
-import queue
+import itertools
 import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -105,24 +105,23 @@ class BackgroundCamera:
         """
         self._scenario, self._config, self._noise = scenario, config, noise
         self._images: OrderedDict[tuple[bytes, float], Future[Rendered]] = OrderedDict()
-        self._world = self._built()
-
-    def _built(self) -> list[_CameraWorld]:
-        world: list[_CameraWorld] = []
-        scenario, config = self._scenario, self._config
-        _thread.worlds.append(world)
-        _thread.submit(lambda: world.append(_CameraWorld(scenario, config))).result()
+        self._name = str(next(_numbers))
+        self._build()
         # The engine must end in its own thread as well.
-        weakref.finalize(self, _thread.end, world)
-        return world
+        weakref.finalize(self, _end, self._name).atexit = False
+
+    def _build(self) -> None:
+        name, scenario, config = self._name, self._scenario, self._config
+        _submit(lambda: vars(_worlds).update({name: _CameraWorld(scenario, config)})).result()
+        self._is_built = True
 
     def release(self) -> None:
         """Ends the engine and forgets the images; asked again, the camera begins again.
 
         A diagram of Python systems is never collected, and would keep them for ever.
         """
-        _thread.end(self._world)
-        self._world = []
+        _end(self._name)
+        self._is_built = False
         self._images.clear()
 
     def ask(self, state: FloatArray, time: float) -> Future[Rendered]:
@@ -134,70 +133,48 @@ class BackgroundCamera:
         """
         key = (np.ascontiguousarray(state).tobytes(), float(time))
         if key not in self._images:
-            self._world = self._world or self._built()
-            world, asked = self._world, np.array(state)
-            noise = self._noise
+            if not self._is_built:
+                self._build()
+            name, noise, asked = self._name, self._noise, np.array(state)
 
             def measure() -> Rendered:
-                image = world[0].render(asked)
+                image = vars(_worlds)[name].render(asked)
                 return image._replace(depth=noise(image.depth, time)) if noise else image
 
-            self._images[key] = _thread.submit(measure)
+            self._images[key] = _submit(measure)
             if len(self._images) > _KEPT:
                 self._images.popitem(last=False)
         return self._images[key]
 
 
-class _RenderThread:
-    """The one thread in which all that renders is made, used and ended."""
-
-    def __init__(self) -> None:
-        self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
-        self.worlds: list[list[_CameraWorld]] = []
-
-    def submit(self, call: Callable[[], _T]) -> Future[_T]:
-        """Runs a function there."""
-        if self._thread is None:
-            # Not to be waited for by the interpreter: `close` ends it in good order.
-            self._thread = threading.Thread(target=self._run, name="render", daemon=True)
-            self._thread.start()
-            atexit.register(self.close)
-        future: Future[_T] = Future()
-
-        def run() -> None:
-            # The garbage collector would destroy other threads' render engines in this one.
-            collects = gc.isenabled()
-            gc.disable()
-            try:
-                future.set_result(call())
-            except BaseException as error:
-                future.set_exception(error)
-            finally:
-                if collects:
-                    gc.enable()
-
-        self._tasks.put(run)
-        return future
-
-    def end(self, world: list[_CameraWorld]) -> None:
-        """Ends a world; again, it does nothing."""
-        self._tasks.put(world.clear)
-
-    def close(self) -> None:
-        """Ends all worlds, and the thread."""
-        for world in self.worlds:
-            self.end(world)
-        self._tasks.put(None)
-        if self._thread is not None:
-            self._thread.join(timeout=10.0)
-
-    def _run(self) -> None:
-        while (task := self._tasks.get()) is not None:
-            task()
+_numbers = itertools.count()
+_thread = ThreadPoolExecutor(1, "render")
+"""The thread in which all worlds of cameras are made, used and ended."""
+_worlds = threading.local()
+"""Worlds of cameras by name, of that thread alone: they end with it, in it."""
 
 
-_thread = _RenderThread()
+def _submit(call: Callable[[], _T]) -> Future[_T]:
+    """Calls a function in the thread that renders."""
+
+    def run() -> _T:
+        # The garbage collector would destroy other threads' render engines in this one.
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return call()
+        finally:
+            if collects:
+                gc.enable()
+
+    return _thread.submit(run)
+
+
+def _end(name: str) -> None:
+    """Ends a world; again, it does nothing."""
+    # After the interpreter has ended the thread, there is none.
+    with suppress(RuntimeError):
+        _submit(lambda: vars(_worlds).pop(name, None))
 
 
 @dataclass(frozen=True, eq=False)

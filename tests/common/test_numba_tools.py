@@ -30,7 +30,7 @@ def thrice(x):
     return x + twice(x) + 0 * FACTOR
 
 if __name__ == "drake_oa.caller":
-    with announced_compilation("1 min"):
+    with announced_compilation():
         print(thrice(2))
 """
 
@@ -45,7 +45,7 @@ def run(folder: Path, **environment: str) -> tuple[str, bool]:
         check=True,
         env=os.environ | environment,
     )
-    assert ("kernels compiled in" in done.stderr) == ("once (about 1 min)" in done.stderr)
+    assert ("kernels compiled in" in done.stderr) == ("compiling kernels, once ..." in done.stderr)
     return done.stdout.strip(), "compiling kernels" in done.stderr
 
 

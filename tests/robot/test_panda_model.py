@@ -1,4 +1,4 @@
-"""The Panda: files that were checked once, and kinematics and dynamics against references."""
+"""The Panda: files that were checked once, and limits against the manufacturer's."""
 
 from hashlib import sha256
 from pathlib import Path

@@ -60,6 +60,14 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
             f"{{{TWO_CAMERAS} {{camera: a}}, faults: [!CameraDropout {{camera: left}}]}}",
             ["faults[0].camera", "'left'"],
         ),
+        (
+            "faults: [!CameraDropout {}]",
+            ["faults[0]: !CameraDropout needs 'perception: !DepthCamera'", "!GroundTruth"],
+        ),
+        (
+            "{robot: null, perception: !GivenEllipsoids {}, faults: [!TorqueSaturation {}]}",
+            ["!TorqueSaturation needs a robot"],
+        ),
         # Blocks by their tags.
         ("perception: !Sonar {}", ["perception", "!Sonar", "!DepthCamera", "!GroundTruth"]),
         ("perception: !GroundTruth", ["perception", "!GroundTruth {}"]),

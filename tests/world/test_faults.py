@@ -8,9 +8,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
-from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
 from tests.builders import depth_image
 
@@ -91,19 +89,3 @@ def test_torques_are_cut_off_while_the_fault_lasts(time: float, given: np.ndarra
     system.get_input_port().FixValue(context, ASKED)
     context.SetTime(time)
     np.testing.assert_allclose(system.get_output_port().Eval(context), given)
-
-
-@pytest.mark.parametrize(
-    ("name", "overrides", "message"),
-    [
-        (
-            "tabletop_box",
-            ["perception=!GroundTruth {}", "faults=[!CameraDropout {}]"],
-            r"faults\[0\]: !CameraDropout needs 'perception: !DepthCamera'; it has !GroundTruth",
-        ),
-        ("free_space", ["faults=[!TorqueSaturation {}]"], "!TorqueSaturation needs a robot"),
-    ],
-)
-def test_bad_faults_are_refused(name: str, overrides: list[str], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
-        load_scenario(name, overrides)
