@@ -73,7 +73,6 @@ def synthetic(
       paper                the paper's own regressor chain, as `table2` reads it
       verified             proposals checked by roll-outs, as the running system does
       original             the coupling term that the paper starts from
-      movement_primitives  the package of that name (pip install 'drake_oa[peers]')
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
     method; what was computed so far is in it, with "complete": false, when a method fails

@@ -17,7 +17,7 @@ from drake_oa.app.evaluate import (
     run_suites,
 )
 from drake_oa.common.console import show
-from drake_oa.common.files import check_outputs, check_plot_file, replace_json
+from drake_oa.common.files import check_outputs, replace_json
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 
@@ -106,33 +106,29 @@ def figure_familiar(
     methods: Methods = ("paper",),
     scenes: int = 100,
     json: Path | None = None,
-    plot: Path | None = None,
 ) -> int:
     """Run the paper's figure of familiar scenes: its 100 ellipses, each in its 12 settings.
 
     Six models, RC(lambda') and RC(lambda', Delta) for five Delta, with tau scaled and not; the
     paper's figures stand beside. --json has "settings", and over those that ask for a clearance
-    and scale tau the figures of other suites; --plot draws the paper's boxes.
+    and scale tau the figures of other suites.
 
     For example:
 
-        drake-oa evaluate figure_familiar --plot familiar.png
+        drake-oa evaluate figure_familiar --json familiar.json
         drake-oa evaluate figure_familiar --method paper --method verified
 
     Args:
         methods: those of `drake-oa evaluate SUITE`; may be repeated.
         scenes: how many ellipses, a square.
         json: write the figures.
-        plot: write the figure: .png, .svg or .pdf.
     """
-    from drake_oa.studies.plots import plot_familiar
     from drake_oa.studies.scenes.evaluation import evaluation_tables
     from drake_oa.studies.scenes.suites import find_suite
 
     suite = "familiar"
     chosen = load_methods(methods)
-    check_plot_file("--plot", plot)
-    check_outputs(json, plot)
+    check_outputs(json)
     drawn, cases = drawn_scenes(suite, scenes, 0), find_suite(suite).cases
     evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json)
     print(f"figure_familiar: {len(drawn)} ellipses in {len(cases)} settings\n")
@@ -141,8 +137,6 @@ def figure_familiar(
         'convergence "rapidly deteriorates" as Delta grows; clearances are drawn as boxes only',
     )
     show(*evaluation_tables(figures, notes))
-    if plot is not None:
-        plot_familiar(plot, cases, evaluation.outcomes)
     return evaluation_status(evaluation)
 
 
@@ -151,7 +145,6 @@ def figure_dead_zone(
     methods: Methods = ("original", "paper"),
     scenes: int = 41,
     json: Path | None = None,
-    plot: Path | None = None,
 ) -> int:
     """Run the paper's dead-zone figure: both coupling terms, and a point obstacle on the line.
 
@@ -160,32 +153,23 @@ def figure_dead_zone(
 
     For example:
 
-        drake-oa evaluate figure_dead_zone --plot dead_zone.png
+        drake-oa evaluate figure_dead_zone --json dead_zone.json
 
     Args:
         methods: those of `drake-oa evaluate SUITE`; may be repeated.
         scenes: how many places of the obstacle.
         json: write the figures.
-        plot: write the figure: .png, .svg or .pdf.
     """
-    from drake_oa.studies.plots import plot_dead_zone
-    from drake_oa.studies.scenes.evaluation import (
-        compare_terms,
-        evaluation_tables,
-        term_table,
-    )
+    from drake_oa.studies.scenes.evaluation import compare_terms, evaluation_tables, term_table
     from drake_oa.studies.scenes.suites import find_suite
 
     suite = "dead-zone"
     chosen = load_methods(methods)
-    check_plot_file("--plot", plot)
-    check_outputs(json, plot)
+    check_outputs(json)
     drawn = drawn_scenes(suite, scenes, 0)
     more = {"terms": compare_terms(drawn)}
     cases = find_suite(suite).cases
     evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json, more=more)
     print(f"figure_dead_zone: a point obstacle in {len(drawn)} places\n")
     show(term_table(more["terms"]), *evaluation_tables(figures))
-    if plot is not None:
-        plot_dead_zone(plot, drawn, evaluation.outcomes)
     return evaluation_status(evaluation)

@@ -97,7 +97,6 @@ INVOCATIONS = (
     "evaluate table2 --scenes 0",
     "evaluate figure_familiar --scenes 5",
     "evaluate figure_familiar --chain running",
-    "evaluate figure_dead_zone --json x.png --plot x.png",
     f"{PANDA} --json panda.json --write-scenes scenes",
     f"{PANDA} --jobs 0",
     f"{PANDA} --jobs 2 --scheduler tcp://x:1",

@@ -1,4 +1,4 @@
-"""`drake-oa evaluate table1` and so on: what they print, write, draw and refuse."""
+"""`drake-oa evaluate table1` and so on: what they print, write and refuse."""
 
 import json
 from functools import partial
@@ -21,14 +21,12 @@ def test_of_fewer_scenes_than_baselines_the_rest_is_empty(
 
 
 @pytest.mark.parametrize("figure", ["figure_familiar", "figure_dead_zone"])
-def test_figures_are_told_written_and_drawn(
+def test_figures_are_told_and_written(
     figure: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plot, out = tmp_path / "new" / "figure.png", tmp_path / "figure.json"
-    assert run(figure, "--scenes", "9", "--json", str(out), "--plot", str(plot)) == 0
+    out = tmp_path / "figure.json"
+    assert run(figure, "--scenes", "9", "--json", str(out)) == 0
     told = capsys.readouterr().out
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    assert plot.stat().st_size > 10_000
     whole = json.loads(out.read_text())
     paper = whole["methods"]["paper"]
     assert paper["complete"]

@@ -4,10 +4,10 @@ In: a suite's scenes (`suites`), N at once as arrays (`scenes.Scenes`: metres an
 in the frame of the motion, start at the origin, goal at (baseline, 0, 0)), and methods
 (`methods`), each a function of scenes and a setting. Out: `scenes.Motions`, sampled paths and
 velocities, which `judge` looks at to convergence between the samples, and figures over all of
-them (`evaluation`, `drake_oa.studies.plots`).
+them (`evaluation`).
 
     methods        by name: `verified`, the project's, the regressor's proposals and more, checked
-                   by roll-outs; `movement_primitives`, the package of that name; and
+                   by roll-outs; and
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
                    Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7)
 
