@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from drake_oa.app.scenarios import Positive
 from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
 from drake_oa.common.files import check_outputs, replace_json, replace_text
 
@@ -94,11 +95,13 @@ def synthetic(
         json: write the figures.
     """
     from drake_oa.studies.scenes.evaluation import evaluation_tables
+    from drake_oa.studies.scenes.methods import load_methods
+    from drake_oa.studies.scenes.suites import draw_scenes
 
     found_suite = _suite(suite)
     chosen = load_methods(methods or found_suite.methods)
     check_outputs(json)
-    drawn = drawn_scenes(suite, scenes, seed)
+    drawn = draw_scenes(suite, scenes, seed)
     evaluation, figures = evaluated(suite, seed, drawn, found_suite.cases, chosen, json)
     print(_heading(suite, drawn))
     show(*evaluation_tables(figures))
@@ -155,22 +158,6 @@ def _suite(name: str) -> Suite:
         known = ", ".join([*SUITES, *(command for command in evaluate if command[0] != "-")])
         raise ValueError(f"unknown suite {name!r}; valid: {known}")
     return find_suite(name)
-
-
-def load_methods(names: Sequence[str]) -> dict[str, Method]:
-    """Returns the methods by name."""
-    from drake_oa.studies.scenes.methods import load_method
-
-    return {name: load_method(name) for name in names}
-
-
-def drawn_scenes(suite: str, count: int | None, seed: int) -> Scenes:
-    """Draws the scenes of a suite; an error names the option."""
-    from drake_oa.studies.scenes.suites import draw_scenes
-
-    if count is not None and count < 1:
-        raise ValueError(f"--scenes must be at least 1, not {count}")
-    return draw_scenes(suite, count, seed)
 
 
 def _heading(suite: str, scenes: Scenes) -> str:
@@ -230,7 +217,7 @@ class Runs:
 
     jobs: int | None = None
     scheduler: str | None = None
-    duration: float | None = None
+    duration: Positive | None = None
     json: Path | None = None
     results: Path | None = None
     logs: Path | None = None

@@ -10,10 +10,8 @@ from drake_oa.app.evaluate import (
     Methods,
     Runs,
     counted,
-    drawn_scenes,
     evaluated,
     evaluation_status,
-    load_methods,
     run_suites,
 )
 from drake_oa.common.console import show
@@ -57,9 +55,10 @@ def table2(*, scenes: int = 4000, seed: int = 0, json: Path | None = None) -> in
     """
     from drake_oa.common.files import software_versions
     from drake_oa.studies.paper_tables import judge_novel, table_two, table_two_figures
+    from drake_oa.studies.scenes.suites import draw_scenes
 
     check_outputs(json)
-    drawn = drawn_scenes("demo", scenes, seed)
+    drawn = draw_scenes("demo", scenes, seed)
     with counted(scenes) as progress:
         evaluation = judge_novel(drawn, progress)
     whole = table_two_figures(evaluation.outcomes["paper"], drawn, seed, software_versions())
@@ -124,12 +123,13 @@ def figure_familiar(
         json: write the figures.
     """
     from drake_oa.studies.scenes.evaluation import evaluation_tables
-    from drake_oa.studies.scenes.suites import find_suite
+    from drake_oa.studies.scenes.methods import load_methods
+    from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
     suite = "familiar"
     chosen = load_methods(methods)
     check_outputs(json)
-    drawn, cases = drawn_scenes(suite, scenes, 0), find_suite(suite).cases
+    drawn, cases = draw_scenes(suite, scenes, 0), find_suite(suite).cases
     evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json)
     print(f"figure_familiar: {len(drawn)} ellipses in {len(cases)} settings\n")
     notes = (
@@ -161,12 +161,13 @@ def figure_dead_zone(
         json: write the figures.
     """
     from drake_oa.studies.scenes.evaluation import compare_terms, evaluation_tables, term_table
-    from drake_oa.studies.scenes.suites import find_suite
+    from drake_oa.studies.scenes.methods import load_methods
+    from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
     suite = "dead-zone"
     chosen = load_methods(methods)
     check_outputs(json)
-    drawn = drawn_scenes(suite, scenes, 0)
+    drawn = draw_scenes(suite, scenes, 0)
     more = {"terms": compare_terms(drawn)}
     cases = find_suite(suite).cases
     evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json, more=more)

@@ -200,9 +200,7 @@ _TRIAL_COLUMNS = (
 
 def trial_text(name: str, seed: int) -> str:
     """Returns a shipped scenario with the noise of a seed as text."""
-    scenario = load_scenario(name)
-    scenario.seed = seed
-    return scenario_text(scenario)
+    return scenario_text(load_scenario(name, [f"seed={seed}"]))
 
 
 def trial_suites(
@@ -213,7 +211,7 @@ def trial_suites(
     Raises:
         ValueError: for no trials, a negative seed or an unknown method.
     """
-    chosen = check_methods("table3", methods, TRIAL_METHODS)
+    chosen = check_methods(methods, TRIAL_METHODS)
     suites = []
     for kind in TRIAL_KINDS:
         name = f"paper_{kind}"

@@ -29,7 +29,7 @@ from drake_oa.studies.paper_tables import (
     table_two_figures,
 )
 from drake_oa.studies.scenes.evaluation import evaluate
-from drake_oa.studies.scenes.methods import load_method
+from drake_oa.studies.scenes.methods import load_methods
 from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
 SCENES = Path(__file__).with_name("scenes")
@@ -145,7 +145,7 @@ def run_points(suite: str, method: str) -> dict[str, Any]:
     """Runs a method on the stored scenes of a suite; returns a list for each quantity."""
     (case,) = find_suite(suite).cases
     scenes = draw_scenes(suite, _POINT_SCENES, 0)
-    outcome = evaluate(scenes, [case], {method: load_method(method)}).outcomes[method]
+    outcome = evaluate(scenes, [case], load_methods([method])).outcomes[method]
     judged = outcome.of()
     success = ~judged.collided & ~judged.short
     return {

@@ -165,7 +165,7 @@ def mbm_suites(
         OSError: if the file cannot be read.
         ValueError: naming what is unknown, too many or does not fit.
     """
-    chosen_methods = check_methods("mbm", methods, METHODS)
+    chosen_methods = check_methods(methods, METHODS)
     if scenes is not None and scenes < 1:
         raise ValueError(f"--scenes must be at least 1, not {scenes}")
     arm, known = load_robot(robot or PANDA), read_archive(file)

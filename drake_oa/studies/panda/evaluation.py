@@ -60,7 +60,6 @@ from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
 from drake_oa.studies.panda.scenes import (
     DRP,
     KINDS,
-    PERCEPTIONS,
     check_choice,
     draw_panda_scene,
     seen_by,
@@ -162,21 +161,8 @@ class Criteria:
 _CRITERIA = Criteria()
 
 
-class PandaRun(NamedTuple):
-    """A judged run and its log.
-
-    Attributes:
-        result: plain data, as `run_and_judge` describes it.
-        log: None where nothing was simulated.
-    """
-
-    result: dict[str, Any]
-    log: MotionLog | None
-
-
 def with_method(scenario: Scenario, method: str) -> Scenario:
     """The scenario as a method runs it."""
-    check_methods("panda", [method], METHODS)
     scenario = copy.deepcopy(scenario)
     if method == "paper":
         scenario.regulation = Paper()
@@ -196,7 +182,8 @@ def run_and_judge(
     *,
     duration: float | None = None,
     criteria: Criteria = _CRITERIA,
-) -> PandaRun:
+    log_file: Path | None = None,
+) -> dict[str, Any]:
     """Runs a method on a scene.
 
     The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
@@ -212,13 +199,14 @@ def run_and_judge(
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of the run [s]; None: that of `simulate`.
         criteria: what is a success.
+        log_file: where the log goes, if there is one.
     """
     scenario = with_method(seen_by(scenario, perception), method)
     failed = False
     try:
         if method == PLANNER:
             found = _without_motion(scenario, "") | _plan(scenario, criteria)
-            return PandaRun({**_outcome(found, criteria), "failed": False, **found}, None)
+            return {**_outcome(found, criteria), "failed": False, **found}
         log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
@@ -230,8 +218,10 @@ def run_and_judge(
         _logger.info("the run could not start", exc_info=True)
         reason = f"{type(error).__name__}: {error}".rstrip(": ")
         result = {"outcome": "stopped", "reason": plain_reason(reason), "failed": True}
-        return PandaRun({**result, **_without_motion(scenario, reason)}, None)
-    return PandaRun(_judged(scenario, log, failed, criteria), log)
+        return {**result, **_without_motion(scenario, reason)}
+    if log_file is not None:
+        save_logs(log_file, {"modulated" if log.modulated else "preplanned": log})
+    return _judged(scenario, log, failed, criteria)
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
@@ -256,7 +246,11 @@ def _judged(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria
     if criteria.by_drp:
         found["drp_outcome"] = drp_outcome(scenario, log, report["contacts"])
     if len(log.t) and _moves(scenario):
-        found |= _judged_moving(scenario, log)
+        world = make_true_world(scenario)
+        violated = run_violations(scenario, log, world)
+        counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
+        found["contact_events"] = contact_events(scenario, log, world)
+        found["claim_violations"] = {"instants": len(log.t), **counts}
     outcome = _outcome(found, criteria)
     if failed and outcome["outcome"] == "success":
         outcome = {"outcome": "stopped", "reason": plain_reason(found["stop_reason"])}
@@ -268,17 +262,6 @@ def _judged(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria
         "decision_costs": np.round(layer_costs(log), 4).tolist(),
         "wall_time": log.wall_time,
         "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
-    }
-
-
-def _judged_moving(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
-    """Judges contacts and claims among moving obstacles."""
-    world = make_true_world(scenario)
-    violated = run_violations(scenario, log, world)
-    counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
-    return {
-        "contact_events": contact_events(scenario, log, world),
-        "claim_violations": {"instants": len(log.t), **counts},
     }
 
 
@@ -381,8 +364,7 @@ class PandaSuite:
         criteria: what runs are judged by.
 
     Raises:
-        ValueError: for no scenes, a negative seed, an unknown perception or a limit that is
-            not positive.
+        ValueError: for no scenes or a negative seed.
     """
 
     name: str
@@ -399,20 +381,16 @@ class PandaSuite:
             raise ValueError("--scenes must be at least 1")
         if self.seed < 0:
             raise ValueError(f"--seed must be 0 or more, not {self.seed}")
-        if self.duration is not None and not 0.0 < self.duration < float("inf"):
-            raise ValueError(f"--duration must be positive [s], not {self.duration}")
-        check_choice("perception", self.perception, PERCEPTIONS)
 
     def perception_of(self, method: str) -> str:
         """What a method sees by."""
         return "truth" if method in TRUTH_ONLY else self.perception
 
 
-def check_methods(suite: str, methods: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+def check_methods(methods: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
     """Returns each method once; raises ValueError for one that is not among the known ones."""
     for method in methods:
-        if method not in known:
-            raise ValueError(f"unknown method {method!r}; {suite} has: {', '.join(known)}")
+        check_choice("method", method, known)
     return tuple(dict.fromkeys(methods))
 
 
@@ -442,7 +420,7 @@ def panda_suite(
         scene: Drawing(f"{kind}-seed{seed}-scene{scene:04d}", draw_text, (seed, scene, kind))
         for scene in range(scenes)
     }
-    chosen, criteria = check_methods("panda", methods, METHODS), Criteria(by_drp=DRP in kind)
+    chosen, criteria = check_methods(methods, METHODS), Criteria(by_drp=DRP in kind)
     return PandaSuite("panda", kind, seed, chosen, perception, duration, drawings, criteria)
 
 
@@ -556,8 +534,11 @@ def run_text(
 ) -> dict[str, Any]:
     """Runs a scenario's text and returns the result; the log goes to a file, if one is given."""
     with quiet():
-        scenario: Scenario = parse_scenario(text)
-        run = run_and_judge(scenario, method, perception, duration=duration, criteria=criteria)
-    if log is not None and run.log is not None:
-        save_logs(log, {"modulated" if run.log.modulated else "preplanned": run.log})
-    return run.result
+        return run_and_judge(
+            parse_scenario(text),
+            method,
+            perception,
+            duration=duration,
+            criteria=criteria,
+            log_file=log,
+        )

@@ -37,7 +37,6 @@ class Judgement(Batch):
         path_length: (N,) [m].
         baseline: (N,) distance from start to goal: the planned path's length [m].
         asked: (N,) the clearance Delta asked for [m].
-        duration: (N,) how long the motion lasts [s].
     """
 
     kept_clearance: FloatArray
@@ -46,7 +45,6 @@ class Judgement(Batch):
     path_length: FloatArray
     baseline: FloatArray
     asked: FloatArray
-    duration: FloatArray
 
     def __len__(self) -> int:
         return len(self.kept_clearance)
@@ -80,23 +78,18 @@ def judge(scenes: Scenes, motions: Motions) -> Judgement:
     Raises:
         ValueError: if shapes disagree, or a motion is not finite or has no duration.
     """
-    N = len(scenes)
-    _check(motions, N)
-    measured = [_measured(scenes, motions, row) for row in range(N)]
-    least, length = np.array(measured).reshape(N, 2).T
+    _check(motions, len(scenes))
+    measured = [_measured(scenes, motions, row) for row in range(len(scenes))]
+    least, length = np.array(measured).reshape(-1, 2).T
     goal = scenes.goal
-    ends = (
-        obstacle_distance(scenes, np.zeros_like(goal)),
-        obstacle_distance(scenes, goal),
-    )
+    ends = [obstacle_distance(scenes, end) for end in (0.0 * goal, goal)]
     return Judgement(
         kept_clearance=least,
-        feasible=np.minimum(scenes.clearance, np.minimum(*ends)),
+        feasible=np.min([scenes.clearance, *ends], axis=0),
         goal_error=np.linalg.norm(motions.path[:, -1] - goal, axis=1),
         path_length=length,
-        baseline=np.array(scenes.baseline),
-        asked=np.array(scenes.clearance),
-        duration=np.array(motions.duration),
+        baseline=scenes.baseline,
+        asked=scenes.clearance,
     )
 
 

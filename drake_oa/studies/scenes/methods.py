@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -103,12 +103,13 @@ METHODS: dict[str, Method] = {
 """Methods by name."""
 
 
-def load_method(name: str) -> Method:
-    """Returns the method of a name.
+def load_methods(names: Sequence[str]) -> dict[str, Method]:
+    """Returns the methods by name.
 
     Raises:
         ValueError: for an unknown name.
     """
-    if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}; valid: {', '.join(METHODS)}")
-    return METHODS[name]
+    for name in names:
+        if name not in METHODS:
+            raise ValueError(f"unknown method {name!r}; valid: {', '.join(METHODS)}")
+    return {name: METHODS[name] for name in names}

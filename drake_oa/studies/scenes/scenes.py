@@ -101,17 +101,7 @@ def posed_scenes(scenes: Scenes, clearance: FloatArray | float) -> list[Scene]:
         clearance: () or (N,) requested from every obstacle [m].
     """
     requested = np.broadcast_to(clearance, (len(scenes),))
-    seen = [
-        EllipsoidSet(
-            stamp=0.0,
-            p_WO=scenes.center[row : row + 1],
-            R_WO=scenes.R[row : row + 1],
-            semi_axes=scenes.semi_axes[row : row + 1],
-            v_WO=np.zeros((1, 3)),
-            ids=np.zeros(1, dtype=np.int64),
-        )
-        for row in range(len(scenes))
-    ]
+    seen = zip(scenes.center, scenes.R, scenes.semi_axes, strict=True)
     return [
         Scene(
             p_WE=np.zeros(3),
@@ -119,10 +109,12 @@ def posed_scenes(scenes: Scenes, clearance: FloatArray | float) -> list[Scene]:
             p_WG=scenes.goal[row],
             R_WL=np.eye(3),
             baseline=float(scenes.baseline[row]),
-            ellipsoids=seen[row],
+            ellipsoids=EllipsoidSet(
+                0.0, *(of[None] for of in shape), np.zeros((1, 3)), np.arange(1)
+            ),
             clearance=requested[row : row + 1].copy(),
         )
-        for row in range(len(scenes))
+        for row, shape in enumerate(seen)
     ]
 
 

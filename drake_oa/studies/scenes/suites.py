@@ -21,12 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.studies.scenes.scenes import (
-    Scenes,
-    Setting,
-    make_scenes,
-    obstacle_distance,
-)
+from drake_oa.studies.scenes.scenes import Scenes, Setting, make_scenes, obstacle_distance
 
 _THIRDS = 28
 """Number of times that a segment is cut to two thirds around its nearest point."""
@@ -116,7 +111,7 @@ class Suite:
         methods: the methods compared by default.
     """
 
-    sample: Callable[[np.random.Generator, int], Scenes]
+    sample: Draw
     count: int
     cases: tuple[Case, ...] = (Case("RC(lambda',Delta)", Setting()),)
     methods: tuple[str, ...] = ("paper", "verified")
@@ -126,7 +121,7 @@ def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
     """Scenes of a suite.
 
     Args:
-        name: a key of `SUITES` or `FIGURES`.
+        name: of the suite.
         count: how many, at least 1; None: the suite's default.
         seed: of the generator, at least 0.
 
@@ -250,8 +245,6 @@ SUITES: dict[str, Suite] = {
 }
 """Name of a suite -> the suite; `drake-oa evaluate --help` tells what each is."""
 
-FIGURES = {"familiar": "figure_familiar", "dead-zone": "figure_dead_zone"}
-"""Suites of the paper's figures, and their commands."""
 _OF_FIGURES = {
     "familiar": Suite(_familiar, 100, familiar_cases(), methods=("paper",)),
     "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),

@@ -173,7 +173,7 @@ def test_a_real_problem_runs():
     assert {len(texts) for texts in sets.values()} == {50}
     assert len(sets) == 7
     scenario = problem_scenario(parse_problem(sets["box"][0]), Robot())
-    found = run_and_judge(scenario, "verified", "truth", duration=0.05).result
+    found = run_and_judge(scenario, "verified", "truth", duration=0.05)
     assert not found["failed"], found["stop_reason"]
     assert found["contacts"] == found["self_contacts"] == []
 

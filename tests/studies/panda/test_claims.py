@@ -139,6 +139,6 @@ KNOWN = pytest.mark.xfail(reason="a violation of (A) costs less than a predicted
 )
 def test_no_motion_violates_a_claim_in_hard_scenes_from_ground_truth(index):
     scene = draw_panda_scene(0, index, kind="moving_hard")
-    found = run_and_judge(scene, "verified", "truth").result["claim_violations"]
+    found = run_and_judge(scene, "verified", "truth")["claim_violations"]
     assert found["instants"] > 1000
     assert found["A"] == found["B"] == 0

@@ -157,7 +157,7 @@ def test_a_velocity_is_right_within_a_fifth(struck, error, aside, is_known):
 
 def test_a_blind_run_is_judged_end_to_end():
     scenario = draw_panda_scene(0, 0, kind="moving_hard", perception="truth")
-    touched = run_and_judge(scenario, "preplanned", "truth").result
+    touched = run_and_judge(scenario, "preplanned", "truth")
     assert touched["outcome"] == "contact"
     events = touched["contact_events"]
     pairs = {f"{event['link']} - {event['obstacle']}" for event in events}

@@ -41,6 +41,6 @@ def test_the_rules_judge_the_end_of_the_episode():
 def test_a_robot_that_stays_at_a_blocked_goal_is_touched_by_both_rules():
     scenario = draw_panda_scene(0, 0, kind="drp_moving_goal_blocked1")
     criteria = Criteria(by_drp=True)
-    result = run_and_judge(scenario, "preplanned", "truth", criteria=criteria).result
+    result = run_and_judge(scenario, "preplanned", "truth", criteria=criteria)
     assert not result["failed"]
     assert (result["outcome"], result["drp_outcome"]) == ("contact", "contact")

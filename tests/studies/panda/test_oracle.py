@@ -68,5 +68,5 @@ def test_a_goal_that_an_obstacle_takes_has_no_motion():
     goal = load_scenario("tabletop_box").task.goal
     way = [[0, 0, 0, 0], [1, 0, 1, 0]]
     scenario = _scenario(_mover("ball", [goal[0], goal[1] - 1.0, goal[2]], way))
-    result = run_and_judge(scenario, "planner", "truth").result
+    result = run_and_judge(scenario, "planner", "truth")
     assert (result["outcome"], result["reason"]) == ("stopped", "no motion found")

@@ -30,7 +30,7 @@ def test_goes_round_a_post_with_the_clearance_and_the_same_twice():
 
 def test_a_goal_inside_a_box_has_no_plan():
     scenario = scene([0.3, 0.3, 0.3], [0.45, 0.3, 0.3])
-    result = run_and_judge(scenario, "planner", "truth").result
+    result = run_and_judge(scenario, "planner", "truth")
     assert (result["outcome"], result["failed"]) == ("stopped", False)
     assert result["reason"] == "no configuration at the goal is free"
 

@@ -76,7 +76,6 @@ def judgement(**changes: float) -> Judgement:
         "path_length": 1.0,
         "baseline": 1.0,
         "asked": 0.15,
-        "duration": 3.0,
     }
     return Judgement(**{name: np.array([value]) for name, value in (values | changes).items()})
 
