@@ -109,12 +109,10 @@ def posed_scenes(scenes: Scenes, clearance: FloatArray | float) -> list[Scene]:
             p_WG=scenes.goal[row],
             R_WL=np.eye(3),
             baseline=float(scenes.baseline[row]),
-            ellipsoids=EllipsoidSet(
-                0.0, *(of[None] for of in shape), np.zeros((1, 3)), np.arange(1)
-            ),
+            ellipsoids=EllipsoidSet(0.0, p[None], R[None], a[None], np.zeros((1, 3)), np.arange(1)),
             clearance=requested[row : row + 1].copy(),
         )
-        for row, shape in enumerate(seen)
+        for row, (p, R, a) in enumerate(seen)
     ]
 
 
