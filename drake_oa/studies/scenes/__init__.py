@@ -7,7 +7,7 @@ velocities, which `judge` looks at to convergence between the samples, and figur
 them (`evaluation`).
 
     methods        by name: `verified`, the project's, the regressor's proposals and more, checked
-                   by roll-outs; and
+                   by roll-outs; `movement_primitives`, the package of that name; and
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
                    Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7)
 

@@ -1,6 +1,13 @@
 """The methods that can be compared, by name: functions of scenes and a setting.
 
 `verified` is the project's own: a network's proposals, verified by roll-outs.
+
+`movement_primitives`: the package of that name, with its own obstacle term. Its `DMP` (10 weights a
+dimension, steps of 0.01 s, its compiled Runge-Kutta: all its defaults) imitates the straight
+minimum-jerk demonstration and is driven with its `CouplingTermObstacleAvoidance3D` at the published
+gains (gamma 1000, beta 20/pi). That term takes the position of a point obstacle: here the
+obstacle's center. It knows neither the obstacle's size nor a clearance, and the setting of an
+evaluation does not change it. Needs the extra `peers`: pip install 'drake_oa[peers]'.
 """
 
 from __future__ import annotations
@@ -8,6 +15,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -95,10 +104,51 @@ def _warmed_up() -> ProposalNetwork:
     return network
 
 
+STEP = 0.01
+"""The package's default step [s]."""
+
+
+def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
+    """Computes the package's motion in N scenes; the setting does not change it.
+
+    Raises:
+        ValueError: if the package is not installed.
+    """
+    N, steps = len(scenes), round(DURATION / STEP)
+    path, velocity = np.zeros((2, N, steps + 1, 3))
+    begin = time.perf_counter()
+    package = _movement_primitives()
+    for row in range(N):
+        term = package.CouplingTermObstacleAvoidance3D(scenes.center[row].copy())
+        dmp = package.DMP(n_dims=3, execution_time=DURATION, dt=STEP)
+        goal = (float(scenes.baseline[row]), 0.0, 0.0)
+        demonstrated, t = minimum_jerk((0.0, 0.0, 0.0), goal, duration=DURATION, samples=steps + 1)
+        dmp.imitate(t, demonstrated)
+        p, v = np.zeros(3), np.zeros(3)
+        for step in range(steps):
+            p, v = dmp.step(p, v, coupling_term=term)
+            path[row, step + 1], velocity[row, step + 1] = p, v
+    return Motions(path, velocity, np.full(N, DURATION), time.perf_counter() - begin)
+
+
+def _movement_primitives() -> Any:
+    try:
+        return import_module("movement_primitives.dmp")
+    except ModuleNotFoundError as error:
+        # The package does not name pytransform3d as a dependency, but imports it.
+        if (error.name or "").partition(".")[0] not in ("movement_primitives", "pytransform3d"):
+            raise
+        raise ValueError(
+            f"method movement_primitives needs the package {error.name}: "
+            "pip install 'drake_oa[peers]'"
+        ) from error
+
+
 METHODS: dict[str, Method] = {
     "paper": run_paper,
     "verified": run_verified,
     "original": run_original,
+    "movement_primitives": run_movement_primitives,
 }
 """Methods by name."""
 
@@ -107,9 +157,11 @@ def load_methods(names: Sequence[str]) -> dict[str, Method]:
     """Returns the methods by name.
 
     Raises:
-        ValueError: for an unknown name.
+        ValueError: for an unknown name, or one whose package is not installed.
     """
     for name in names:
         if name not in METHODS:
             raise ValueError(f"unknown method {name!r}; valid: {', '.join(METHODS)}")
+    if "movement_primitives" in names:
+        _movement_primitives()
     return {name: METHODS[name] for name in names}

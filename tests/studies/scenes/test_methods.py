@@ -1,4 +1,4 @@
-"""The project's own method on scenes of a point."""
+"""Methods by name: the project's own, and the package movement_primitives."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,13 @@ from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import (
     LEAST_CLEARANCE,
     PARAMETERS,
+    STEP,
     Setting,
+    load_methods,
+    run_movement_primitives,
     run_verified,
 )
-from drake_oa.studies.scenes.scenes import make_scenes
+from drake_oa.studies.scenes.scenes import DURATION, make_scenes
 from drake_oa.studies.scenes.suites import draw_scenes
 
 
@@ -38,3 +41,22 @@ def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
     scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.1, 0.1, 0.1]], clearance=0.0)
     verdict = judge(scenes, run_verified(scenes, Setting(constrained=False)))
     assert verdict.kept_clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
+
+
+def test_the_package_reaches_the_goal_and_turns_aside() -> None:
+    pytest.importorskip("movement_primitives.dmp")
+    scenes = make_scenes(1.0, [[0.5, 0.02, 0.0], [0.5, 5.0, 0.0]], np.full((2, 3), 0.05))
+    motions = run_movement_primitives(scenes, Setting())
+    assert motions.steps == round(DURATION / STEP)
+    assert np.linalg.norm(motions.path[:, -1] - scenes.goal, axis=1).max() < 0.01
+    assert motions.path[0, :, 1].min() < -0.05
+    assert np.abs(motions.path[1, :, 1]).max() < 0.02
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(module: str) -> None:
+        raise ModuleNotFoundError("No module", name="movement_primitives.dmp")
+
+    monkeypatch.setattr("drake_oa.studies.scenes.methods.import_module", absent)
+    with pytest.raises(ValueError, match=r"pip install 'drake_oa\[peers\]'"):
+        load_methods(["movement_primitives"])
