@@ -63,6 +63,11 @@ class TablePlane(Frozen):
         """Signed height [m] above the plane of points p_WQ, (..., 3) -> (...)."""
         return np.asarray(p_WQ @ self.normal_W - self.offset)
 
+    def distance_to(self, other: TablePlane) -> float:
+        """Bound on the distance of two planes below the origin and up to 1 m from there [m]."""
+        turn = np.linalg.norm(self.normal_W - other.normal_W)
+        return abs(self.offset - other.offset) + float(turn)
+
 
 @dataclass(frozen=True, eq=False)
 class ObstacleClouds(Frozen):

@@ -322,12 +322,9 @@ def _above(
         normal = X_WC[:3, :3].T @ table.normal_W
         offset = float(table.offset - table.normal_W @ X_WC[:3, 3])
         # A table that differs belongs to another object.
-        if support is not None:
-            apart = abs(support.table_W.offset - table.offset)
-            apart += float(np.linalg.norm(support.table_W.normal_W - table.normal_W))
-            if apart <= HEIGHT_TOLERANCE:
-                normal, offset = support.fit.normal, support.fit.offset
-                extent_W = support.extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
+        if support is not None and support.table_W.distance_to(table) <= HEIGHT_TOLERANCE:
+            normal, offset = support.fit.normal, support.fit.offset
+            extent_W = support.extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
     # The deviation of depth is DEPTH_NOISE z^2; the height of a point z r of a plane with
     # n . z r = offset deviates by that times |n . r| = |offset| / z.
     noise = np.float32(_DEVIATIONS * DEPTH_NOISE * abs(offset))

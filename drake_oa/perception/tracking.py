@@ -728,12 +728,7 @@ def _reaches_as_before(old: HeldCloud, reach: FloatArray, count: int) -> bool:
 def held_table(
     previous: TablePlane | None, seen: TablePlane | None, shift: float
 ) -> TablePlane | None:
-    """The previous plane unless the new one is farther from it than ``shift`` [m].
-
-    The planes are compared below the world's origin and at a reach of 1 m from there.
-    """
+    """The previous plane unless the new one is farther from it than ``shift`` [m]."""
     if previous is None or seen is None:
         return seen
-    apart = abs(seen.offset - previous.offset)
-    apart += float(np.linalg.norm(seen.normal_W - previous.normal_W))
-    return seen if apart > shift else previous
+    return seen if seen.distance_to(previous) > shift else previous
