@@ -159,12 +159,6 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     return Ellipsoid(center, R, semi_axes, gauge)
 
 
-def shape_matrix(R: FloatArray, semi_axes: FloatArray) -> FloatArray:
-    """B = R diag(a^2) R^T, (..., 3, 3) [m^2]: h(n)^2 = n^T B n for the support function h."""
-    scaled = np.asarray(R) * np.asarray(semi_axes)[..., None, :]
-    return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
-
-
 def signed_distance(
     p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike
 ) -> FloatArray:
