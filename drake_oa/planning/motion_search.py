@@ -466,18 +466,22 @@ class MotionSearch:
         """
         p = self._parameters
         # To the task's own posture first: the tool turns no farther than it has to.
-        own, goals = self._goals(sight, 0), self._goals(sight, _GOAL_SEEDS)
+        goals = [self._goals(sight, 0)]
         for share, most in (
             *((share, p.configurations) for share in _SHARES),
             (min(_SHARES), p.last_configurations),
         ):
-            for ends in (own, goals[len(own) :]):
+            for number in range(2):
+                if number == len(goals):
+                    # Of many seeds, which takes a while: only if no path to the own one is found.
+                    goals.append(self._goals(sight, _GOAL_SEEDS)[len(goals[0]) :])
+                ends = goals[number]
                 world = self._world(sight, ends, share)
                 corners = plan_path(world, sight.q, ends, most=most)
                 choice = self._along(corners, here, sight, world) if len(corners) else None
                 if choice is not None:
                     return choice, True
-        return None, len(goals) > 0
+        return None, any(map(len, goals))
 
     def _along(
         self, corners: FloatArray, here: SelectedMotion, sight: Sight, world: ArmWorld
