@@ -21,7 +21,7 @@ A frame, of the images that all cameras took at one instant, goes through
    a part of one does not move it, velocities by laying a frame's surface on the one before
    (`velocity`; Chen and Medioni 1992), and both are filtered by a constant-velocity Kalman
    filter (`velocity`; Bar-Shalom, Li and Kirubarajan 2001); remembered points gain and lose
-   evidence (`visibility`);
+   evidence;
 3. `tracking.held_clouds`: what changed by more than noise is handed on, all else stays the same
    bit for bit.
 

@@ -328,7 +328,8 @@ def _above(
     # The deviation of depth is DEPTH_NOISE z^2; the height of a point z r of a plane with
     # n . z r = offset deviates by that times |n . r| = |offset| / z.
     noise = np.float32(_DEVIATIONS * DEPTH_NOISE * abs(offset))
-    slope = frame.ray @ normal.astype(np.float32) - noise
+    slope = frame.ray @ normal.astype(np.float32)
+    slope -= noise
     low, high = offset + config.min_height, offset + config.max_height
     if table is None:
         number = np.arange(depth.size)
@@ -466,7 +467,8 @@ def _merged(
             p_C = (places - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
             pixel = pixel_at(p_C, view.z.shape, view.K)
             is_behind = (pixel >= 0) & (view.z.ravel()[pixel] > p_C[..., 2] + config.voxel)
-            is_open |= (is_behind & ~np.isin(owner[pixel], (one, other))).any(axis=0)
+            seen = owner[pixel]
+            is_open |= (is_behind & (seen != one) & (seen != other)).any(axis=0)
         if len(bridges) and 2 * np.count_nonzero(is_open) <= len(bridges):
             merged[merged == merged[other]] = merged[one]
     return merged[label]

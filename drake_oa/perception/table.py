@@ -160,7 +160,6 @@ def _supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
     """
     points, own = samples.points, samples.points[fit.inliers]
     height = points @ fit.normal - fit.offset
-    area = _area(own, fit.normal)
     for low, high, fraction in (
         (_OBJECT_HEIGHT, _TABLE_HEIGHT, 0.2),
         (-_OBJECT_HEIGHT, -2.0 * _BIN, 0.15),
@@ -176,7 +175,7 @@ def _supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
             near, far = (np.median(np.linalg.norm(part, axis=1)) for part in (level, own))
             is_support = near < far and wide > _LEAST_TABLE
         else:
-            is_support = area < min(_LARGEST_TOP, wide)
+            is_support = _area(own, fit.normal) < min(_LARGEST_TOP, wide)
         if is_support:
             return float(fit.offset + at)
     return None

@@ -8,16 +8,25 @@ joined with what was remembered:
 2. Clusters are given to obstacles (`associate`), by common points first.
 3. The obstacles' positions are measured by their sides (`seen_sides`), their velocities by their
    surfaces (`velocity`), and both are filtered.
-4. Each remembered point is confirmed, kept as hidden, or dropped (`visibility`).
+4. Each remembered point is confirmed, kept as hidden, or dropped.
 5. What changed by more than noise is handed on (`held_clouds`): a copy of the remembered points,
    which follow the camera's noise. Receivers that compare see no change, and need not plan again.
+
+Each point carries evidence. A frame that shows it adds one; a frame whose rays pass
+through it takes away all but one, and the next such frame the rest: two frames confirm
+a point, two remove it. One that is hidden (by the arm, another obstacle, a missing
+pixel, the border of the image) stays as it is: a pixel without depth is unknown, never free, of
+obstacles that move as well. Of several images one that sees through it is
+enough, and it is hidden only if it is in all. Where the image shows something at the
+point's depth but no cluster has a point there (grazing surfaces, the foot of an
+obstacle) the evidence only decays.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -33,8 +42,8 @@ from drake_oa.common.messages import (
     zeros,
 )
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.pinhole import AT, EMPTY, FREE, OUT
-from drake_oa.geometry.solids import Solids
+from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, shown
+from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
@@ -43,7 +52,6 @@ from drake_oa.perception.velocity import (
     START,
     Reference,
     Tracks,
-    changed,
     depth_deviation,
     measured_tracks,
     new_tracks,
@@ -52,18 +60,18 @@ from drake_oa.perception.velocity import (
     seen_sides,
     speed_statistic,
 )
-from drake_oa.perception.visibility import (
-    SAME_RADIUS,
-    SUPPORT_RADIUS,
-    Looked,
-    absorb,
-    evidence_after,
-    hidden_beyond,
-    hidden_by_itself,
-    mutual_nearest,
-    shown_at,
-)
+from drake_oa.perception.visibility import mutual_nearest
 
+_CERTAIN = 4
+"""The most evidence that a point can have."""
+_CONFIRMED = 2
+"""From this much evidence on a point is handed on."""
+SUPPORT_RADIUS = 0.012
+"""Distance at which a point of a frame supports the remembered point [m]."""
+SAME_RADIUS = 0.008
+"""Distance at which a seen and a remembered point are the same point [m]."""
+_SAYS = np.array([1, 3, 4, 0, 2])
+"""How much HIDDEN, AT, FREE, OUT and EMPTY say: of several images the one counts that says most."""
 _MATCH_RADIUS = 0.02
 """Distance at which a point of a frame votes for the obstacle of a remembered one [m]."""
 _COMMON_POINTS = 4
@@ -175,22 +183,18 @@ class ObstacleMemory(Frozen):
     cloud_W: FloatArray = zeros(0, 3)
 
 
-_Value = TypeVar("_Value", bound=Frozen)
+_Rows = TypeVar("_Rows", Points, Tracks)
 
 
-def taken(value: _Value, index: IntArray | BoolArray) -> _Value:
-    """Takes some rows of a value of which every field has rows."""
-    kind: Any = type(value)
-    result: _Value = kind(**{name: part[index] for name, part in vars(value).items()})
-    return result
+def taken(value: _Rows, index: IntArray | BoolArray) -> _Rows:
+    """Takes some rows of points or tracks."""
+    return replace(value, **{name: part[index] for name, part in vars(value).items()})
 
 
-def appended(first: _Value, second: _Value) -> _Value:
+def appended(first: _Rows, second: _Rows) -> _Rows:
     """Joins the rows of two values."""
-    kind: Any = type(first)
     parts = {name: np.concatenate([one, vars(second)[name]]) for name, one in vars(first).items()}
-    result: _Value = kind(**parts)
-    return result
+    return replace(first, **parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,8 +253,16 @@ def associate(
     if tracks:
         claimed = claims.any(axis=1)
         cluster_row[claimed] = np.where(claims, votes, -1)[claimed].argmax(axis=1)
-        found = np.asarray(claims.any(axis=0))
-        _match_centroids(cluster_row, found, points, cluster, sizes, remembered, owner, known)
+    left = np.flatnonzero(cluster_row < 0)
+    lost = np.flatnonzero(~claims.any(axis=0) & (known > 0))
+    if len(left) and len(lost):
+        seen = np.stack([points[cluster == c].mean(axis=0) for c in left])
+        expected = np.stack([remembered[owner == m].mean(axis=0) for m in lost])
+        gap = np.linalg.norm(seen[:, None] - expected[None], axis=2)
+        # Pairs beyond the gate cost more than any number of pairs within it.
+        rows, columns = linear_sum_assignment(np.where(gap < _GATE, gap, 1e3 * _GATE))
+        near = gap[rows, columns] < _GATE
+        cluster_row[left[rows[near]]] = lost[columns[near]]
     new = np.flatnonzero(cluster_row < 0)
     cluster_row[new] = tracks + np.arange(len(new))
     mixed = claims.sum(axis=1) > 1
@@ -259,41 +271,12 @@ def associate(
     for c in np.flatnonzero(mixed):
         inside = np.flatnonzero(cluster == c)
         rows = np.flatnonzero(claims[c])
-        point_row[inside] = _divided(points[inside], rows, remembered, owner)
+        among = np.isin(owner, rows)
+        _, nearest = cKDTree(remembered[among]).query(points[inside])
+        point_row[inside] = owner[among][nearest]
         largest = rows[known[rows].argmax()]
         partner[rows[rows != largest]] = largest
     return Association(point_row, cluster_row, mixed, new, partner)
-
-
-def _match_centroids(
-    cluster_row: IntArray,
-    taken: BoolArray,
-    points: FloatArray,
-    cluster: IntArray,
-    sizes: IntArray,
-    remembered: FloatArray,
-    owner: IntArray,
-    known: IntArray,
-) -> None:
-    left, lost = np.flatnonzero(cluster_row < 0), np.flatnonzero(~taken & (known > 0))
-    if not len(left) or not len(lost):
-        return
-    seen = np.stack([points[cluster == c].mean(axis=0) for c in left])
-    expected = np.stack([remembered[owner == m].mean(axis=0) for m in lost])
-    gap = np.linalg.norm(seen[:, None] - expected[None], axis=2)
-    # Pairs beyond the gate cost more than any number of pairs within it.
-    rows, columns = linear_sum_assignment(np.where(gap < _GATE, gap, 1e3 * _GATE))
-    near = gap[rows, columns] < _GATE
-    cluster_row[left[rows[near]]] = lost[columns[near]]
-
-
-def _divided(
-    points: FloatArray, rows: IntArray, remembered: FloatArray, owner: IntArray
-) -> IntArray:
-    """Divides points (Q, 3) of one cluster among obstacles, by the nearest remembered point."""
-    among = np.isin(owner, rows)
-    _, nearest = cKDTree(remembered[among]).query(points)
-    return np.asarray(owner[among][nearest], dtype=np.int64)
 
 
 def fuse(
@@ -348,22 +331,25 @@ def fuse(
 
 
 class _Look(NamedTuple):
-    """What the frame says of the N remembered points, and the nearest of them.
+    """What V images of the frame show of the N remembered points, and the nearest of them.
 
-    p_WQ (N, 3) where they should be in the world [m]; nearest (Q,) of them to each point of the
-    frame, -1: none near, and from_seen (Q,) how far [m]; distance (N,) from the frame's nearest
-    point [m]; what its images show there.
+    Attributes:
+        p_WQ: (N, 3) where they should be in the world [m].
+        nearest: (Q,) of them to each point of the frame, -1: none near.
+        from_seen: (Q,) how far [m].
+        distance: (N,) from the frame's nearest point [m].
+        shows: (N,) HIDDEN, AT, FREE, OUT or EMPTY, by the image that says most.
+        each: (V, N) the same of each image.
+        pixel: (V, N) their pixels in each, -1 outside it.
     """
 
     p_WQ: FloatArray
     nearest: IntArray
     from_seen: FloatArray
     distance: FloatArray
-    looked: Looked
-
-    @property
-    def shows(self) -> IntArray:
-        return self.looked.shows
+    shows: IntArray
+    each: IntArray
+    pixel: IntArray
 
 
 class _Step:
@@ -400,7 +386,7 @@ class _Step:
         behind = self._behind_itself(association, look)
         self._doubt(look, behind)
         # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
-        in_image = (look.looked.pixel >= 0).any(axis=0)
+        in_image = (look.pixel >= 0).any(axis=0)
         missing = (look.shows == EMPTY) | ((look.shows == OUT) & in_image)
         missing &= self.tracks.moving[self.points.owner]
         hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
@@ -418,17 +404,22 @@ class _Step:
 
     def _look(self) -> _Look:
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
-        radius, near = _MATCH_RADIUS, SUPPORT_RADIUS
-        nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius)
-        looked = shown_at(
-            p_WQ,
-            distance >= near,
-            self.frame.views,
-            DEPTH_MARGIN,
-            self.robot,
-            self.config.robot_margin,
-        )
-        return _Look(p_WQ, nearest, from_seen, distance, looked)
+        nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, _MATCH_RADIUS)
+        views = self.frame.views
+        if not views:
+            # A cloud is taken to show every point.
+            none = np.zeros((0, len(p_WQ)), dtype=np.int64)
+            shows = np.full(len(p_WQ), AT)
+            return _Look(p_WQ, nearest, from_seen, distance, shows, none, none)
+        each, pixel = np.stack([shown(p_WQ, view, DEPTH_MARGIN) for view in views], axis=1)
+        shows = each[_SAYS[each].argmax(axis=0), np.arange(len(p_WQ))]
+        if self.robot is not None:
+            # Only what seems to be gone needs the robot's excuse.
+            asked = np.flatnonzero((distance >= SUPPORT_RADIUS) & np.isin(shows, (AT, FREE, EMPTY)))
+            margin = self.config.robot_margin
+            d = least_distances(self.robot, p_WQ[asked], 0.0, margin, margin)
+            shows[asked[d < margin]] = OUT
+        return _Look(p_WQ, nearest, from_seen, distance, shows, each, pixel)
 
     def _moved_back(self, expected: Tracks, before: _Look) -> _Look:
         """Leaves where they were expected those of which less is seen at the measured place.
@@ -454,16 +445,29 @@ class _Step:
         lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
         if not lost.any():
             return after
-        expected = changed(expected, blind=expected.blind + self.dt, odd=self.tracks.odd)
+        expected = replace(expected, blind=expected.blind + self.dt, odd=self.tracks.odd)
         both = appended(self.tracks, expected)
         self.tracks = taken(both, np.where(lost, len(rows) + rows, rows))
         return self._look()
 
     def _behind_itself(self, association: Association, look: _Look) -> BoolArray:
+        """Finds hidden points (N,) behind their own obstacle: it moved or turned.
+
+        They are so in each image that shows their place; another one may have seen them
+        from behind.
+        """
         if not self.complete:
             return np.zeros(len(self.points), dtype=bool)
-        rows = association.cluster_row
-        return hidden_by_itself(look.looked, self.points.owner, rows, self.frame)
+        before = np.zeros(look.each.shape, dtype=bool)
+        for image, view in enumerate(self.frame.views):
+            row_at = np.full(view.z.size, -1)
+            for row, surface in zip(
+                association.cluster_row, self.frame.pixels_in(image), strict=True
+            ):
+                row_at[surface] = row
+            is_own = row_at[look.pixel[image]] == self.points.owner
+            before[image] = (look.each[image] == HIDDEN) & is_own
+        return np.asarray(before.any(axis=0) & (before | (look.pixel < 0)).all(axis=0))
 
     def _doubt(self, look: _Look, behind: BoolArray) -> None:
         """How much of each obstacle is not where it is remembered."""
@@ -477,7 +481,7 @@ class _Step:
         least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
         left = _FADING * self.tracks.doubt
-        self.tracks = changed(self.tracks, doubt=np.maximum(share, left))
+        self.tracks = replace(self.tracks, doubt=np.maximum(share, left))
 
     def _append_new(self, association: Association) -> None:
         count = len(association.new)
@@ -492,8 +496,15 @@ class _Step:
         tracks = self.tracks
         rows = np.where(association.mixed, -1, association.cluster_row)
         seen = seen_sides(self.frame, rows, tracks.area, self.config.voxel)
-        beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SIDE_SLACK)
-        seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
+        # Of the remembered points beyond each side, the share that the frame does not show.
+        owner = self.points.owner
+        low, high = np.moveaxis(seen.place[owner], 2, 0)
+        far = np.stack([p_WQ < low - _SIDE_SLACK, p_WQ > high + _SIDE_SLACK], axis=2)
+        far = far.reshape(-1, 6)
+        mine = (owner == np.arange(len(tracks))[:, None]).astype(float)
+        share = mine @ (far & hidden[:, None]) / np.maximum(mine @ far, 1.0)
+        is_seen = share.reshape(seen.ends.shape) < _HIDDEN_SHARE
+        seen = replace(seen, ends=seen.ends & is_seen)
         deviation = depth_deviation(tracks.p_W, self.frame.views)
         v_W, spread, self._references = registered_tracks(
             tracks,
@@ -511,29 +522,23 @@ class _Step:
     ) -> list[tuple[int, IntArray, FloatArray]]:
         """Weighs the remembered points; returns the parts of obstacles that are apart."""
         points = self.points
-        found = np.zeros(len(self.tracks), dtype=bool)
-        found[association.point_row] = True
-        seen = look.shows
-        parts = self._parts(association, look.p_WQ, (seen != AT) & (seen != FREE))
-        evidence, confirmed = evidence_after(
-            points.owner,
-            points.evidence,
-            points.confirmed,
-            seen,
-            behind,
-            look.distance,
-            found,
-            self._settled(),
-        )
+        shows = look.shows
+        parts = self._parts(association, look.p_WQ, (shows != AT) & (shows != FREE))
+        hit = look.distance < np.where(points.confirmed, SUPPORT_RADIUS, SAME_RADIUS)
+        is_found = np.isin(points.owner, association.point_row)
+        gone = (shows == FREE) | ((shows == AT) & ~is_found)
+        fading = (shows == AT) | behind
+        less = np.where(gone, np.minimum(points.evidence, _CONFIRMED) - 1, points.evidence - fading)
+        evidence = np.where(hit, np.minimum(points.evidence + 1, _CERTAIN), less)
+        # New points of an obstacle that rests, and is handed on, are confirmed by a third frame.
+        settled = np.isin(self.tracks.ids, list(self.previous.held)) & ~self.tracks.moving
+        confirmed = points.confirmed | (evidence >= _CONFIRMED + settled[points.owner])
+        evidence[~points.confirmed & ~hit & (gone | fading)] = 0
         left = evidence > 0
         # `remember` still asks for these points by their places here.
         self._kept = np.where(left, np.cumsum(left) - 1, -1)
-        self.points = taken(changed(points, evidence=evidence, confirmed=confirmed), left)
+        self.points = taken(replace(points, evidence=evidence, confirmed=confirmed), left)
         return parts
-
-    def _settled(self) -> BoolArray:
-        known = [name in self.previous.held for name in self.tracks.ids.tolist()]
-        return np.array(known, dtype=bool) & ~self.tracks.moving
 
     def _remember(self, association: Association, look: _Look) -> None:
         """Moves remembered points to what was seen of them, and adds what is new."""
@@ -546,8 +551,14 @@ class _Step:
         local = self.seen - self.tracks.shift_W[row]
         near = distance <= SAME_RADIUS
         again = same & near & (kept >= 0)
-        absorb(p_OQ, weight, local[again], kept[again], _MEAN_FRAMES)
-        self.points = changed(self.points, p_OQ=p_OQ, weight=weight)
+        # Points that are seen again move to the mean of what was seen of them.
+        at = kept[again]
+        count = np.bincount(at, minlength=len(p_OQ))
+        seen = count > 0
+        weight[seen] = np.minimum(weight[seen] + 1, _MEAN_FRAMES)
+        total = np.stack([np.bincount(at, one, len(p_OQ)) for one in local[again].T], axis=1)
+        p_OQ[seen] += (total[seen] / count[seen, None] - p_OQ[seen]) / weight[seen, None]
+        self.points = replace(self.points, p_OQ=p_OQ, weight=weight)
         new = np.flatnonzero((kept < 0) | ~near)
         ones = np.ones(len(new), dtype=np.int64)
         solid = np.zeros(len(self.tracks), dtype=bool)
@@ -586,7 +597,7 @@ class _Step:
             apart[row] = self.tracks.apart[row] + 1
             if apart[row] >= _SPLIT_FRAMES:
                 parts.append((int(row), np.where(label == largest, -1, label), self.seen[mine]))
-        self.tracks = changed(self.tracks, apart=apart)
+        self.tracks = replace(self.tracks, apart=apart)
         return parts
 
     def _split(self, parts: list[tuple[int, IntArray, FloatArray]]) -> None:
@@ -598,7 +609,7 @@ class _Step:
             part = np.append(label, -1)[nearest]
             for name in np.unique(part[part >= 0]):
                 new = len(self.tracks)
-                one = changed(
+                one = replace(
                     taken(self.tracks, np.array([row])),
                     ids=np.array([self.next_id]),
                     sides=np.full((1, 3, 2), np.nan),
@@ -608,11 +619,11 @@ class _Step:
                 self.tracks = appended(self.tracks, one)
                 owner = np.array(self.points.owner)
                 owner[mine[part == name]] = new
-                self.points = changed(self.points, owner=owner)
+                self.points = replace(self.points, owner=owner)
             sides, area = np.array(self.tracks.sides), np.array(self.tracks.area)
             sides[row], area[row] = np.nan, 0.0
             apart = np.where(np.arange(len(self.tracks)) >= row, 0, self.tracks.apart)
-            self.tracks = changed(self.tracks, sides=sides, area=area, apart=apart)
+            self.tracks = replace(self.tracks, sides=sides, area=area, apart=apart)
 
     def _merge(self, association: Association, known: int) -> None:
         """Joins obstacles that are one cluster and move alike for long."""
@@ -622,7 +633,7 @@ class _Step:
         v_W = np.where(tracks.moving[:, None], tracks.v_W, 0.0)
         alike = np.linalg.norm(v_W - v_W[partner], axis=1) < _ALIKE
         together = np.where((partner >= 0) & alike, tracks.together + self.dt, 0.0)
-        self.tracks = changed(tracks, together=together)
+        self.tracks = replace(tracks, together=together)
         joined = together >= _MERGE_TIME
         for row in np.flatnonzero(joined):
             into = int(partner[row])
@@ -630,10 +641,10 @@ class _Step:
             mine = owner == row
             p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
             owner[mine] = into
-            self.points = changed(self.points, p_OQ=p_OQ, owner=owner)
+            self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
             sides = np.array(self.tracks.sides)
             sides[into] = np.nan
-            self.tracks = changed(self.tracks, sides=sides)
+            self.tracks = replace(self.tracks, sides=sides)
 
     def _forget(self) -> None:
         """Lets go of obstacles of which too little is left."""
@@ -643,7 +654,7 @@ class _Step:
             return
         row = np.cumsum(left) - 1
         points = taken(self.points, left[self.points.owner])
-        self.points = changed(points, owner=row[points.owner])
+        self.points = replace(points, owner=row[points.owner])
         self.tracks = taken(self.tracks, left)
 
     def _fewest(self) -> int:
@@ -665,7 +676,7 @@ class _Step:
             self.stamp,
             tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
             tracks.ids[listed],
-            held_table(self.previous.obstacles.table, self.frame.table, _TABLE_SHIFT),
+            held_table(self.previous.obstacles.table, self.frame.table),
             note,
             np.where(moving[:, None], tracks.v_W, 0.0)[listed],
         )
@@ -725,10 +736,8 @@ def _reaches_as_before(old: HeldCloud, reach: FloatArray, count: int) -> bool:
     return bool(same) and abs(count - size) <= _CHANGED_SHARE * size
 
 
-def held_table(
-    previous: TablePlane | None, seen: TablePlane | None, shift: float
-) -> TablePlane | None:
-    """The previous plane unless the new one is farther from it than ``shift`` [m]."""
+def held_table(previous: TablePlane | None, seen: TablePlane | None) -> TablePlane | None:
+    """The previous plane unless the new one is farther from it than `_TABLE_SHIFT`."""
     if previous is None or seen is None:
         return seen
-    return seen if seen.distance_to(previous) > shift else previous
+    return seen if seen.distance_to(previous) > _TABLE_SHIFT else previous

@@ -22,8 +22,8 @@ shows free space beyond it. Each side is compared with where it was before.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,24 +141,6 @@ class Tracks(Frozen):
         return np.asarray(self.blind.min(axis=1))
 
 
-_Value = TypeVar("_Value", bound=Frozen)
-
-
-def changed(value: _Value, **parts: Any) -> _Value:
-    """As `dataclasses.replace`, without a look at what stays: that is locked already."""
-    kind: Any = type(value)
-    if not parts.keys() <= value.__dict__.keys():
-        raise TypeError(f"{kind.__name__} has no {sorted(parts.keys() - value.__dict__.keys())}")
-    result: _Value = object.__new__(kind)
-    result.__dict__.update(value.__dict__)
-    for name, part in parts.items():
-        if part.__class__ is np.ndarray and part.flags.writeable:
-            part = part.view()
-            part.flags.writeable = False
-        result.__dict__[name] = part
-    return result
-
-
 def new_tracks(ids: IntArray, p_W: FloatArray) -> Tracks:
     """Makes obstacles (M,) at p_W (M, 3) [m] that are seen first: at rest, of unknown sides."""
     parts = {
@@ -185,7 +167,7 @@ def corrected(tracks: Tracks, kind: int, measured: FloatArray, variance: FloatAr
     P, known = tracks.covariance, np.isfinite(measured)
     innovation = np.where(known, measured - tracks.state[..., kind], 0.0)
     gain = P[..., kind] / (P[..., kind, kind] + variance)[..., None] * known[..., None]
-    return changed(
+    return replace(
         tracks,
         state=tracks.state + gain * innovation[..., None],
         covariance=P - gain[..., None] * P[..., kind, None, :],
@@ -220,7 +202,7 @@ def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
     q = np.where(moving, _MANEUVER, _ACCELERATION)[:, None, None, None]
     state = state @ F.T
     step = np.where(moving[:, None], state[..., 0] - tracks.p_shift_W, 0.0)
-    return changed(
+    return replace(
         tracks,
         state=state,
         covariance=F @ P @ F.T + q * Q,
@@ -262,13 +244,13 @@ def measured_tracks(
         P[again, 0, 0] += jump[again] ** 2
         P[again, 0, 1] = P[again, 1, 0] = 0.0
         P[again & ~registered, 1, 1] = INITIAL_SPEED**2
-        tracks = changed(tracks, covariance=P)
+        tracks = replace(tracks, covariance=P)
     p_W = np.where(off & ~again, np.nan, p_W)
     told = np.isfinite(p_W) | registered
     tracks = corrected(tracks, 0, p_W, variance)
     whole = seen.ends.all(axis=(1, 2))
     learned = learned_sides(seen, known_sides, tracks.p_W)
-    tracks = changed(
+    tracks = replace(
         tracks,
         sides=np.where(off[:, :, None], known_sides, learned),
         area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
@@ -301,7 +283,7 @@ def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: flo
     follows = measured & (moving | jumped)
     step = np.where(follows[:, None], found, 0.0)
     settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
-    return changed(
+    return replace(
         tracks,
         moving=moving,
         significant=significant,
@@ -650,21 +632,18 @@ def seen_sides(
     """
     count = len(known_area)
     images = [frame.pixels_in(row) for row in range(len(frame.views))]
-    if not images:
-        used = np.flatnonzero(cluster_row >= 0)
-        clouds = [frame.clouds_W[c] for c in used]
-        points = np.concatenate([np.zeros((0, 3)), *clouds])
-        row = np.repeat(cluster_row[used], [len(cloud) for cloud in clouds]).astype(np.int64)
-        area, weight = np.full(len(points), voxel**2), np.ones(len(points))
-        parts = []
-    else:
-        parts = [
-            surfaces(image, cluster_row, view)
-            for image, view in zip(images, frame.views, strict=True)
-        ]
+    parts = [
+        surfaces(image, cluster_row, view) for image, view in zip(images, frame.views, strict=True)
+    ]
+    if parts:
         points, area, _, row, weight = (
             np.concatenate(column) for column in zip(*parts, strict=True)
         )
+    else:
+        row = np.repeat(cluster_row, [len(cloud) for cloud in frame.clouds_W])
+        points = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])[row >= 0]
+        row = row[row >= 0]
+        area, weight = np.full(len(points), voxel**2), np.ones(len(points))
     number = np.bincount(row, minlength=count)
     grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
     area = area * weight

@@ -53,8 +53,6 @@ _GONE, _CHECKED = 0.05, 500
 are checked."""
 _TURNED = 0.1
 """A view that has turned by more shows another side [rad]."""
-_TABLE_SHIFT = 0.003
-"""The table is where it was if it has moved by no more within 1 m [m]."""
 _SEEN_FREE = 0.01
 """Distance of the depth behind a point above which an image sees through it [m]."""
 _MOST_ASKED = 400
@@ -131,7 +129,7 @@ def looked_at(
         return replace(before, scene=replace(before.scene, note=obstacles.note))
     table = before.table
     if obstacles.table is not None:
-        table = held_table(table, obstacles.table, _TABLE_SHIFT)
+        table = held_table(table, obstacles.table)
     moved = names_moved(obstacles, before.moved)
     known = {seen.solid.name: seen for seen in before.fields}
     fields = []
