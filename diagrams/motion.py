@@ -6,8 +6,6 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from pydrake.geometry import Role
@@ -29,9 +27,8 @@ from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, minimum_jerk_orienta
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import load_proposals
-from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
-from drake_oa.regulation.regressor_chain import Proposals, RegressorChain
+from drake_oa.regulation.regressor import check_action_level, load_chain
+from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.route.cost_ring_selector import CostRingSelector
@@ -107,20 +104,17 @@ Rings = Mapping[str, Ring] | None
 
 
 def add_route(wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings = None) -> None:
-    """Adds cost_ring_selector: ellipsoids_W, policy_state, goal and the proposed rows -> route.
+    """Adds cost_ring_selector: ellipsoids_W, policy_state and goal -> route.
 
     With MotionVerifier it offers proposed_route.
     """
     regulation = scenario.regulation
     if "ellipsoids_W" not in wires or not (isinstance(regulation, Verified) or regulation.guided):
         return
-    reads: dict[str, str] = {}
     offers: dict[str, str | None] = {"decision": "route", "route": "shown_route"}
     if isinstance(regulation, Verified):
-        reads = {"coupling_parameters": "proposed_parameters"}
         offers = {"decision": "proposed_route", "route": None}
-    selector = make_cost_ring_selector(scenario, rings)
-    wires.add("cost_ring_selector", selector, reads=reads, offers=offers)
+    wires.add("cost_ring_selector", make_cost_ring_selector(scenario, rings), offers=offers)
 
 
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
@@ -183,7 +177,7 @@ def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArr
 
 def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds motion_verifier where the regulation is `!Verified`: solids_W, policy_state, goal,
-    robot_state and the proposals -> motion, demonstration, coupling_parameters and route.
+    robot_state, and the rows and sides -> motion, demonstration, coupling_parameters and route.
 
     Raises:
         ScenarioError: without a robot or collision geometry of the obstacles.
@@ -257,52 +251,28 @@ def _tell_of_bare_links(cell: Cell) -> None:
         )
 
 
-Loaded = TypeVar("Loaded")
-
-
 def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Adds regressor_chain: ellipsoids_W, policy_state, goal -> coupling_parameters.
+    """Adds regressor_chain: ellipsoids_W, policy_state -> coupling_parameters.
 
     With MotionVerifier it offers proposed_parameters.
-    """
-    offers: dict[str, str] = {}
-    if isinstance(scenario.regulation, Verified):
-        if "ellipsoids_W" not in wires:
-            return
-        offers = {"coupling_parameters": "proposed_parameters"}
-    wires.add("regressor_chain", make_regressor_chain(scenario), offers=offers)
-
-
-def make_regressor_chain(scenario: Scenario, proposals: Proposals | None = None) -> RegressorChain:
-    """Makes the computation of coupling parameters.
-
-    Args:
-        scenario: the scenario.
-        proposals: source of candidate sides; None: the network that the scenario names, if any.
 
     Raises:
         ScenarioError: naming the file, if weights are missing or do not fit.
     """
-    regulation, dmp = scenario.regulation, make_dmp(scenario)
+    regulation = scenario.regulation
+    offers: dict[str, str] = {}
     if isinstance(regulation, Verified):
-        chain, network = regulation.chain, regulation.proposals
-        if proposals is None and network:
-            proposals = _loaded("proposals", network, load_proposals)
-        weights = _loaded("chain", chain, _load_running) if chain else None
-        return RegressorChain(weights, scenario.task.clearance, proposals=proposals, dmp=dmp)
-    return RegressorChain(
-        _loaded("weights", regulation.weights, _load_running), scenario.task.clearance
-    )
-
-
-def _load_running(path: Path) -> ChainWeights:
-    weights = load_chain(path)
-    check_action_level(weights, path)
-    return weights
-
-
-def _loaded(name: str, path: str, load: Callable[[Path], Loaded]) -> Loaded:
+        if regulation.chain is None or "ellipsoids_W" not in wires:
+            return
+        name, file = "chain", regulation.chain
+        offers = {"coupling_parameters": "proposed_parameters"}
+    else:
+        name, file = "weights", regulation.weights
     try:
-        return load(package_file(path))
+        path = package_file(file)
+        weights = load_chain(path)
+        check_action_level(weights, path)
     except (OSError, ValueError) as error:
         raise ScenarioError(f"regulation.{name}: {error}") from None
+    chain = RegressorChain(weights, scenario.task.clearance)
+    wires.add("regressor_chain", chain, offers=offers)

@@ -6,15 +6,14 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.files import package_file
 from drake_oa.common.messages import EllipsoidSet
+from drake_oa.planning.candidates import avoidance_terms, rows_of
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import load_proposals, side_rows
 
 START, GOAL, CLEARANCE, DURATION = np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.1, 4.0
 CENTERS, RADIUS = np.array([[0.5, 0.0, -0.02], [0.6, 0.0, 0.35]]), 0.1
@@ -32,12 +31,11 @@ def main() -> None:
     """Bends a straight motion round two balls and prints how near it came."""
     R_WL, still = local_frame(START, GOAL), np.zeros(3)
     scene = Scene(START, still, GOAL, R_WL, 1.0, BALLS, np.full(2, CLEARANCE))
-    network = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
     search = PointSearch(scene, dmp=dmp, policy=Policy(), parameters=Verified())
-    found = search.run(network.ranked(scene, DURATION))
+    found = search.run()
     # One avoidance term about a point of its own: it belongs to neither ball.
-    rows = side_rows(scene, found.genes, length=found.length, likely=np.ones(1))
+    rows = rows_of(avoidance_terms(scene, found.genes))
     coupling = dc.replace(rows, tau=max(float(found.length[0]), 1.0), verified=True)
 
     policy = DmpIntegrator(dmp, START)

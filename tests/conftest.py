@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from drake_oa.common.files import package_file
-from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
@@ -54,12 +52,6 @@ def scan_files() -> list[Path]:
 def panda() -> RobotPlant:
     """The Panda alone; not to be changed."""
     return make_robot_plant(Robot())
-
-
-@pytest.fixture(scope="session")
-def proposer() -> ProposalNetwork:
-    """The shipped proposal network."""
-    return load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
-LONG = ("03_swap_perception", "04_own_ring_and_proposals", "06_put_a_system_between")
+LONG = ("03_swap_perception", "04_own_cost_ring", "06_put_a_system_between")
 ARGUMENTS = {name: {"duration": 0.05} for name in LONG}
 
 

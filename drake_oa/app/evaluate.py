@@ -72,7 +72,7 @@ def synthetic(
     Methods (default: paper and verified):
 
       paper                the paper's own regressor chain, as `table2` reads it
-      verified             proposals checked by roll-outs, as the running system does
+      verified             a search among roll-outs, as the running system does
       original             the coupling term that the paper starts from
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
@@ -399,10 +399,10 @@ def sources(
     """Count the sources of the executed motions, and evaluate without each of them.
 
     Sources: nominal (the demonstrated motion), chain (the rows of the paper's regressor chain
-    together, with heading guidance), sides (a proposed side), search (the local search) and
+    together, with heading guidance), search (the local search) and
     joint_path (a path in the joints that the primitives imitate). It prints, for each suite, the
     number of scenes in which a motion of each source was executed, and success, contacts, clearance
-    and path length without chain, sides, search and joint_path.
+    and path length without chain, search and joint_path.
 
     For example:
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 def train(
     *,
-    recipe: Literal["proposals", "paper", "paper_running"] = "proposals",
+    recipe: Literal["paper", "paper_running"] = "paper_running",
     out: Path = Path("weights"),
     seed: int = 0,
     iterations: int | None = None,
@@ -16,19 +16,14 @@ def train(
 ) -> int:
     """Train a network and write its weights.
 
-    Without a recipe, train the network of the default scenario. The training data are simulated
+    Without a recipe, train the chain of the default scenario. The training data are simulated
     motions; no file is needed.
 
-      proposals      the network that seeds the search of `regulation: !Verified`:
-                     proposals.safetensors
       paper          the regressor chains of the paper, on the paper's training set, with its
                      Table I: paper_chain.safetensors, RC(lambda', Delta), and
                      paper_chain_unconstrained.safetensors, RC(lambda')
-      paper_running  the same chain RC(lambda', Delta), trained on the motions of this program,
-                     for `regulation: !Paper`: paper_chain_running.safetensors
-
-    The searches of `proposals` are stored in a folder, OUT/proposals.checkpoint, until the training
-    ends. After an interruption the same command resumes there and gives the same result.
+      paper_running  the same chain RC(lambda', Delta), trained on the motions of this program:
+                     paper_chain_running.safetensors
 
     For example:
 
@@ -40,8 +35,7 @@ def train(
         recipe: which network.
         out: folder of the weights.
         seed: random seed of the data and of the initial weights.
-        iterations: limit for a shorter trial: optimization steps of each network; with the
-            recipe proposals, scenes of each round.
+        iterations: limit for a shorter trial: optimization steps of each network.
         device: where the networks are trained; auto: CUDA if torch finds it, else the CPU.
     """
     # Numba and SciPy take a second to import, which `drake-oa --help` need not wait for.

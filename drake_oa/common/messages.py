@@ -8,7 +8,7 @@ clones in constant time, and no receiver can change what another one reads.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Self
 
@@ -232,8 +232,6 @@ class Route(Frozen):
         ids: (M,) the obstacles' names.
         blocked: whether no side is allowed for one of them.
         note: empty, or why no side is allowed.
-        ranking: (S,) rows of `CouplingParameters` of the kind `SIDE` that are allowed, the best
-            first.
         price: (N,) costs that user-supplied rings add to N evenly spread sides, as path length
             over the baseline; inf: forbidden. (0,): there are no such rings.
     """
@@ -251,7 +249,6 @@ class Route(Frozen):
     ids: IntArray = zeros(0, kind=np.int64)
     blocked: bool = False
     note: str = ""
-    ranking: IntArray = zeros(0, kind=np.int64)
     price: FloatArray = zeros(0)
 
     @property
@@ -262,16 +259,6 @@ class Route(Frozen):
 
 OUT_OF_WORLD = 25.0
 """Distance from the world's origin beyond which a thing counts as absent [m]."""
-
-
-CHAIN, SIDE = 0, 1
-"""Kinds of rows of `CouplingParameters`: of an obstacle, by the regressor chain, all of which act
-together; and of a side of the baseline, by the proposal network, of which at most one acts."""
-ROW_COLUMNS = (
-    *("alpha", "psi", "kappa", "in_range", "center_W", "normal_W"),
-    *("kind", "length", "likely", "scaling"),
-)
-"""Fields of `CouplingParameters` with a row each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,10 +284,6 @@ class CouplingParameters(Frozen):
         anew: whether it is to begin anew from where it rests.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
-        kind: (M,) `CHAIN` or `SIDE`; (0,): all are of the chain.
-        length: (M,) expected path length of a side over the baseline; (0,): not given.
-        likely: (M,) probability that a side achieves the requested clearance; (0,): not given.
-        scaling: (M,) proposed temporal scaling of a side; (0,): not given.
         ellipsoids: obstacles of verified rows of the chain, past which guidance leads.
     """
 
@@ -315,22 +298,10 @@ class CouplingParameters(Frozen):
     note: str = ""
     anew: bool = False
     verified: bool = False
-    kind: IntArray = zeros(0, kind=np.int64)
-    length: FloatArray = zeros(0)
-    likely: FloatArray = zeros(0)
-    scaling: FloatArray = zeros(0)
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
 
     def __len__(self) -> int:
         return len(self.alpha)
-
-    def of_kind(self, kind: int) -> CouplingParameters:
-        """Returns the rows of one kind."""
-        if not len(self.kind):
-            return self if kind == CHAIN else CouplingParameters()
-        rows = self.kind == kind
-        chosen: dict[str, Any] = {name: getattr(self, name)[rows] for name in ROW_COLUMNS}
-        return replace(self, **chosen)
 
     def as_array(self) -> FloatArray:
         """(M, 3) rows of alpha, psi, kappa."""

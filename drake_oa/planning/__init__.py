@@ -2,7 +2,7 @@
 
 In:  solids_W `SolidScene` (W, [m, m/s]); policy_state `PolicyState`; goal (3,) [m]; robot_state
      (2m,) [rad, rad/s]; ellipsoids_W `EllipsoidSet`; coupling_parameters `CouplingParameters` and
-     route `Route`, the proposals.
+     route `Route`, the rows of the paper's chain and the sides.
 Out: coupling_parameters and route, verified; demonstration `Demonstration`, with which the motion
      is to restart; motion `PlannedMotion` with the arm's joints (T, n) [rad]; shortfall and lowered
      [m]; decision [s]; source and candidates.
@@ -18,9 +18,9 @@ Method
     candidate is rolled out by the kernel of DmpIntegrator (`policy.rollout`), becomes joints by
     differential inverse kinematics (D. E. Whitney, 1969) led by a posture, and every sphere is
     measured at its time. Candidates are the nominal motion, the rows of the paper's chain together,
-    the ranked sides, and those of an evolution strategy. Where none is clear, a path in the joints
-    (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000) is imitated by the primitives and
-    rolled out like the rest. Where nothing is clear, or the goal touches something, the motion is
+    and those of an evolution strategy. Where none is clear, a path in the joints (RRT-Connect, J.
+    J. Kuffner and S. M. LaValle, ICRA 2000) is imitated by the primitives and rolled out like the
+    rest. Where nothing is clear, or the goal touches something, the motion is
     held, and a note gives the reason.
 
 Parts, in the order data flows: `true_solids` and `cloud_solids` (collision geometry); `arm_world`

@@ -1,13 +1,13 @@
 """Selection of the whole arm's motion, from one observation to the next.
 
 Candidates, in this order: the nominal motion; the rows of the paper's chain together, with heading
-guidance; the proposed sides, ranked, with several strengths each; the local search
-(`drake_oa.planning.search`); and once the motion rests and none is feasible, a path in the joints
-(`drake_oa.planning.joint_planner`) that the primitives imitate (`drake_oa.planning.imitation`) and
-that is rolled out like any other. The shortest one that achieves the requested clearance is
-selected; one in use stays while it does. Where none does, the one with the least shortfall is
-executed and the shortfall reported, but no motion touches anything: an arm in contact may only
-leave it, and one whose goal is in contact holds, and reports the nearest free goal.
+guidance; the local search (`drake_oa.planning.search`); and once the motion rests and none is
+feasible, a path in the joints (`drake_oa.planning.joint_planner`) that the primitives imitate
+(`drake_oa.planning.imitation`) and that is rolled out like any other. The shortest one that
+achieves the requested clearance is selected; one in use stays while it does. Where none does, the
+one with the least shortfall is executed and the shortfall reported, but no motion touches
+anything: an arm in contact may only leave it, and one whose goal is in contact holds, and reports
+the nearest free goal.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BSpline
 
-from drake_oa.common.messages import CHAIN as CHAIN_ROWS
 from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
@@ -36,6 +35,7 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.planning.arm_world import SELF, ArmWorld, Asked, group_distances, self_distance
+from drake_oa.planning.candidates import ANGLE, avoidance_terms, rows_of, terms_of
 from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import (
@@ -58,14 +58,6 @@ from drake_oa.policy.dmp import Demonstration, Dmp, normalised_time, orientation
 from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import (
-    ANGLE,
-    N_GENES,
-    avoidance_terms,
-    genes_of,
-    rows_of,
-    terms_of,
-)
 from drake_oa.robot.arm import Chain, Spheres, inverse_kinematics, tool_poses
 
 _LED = 201
@@ -353,13 +345,9 @@ class MotionSearch:
             rounds=here.rounds,
             most=math.inf if sight.policy.phase == 1.0 else self._parameters.frame,
         )
-        scene, rows = search.scene, route.ranking
-        sides = np.zeros((0, N_GENES))
-        # Rows of the paper's chain alone have no centers.
-        if len(rows):
-            sides = genes_of(scene, terms_of(coupling)[rows], coupling.scaling[rows])
+        scene = search.scene
         chain = _guided_command(coupling, route, scene)
-        found = search.run(sides, guided=_guided(chain), source=max(command.source, NOMINAL))
+        found = search.run(guided=_guided(chain), source=max(command.source, NOMINAL))
         source = int(found.source[0])
         if source == CHAIN:
             assert chain is not None
@@ -559,14 +547,14 @@ def _guided_command(
     coupling: CouplingParameters, route: Route, scene: Scene
 ) -> MotionCommand | None:
     """Returns the rows of the paper's chain together as a command; None: they do not act."""
-    chain, seen = coupling.of_kind(CHAIN_ROWS), scene.ellipsoids
-    fits = len(chain) > 0 and np.array_equal(route.ids, seen.ids) and len(chain) == len(seen)
+    seen = scene.ellipsoids
+    fits = len(coupling) > 0 and np.array_equal(route.ids, seen.ids) and len(coupling) == len(seen)
     # A forbidden side of an obstacle forbids the chain's motion, not every motion.
-    if not fits or route.blocked or route.baseline == 0.0 or not (chain.alpha > 0.0).any():
+    if not fits or route.blocked or route.baseline == 0.0 or not (coupling.alpha > 0.0).any():
         return None
     if not route.remaining_clearance.any():
         return None
-    rows = replace(chain, center_W=seen.p_WO, normal_W=np.zeros((len(seen), 3)))
+    rows = replace(coupling, center_W=seen.p_WO, normal_W=np.zeros((len(seen), 3)))
     return MotionCommand(CHAIN, terms_of(rows), seen, route, tau=1.0)
 
 

@@ -29,7 +29,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 class MotionVerifier(LeafSystem):
-    """Selection of the whole arm's motion among proposals, which it verifies by roll-outs.
+    """Selection of the whole arm's motion among candidates, which it verifies by roll-outs.
 
     .. pydrake_system::
 
@@ -60,9 +60,9 @@ class MotionVerifier(LeafSystem):
     - solids_W: abstract `SolidScene`: collision geometry of everything but the robot. Solids that
       move are left to `MotionGuard`.
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles.
-    - coupling_parameters (optional, input): abstract `CouplingParameters`, the proposals of
+    - coupling_parameters (optional, input): abstract `CouplingParameters` of
       `RegressorChain`.
-    - route (optional, input): abstract `Route`, the sides and the ranking of `CostRingSelector`.
+    - route (optional, input): abstract `Route`, the sides that `CostRingSelector` selects.
     - coupling_parameters (output): abstract `CouplingParameters`, the verified terms or none, with
       the temporal scaling, and a note that holds the motion if none was found.
     - route (output): abstract `Route` that guides the verified terms of the regressor chain; empty

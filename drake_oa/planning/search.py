@@ -1,6 +1,7 @@
 """The local search for a motion that achieves the requested clearance: an evolution strategy.
 
-Candidates are the nominal motion, the motion in use, proposals, and variations of the best so far.
+Candidates are the nominal motion, the motion in use, the rows of the regressor chain together, a
+moderate term on each side of the baseline, and variations of the best so far.
 Each is rolled out by the integrator's kernel (`drake_oa.policy.rollout`) and followed among the
 obstacles: by the whole arm (`ArmSearch`, `roll_out_arm`) or by a point
 (`drake_oa.planning.point_search`). The random numbers of a round are the same for every scene and
@@ -29,12 +30,7 @@ from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.common.thinking import Thinking, count, counted
 from drake_oa.geometry.solids import Solids
 from drake_oa.planning.arm_world import FAR, ArmWorld, Asked, lower_excess
-from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import Dmp, trajectory
-from drake_oa.policy.guidance import Obstacles
-from drake_oa.policy.rollout import Scene, ToolRollouts, roll_out_tool
-from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import (
+from drake_oa.planning.candidates import (
     ALPHA,
     ANGLE,
     ELITES,
@@ -50,8 +46,12 @@ from drake_oa.regulation.proposals import (
     draws,
     price_at,
     strengths,
-    tried,
 )
+from drake_oa.policy.config import Policy
+from drake_oa.policy.dmp import Dmp, trajectory
+from drake_oa.policy.guidance import Obstacles
+from drake_oa.policy.rollout import Scene, ToolRollouts, roll_out_tool
+from drake_oa.regulation.config import Verified
 from drake_oa.robot.arm import PULL, Chain, Spheres, follow, scratch
 
 SAMPLES = 64
@@ -81,13 +81,13 @@ _FIRST_FRESH = 6
 """First round with random candidates."""
 NO_ELITES = np.zeros((0, N_GENES))
 """Elites of a search that continues none, and genes if no motion is in use."""
-SOURCES = ("nominal", "chain", "sides", "search", "joint_path")
-"""Sources of a motion: the nominal motion, the rows of the paper's chain together, a proposed side,
-the local search, and a path in the joints."""
-NOMINAL, CHAIN, SIDES, SEARCH, JOINT_PATH = range(len(SOURCES))
+SOURCES = ("nominal", "chain", "search", "joint_path")
+"""Sources of a motion: the nominal motion, the rows of the paper's chain together, the local
+search, and a path in the joints."""
+NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
 _EVEN = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0, 0.0], (16, 1))
 _EVEN[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-"""First candidates of a search without proposals: a moderate term on every side."""
+"""(16, 7) first candidates: a moderate term on every side."""
 
 
 class Ranked(NamedTuple):
@@ -128,7 +128,7 @@ class Search(ABC):
     """Search in one scene; the obstacles are the subclass's.
 
     Attributes:
-        counts: (5,) numbers of candidates that were rolled out, by source.
+        counts: (4,) numbers of candidates that were rolled out, by source.
         elites: (k, 7) genes of the best candidates of the last round.
         rounds: number of rounds, those of earlier searches included.
     """
@@ -157,7 +157,7 @@ class Search(ABC):
             policy: time step and fade of the action level.
             parameters: effort and tolerances.
             previous: (1, 7) genes of the motion in use; (0, 7): none is.
-            price: (K,) additional costs of the sides, in baselines, see `proposals.price_at`; inf:
+            price: (K,) additional costs of the sides, in baselines, see `price_at`; inf:
                 no motion passes there.
             elites: (k, 7) best candidates of an earlier search that this one continues.
             rounds: number of rounds of that.
@@ -183,13 +183,10 @@ class Search(ABC):
             worst: cost beyond which a candidate is not among the best.
         """
 
-    def run(
-        self, sides: FloatArray, *, guided: Obstacles | None = None, source: int = SEARCH
-    ) -> Ranked:
+    def run(self, *, guided: Obstacles | None = None, source: int = SEARCH) -> Ranked:
         """Searches.
 
         Args:
-            sides: (n, 7) genes of proposed sides, the best first.
             guided: candidate by the rows of the paper's chain: the obstacles with their terms, past
                 which guidance leads.
             source: of the motion in use.
@@ -206,9 +203,8 @@ class Search(ABC):
         if guided is not None:
             chain = self.evaluate(nominal_genes(), CHAIN, float(best.cost[0]), guided)
             best = best.joined(chain)
-        seeds, sources = self.seeded(sides)
         worst = float(best.cost[0]) if best.solved else math.inf
-        ranked = self.evaluate(seeds, sources, worst).joined(count=ELITES)
+        ranked = self.evaluate(self.first(), SEARCH, worst).joined(count=ELITES)
         best, since = best.joined(ranked), 0
         for _ in range(self.parameters.rounds):
             since += best.solved
@@ -224,11 +220,11 @@ class Search(ABC):
     def evaluate(
         self,
         genes: FloatArray,
-        source: int | IntArray,
+        source: int,
         worst: float = math.inf,
         guided: Obstacles | None = None,
     ) -> Ranked:
-        """Rolls out candidates (n, 7) of sources (n,), or the guided one.
+        """Rolls out candidates (n, 7) of a source, or the guided one.
 
         Those of a cost above the worst are rolled out only in part.
         """
@@ -239,9 +235,8 @@ class Search(ABC):
             cost = cost + self.world_cost(genes, tool, cost, worst)
         self._latest = _COSTS.seconds(work) - _COSTS.decision
         self._spent += self._latest
-        sources = np.broadcast_to(source, len(genes))
-        self.counts += np.bincount(sources, minlength=len(SOURCES))
-        return Ranked(genes, cost, tool.path_length, sources)
+        self.counts[source] += len(genes)
+        return Ranked(genes, cost, tool.path_length, np.full(len(genes), source))
 
     def tool_paths(
         self, genes: FloatArray, longest: float = math.inf, guided: Obstacles | None = None
@@ -276,23 +271,19 @@ class Search(ABC):
         small = _LATE * late + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
-    def seeded(self, sides: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Returns the first candidates (n, 7) and their sources (n,).
+    def first(self) -> FloatArray:
+        """Returns the first candidates (n, 7).
 
-        Those are the best of the earlier search, if there was one. Otherwise proposed sides with
-        several strengths each, or a moderate term on every side; in place of the last of them the
-        motion in use, also with larger strengths.
+        Those are the best of the earlier search, if there was one. Otherwise a moderate term on
+        every side; in place of the last of them the motion in use, also with larger strengths.
         """
         if len(self.elites):
-            return self.bounded(self.elites), np.full(len(self.elites), SEARCH)
+            return self.bounded(self.elites)
         count, others = self.parameters.candidates, NO_ELITES
         if len(self.previous):
             stronger = strengths(self.previous[0], False, SPACING, count // 8)
             others = np.vstack([self.previous, stronger])
-        genes = (tried(sides, count) if len(sides) else _EVEN)[: count - len(others)]
-        sources = np.full(len(genes) + len(others), SEARCH)
-        sources[: len(genes) * bool(len(sides))] = SIDES
-        return self.bounded(np.concatenate([genes, others])), sources
+        return self.bounded(np.concatenate([_EVEN[: count - len(others)], others]))
 
     def children(self, ranked: Ranked) -> FloatArray:
         """Returns the candidates of a round, (n, 7)."""

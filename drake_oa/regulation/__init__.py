@@ -1,26 +1,22 @@
-"""Regulation: the parameters of the coupling terms, by two networks.
+"""Regulation: the parameters of the coupling terms, by the paper's regressor chain.
 
 In:  ellipsoids_W `EllipsoidSet`, policy_state `PolicyState` (world frame W).
 Out: coupling_parameters `CouplingParameters` (alpha in turns a duration T, psi [rad], kappa
      [1/m^2]).
 
 Systems
-    RegressorChain  stateless; the paper's chain of three networks from the section of each obstacle
-                    to its parameters, and a set network from all obstacles to a candidate motion on
-                    each side of the baseline
+    RegressorChain  stateless; the chain of three networks from the section of each obstacle to its
+                    parameters
 
-`route.CostRingSelector` ranks the sides; `planning.MotionVerifier` verifies the proposals.
+`planning.MotionVerifier` verifies the motion of these parameters.
 
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling law is scale
-    free, so lengths are counted in baselines. Candidates of a side are one avoidance
-    term each, by a set network (M. Zaheer et al., NeurIPS 2017) that is trained on results of the
-    search.
+    free, so lengths are counted in baselines.
 
-Parts, in the order data flows: `weights_file` (named arrays), `regressor` and
-`regressor_chain` (the paper's), `proposals` (candidates, their genes and the proposal network).
+Parts, in the order data flows: `weights_file` (named arrays), `regressor`, `regressor_chain`.
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Paper`.
 
-Read first: `regressor`, then `proposals`.
+Read first: `regressor`.
 """

@@ -41,7 +41,7 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]
     if not path.is_file():
         raise FileNotFoundError(
             f"no weights file {path}: train one with `drake-oa train --out {path.parent}`, "
-            "or name a shipped one, package://drake_oa/weights/proposals.safetensors or "
+            "or name a shipped one, package://drake_oa/weights/paper_chain.safetensors or "
             "paper_chain_running.safetensors"
         )
     try:

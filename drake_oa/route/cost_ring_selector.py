@@ -1,11 +1,10 @@
-"""The decision layer: the side on which to pass each obstacle, and the ranking of all sides."""
+"""Decision layer: the side on which to pass each obstacle."""
 
 from __future__ import annotations
 
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,8 +13,6 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.messages import (
     PART,
-    SIDE,
-    CouplingParameters,
     EllipsoidSet,
     FloatArray,
     PolicyState,
@@ -37,7 +34,6 @@ from drake_oa.route.cost_rings import (
     remaining_clearance,
     ring_scene,
     select_directions,
-    side_costs,
     table_ring,
 )
 
@@ -55,7 +51,6 @@ class CostRingSelector(LeafSystem):
       - policy_state
       - goal
       - table (optional)
-      - coupling_parameters (optional)
       output_ports:
       - route
       - decision
@@ -65,11 +60,9 @@ class CostRingSelector(LeafSystem):
     - goal: (3,) goal of the motion in the world frame [m].
     - table (optional): abstract `TablePlane`; without it the plane that came with
       the ellipsoids is used.
-    - coupling_parameters (optional): abstract `CouplingParameters`, whose rows of the kind `SIDE`
-      are ranked.
     - route: abstract `Route`: for each obstacle the chosen direction omega_d, the plane's normal,
-      the clearance to keep there; the rings, and the ranking of the sides; empty while there is no
-      motion. Without sides it does not change with every step of the policy, so
+      the clearance to keep there; the rings, and the prices of the sides by user-supplied rings;
+      empty while there is no motion. It does not change with every step of the policy, so
       neither does what is computed from it; `DmpIntegrator` finds the headings.
     - decision: the same.
 
@@ -77,9 +70,9 @@ class CostRingSelector(LeafSystem):
     direction of an obstacle is forbidden, the route's note says so, and the policy holds
     until one is free.
 
-    Sides of the baseline (rows of `SIDE`) are ranked by their expected length, plus twice the
-    probability that they do not achieve the clearance, plus the price of the user-supplied rings,
-    all in baselines; a side on which such a ring is 1 for an obstacle is left out.
+    A motion that passes all obstacles on one side of the baseline has the price of the sum of the
+    user-supplied rings there, each at its maximum over the obstacles; where one is 1, the side is
+    forbidden.
 
     The side is decided at initialization and every `period`, shortly after it so that
     an observation of the same instant counts, and kept by hysteresis: the decision is
@@ -134,9 +127,6 @@ class CostRingSelector(LeafSystem):
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
-        self._coupling = self.DeclareAbstractInputPort(
-            "coupling_parameters", Value(CouplingParameters())
-        )
         self._decided = self.DeclareAbstractState(Value(Route()))
         for name in ("route", "decision"):
             self.DeclareAbstractOutputPort(
@@ -147,7 +137,6 @@ class CostRingSelector(LeafSystem):
                 prerequisites_of_calc={
                     self._ellipsoids.ticket(),
                     self._table.ticket(),
-                    self._coupling.ticket(),
                     self.abstract_state_ticket(self._decided),
                 },
             )
@@ -177,6 +166,7 @@ class CostRingSelector(LeafSystem):
             hysteresis=self._hysteresis,
         )
         direction_W = scene.directions_W[selection.index]
+        price = self._price(selection.costs)
         return Route(
             direction_W=direction_W,
             normal_W=passing_normals(direction_W, R_WL),
@@ -191,6 +181,7 @@ class CostRingSelector(LeafSystem):
             ids=ellipsoids.ids,
             blocked=bool(selection.blocked.any()),
             note=_blocked_note(ellipsoids, selection),
+            price=price,
         )
 
     def _decide(self, context: Context, state: State) -> EventStatus:
@@ -216,39 +207,16 @@ class CostRingSelector(LeafSystem):
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
     def _calc_decision(self, context: Context, output: AbstractValue) -> None:
-        route = self._current(context)
-        coupling = read_optional(self, self._coupling, context, CouplingParameters)
-        if coupling is not None and len(coupling.kind):
-            ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-            route = self._ranked(route, coupling, ellipsoids)
-        output.set_value(route)
+        output.set_value(self._current(context))
 
-    def _ranked(
-        self, route: Route, coupling: CouplingParameters, ellipsoids: EllipsoidSet
-    ) -> Route:
-        """Returns the route with the ranking of the sides."""
-        rows = np.flatnonzero(coupling.kind == SIDE)
-        cost = side_costs(coupling.length[rows], coupling.likely[rows])
-        if self._extra and len(ellipsoids) and len(rows) and route.baseline > 0.0:
-            scene = ring_scene(
-                route.p_WS,
-                route.p_WG,
-                route.R_WL,
-                ellipsoids,
-                None,
-                asked_clearance=self._asked_clearance,
-                n_directions=len(rows),
-            )
-            # One motion passes all obstacles on one side.
-            rings = np.array([ring(scene).max(axis=0) for ring in self._extra.values()])
-            forbidden = (rings >= FORBIDDEN).any(axis=0)
-            price = np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))
-            route, cost = replace(route, price=price), cost + price
-            if forbidden.all():
-                note = f"every side is forbidden by the rings {', '.join(self._extra)}"
-                route = replace(route, blocked=True, note=note)
-        order = np.argsort(cost, kind="stable")
-        return replace(route, ranking=rows[order[np.isfinite(cost[order])]])
+    def _price(self, costs: Mapping[str, FloatArray]) -> FloatArray:
+        """Computes the costs (K,) that the user-supplied rings add to sides; (0,) without any."""
+        costs = {name: cost for name, cost in costs.items() if name in self._extra and len(cost)}
+        if not costs:
+            return np.zeros(0)
+        rings = np.array([cost.max(axis=0) for cost in costs.values()])
+        forbidden = (rings >= FORBIDDEN).any(axis=0)
+        return np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))
 
 
 def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:

@@ -146,10 +146,6 @@ def ring_scene(
     )
 
 
-UNLIKELY = 2.0
-"""Additional cost of a side that certainly does not achieve the clearance, in baselines."""
-
-
 def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
     """Computes the normals x_L x omega of the planes in which the obstacles are passed, (M, 3).
 
@@ -157,11 +153,6 @@ def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
     omega, which is orthogonal to the baseline.
     """
     return np.cross(R_WL[:, 0], direction_W)
-
-
-def side_costs(length: FloatArray, likely: FloatArray) -> FloatArray:
-    """Returns costs of sides, in baselines, by expected length and probability (N,) each."""
-    return length + UNLIKELY * (1.0 - likely)
 
 
 def length_ring(scene: RingScene) -> FloatArray:

@@ -75,7 +75,7 @@ guard_claim            (T,)           1        claim of passive motion safety th
 lowered                (T,)           m        by how much regulation had lowered the asked
                                                clearance; (0,) where a file does not tell
 motion_source          (T,)           1        source of the motion: -1 none, 0 nominal, 1 chain,
-                                               2 sides, 3 search, 4 joint_path; (0,) likewise
+                                               2 search, 3 joint_path; (0,) likewise
 motion_end             ()             s        when the motion ended; the world goes on after it
                                                until all is at rest; NaN where a file does not tell
 settled                ()             bool     whether all came to rest

@@ -160,7 +160,6 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
         ("task", "demonstration"),
         ("regulation", "weights"),
         ("regulation", "chain"),
-        ("regulation", "proposals"),
         ("robot", "model"),
     ):
         block = data.get(name)

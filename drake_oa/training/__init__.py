@@ -5,9 +5,6 @@ it comes from. Nothing here runs on the robot, and nothing that runs there impor
 in baselines L (semi-axes lambda1', lambda2' along and across, clearance Delta), kappa in 1/L^2, psi
 in rad, alpha in 1/T; `paper` has metres and rad/s, on L = 1 m.
 
-Recipe `proposals` (`ProposalRecipe`): the set network that seeds the search of `!Verified`, trained
-by `proposals` on the results of that search, round by round.
-
 Recipe `paper` (`PaperRecipe`): Table I of the paper.
 
 1. `lattice` rolls out the paper's lattice of 12.5 million motions on the action level of the
@@ -20,8 +17,8 @@ Recipe `paper_running`: the same on the running system's action level (`lattice.
 The chains' networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
 Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by
 `torch.func`, in float64, on the CPU or CUDA: the same seed gives the same weights on the same
-machine. The searches of `proposals` are stored, so that an interrupted training resumes.
+machine.
 
 Results: docs/results/learning.md; the choices, with measurements: docs/equations.md, "Regulation".
-Read `session` first, then `proposals`.
+Read `session` first, then `paper`.
 """

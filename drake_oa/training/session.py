@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
 from pathlib import Path
 
 from drake_oa.common.console import INTERRUPTED, progress_bar
 from drake_oa.common.files import check_outputs
-from drake_oa.regulation.proposals import save_proposals
 from drake_oa.regulation.regressor import save_chain
 from drake_oa.training.networks import choose_device
 from drake_oa.training.paper import CHAINS, error_table, paper_recipe, printed_errors, train_paper
-from drake_oa.training.proposals import ProposalRecipe, proposal_table, train_proposals
 
 FILES = {
-    "proposals": {"": "proposals.safetensors"},
     "paper": {
         CHAINS[0]: "paper_chain_unconstrained.safetensors",
         CHAINS[1]: "paper_chain.safetensors",
@@ -47,29 +43,22 @@ def train(
     device = choose_device(device)
     files = {name: out / file for name, file in FILES[recipe].items()}
     check_outputs(*files.values())
-    begin, folder = time.perf_counter(), out / f"{recipe}.checkpoint"
+    begin = time.perf_counter()
     try:
         with progress_bar(1.0) as bar:
-            if recipe == "proposals":
-                plan = ProposalRecipe() if iterations is None else ProposalRecipe.short(iterations)
-                network, scores = train_proposals(plan, seed, folder, device=device, report=bar)
-                save_proposals(network, files[""])
-                tables = [proposal_table(scores)]
-            else:
-                rows, chains, errors = train_paper(
-                    paper_recipe(recipe, iterations), seed, device=device, report=bar
-                )
-                for name, chain in chains.items():
-                    save_chain(chain, files[name])
-                print(f"{rows.rollouts:,} roll-outs, {len(rows.places):,} rows\n")
-                tables = [
-                    error_table(name, {t: e | printed_errors(name, t) for t, e in of.items()})
-                    for name, of in errors.items()
-                ]
+            rows, chains, errors = train_paper(
+                paper_recipe(recipe, iterations), seed, device=device, report=bar
+            )
     except KeyboardInterrupt:
-        print("\ninterrupted; the same command resumes the searches of proposals", file=sys.stderr)
+        print("\ninterrupted: nothing was written", file=sys.stderr)
         return INTERRUPTED
-    shutil.rmtree(folder, ignore_errors=True)
+    for name, chain in chains.items():
+        save_chain(chain, files[name])
+    print(f"{rows.rollouts:,} roll-outs, {len(rows.places):,} rows\n")
+    tables = [
+        error_table(name, {t: e | printed_errors(name, t) for t, e in of.items()})
+        for name, of in errors.items()
+    ]
     print(*tables, f"seed {seed}, {device}, {time.perf_counter() - begin:.0f} s", sep="\n\n")
     for file in files.values():
         print(f"written: {file}")

@@ -26,7 +26,7 @@ PAPER = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
         (BOX, ["task.goal_moves=[[2, 1.5, 0, 0.3]]"], ["task.goal_moves[0]: "]),
         (BOX, ["perception=!RecordedClouds {folder: /a}"], ["perception.folder", "/a"]),
         (BOX, ["task.demonstration=/no.npz"], ["task.demonstration", "/no.npz"]),
-        (BOX, ["regulation.proposals=/no.npz"], ["regulation.proposals: "]),
+        (BOX, ["regulation.chain=/no.npz"], ["regulation.chain: "]),
         (BOX, GIVEN, ["!Verified needs obstacles that are seen"]),
         (BOX, ["faults=[!Push {body: tail}]"], ["faults[0].body: ", "no link 'tail'"]),
         (BOX, ["robot.tool_links=[panda_thumb]"], ["robot.tool_links", "panda_thumb"]),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
 
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import (
@@ -31,7 +32,6 @@ from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import ProposalNetwork
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import tool_poses
@@ -56,7 +56,6 @@ class Bench:
     def __init__(
         self,
         arm: ArmAlone,
-        proposer: ProposalNetwork,
         *solids: Solid,
         rings: Mapping[str, Ring] | None = None,
         weights: ChainWeights | None = None,
@@ -80,10 +79,11 @@ class Bench:
         self.system = MotionVerifier(
             self.search, tuple(arm.chain.q_index.tolist()), 2 * m, period=0.1
         )
-        self.layers = (
-            RegressorChain(weights, CLEARANCE, proposals=proposer, dmp=self.dmp),
-            CostRingSelector(CLEARANCE, extra_rings=rings),
-        )
+        self.layers: dict[str, LeafSystem] = {
+            "decision": CostRingSelector(CLEARANCE, extra_rings=rings)
+        }
+        if weights is not None:
+            self.layers["coupling_parameters"] = RegressorChain(weights, CLEARANCE)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         for name, value in (
@@ -108,9 +108,9 @@ class Bench:
 
     def propose(self) -> None:
         """Evaluates the layers before: their outputs are the system's inputs."""
-        for system, output in zip(self.layers, ("coupling_parameters", "decision"), strict=True):
+        for output, system in self.layers.items():
             context = system.CreateDefaultContext()
-            for name in ("policy_state", "ellipsoids_W", "coupling_parameters", "goal"):
+            for name in ("policy_state", "ellipsoids_W", "goal"):
                 port = self.system.GetInputPort(name)
                 if system.HasInputPort(name) and port.HasValue(self.context):
                     value = GOAL if name == "goal" else Value(port.Eval(self.context))
@@ -151,9 +151,9 @@ Make = Callable[..., Bench]
 
 
 @pytest.fixture
-def make(panda_arm: ArmAlone, proposer: ProposalNetwork) -> Make:
+def make(panda_arm: ArmAlone) -> Make:
     """Makes a `Bench` of the Panda among solids."""
-    return partial(Bench, panda_arm, proposer)
+    return partial(Bench, panda_arm)
 
 
 def test_an_empty_world_leaves_the_motion_as_it_is(make: Make) -> None:
@@ -186,7 +186,7 @@ def test_user_supplied_rings_count_in_the_choice_of_a_side(make: Make) -> None:
         bench.fix(ellipsoids_W=SEEN)
         assert bench.chosen().note == ""
         assert bench.number("shortfall") == 0.0
-        assert bench.output("candidates")[search.SIDES] > 0
+        assert bench.output("candidates")[search.SEARCH] > 0
         sides = bench.output("sides")
         taken.append(sides.direction_W[0, 2])
         # The shown side is that of the motion.

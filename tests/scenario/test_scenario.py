@@ -136,19 +136,19 @@ def test_an_override_that_is_none_is_named(override: str, said: str) -> None:
     assert said in str(error.value)
 
 
-FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.proposals=f"]
+FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.chain=f"]
 
 
 def files(scenario: Scenario) -> set[str]:
     assert isinstance(scenario.perception, RecordedClouds)
-    return {scenario.perception.folder, *scenario.task.demonstration, scenario.regulation.proposals}
+    return {scenario.perception.folder, *scenario.task.demonstration, scenario.regulation.chain}
 
 
 def test_files_in_a_scenario_are_relative_to_it(tmp_path: Path) -> None:
     path = tmp_path / "mine.scenario.yaml"
     path.write_text(
         "{perception: !RecordedClouds {folder: f}, task: {demonstration: f}, "
-        "regulation: !Verified {proposals: f}}"
+        "regulation: !Verified {chain: f}}"
     )
     assert files(load_scenario(str(path))) == {str(tmp_path / "f")}
 

@@ -1,14 +1,10 @@
 """`drake-oa train`: written files, printed errors, and wrong arguments."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
 from drake_oa.app.main import main
-from drake_oa.regulation.proposals import load_proposals
 from drake_oa.regulation.regressor import load_chain
-from drake_oa.scenario.loading import load_scenario
 from drake_oa.training import paper
 from drake_oa.training.lattice import PaperLattice
 
@@ -28,13 +24,6 @@ def test_a_recipe_of_the_paper_writes_its_chains(recipe, tmp_path, capsys, monke
     for file, inputs in FILES[recipe].items():
         assert load_chain(tmp_path / f"{file}.safetensors").lower.size == inputs
     assert "RC(lambda', Delta)" in capsys.readouterr().out
-
-
-def test_without_a_recipe_the_network_of_the_default_scenario_is_trained(tmp_path):
-    assert main(["train", "--iterations", "30", "--out", str(tmp_path)]) == 0
-    (written,) = tmp_path.iterdir()
-    assert written.name == Path(load_scenario("tabletop_box").regulation.proposals).name
-    assert load_proposals(written).metadata["recipe"] == "proposals"
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,6 @@ DIFFERENTIAL_IK = "differential_ik"
 DEFAULT_METHODS = ("preplanned", "paper", "verified", DIFFERENTIAL_IK)
 WITHOUT: dict[str, dict[str, Any]] = {
     "without_chain": {"chain": None},
-    "without_sides": {"proposals": None},
     "without_search": {"rounds": 0},
     "without_joint_path": {"configurations": 0, "last_configurations": 0},
 }

@@ -6,7 +6,7 @@ in the frame of the motion, start at the origin, goal at (baseline, 0, 0)), and 
 velocities, which `judge` looks at to convergence between the samples, and figures over all of
 them (`evaluation`).
 
-    methods        by name: `verified`, the project's, the regressor's proposals and more, checked
+    methods        by name: `verified`, the project's, the regressor chain's and more, checked
                    by roll-outs; `movement_primitives`, the package of that name; and
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
                    Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7)

@@ -1,6 +1,6 @@
 """The methods that can be compared, by name: functions of scenes and a setting.
 
-`verified` is the project's own: a network's proposals, verified by roll-outs.
+`verified` is the project's own: a search among roll-outs.
 
 `movement_primitives`: the package of that name, with its own obstacle term. Its `DMP` (10 weights a
 dimension, steps of 0.01 s, its compiled Runge-Kutta: all its defaults) imitates the straight
@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.planning.search import Ranked
@@ -29,7 +28,6 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene, ToolRollouts
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
 from drake_oa.studies.scenes.paper_method import run as run_paper
 from drake_oa.studies.scenes.paper_method import run_original
 from drake_oa.studies.scenes.scenes import (
@@ -43,7 +41,6 @@ from drake_oa.studies.scenes.scenes import (
 
 Method = Callable[[Scenes, Setting], Motions]
 
-WEIGHTS = "package://drake_oa/weights/proposals.safetensors"
 SAMPLES = 500
 """Intervals in which the motions are handed over."""
 LEAST_CLEARANCE = 0.01
@@ -64,13 +61,13 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
     Returns:
         The motions, from rest until they have arrived.
     """
-    network = _warmed_up()
+    _warm_up()
     begun = time.perf_counter()
     clearance = scenes.clearance if setting.constrained else LEAST_CLEARANCE
     duration = np.empty(len(scenes))
     path, velocity = np.empty((2, len(scenes), SAMPLES + 1, 3))
     for row, scene in enumerate(posed_scenes(scenes, clearance)):
-        search, found = _searched(scene, network)
+        search, found = _searched(scene)
         length = float(found.length[0]) / scene.baseline
         tau = max(1.0, length) if setting.scale_time else 1.0
         tool = search.tool_paths(found.genes[:1])
@@ -80,10 +77,10 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
     return Motions(path, velocity, duration, seconds=time.perf_counter() - begun)
 
 
-def _searched(scene: Scene, network: ProposalNetwork) -> tuple[PointSearch, Ranked]:
+def _searched(scene: Scene) -> tuple[PointSearch, Ranked]:
     """Returns the search in a scene, and its result."""
     search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
-    return search, search.run(network.ranked(scene, DURATION))
+    return search, search.run()
 
 
 def _resampled(tool: ToolRollouts) -> tuple[FloatArray, FloatArray]:
@@ -96,12 +93,10 @@ def _resampled(tool: ToolRollouts) -> tuple[FloatArray, FloatArray]:
 
 
 @cache
-def _warmed_up() -> ProposalNetwork:
-    """Loads the network and the kernels, so that it does not count as computing time."""
-    network = load_proposals(package_file(WEIGHTS))
+def _warm_up() -> None:
+    """Loads the kernels, so that it does not count as computing time."""
     scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
-    _searched(posed_scenes(scenes, 0.05)[0], network)
-    return network
+    _searched(posed_scenes(scenes, 0.05)[0])
 
 
 STEP = 0.01
