@@ -52,6 +52,25 @@ def avoidance_terms(scene: Scene, genes: FloatArray) -> FloatArray:
     return terms
 
 
+def genes_of(scene: Scene, terms: FloatArray) -> FloatArray:
+    """Returns the candidates (N, 7) of coupling terms (N, 13): the inverse of `avoidance_terms`.
+
+    Args:
+        scene: the scene.
+        terms: (N, 13) terms; the part of a point that is not in the plane of its normal and the
+            baseline is lost.
+    """
+    x, y, z = scene.R_WL.T
+    normal, along = terms[:, NORMAL : NORMAL + 3], (terms[:, :3] - scene.p_WG) / scene.baseline
+    genes = np.zeros((len(terms), N_GENES))
+    genes[:, ANGLE] = np.arctan2(-normal @ y, normal @ z)
+    omega = np.cos(genes[:, ANGLE, None]) * y + np.sin(genes[:, ANGLE, None]) * z
+    genes[:, PLACE], genes[:, ASIDE] = 1.0 + along @ x, (along * omega).sum(axis=1)
+    strength = terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1] * [1.0, 1.0, scene.baseline**2]
+    genes[:, [ALPHA, PSI, KAPPA]] = np.log(np.maximum(strength, 1e-300))
+    return genes
+
+
 def terms_of(rows: CouplingParameters) -> FloatArray:
     """Returns coupling terms (M, 13) of rows with centers and normals, see `turn_step`."""
     terms = np.zeros((len(rows), N_COLUMNS))

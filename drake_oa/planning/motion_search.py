@@ -1,13 +1,13 @@
 """Selection of the whole arm's motion, from one observation to the next.
 
 Candidates, in this order: the nominal motion; the rows of the paper's chain together, with heading
-guidance; the local search (`drake_oa.planning.search`); and once the motion rests and none is
-feasible, a path in the joints (`drake_oa.planning.joint_planner`) that the primitives imitate
-(`drake_oa.planning.imitation`) and that is rolled out like any other. The shortest one that
-achieves the requested clearance is selected; one in use stays while it does. Where none does, the
-one with the least shortfall is executed and the shortfall reported, but no motion touches
-anything: an arm in contact may only leave it, and one whose goal is in contact holds, and reports
-the nearest free goal.
+guidance; the local search (`drake_oa.planning.search`), which each of these rows alone seeds; and
+once the motion rests and none is feasible, a path in the joints (`drake_oa.planning.joint_planner`)
+that the primitives imitate (`drake_oa.planning.imitation`) and that is rolled out like any other.
+The shortest one that achieves the requested clearance is selected; one in use stays while it does.
+Where none does, the one with the least shortfall is executed and the shortfall reported, but no
+motion touches anything: an arm in contact may only leave it, and one whose goal is in contact
+holds, and reports the nearest free goal.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.planning.arm_world import SELF, ArmWorld, Asked, group_distances, self_distance
-from drake_oa.planning.candidates import ANGLE, avoidance_terms, rows_of, terms_of
+from drake_oa.planning.candidates import ALPHA as LN_ALPHA
+from drake_oa.planning.candidates import ANGLE, avoidance_terms, genes_of, rows_of, terms_of
 from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import (
@@ -347,7 +348,11 @@ class MotionSearch:
         )
         scene = search.scene
         chain = _guided_command(coupling, route, scene)
-        found = search.run(guided=_guided(chain), source=max(command.source, NOMINAL))
+        found = search.run(
+            guided=_guided(chain),
+            seeds=NO_ELITES if chain is None else _side_terms(scene, chain),
+            source=max(command.source, NOMINAL),
+        )
         source = int(found.source[0])
         if source == CHAIN:
             assert chain is not None
@@ -556,6 +561,20 @@ def _guided_command(
         return None
     rows = replace(coupling, center_W=seen.p_WO, normal_W=np.zeros((len(seen), 3)))
     return MotionCommand(CHAIN, terms_of(rows), seen, route, tau=1.0)
+
+
+_WEAKER = np.array([-3.0, -2.0, -1.0, 0.0])
+"""Differences in ln alpha between seeds of the search and a row of the chain."""
+
+
+def _side_terms(scene: Scene, chain: MotionCommand) -> FloatArray:
+    """Returns seeds (n, 7) of the search: each row of the chain alone, on the route's side."""
+    acts = chain.terms[:, ALPHA] > 0.0
+    terms = chain.terms[acts]
+    terms[:, NORMAL : NORMAL + 3] = chain.route.normal_W[acts]
+    seeds = np.repeat(genes_of(scene, terms), len(_WEAKER), axis=0)
+    seeds[:, LN_ALPHA] += np.tile(_WEAKER, len(terms))
+    return seeds
 
 
 def _guided(command: MotionCommand | None) -> Obstacles | None:

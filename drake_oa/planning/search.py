@@ -1,7 +1,7 @@
 """The local search for a motion that achieves the requested clearance: an evolution strategy.
 
-Candidates are the nominal motion, the motion in use, the rows of the regressor chain together, a
-moderate term on each side of the baseline, and variations of the best so far.
+Candidates are the nominal motion, the motion in use, the rows of the regressor chain together,
+seeds, a moderate term on each side of the baseline, and variations of the best so far.
 Each is rolled out by the integrator's kernel (`drake_oa.policy.rollout`) and followed among the
 obstacles: by the whole arm (`ArmSearch`, `roll_out_arm`) or by a point
 (`drake_oa.planning.point_search`). The random numbers of a round are the same for every scene and
@@ -183,12 +183,19 @@ class Search(ABC):
             worst: cost beyond which a candidate is not among the best.
         """
 
-    def run(self, *, guided: Obstacles | None = None, source: int = SEARCH) -> Ranked:
+    def run(
+        self,
+        *,
+        guided: Obstacles | None = None,
+        seeds: FloatArray = NO_ELITES,
+        source: int = SEARCH,
+    ) -> Ranked:
         """Searches.
 
         Args:
             guided: candidate by the rows of the paper's chain: the obstacles with their terms, past
                 which guidance leads.
+            seeds: (n, 7) first candidates; a moderate term on every side follows them.
             source: of the motion in use.
 
         Returns:
@@ -204,7 +211,7 @@ class Search(ABC):
             chain = self.evaluate(nominal_genes(), CHAIN, float(best.cost[0]), guided)
             best = best.joined(chain)
         worst = float(best.cost[0]) if best.solved else math.inf
-        ranked = self.evaluate(self.first(), SEARCH, worst).joined(count=ELITES)
+        ranked = self.evaluate(self.first(seeds), SEARCH, worst).joined(count=ELITES)
         best, since = best.joined(ranked), 0
         for _ in range(self.parameters.rounds):
             since += best.solved
@@ -271,11 +278,12 @@ class Search(ABC):
         small = _LATE * late + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
-    def first(self) -> FloatArray:
+    def first(self, seeds: FloatArray) -> FloatArray:
         """Returns the first candidates (n, 7).
 
-        Those are the best of the earlier search, if there was one. Otherwise a moderate term on
-        every side; in place of the last of them the motion in use, also with larger strengths.
+        Those are the best of the earlier search, if there was one. Otherwise the seeds and a
+        moderate term on every side; in place of the last of them the motion in use, also with
+        larger strengths.
         """
         if len(self.elites):
             return self.bounded(self.elites)
@@ -283,7 +291,8 @@ class Search(ABC):
         if len(self.previous):
             stronger = strengths(self.previous[0], False, SPACING, count // 8)
             others = np.vstack([self.previous, stronger])
-        return self.bounded(np.concatenate([_EVEN[: count - len(others)], others]))
+        seeds = np.concatenate([seeds, _EVEN])[: count - len(others)]
+        return self.bounded(np.concatenate([seeds, others]))
 
     def children(self, ranked: Ranked) -> FloatArray:
         """Returns the candidates of a round, (n, 7)."""
