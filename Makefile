@@ -22,15 +22,15 @@ demo: $(STAMP)
 	@echo "next: . $(VENV)/bin/activate && drake-oa play"
 
 test: $(DEV)
-	$(VENV)/bin/python -m pytest -n $(JOBS)
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 
 # Longer experiments: whole runs from depth, the gallery's figures, real scans.
 slow: $(DEV)
-	$(VENV)/bin/python -m pytest -n $(JOBS) -m slow
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal -m slow
 
 # The avoiding motion against stored results; an interrupted check continues where it was.
 regression: $(DEV)
-	$(VENV)/bin/python -m pytest -n $(JOBS) -m "" tests/diagrams/test_golden.py tests/regression
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal -m "" tests/diagrams/test_golden.py tests/regression
 	$(VENV)/bin/python -m tests.regression scenarios --jobs $(JOBS)
 
 # The same for random scenes, MotionBenchMaker problems, and the paper's tables.
