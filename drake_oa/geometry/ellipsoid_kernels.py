@@ -18,8 +18,8 @@ _THIN = 1e-9
 
 
 @leaf
-def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> tuple[float, float, float, float]:
-    """Signed distance to an ellipsoid and its gradient.
+def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> float:
+    """Signed distance to an ellipsoid.
 
     The nearest point is e_i^2 y_i / (s + e_i^2), s the largest root of the secular equation
     sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013): Newton's method on the inverse square
@@ -40,20 +40,15 @@ def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> tuple[float, fl
         if not step > 1e-15 * (abs(s) + a2):
             break
     p, q, r = e[0] * u / (s + a2), e[1] * v / (s + b2), e[2] * w / (s + c2)
-    gx = math.copysign(p / a2, x)
-    gy = math.copysign(q / b2, y)
-    gz = math.copysign(r / c2, z)
-    size = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
     p, q, r = p - abs(x), q - abs(y), r - abs(z)
-    d = math.copysign(math.sqrt(p * p + q * q + r * r), s)
-    return d, gx * size, gy * size, gz * size
+    return math.copysign(math.sqrt(p * p + q * q + r * r), s)
 
 
 @compiled
 def signed_distances(y: FloatArray, e: FloatArray, distance: FloatArray) -> None:
     """Writes the signed distances (N,) of points y to ellipsoids of semi-axes e, both (N, 3)."""
     for n in range(len(distance)):
-        distance[n] = to_ellipsoid(y[n, 0], y[n, 1], y[n, 2], (e[n, 0], e[n, 1], e[n, 2]))[0]
+        distance[n] = to_ellipsoid(y[n, 0], y[n, 1], y[n, 2], (e[n, 0], e[n, 1], e[n, 2]))
 
 
 @compiled

@@ -36,8 +36,6 @@ PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
 SURROUNDINGS = -1
 """Name of what belongs to the cell itself: a table, a stand. It is no obstacle to keep far from."""
 
-_TINY = 1e-12
-"""A point this near to a solid's inner box or hull has no direction away from it [m]."""
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 CORNERS = lattice(*[(-1.0, 1.0)] * 3)
 """(8, 3) corners of a cube."""
@@ -165,16 +163,12 @@ def half_space() -> Solid:
 
 
 def hull(vertices: FloatArray) -> Solid:
-    """The convex hull of points (N, 3) in its frame [m]; flat ones get a thickness of 1e-9 m.
-
-    Raises:
-        ValueError: for points that lie on a line.
-    """
+    """The convex hull of points (N, 3) in its frame [m], flat ones included."""
     points = np.asarray(vertices, dtype=float)
     try:
         found = ConvexHull(points)
     except QhullError:
-        found = ConvexHull(points := _thickened(points))
+        found = ConvexHull(points, qhull_options="QJ")
     # Coplanar triangles are one face.
     keys = np.round(found.equations, 9) + 0.0
     planes, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
@@ -186,14 +180,6 @@ def hull(vertices: FloatArray) -> Solid:
         corners=tuple(corners[which.ravel() == face] for face in range(len(planes))),
         planes=found.equations[planes] * [1.0, 1.0, 1.0, -1.0],
     )
-
-
-def _thickened(points: FloatArray) -> FloatArray:
-    """Points (2 N, 3) on both sides of a plane's points (N, 3)."""
-    _, extents, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    if not extents[1] > 1e-6:
-        raise ValueError("the vertices of the hull lie on a line")
-    return np.concatenate([points + 1e-9 * axes[2], points - 1e-9 * axes[2]])
 
 
 def cloud_solid(grid: DistanceField, **more: Any) -> Solid:
@@ -537,14 +523,6 @@ def solid_distance(solids: Solids, k: int, x: float, y: float, z: float, t: floa
 
     Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`).
     """
-    return solid_gradient(solids, k, x, y, z, t)[0]
-
-
-@leaf
-def solid_gradient(
-    solids: Solids, k: int, x: float, y: float, z: float, t: float
-) -> tuple[float, float, float, float]:
-    """As `solid_distance`, and the gradient of it in the world, of unit length but in a field."""
     ball, X = solids.ball, solids.X_WO
     since = t - ball[k, 7]
     x -= X[k, 0, 3] + since * ball[k, 4]
@@ -559,21 +537,14 @@ def solid_gradient(
     span = (layout[k, 1], layout[k, 2], layout[k, 3], layout[k, 4])
     kind = layout[k, 0]
     if kind == PRIMITIVE:
-        d, a, b, c = _to_primitive(a, b, c, size)
-    elif kind == FIELD:
-        d, a, b, c = _interpolated(a, b, c, size, span, solids.voxels)
-    elif kind == HALF_SPACE:
-        d, a, b, c = c, 0.0, 0.0, 1.0
-    elif kind == ELLIPSOID:
-        d, a, b, c = to_ellipsoid(a, b, c, size)
-    else:
-        d, a, b, c = _to_hull(solids.faces, solids.triangles, span, a, b, c)
-    return (
-        d,
-        X[k, 0, 0] * a + X[k, 0, 1] * b + X[k, 0, 2] * c,
-        X[k, 1, 0] * a + X[k, 1, 1] * b + X[k, 1, 2] * c,
-        X[k, 2, 0] * a + X[k, 2, 1] * b + X[k, 2, 2] * c,
-    )
+        return _to_primitive(a, b, c, size)
+    if kind == FIELD:
+        return _interpolated(a, b, c, size, span, solids.voxels)
+    if kind == HALF_SPACE:
+        return c
+    if kind == ELLIPSOID:
+        return to_ellipsoid(a, b, c, size)
+    return _to_hull(solids.faces, solids.triangles, span, a, b, c)
 
 
 @leaf
@@ -621,50 +592,31 @@ def least_distances(
 
 
 @leaf
-def _to_primitive(
-    x: float, y: float, z: float, size: FloatArray
-) -> tuple[float, float, float, float]:
-    """Signed distance to a rounded box or a cylinder and its gradient; size as in `Solids`."""
-    if size[4] != 0.0:
-        rho = math.sqrt(x * x + y * y)
-        ux, uy = (x / rho, y / rho) if rho > _TINY else (1.0, 0.0)
-        a, c = rho - size[0], abs(z) - size[2]
-        if a <= _TINY and c <= _TINY:
-            return (a, ux, uy, 0.0) if a > c else (c, 0.0, 0.0, math.copysign(1.0, z))
-        a, c = max(a, 0.0), max(c, 0.0)
-        d = math.sqrt(a * a + c * c)
-        scale = 1.0 / d
-        return d, ux * a * scale, uy * a * scale, math.copysign(c, z) * scale
+def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
+    """Signed distance to a rounded box or a cylinder; size as in `Solids`."""
     a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
-    if a <= _TINY and b <= _TINY and c <= _TINY:
-        most = max(a, b, c)
-        if a == most:
-            return a - size[3], math.copysign(1.0, x), 0.0, 0.0
-        if b == most:
-            return b - size[3], 0.0, math.copysign(1.0, y), 0.0
-        return c - size[3], 0.0, 0.0, math.copysign(1.0, z)
-    a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
-    d = math.sqrt(a * a + b * b + c * c)
-    a, b, c = math.copysign(a, x), math.copysign(b, y), math.copysign(c, z)
-    scale = 1.0 / d
-    return d - size[3], a * scale, b * scale, c * scale
+    if size[4] != 0.0:
+        a = math.sqrt(x * x + y * y) - size[0]
+        b = min(a, 0.0)
+    most = max(a, b, c)
+    if most > 0.0:
+        a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+        most = math.sqrt(a * a + b * b + c * c)
+    return most - size[3]
 
 
 @leaf
 def _to_hull(
     faces: FloatArray, c: FloatArray, span: IntArray, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Signed distance to the hull of the faces `span` of triangles c (T, 9), and its gradient."""
+) -> float:
+    """Signed distance to the hull of the faces `span` of triangles c (T, 9)."""
     first, last = span[0], span[1]
-    most, at = -np.inf, first
+    most, best = -np.inf, np.inf
     for f in range(first, last):
-        above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
-        if above > most:
-            most, at = above, f
-    if most <= _TINY:
-        return most, faces[at, 0], faces[at, 1], faces[at, 2]
+        most = max(most, faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3])
+    if most <= 0.0:
+        return most
     # Outside: the nearest of the triangles that the point is above.
-    best, gx, gy, gz = np.inf, 0.0, 0.0, 0.0
     for f in range(first, last):
         above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
         if above <= 0.0 or above * above >= best:
@@ -697,11 +649,8 @@ def _to_hull(
             bx = ax - s * ux - t * vx
             by = ay - s * uy - t * vy
             bz = az - s * uz - t * vz
-            square = bx * bx + by * by + bz * bz
-            if square < best:
-                best, gx, gy, gz = square, bx, by, bz
-    nearest = math.sqrt(best)
-    return nearest, gx / nearest, gy / nearest, gz / nearest
+            best = min(best, bx * bx + by * by + bz * bz)
+    return math.sqrt(best)
 
 
 @leaf
@@ -712,8 +661,8 @@ def _interpolated(
     size: FloatArray,
     span: IntArray,
     voxels: NDArray[np.float32],
-) -> tuple[float, float, float, float]:
-    """Distance at a point of the frame O and its gradient there; outside the grid a lower bound.
+) -> float:
+    """Distance at a point of the frame O; outside the grid a lower bound.
 
     For a point q outside and the nearest point c of the grid's box, which is convex and holds
     the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
@@ -742,24 +691,13 @@ def _interpolated(
     w0, w1 = w00 + fc * (w01 - w00), w10 + fc * (w11 - w10)
     low, high = v0 + fb * (v1 - v0), w0 + fb * (w1 - w0)
     d = low + fa * (high - low)
-    gx = (high - low) * scale
-    gy = ((v1 - v0) + fa * ((w1 - w0) - (v1 - v0))) * scale
-    gz = (1.0 - fa) * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
-    gz = (gz + fa * ((w01 - w00) + fb * ((w11 - w10) - (w01 - w00)))) * scale
     if u == a and v == b and w == c:
-        return d, gx, gy, gz
+        return d
     # Beyond the grid: along an axis that was cut the rest counts, along the others the field.
     away = max(d, 0.0)
     ex, ey, ez = (u - a) * size[0], (v - b) * size[0], (w - c) * size[0]
     far = math.sqrt(away * away + ex * ex + ey * ey + ez * ez)
     # The distance to the box of what is occupied is a lower bound too.
-    px, py, pz = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5]), 0.0
+    px, py = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5])
     pz = z - min(max(z, size[3]), size[6])
-    box = math.sqrt(px * px + py * py + pz * pz)
-    shorter = box - OFFSET * size[0]
-    if shorter > far:
-        return shorter, px / box, py / box, pz / box
-    gx = ex / far if u != a else away * gx / far
-    gy = ey / far if v != b else away * gy / far
-    gz = ez / far if w != c else away * gz / far
-    return far, gx, gy, gz
+    return max(far, math.sqrt(px * px + py * py + pz * pz) - OFFSET * size[0])
