@@ -1,4 +1,4 @@
-"""Directions in space, and velocities that change no faster than they may."""
+"""Directions in space, and lattices of points."""
 
 from __future__ import annotations
 
@@ -11,6 +11,15 @@ from drake_oa.common.messages import FloatArray
 def lattice(*axes: ArrayLike) -> FloatArray:
     """Makes the points (N, 3) of a lattice from its coordinates along each axis."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def sphere_points(count: int) -> FloatArray:
+    """Returns Fibonacci points (count + 6, 3) on the unit sphere, the ends of its axes first."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    radius, angle = np.sqrt(1.0 - z * z), np.pi * (3.0 - np.sqrt(5.0)) * k
+    spiral = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    return np.concatenate([np.eye(3), -np.eye(3), spiral])
 
 
 def _directions() -> FloatArray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane
 
@@ -34,7 +34,7 @@ A point is at most sqrt(3) / 2 from its node, and interpolation adds at most 0.2
 from a node (found by search: near the middle of a voxel that has the node as a corner).
 """
 _THIN = 1e-4
-"""Half the thickness of the visible part of a plane, seen from above [m]."""
+"""Half the breadth of each point in the outline from above [m]."""
 _TOO_NEAR = 0.05
 """Distance of a viewpoint below which it contains no information about depth [m]."""
 _PIXEL = 1.0
@@ -55,7 +55,6 @@ class DistanceField(Frozen):
         voxel: edge of a voxel [m].
         values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
         low, high: (3,) box, in O, of the occupied nodes [m].
-        note: empty, or that the voxels are coarser than requested.
     """
 
     p_WO: FloatArray
@@ -63,7 +62,6 @@ class DistanceField(Frozen):
     values: NDArray[np.float32]
     low: FloatArray
     high: FloatArray
-    note: str
 
 
 def field_of(
@@ -121,19 +119,12 @@ def field_of(
     inside = ndimage.distance_transform_edt(occupied[around])
     outside[around] -= np.maximum(inside - 1.0, 0.0)
     low, high = (np.array([getattr(side, end) for side in within]) for end in ("start", "stop"))
-    note = ""
-    if coarser > 0.0:
-        note = (
-            f"voxels of {voxel:.3g} m in place of {VOXEL:.3g} m: the cloud is large, and taken to "
-            "be as much thicker"
-        )
     return DistanceField(
         p_WO,
         voxel,
         (voxel * (outside - OFFSET) - coarser).astype(np.float32),
         low * voxel - coarser,
         (high - 1) * voxel + coarser,
-        note,
     )
 
 
@@ -236,12 +227,9 @@ def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
     points = np.column_stack([along, across])
     middle = [along.min() + 0.5 * depth, 0.5 * (across.min() + across.max())]
     points = np.concatenate([points, 2.0 * np.array(middle) - points])
-    try:
-        sides = ConvexHull(points).equations
-    except QhullError:
-        # A plane seen from above.
-        corners = _THIN * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
-        sides = ConvexHull((points[:, None] + corners).reshape(-1, 2)).equations
+    # The visible part may be a line, or one point.
+    corners = _THIN * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+    sides = ConvexHull((points[:, None] + corners).reshape(-1, 2)).equations
     return np.asarray(sides * [1.0, 1.0, -1.0])
 
 

@@ -15,17 +15,16 @@ for N points against M ellipsoids pass the points as (N, 1, 3).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry import ellipsoid_kernels as kernels
+from drake_oa.geometry.directions import sphere_points
 
 LEAST_SEMI_AXIS = 1e-3
 """Least semi-axis of a fit [m]. A cloud thinner than a hundredth of it in some principal direction
@@ -33,6 +32,8 @@ is enclosed in the others alone."""
 _TOLERANCE = 1e-2
 """Relative optimality of the enclosing ellipsoid's dual; the squared gauge of the fit exceeds 1 by
 at most about this before the scaling."""
+_DIRECTIONS = sphere_points(156)
+"""(162, 3) unit vectors in which support points are sought."""
 _MAX_STEPS = 100_000
 _MAX_ROUNDS = 20
 
@@ -68,27 +69,6 @@ class Section(NamedTuple):
     axes: FloatArray
 
 
-@cache
-def unit_directions() -> FloatArray:
-    """Unit vectors (162, 3) spread over the sphere: a subdivided icosahedron.
-
-    The second half are the first half's opposites.
-    """
-    golden = 0.5 * (1.0 + np.sqrt(5.0))
-    block = np.array([[0.0, s, t * golden] for s in (1.0, -1.0) for t in (1.0, -1.0)])
-    points = np.concatenate([np.roll(block, shift, axis=1) for shift in range(3)])
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    for _ in range(2):
-        faces = ConvexHull(points).simplices
-        edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
-        middle = points[edges].sum(axis=1)
-        points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
-    half = points[np.lexsort(points.T)[len(points) // 2 :]]
-    points = np.concatenate([half, -half])
-    points.flags.writeable = False
-    return points
-
-
 def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
     """Points on the C-obstacle O + (-E) of a point cloud O and a convex tool E.
 
@@ -103,19 +83,15 @@ def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
             (the TCP), in W orientation [m]; [[0, 0, 0]] for a point.
 
     Returns:
-        (S, 3) distinct support points in W [m], S at most the number of `unit_directions`.
+        (S, 3) distinct support points in W [m], in at most as many directions as `_DIRECTIONS`.
 
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
     """
     points, tool = checked_points(points, "points"), checked_points(tool, "tool")
-    directions = unit_directions()
-    half = directions[: len(directions) // 2]
-    along, corner_along = half @ points.T, half @ tool.T
-    high = along.argmax(axis=1) * len(tool) + corner_along.argmin(axis=1)
-    low = along.argmin(axis=1) * len(tool) + corner_along.argmax(axis=1)
-    pairs = np.unique(np.concatenate([high, low]))
-    return np.asarray(points[pairs // len(tool)] - tool[pairs % len(tool)])
+    rows = (_DIRECTIONS @ points.T).argmax(axis=1), (_DIRECTIONS @ tool.T).argmin(axis=1)
+    point, corner = np.unique(rows, axis=1)
+    return np.asarray(points[point] - tool[corner])
 
 
 def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> Ellipsoid:
@@ -273,22 +249,8 @@ def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def right_handed(axes: FloatArray) -> FloatArray:
-    """A rotation from orthonormal columns of any sign, as an eigensolver leaves them.
-
-    Each column is turned so that its entry of largest magnitude is positive, whatever
-    sign the solver chose; then the last one is turned if the columns are left-handed.
-
-    Args:
-        axes: (3, 3) orthonormal columns.
-
-    Returns:
-        (3, 3) rotation.
-    """
-    peak = axes[np.argmax(np.abs(axes), axis=0), range(3)]
-    R = axes * np.where(peak < 0.0, -1.0, 1.0)
-    if np.linalg.det(R) < 0.0:
-        R[:, 2] = -R[:, 2]
-    return R
+    """Returns the rotation (3, 3) with these orthonormal columns, or their opposites."""
+    return np.asarray(np.sign(np.linalg.det(axes)) * axes)
 
 
 def _farthest(

@@ -25,7 +25,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
-from drake_oa.geometry.directions import lattice
+from drake_oa.geometry.directions import lattice, sphere_points
 from drake_oa.geometry.distance_field import OFFSET, DistanceField
 from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
@@ -36,7 +36,6 @@ PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
 SURROUNDINGS = -1
 """Name of what belongs to the cell itself: a table, a stand. It is no obstacle to keep far from."""
 
-_GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 CORNERS = lattice(*[(-1.0, 1.0)] * 3)
 """(8, 3) corners of a cube."""
 
@@ -79,7 +78,7 @@ class Solids(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Solid(Frozen):
-    """One solid, made by `sphere`, `box`, `capsule` and so on; place it with `replace`.
+    """One solid, made by `solid_of`, `hull` or `cloud_solid`; place it with `replace`.
 
     Attributes:
         kind: `PRIMITIVE` and so on.
@@ -127,39 +126,6 @@ class Solid(Frozen):
             f"{self.label} is not bounded; it must be a sphere, box, capsule, cylinder, ellipsoid, "
             "convex shape or mesh"
         )
-
-
-def sphere(radius: float) -> Solid:
-    """A sphere of a radius [m] about its origin."""
-    return Solid(size=(0.0, 0.0, 0.0, radius, 0.0), radius=radius)
-
-
-def box(size: Sequence[float]) -> Solid:
-    """A box with edges (3,) along its axes [m], about its origin."""
-    half = [0.5 * edge for edge in size]
-    return Solid(size=(*half, 0.0, 0.0), radius=math.hypot(*half))
-
-
-def capsule(radius: float, length: float) -> Solid:
-    """A capsule along z: the cylinder's length and the radius [m]."""
-    size = (0.0, 0.0, 0.5 * length, radius, 0.0)
-    return Solid(size=size, radius=0.5 * length + radius)
-
-
-def cylinder(radius: float, length: float) -> Solid:
-    """A cylinder along z about its origin [m]."""
-    size = (radius, radius, 0.5 * length, 0.0, 1.0)
-    return Solid(size=size, radius=math.hypot(radius, 0.5 * length))
-
-
-def ellipsoid(semi_axes: Sequence[float]) -> Solid:
-    """An ellipsoid with semi-axes (3,) along its axes [m]."""
-    return Solid(ELLIPSOID, size=(*semi_axes, 0.0, 0.0), radius=max(semi_axes))
-
-
-def half_space() -> Solid:
-    """All that is below the plane z = 0 of its frame."""
-    return Solid(HALF_SPACE)
 
 
 def hull(vertices: FloatArray) -> Solid:
@@ -211,7 +177,7 @@ def shape_solids(
     """The solids of a scenario's obstacle at a pose (4, 4); `more` as in `cloud_solid`."""
     X_WG = [np.asarray(X_WO, dtype=float) @ pose(shape).GetAsMatrix4() for shape in shapes]
     return [
-        replace(_of_drake(shape_geometry(shape)), X_WO=X, **more)
+        replace(solid_of(shape_geometry(shape)), X_WO=X, **more)
         for shape, X in zip(shapes, X_WG, strict=True)
     ]
 
@@ -232,7 +198,7 @@ def read_solid(inspector: drake.SceneGraphInspector, geometry: drake.GeometryId)
             drakes = inspector.GetConvexHull(geometry)
             solid = hull(np.array([drakes.vertex(i) for i in range(drakes.num_vertices())]))
         else:
-            solid = _of_drake(shape)
+            solid = solid_of(shape)
     except ValueError as error:
         raise ValueError(f"{label}: {error}") from error
     return replace(solid, X_WO=inspector.GetPoseInFrame(geometry).GetAsMatrix4(), label=label)
@@ -325,20 +291,28 @@ def robot_solids(
     return RobotSolids(plant, model_instance, tuple(bodies), solids_of(solids), context)
 
 
-def _of_drake(shape: drake.Shape) -> Solid:
-    """The solid of a shape that needs no mesh."""
+def solid_of(shape: drake.Shape) -> Solid:
+    """Returns the solid of a shape, of which none is a mesh.
+
+    Raises:
+        ValueError: for a shape that is not known.
+    """
     if isinstance(shape, drake.Sphere):
-        return sphere(shape.radius())
+        return Solid(size=(0.0, 0.0, 0.0, shape.radius(), 0.0), radius=shape.radius())
     if isinstance(shape, drake.Box):
-        return box(shape.size())
+        half = 0.5 * shape.size()
+        return Solid(size=(*half, 0.0, 0.0), radius=math.hypot(*half))
     if isinstance(shape, drake.Capsule):
-        return capsule(shape.radius(), shape.length())
+        half, radius = 0.5 * shape.length(), shape.radius()
+        return Solid(size=(0.0, 0.0, half, radius, 0.0), radius=half + radius)
     if isinstance(shape, drake.Cylinder):
-        return cylinder(shape.radius(), shape.length())
+        half, radius = 0.5 * shape.length(), shape.radius()
+        return Solid(size=(radius, radius, half, 0.0, 1.0), radius=math.hypot(radius, half))
     if isinstance(shape, drake.Ellipsoid):
-        return ellipsoid((shape.a(), shape.b(), shape.c()))
+        size = shape.a(), shape.b(), shape.c()
+        return Solid(ELLIPSOID, size=(*size, 0.0, 0.0), radius=max(size))
     if isinstance(shape, drake.HalfSpace):
-        return half_space()
+        return Solid(HALF_SPACE)
     raise ValueError(
         f"a {type(shape).__name__} is no solid; it must be a sphere, box, capsule, cylinder, "
         "ellipsoid, half-space, convex shape or mesh"
@@ -417,12 +391,6 @@ class SolidScene(Frozen):
         return replace(self, solids=self.solids.chosen(rows), labels=labels)
 
     @property
-    def is_finite(self) -> bool:
-        """Whether all places and velocities are; the radius of a half-space is not."""
-        solids = self.solids
-        return bool(np.isfinite(solids.X_WO).all() and np.isfinite(solids.ball[:, 4:]).all())
-
-    @property
     def moves(self) -> bool:
         """Whether any of them does."""
         return bool(self.solids.moving.any())
@@ -483,14 +451,14 @@ def surface_points(solid: Solid, count: int = 300) -> FloatArray:
     if solid.kind != HULL:
         half, (*inner, radius, is_cylinder) = solid.half_extents, solid.size
         if solid.kind == ELLIPSOID or not any(inner):
-            return np.asarray(_sphere_points(count) * half)
+            return np.asarray(sphere_points(count) * half)
         corners = CORNERS * half
         if is_cylinder or radius:
             angle = np.arange(24) * (np.pi / 12.0)
             rim = half[0] * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
             corners = np.concatenate([rim - [0.0, 0.0, inner[2]], rim + [0.0, 0.0, inner[2]]])
         if radius:
-            caps = radius * _sphere_points(count // 4)
+            caps = radius * sphere_points(count // 4)
             caps[:, 2] += np.copysign(inner[2], caps[:, 2])
             corners = np.concatenate([corners, caps])
         shell = hull(corners)
@@ -506,15 +474,6 @@ def surface_points(solid: Solid, count: int = 300) -> FloatArray:
     s, t = np.where(fold, 1.0 - s, s)[:, None], np.where(fold, 1.0 - t, t)[:, None]
     within = a[chosen] + s * (b - a)[chosen] + t * (c - a)[chosen]
     return np.concatenate([vertices, within])
-
-
-def _sphere_points(count: int) -> FloatArray:
-    """Fibonacci points on the unit sphere, and the six ends of its axes."""
-    k = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * k / count
-    radius, angle = np.sqrt(1.0 - z * z), _GOLDEN_ANGLE * k
-    spiral = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    return np.concatenate([np.eye(3), -np.eye(3), spiral])
 
 
 @leaf

@@ -345,7 +345,9 @@ class CloudSolids(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
         after = self._looked_at(context, before)
-        _log_change(before, after, context.get_time())
+        if after.scene.note == _NOT_FINITE != before.scene.note:
+            message = "t=%.3f s: %s; the solids seen before are kept"
+            _logger.warning(message, context.get_time(), _NOT_FINITE)
         state.get_mutable_abstract_state(self._seen).set_value(after)
         return EventStatus.Succeeded()
 
@@ -365,12 +367,3 @@ class CloudSolids(LeafSystem):
             obstacles = with_unseen_ends(obstacles, cameras, free)
         viewpoints_W = np.array([X_WC[:3, 3] for X_WC in poses]).reshape(-1, 3)
         return looked_at(before, obstacles, viewpoints_W, views)
-
-
-def _log_change(before: SeenSolids, after: SeenSolids, time: float) -> None:
-    if after.scene.note == _NOT_FINITE != before.scene.note:
-        _logger.warning("t=%.3f s: %s; the solids seen before are kept", time, _NOT_FINITE)
-    told = {seen.solid.name for seen in before.fields if seen.grid.note}
-    for seen in after.fields:
-        if seen.grid.note and seen.solid.name not in told:
-            _logger.warning("t=%.3f s: %s: %s", time, seen.solid.label, seen.grid.note)

@@ -10,10 +10,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pydrake.geometry as drake
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.common.thinking import count
-from drake_oa.geometry.solids import Solids, ellipsoid, least_distances, solids_of
+from drake_oa.geometry.solids import Solids, least_distances, solid_of, solids_of
 from drake_oa.planning.search import BAD, PRICE, Search
 from drake_oa.policy.rollout import Scene, ToolRollouts
 
@@ -27,7 +28,7 @@ def ellipsoid_solids(ellipsoids: EllipsoidSet) -> Solids:
     for row in range(len(ellipsoids)):
         X_WO = np.eye(4)
         X_WO[:3, :3], X_WO[:3, 3] = ellipsoids.R_WO[row], ellipsoids.p_WO[row]
-        solid = ellipsoid(ellipsoids.semi_axes[row])
+        solid = solid_of(drake.Ellipsoid(*ellipsoids.semi_axes[row]))
         rows.append(replace(solid, X_WO=X_WO, v_WO=ellipsoids.v_WO[row]))
     return solids_of(rows)
 

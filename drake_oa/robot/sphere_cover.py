@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+import pydrake.geometry as drake
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.console import announce_first_use
@@ -23,8 +24,8 @@ from drake_oa.geometry.solids import (
     Solids,
     least_distances,
     outline_corners,
+    solid_of,
     solids_of,
-    sphere,
     surface_points,
 )
 
@@ -118,7 +119,8 @@ def _balls_of(centers: FloatArray, radii: FloatArray) -> Solids:
     """Makes the scene of balls with centers (K, 3) and radii (K,) [m]."""
     X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
     X_BO[:, :3, 3] = centers
-    return solids_of([replace(sphere(r), X_WO=X) for r, X in zip(radii, X_BO, strict=True)])
+    balls = [solid_of(drake.Sphere(radius)) for radius in radii]
+    return solids_of([replace(ball, X_WO=X) for ball, X in zip(balls, X_BO, strict=True)])
 
 
 def known_cover(solids: Sequence[Solid], overshoot: float, most: int, announce: str) -> Cover:

@@ -309,8 +309,7 @@ class MotionGuard(LeafSystem):
         return context.get_abstract_state(self._state).get_value()
 
     def _scene(self, context: Context) -> SolidScene:
-        scene = read_value(self, self._solids, context, SolidScene)
-        return scene if scene.is_finite else SolidScene(note="the solids are not finite")
+        return read_value(self, self._solids, context, SolidScene)
 
     def _speed_scale(self, context: Context) -> list[float]:
         state = self._read(context)

@@ -11,9 +11,10 @@ from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+import pydrake.geometry as drake
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.solids import Solids, ellipsoid, solids_of
+from drake_oa.geometry.solids import Solids, solid_of, solids_of
 from drake_oa.planning.point_search import path_distances
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
@@ -66,8 +67,8 @@ def roll_out_lattice(
     """
     kappa, psi, alpha = (axis.ravel() for axis in np.meshgrid(*lattice[2:], indexing="ij"))
     parameters = np.column_stack([alpha, psi, kappa])
-    shape = [len(axis) for axis in lattice]
-    least, error = np.empty((2, *shape[:2], len(alpha)))
+    counts = [len(axis) for axis in lattice]
+    least, error = np.empty((2, *counts[:2], len(alpha)))
     for first in range(0, len(alpha), _BATCH):
         rows = slice(first, first + _BATCH)
         path = np.empty(0)
@@ -79,10 +80,10 @@ def roll_out_lattice(
                 path = running_paths(parameters[rows])
             missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
             for i, lambda1 in enumerate(lattice.lambda1):
-                obstacle = ellipsoid([lambda1, lambda2, max(lambda1, lambda2)])
+                shape = drake.Ellipsoid(lambda1, lambda2, max(lambda1, lambda2))
                 X_WO = np.eye(4)
                 X_WO[:3, 3] = _CENTER
-                solids = solids_of([replace(obstacle, X_WO=X_WO)])
+                solids = solids_of([replace(solid_of(shape), X_WO=X_WO)])
                 distance = _distances(solids, path[:, ::_COARSE])
                 # Most motions are in contact; the others are measured at every step.
                 free = distance > 0.0
@@ -90,7 +91,7 @@ def roll_out_lattice(
                 least[i, j, rows] = np.maximum(distance, 0.0)
                 error[i, j, rows] = np.where(distance <= 0.0, np.inf, missing)
         report("roll out", min((first + _BATCH) / len(alpha), 1.0))
-    return least.reshape(shape), error.reshape(shape)
+    return least.reshape(counts), error.reshape(counts)
 
 
 def _distances(solids: Solids, path: FloatArray) -> FloatArray:

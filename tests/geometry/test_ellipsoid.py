@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from drake_oa.geometry.directions import sphere_points
 from drake_oa.geometry.ellipsoid import (
     Ellipsoid,
     enclosing_ellipsoid,
     plane_section,
     signed_distance,
-    unit_directions,
 )
 
 seed = st.integers(0, 10**6)
@@ -63,7 +63,7 @@ def test_every_point_dilated_by_every_corner_is_enclosed(seed, count, rank, tool
 def test_volume_is_near_the_optimum_of_a_simplex_and_an_ellipsoid():
     rng = np.random.default_rng(1)
     simplex = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
-    ball = unit_directions()
+    ball = sphere_points(156)
     for points, radius in ((simplex, np.sqrt(3.0)), (ball, 1.0)):
         stretch = np.array([0.3, 0.1, 0.05])
         p, R = pose(rng)

@@ -68,7 +68,7 @@ def test_distances_are_drakes(name):
 
 
 def half_space_at(X):
-    return replace(solid.half_space(), X_WO=X)
+    return replace(solid.solid_of(drake.HalfSpace()), X_WO=X)
 
 
 def test_a_hull_is_as_far_as_its_nearest_point():
@@ -92,14 +92,8 @@ def test_a_flat_hull_is_a_plate():
 def scene_of_all(**more):
     """One of each kind in a row along x, moving."""
     cloud = np.concatenate([CUBE, 0.5 * CUBE]) + [3.5, 0.0, 0.0]
-    kinds = [
-        solid.sphere(0.1),
-        solid.box((0.1, 0.2, 0.3)),
-        solid.capsule(0.05, 0.2),
-        solid.cylinder(0.1, 0.1),
-        solid.ellipsoid((0.1, 0.2, 0.1)),
-        solid.hull(ROUND),
-    ]
+    names = ("sphere", "box", "capsule", "cylinder", "ellipsoid")
+    kinds = [*(solid.solid_of(SHAPES[name]) for name in names), solid.hull(ROUND)]
     items = []
     for number, kind in enumerate(kinds):
         X = np.eye(4)
@@ -112,7 +106,7 @@ def scene_of_all(**more):
     )
     ground = np.eye(4)
     ground[2, 3] = -0.3
-    items.append(replace(solid.half_space(), X_WO=ground, name=17))
+    items.append(replace(solid.solid_of(drake.HalfSpace()), X_WO=ground, name=17))
     return items
 
 
@@ -191,7 +185,7 @@ def test_a_robot_may_have_no_shapes_but_no_half_space():
     with pytest.raises(ValueError, match="half-space"):
         solid.robot_solids(grounded.plant, grounded.inspector, grounded.body.model_instance())
     with pytest.raises(ValueError, match="is not bounded"):
-        solid.surface_points(solid.half_space())
+        solid.surface_points(solid.solid_of(drake.HalfSpace()))
 
 
 def test_the_shapes_of_a_scenario_have_their_place():
@@ -205,8 +199,10 @@ def test_the_shapes_of_a_scenario_have_their_place():
 
 
 def test_a_scene_at_rest_has_no_solid_that_moves():
-    still = replace(solid.box([0.1, 0.1, 0.1]), label="box")
-    moving = replace(solid.sphere(0.1), label="ball", v_WO=np.array([0.0, 0.1, 0.0]))
+    still = replace(solid.solid_of(drake.Box(0.1, 0.1, 0.1)), label="box")
+    moving = replace(
+        solid.solid_of(drake.Sphere(0.1)), label="ball", v_WO=np.array([0.0, 0.1, 0.0])
+    )
     scene = solid.SolidScene.of(1.0, [moving, still])
     rest = scene.at_rest()
     assert (rest.labels, rest.stamp, rest.moves) == (("box",), 1.0, False)

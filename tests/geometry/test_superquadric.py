@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.geometry.ellipsoid import unit_directions
+from drake_oa.geometry.directions import sphere_points
 from drake_oa.geometry.superquadric import fit_superquadric
 
 
@@ -15,7 +15,7 @@ from drake_oa.geometry.superquadric import fit_superquadric
 def test_fit_recovers_an_ellipsoid(seed, semi_axes):
     rng = np.random.default_rng(seed)
     center, turn = rng.uniform(-1.0, 1.0, 3), Rotation.random(rng=rng)
-    found, R, axes = fit_superquadric(center + turn.apply(unit_directions() * semi_axes))
+    found, R, axes = fit_superquadric(center + turn.apply(sphere_points(156) * semi_axes))
     np.testing.assert_allclose(np.sort(axes), np.sort(semi_axes), rtol=1e-4)
     np.testing.assert_allclose(found, center, atol=1e-5)
     assert np.linalg.det(R) == pytest.approx(1.0)

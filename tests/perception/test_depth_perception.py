@@ -5,14 +5,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.solids import box as box_solid
-from drake_oa.geometry.solids import solids_of
+from drake_oa.geometry.solids import solid_of, solids_of
 from drake_oa.perception.depth_perception import DepthPerception, as_of
 from tests.builders import depth_image
 from tests.reference.depth_images import box, look_at, ray_cast
@@ -189,7 +189,7 @@ def test_what_moves_is_handed_on_where_it_was_at_an_older_stamp():
 def test_the_robot_is_taken_out_where_it_was_at_each_of_the_images():
     def posed(states):
         poses = [RigidTransform([0.1, y, 0.2]).GetAsMatrix4() for y in np.ravel(states)]
-        return solids_of([replace(box_solid(ARM), X_WO=X_WB) for X_WB in poses])
+        return solids_of([replace(solid_of(drake.Box(*ARM)), X_WO=X_WB) for X_WB in poses])
 
     system, context = pair(together=0.05, robot=SimpleNamespace(num_states=1, posed=posed))
     for name, y, stamp in (("left", -0.3, 0.10), ("right", 0.3, 0.13)):

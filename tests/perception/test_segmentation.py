@@ -1,13 +1,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.solids import box as box_solid
-from drake_oa.geometry.solids import solids_of
+from drake_oa.geometry.solids import solid_of, solids_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
 from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
@@ -74,7 +74,7 @@ def test_nothing_beside_the_table_is_an_obstacle():
 def test_the_robot_is_taken_out(has_table):
     X_WB = np.eye(4)
     X_WB[:3, 3] = [0.8, -0.15, 0.08]
-    robot = solids_of([replace(box_solid([0.1, 0.1, 0.16]), X_WO=X_WB)])
+    robot = solids_of([replace(solid_of(drake.Box(0.1, 0.1, 0.16)), X_WO=X_WB)])
     depth = ray_cast(X_WC, TWO) if has_table else ray_cast(X_WC, TWO, NOWHERE)
     config = SegmentationConfig(table=has_table)
     found = segment_depth(depth, K, X_WC, config, robot)

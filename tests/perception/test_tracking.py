@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.solids import Solids, solids_of
-from drake_oa.geometry.solids import box as box_solid
+from drake_oa.geometry.solids import Solids, solid_of, solids_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import Segmentation, segment_views
 from drake_oa.perception.tracking import ObstacleMemory, fuse
@@ -36,7 +36,7 @@ def arm(center, size) -> tuple[tuple, Solids]:
     """An upright box that is the robot: to be drawn, and its solids."""
     X_WB = np.eye(4)
     X_WB[:3, 3] = center
-    return box(center, size), solids_of([replace(box_solid(size), X_WO=X_WB)])
+    return box(center, size), solids_of([replace(solid_of(drake.Box(*size)), X_WO=X_WB)])
 
 
 HIDES = arm([0.6, 0.05, 0.35], [0.05, 0.16, 0.5])  # stands before BLOCK

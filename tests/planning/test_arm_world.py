@@ -1,12 +1,13 @@
 """What one configuration keeps of the world, against Drake and against all pairs."""
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from drake_oa.geometry.solids import half_space, hull, solid_distance
+from drake_oa.geometry.solids import hull, solid_distance, solid_of
 from drake_oa.planning.arm_world import (
     FAR,
     STRIDE,
@@ -26,7 +27,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 def random_world(arm: ArmAlone, random: np.random.Generator) -> ArmWorld:
     shard = hull(random.uniform(-0.1, 0.1, (12, 3)) + [0.4, 0.2, 0.5])
     things = random_solids(random, 4, moving=2)
-    world = arm.among([*things, shard, half_space()], own=random.uniform(0.0, 0.05))
+    world = arm.among([*things, shard, solid_of(drake.HalfSpace())], own=random.uniform(0.0, 0.05))
     table = random.uniform(-0.05, 0.2, world.asked.of_solids.shape)
     table[random.random(table.shape) < 0.2] = -np.inf
     return world._replace(asked=world.asked._replace(of_solids=table))

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
@@ -31,14 +32,16 @@ _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
 
 def one_of(kind: str, size: tuple[float, float, float]) -> solid.Solid:
     a, b, c = size
-    return {
-        "sphere": lambda: solid.sphere(a),
-        "capsule": lambda: solid.capsule(a, b),
-        "cylinder": lambda: solid.cylinder(a, b),
-        "box": lambda: solid.box(size),
-        "ellipsoid": lambda: solid.ellipsoid(size),
-        "hull": lambda: solid.hull(np.array(_WEDGE) * 10 * [a, b, c]),
-    }[kind]()
+    if kind == "hull":
+        return solid.hull(np.array(_WEDGE) * 10 * [a, b, c])
+    shapes = {
+        "sphere": drake.Sphere(a),
+        "capsule": drake.Capsule(a, b),
+        "cylinder": drake.Cylinder(a, b),
+        "box": drake.Box(a, b, c),
+        "ellipsoid": drake.Ellipsoid(a, b, c),
+    }
+    return solid.solid_of(shapes[kind])
 
 
 def check_encloses(shape: solid.Solid, spheres: FloatArray) -> None:
@@ -73,7 +76,7 @@ def test_a_cover_encloses_and_exceeds_by_no_more_than_it_states(
 
 
 def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solids = [solid.box((0.05, 0.1, 0.06))]
+    solids = [solid.solid_of(drake.Box(0.05, 0.1, 0.06))]
     expected = cover(solids, 0.01)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import PlannedMotion, PolicyState
-from drake_oa.geometry.solids import Solid, SolidScene, solids_of, sphere
+from drake_oa.geometry.solids import Solid, SolidScene, solid_of, solids_of
 from drake_oa.planning.arm_world import group_distances
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
@@ -80,7 +81,7 @@ class Bench:
         """A ball that arrives at the hand after a time [s]."""
         X_WO = np.eye(4)
         X_WO[:3, 3] = self.X_WE[9:] + [0.0, 0.0, 0.05] - after * np.array(v_WO)
-        return replace(sphere(RADIUS), X_WO=X_WO, v_WO=np.array(v_WO), label="ball")
+        return replace(solid_of(drake.Sphere(RADIUS)), X_WO=X_WO, v_WO=np.array(v_WO), label="ball")
 
     def gap(self, x: np.ndarray, ball: Solid) -> float:
         """Least distance of the moving links to a ball along joint states (T, 2n) [m]."""

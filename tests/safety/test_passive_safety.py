@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pydrake.geometry as drake
 import pytest
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.solids import SolidScene, sphere
+from drake_oa.geometry.solids import SolidScene, solid_of
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.safety.joint_motions import GuardedArm
 from drake_oa.safety.passive_safety import violated_claim
@@ -37,7 +38,7 @@ def moving_ball(panda: ArmAlone, way: float, speed: float) -> SolidScene:
     """A ball so far from the tool in the direction in which joint 1 turns [m], that rises."""
     X_WO, p_WE = np.eye(4), panda.X_WE[9:]
     X_WO[:3, 3] = p_WE + way * np.array([-p_WE[1], p_WE[0], 0.0]) / np.hypot(*p_WE[:2])
-    ball = replace(sphere(0.05), X_WO=X_WO, v_WO=np.array([0.0, 0.0, speed]))
+    ball = replace(solid_of(drake.Sphere(0.05)), X_WO=X_WO, v_WO=np.array([0.0, 0.0, speed]))
     return SolidScene.of(0.0, [ball])
 
 

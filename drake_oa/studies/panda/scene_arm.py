@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import pydrake.geometry as drake
 from numpy.typing import ArrayLike
 from pydrake.math import RollPitchYaw
 
@@ -20,7 +21,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import half_space, shape_solids, solids_of
+from drake_oa.geometry.solids import shape_solids, solid_of, solids_of
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances
 from drake_oa.planning.search import ToolPaths, roll_out_arm
 from drake_oa.policy.dmp import minimum_jerk_share
@@ -142,7 +143,7 @@ class SceneArm:
         )
         off_table = np.where(self.joint < 0, -np.inf, 0.0)[:, None]
         asked = Asked(off_table, 0.0, self.tool)
-        table = solids_of([half_space()])
+        table = solids_of([solid_of(drake.HalfSpace())])
         world = ArmWorld(self._chain, self._spheres, table, asked, 0.0)
         rolled = roll_out_arm(world, q_start, paths)
         q, margin = rolled.q[0], _LIMIT_MARGIN
