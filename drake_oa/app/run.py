@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from drake_oa.app.scenarios import (
     Overrides,
     Positive,
+    Rate,
     ScenarioName,
     build_errors,
     open_scenario,
@@ -96,7 +97,7 @@ def run(
     duration: Positive | None = None,
     hardware: bool = False,
     lcm_url: str = LCM_URL,
-    rate: float = 1.0,
+    rate: Rate = 1.0,
 ) -> int:
     """Simulate a scenario and print what was kept and touched.
 
@@ -196,9 +197,8 @@ def station(
     *,
     overrides: Overrides = (),
     lcm_url: str = LCM_URL,
-    rate: float = 1.0,
+    rate: Rate = 1.0,
     wait: bool = False,
-    no_images: bool = False,
     duration: Positive | None = None,
     log: Path | None = None,
 ) -> int:
@@ -217,7 +217,6 @@ def station(
             cannot keep up.
         wait: let the world begin when the arm follows a command, and end when the commander is
             done and all has come to rest.
-        no_images: render and send none.
         duration: end after so many simulated seconds.
         log: write what the arm did here, and print what it kept and touched.
     """
@@ -232,7 +231,6 @@ def station(
         arm = PandaStation(
             chosen,
             lcm,
-            images=not no_images,
             rate=rate,
             waits=wait,
             log=log is not None,
@@ -257,12 +255,9 @@ def station(
         if contact:
             complain(contact)
             status = FAILED
-    pace = arm.pace
     print(
-        f"simulated {pace.simulated:.2f} s in {pace.wall:.2f} s, "
-        f"{pace.simulated / max(pace.wall, 1e-9):.2f} of real time; "
-        f"statuses {pace.statuses}; images {pace.images}; "
-        f"commands followed {pace.followed}, not followed {pace.rejected}"
+        f"simulated in {arm.wall_time:.2f} s; "
+        f"commands followed {arm.followed}, not followed {arm.ignored}"
     )
     if isinstance(failure, Exception):
         complain(f"cut short: {type(failure).__name__}: {failure}")
@@ -324,6 +319,7 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
     from drake_oa.runs.hardware_run import drive, ready
 
     link = RobotLink(lcm_url, rate=rate, raise_if_asked=this.raise_if_asked)
+    link.start()
     with contextlib.closing(link):
         print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)
         with build_errors():
@@ -332,7 +328,7 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
         this.scenario = driven.known
         panel = _open_panel(this)
         _add_motion(this, "modulated", partial(drive, driven, link, duration=this.duration), panel)
-        print(link.summary, file=sys.stderr)
+        print(f"the arm was at most {link.motion.farthest:.3f} rad off", file=sys.stderr)
 
 
 def _add_motion(

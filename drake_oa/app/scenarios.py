@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 from drake_oa.common.console import FAILED, Column, TextTable, complain, quiet, show
 from drake_oa.common.files import check_outputs, replace_json, replace_text
@@ -37,6 +37,8 @@ def _check_positive(_: object, value: float | None) -> None:
 
 Positive = Annotated[float, Parameter(validator=_check_positive)]
 """Positive finite number."""
+Rate = Annotated[float, Parameter(validator=validators.Number(gt=0.0, lte=1.0))]
+"""Simulated seconds in one of the wall clock."""
 
 
 def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) -> Scenario:

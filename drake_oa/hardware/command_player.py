@@ -16,7 +16,6 @@ import signal
 import time
 from collections import deque
 from contextlib import suppress
-from enum import IntEnum
 
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
@@ -67,7 +66,7 @@ _PATIENCE = 0.3
 _RESTART_TOLERANCE = 0.03
 """Maximum distance of a joint from its command when the motion resumes from rest [rad]."""
 _ASTRAY, _ASTRAY_TIME = 0.1, 0.2
-"""Distance of a joint from its command that stops the run [rad], and its duration [s]."""
+"""Distance of a joint from all its commands of so long that stops the run [rad, s]."""
 EXPIRY = 0.1
 """Time for which the arm follows a command, and maximum difference of its stamp from the wall clock
 [s]. The vendor's driver has the same."""
@@ -75,12 +74,6 @@ SPEED_SHARE = 1.2
 """Maximum speed between two accepted commands, relative to the joint's limit [1]."""
 SLACK = 0.01
 """Additional joint displacement allowed between two accepted commands [rad]."""
-
-
-def check_rate(rate: float) -> None:
-    """Raises ValueError for a rate that is not above 0 and at most 1."""
-    if not 0.0 < rate <= 1.0:
-        raise ValueError(f"rate: {rate} must be above 0 and at most 1")
 
 
 def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
@@ -92,29 +85,15 @@ def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
     return ""
 
 
-class PlayerState(IntEnum):
-    """Activity of the player."""
-
-    LISTENING = 0
-    """No status has come."""
-    READY = 1
-    """Nothing was written yet; nothing is commanded."""
-    PLAYING = 2
-    HOLDING = 3
-    """Something is wrong that may pass."""
-    STOPPED = 4
-    """For good."""
-
-
 class SharedMotion(ctypes.Structure):
     """Memory shared by the diagram and the player: planned and measured motion, and progress.
 
     Each field has one writer. Rows are written before they are counted.
 
     Attributes:
+        stopped: 1 once the player has stopped for good.
         played: simulated time that the arm is at [s].
         end: 1 once the player is to end.
-        commands: number of commands.
         farthest: greatest distance of a joint from its commands [rad].
     """
 
@@ -123,11 +102,10 @@ class SharedMotion(ctypes.Structure):
         ("_planned_count", ctypes.c_int64),
         ("_measured", ctypes.c_double * (2 * ARM_JOINTS) * _ROWS),
         ("_measured_count", ctypes.c_int64),
-        ("_state", ctypes.c_int),
         ("_note", ctypes.c_char * _NOTE),
+        ("stopped", ctypes.c_double),
         ("played", ctypes.c_double),
         ("end", ctypes.c_double),
-        ("commands", ctypes.c_double),
         ("farthest", ctypes.c_double),
     )
 
@@ -162,20 +140,14 @@ class SharedMotion(ctypes.Structure):
             row[:] = self._measured[(count - 1) % _ROWS]
         return row[:ARM_JOINTS], row[ARM_JOINTS:]
 
-    def set_state(self, state: PlayerState, note: str) -> None:
-        """Sets the activity of the player and its reason."""
-        self._note = note.encode()[: _NOTE - 1]
-        self._state = state
-
-    @property
-    def state(self) -> PlayerState:
-        """Activity of the player."""
-        return PlayerState(self._state)
-
     @property
     def note(self) -> str:
-        """Reason of the state."""
+        """Reason for which the arm is stopped or held; "" if it is not."""
         return bytes(self._note).decode(errors="replace")
+
+    @note.setter
+    def note(self, note: str) -> None:
+        self._note = note.encode()[: _NOTE - 1]
 
 
 def shared_motion() -> SharedMotion:
@@ -202,16 +174,11 @@ class CommandPlayer:
             motion: shared with the diagram.
             lcm: the bus of the messages.
             rate: simulated seconds in one of the wall clock, at most.
-
-        Raises:
-            ValueError: if the rate is not above 0 and at most 1.
         """
-        check_rate(rate)
         self._motion, self._lcm, self._rate = motion, lcm, rate
         # Speed of simulated time, and when each was last: a status, a step, each by a clock that
         # is never set.
         self._pace, self._heard, self._stepped = 0.0, -math.inf, -math.inf
-        self._trouble_since = self._astray_since = math.inf
         self._rejected = "no status has come"
         self._sent: deque[tuple[float, int, FloatArray]] = deque(maxlen=_REMEMBERED)
         self._statuses: list[bytes] = []
@@ -224,7 +191,7 @@ class CommandPlayer:
         """True if it was told to end, and the arm is at rest as far as it is commanded."""
         motion = self._motion
         rests = self._pace < 1e-3 or motion.planned_until <= motion.played
-        return bool(motion.end) and (motion.state is PlayerState.STOPPED or rests)
+        return bool(motion.end and (motion.stopped or rests))
 
     def step(self, now: float, tick: float | None = None) -> None:
         """Handles received messages, and sends the next command.
@@ -236,17 +203,25 @@ class CommandPlayer:
         try:
             self._step(now, now if tick is None else tick)
         except _StoppedError as error:
-            self._set_state(PlayerState.STOPPED, str(error))
+            self._motion.note, self._motion.stopped = str(error), 1.0
+            _logger.warning("stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
         motion = self._motion
         while self._lcm.HandleSubscriptions(0):
             pass
-        if motion.state is PlayerState.STOPPED:
+        if motion.stopped:
             return
         self._check_status(now, tick)
         self._check_commands()
-        trouble = self._update_state(tick)
+        silence = tick - self._heard
+        trouble = self._rejected if silence > SILENCE else ""
+        if SILENCE + _PATIENCE < silence < math.inf:
+            raise _StoppedError(trouble)
+        if trouble != motion.note:
+            motion.note = trouble
+            if self._sent:
+                _logger.warning("holding: %s" if trouble else "resumed%s", trouble)
         elapsed, self._stepped = tick - self._stepped, tick
         if motion.planned_until == -math.inf or (trouble and not self._sent):
             return
@@ -276,7 +251,6 @@ class CommandPlayer:
         message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
         self._sent.append((now, message.utime, q))
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
-        self._motion.commands += 1.0
 
     def _check_status(self, now: float, tick: float) -> None:
         # Handlers may not raise: messages are decoded here. The last one counts.
@@ -313,8 +287,7 @@ class CommandPlayer:
             return
         off = float(np.abs(np.array(recent) - q).max(axis=1).min())
         self._motion.farthest = max(self._motion.farthest, off)
-        self._astray_since = min(self._astray_since, tick) if off > _ASTRAY else math.inf
-        if tick - self._astray_since > _ASTRAY_TIME:
+        if off > _ASTRAY:
             raise _StoppedError(f"the arm is {off:.3g} rad from where it was sent")
 
     def _check_commands(self) -> None:
@@ -325,32 +298,6 @@ class CommandPlayer:
                 if lcmt_panda_command.decode(data).utime in own:
                     continue
             raise _StoppedError(f"somebody else commands on {COMMAND_CHANNEL}")
-
-    def _update_state(self, tick: float) -> str:
-        """Sets the state; returns the trouble that may pass, or "" if there is none."""
-        trouble = self._rejected if tick - self._heard > SILENCE else ""
-        self._trouble_since = min(self._trouble_since, tick) if trouble else math.inf
-        if trouble and self._heard == -math.inf:
-            self._set_state(PlayerState.LISTENING, trouble)
-        elif tick - self._trouble_since > _PATIENCE:
-            raise _StoppedError(trouble)
-        elif trouble:
-            self._set_state(PlayerState.HOLDING, trouble)
-        elif self._motion.planned_until == -math.inf:
-            self._set_state(PlayerState.READY, "")
-        else:
-            self._set_state(PlayerState.PLAYING, "")
-        return trouble
-
-    def _set_state(self, state: PlayerState, note: str) -> None:
-        motion, before = self._motion, self._motion.state
-        if (state, note) == (before, motion.note):
-            return
-        motion.set_state(state, note)
-        if state in (PlayerState.STOPPED, PlayerState.HOLDING):
-            _logger.warning("%s: %s", state.name.lower(), note)
-        elif before is PlayerState.HOLDING:
-            _logger.warning("resumed")
 
 
 def play(motion: SharedMotion, lcm_url: str, rate: float, parent: int) -> None:
@@ -383,9 +330,8 @@ def play(motion: SharedMotion, lcm_url: str, rate: float, parent: int) -> None:
 class CommandGuard:
     """Follows one commander, and holds where there is none, or more than one.
 
-    Old commands are ignored. After one that is out of limits, jumps, is of another mode or of
-    a second commander, the arm holds the last accepted position, until nobody has commanded for
-    `EXPIRY`, and goes on from there.
+    Commands that are old, out of limits, that jump, or of another mode are ignored. Where none is
+    accepted for `EXPIRY` the arm holds the last position, and goes on from there.
 
     Attributes:
         events: message whenever its behavior changed.
@@ -401,24 +347,15 @@ class CommandGuard:
         self._q = np.array(q, dtype=float)
         self._v = np.zeros_like(self._q)
         self._limits = limits
-        self._accepted = self._heard = -np.inf
+        self._accepted = -np.inf
         self._stamp: int | None = None
-        self._latched = False
         self.events: list[str] = []
 
     def receive(self, command: lcmt_panda_command, now: float) -> bool:
         """Checks a command at a time of the wall clock [s]; returns whether the arm follows it."""
         self._update(now)
-        age = now - MICROSECOND * command.utime
-        if abs(age) > EXPIRY:
-            self._log(f"command ignored: its stamp is {age:.3f} s before the wall clock")
-            return False
-        self._heard = now
-        if self._latched:
-            return False
-        if why := self._problem(command):
-            self._latched = True
-            self._hold(f"holding: command refused: {why}")
+        if why := self._problem(command, now):
+            self._log(f"command refused: {why}")
             return False
         q = np.array(command.joint_position)
         if self._stamp is None:
@@ -440,15 +377,16 @@ class CommandGuard:
         return self._stamp is None
 
     def _update(self, now: float) -> None:
-        """Holds when the last command has expired; listens again when all are silent."""
+        """Holds when the last command has expired."""
         if self._stamp is not None and now - self._accepted > EXPIRY:
-            self._hold(f"holding: no command for {EXPIRY:g} s")
-        if self._latched and now - self._heard > EXPIRY:
-            self._latched = False
-            self._log("holding: nobody commands; the next commander may begin here")
+            self._v, self._stamp = np.zeros_like(self._q), None
+            self._log(f"holding: no command for {EXPIRY:g} s")
 
-    def _problem(self, command: lcmt_panda_command) -> str:
+    def _problem(self, command: lcmt_panda_command, now: float) -> str:
         n, limits, elapsed = len(self._q), self._limits, 0.0
+        age = now - MICROSECOND * command.utime
+        if abs(age) > EXPIRY:
+            return f"its stamp is {age:.3f} s before the wall clock"
         sizes = (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque)
         if sizes != (n, 0, 0) or command.control_mode_expected != POSITION_MODE:
             return f"not {n} positions in position mode"
@@ -466,10 +404,6 @@ class CommandGuard:
             return ""
         name = limits.position_name[j]
         return f"{name} jumps by {step[j]:.3g} rad, {allowed[j]:.3g} are possible"
-
-    def _hold(self, why: str) -> None:
-        self._v, self._stamp = np.zeros_like(self._q), None
-        self._log(why)
 
     def _log(self, event: str) -> None:
         """Adds an event, unless it differs from the last one in numbers only."""

@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
@@ -29,7 +29,6 @@ from drake_oa.hardware.command_player import (
     POSITION_MODE,
     STATUS_CHANNEL,
     CommandGuard,
-    check_rate,
 )
 from drake_oa.hardware.hardware_cell import arm_of
 from drake_oa.robot.plant import make_robot_plant
@@ -52,27 +51,6 @@ _CATCH_UP = 0.02
 """Maximum delay that later steps make up for [s]."""
 
 _logger = logging.getLogger("drake_oa")
-
-
-@dataclass
-class Pace:
-    """Timing and counts of a station.
-
-    Attributes:
-        simulated: time that was simulated [s].
-        wall: time that it took [s].
-        statuses: number of sent statuses.
-        images: number of sent images.
-        followed: number of commands that the arm followed.
-        rejected: number of commands that it did not.
-    """
-
-    simulated: float = 0.0
-    wall: float = 0.0
-    statuses: int = 0
-    images: int = 0
-    followed: int = 0
-    rejected: int = 0
 
 
 class _ImageSender:
@@ -125,10 +103,13 @@ class PandaStation:
     speeds: at half the rate the arm can go half as fast.
 
     Attributes:
+        diagram: simulated robot, obstacles and cameras.
+        simulator: of the diagram.
         guard: accepts or refuses commands.
         event_times: simulated times of its events [s].
         num_positions: of the whole plant.
-        pace: timing and counts.
+        wall_time: duration of `run` [s].
+        followed, ignored: numbers of commands that the arm followed, and did not.
     """
 
     def __init__(
@@ -136,7 +117,6 @@ class PandaStation:
         scenario: Scenario,
         lcm: DrakeLcm,
         *,
-        images: bool = True,
         rate: float = 1.0,
         waits: bool = False,
         log: bool = False,
@@ -147,23 +127,20 @@ class PandaStation:
         Args:
             scenario: with a Panda.
             lcm: what messages come and go by.
-            images: whether cameras send theirs.
             rate: simulated seconds in one of the wall clock, at most.
             waits: whether the world stands still until the arm follows a command, so that courses
                 begin with the motion, and `run` ends when nobody commands and all is at rest.
-            log: whether the states are kept, for `states`.
+            log: whether states and torques are logged.
             clock: the wall clock [s].
 
         Raises:
             ScenarioError: for a robot that the messages are not of, or a field that does not fit.
-            ValueError: if the rate is not above 0 and at most 1.
         """
-        check_rate(rate)
         if scenario.faults:
             raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
         self._arm, limits = arm_of(scenario)
         builder = DiagramBuilder()
-        station = make_station(builder, simulated(scenario), render=images)
+        station = make_station(builder, simulated(scenario))
         self._q_start = start_positions(scenario)
         plant, self._robot = station.plant, station.robot
         plant.SetDefaultPositions(self._robot, self._q_start)
@@ -192,22 +169,20 @@ class PandaStation:
         builder.ExportInput(controller.get_input_port_desired_state(), "desired_state")
         builder.ExportOutput(state, "robot_state")
         builder.ExportOutput(torque, "actuation")
-        self._logged = {}
         if log:
             ports = {
                 "robot_state": state,
                 "plant_state": plant.get_state_output_port(),
                 "actuation": plant.get_net_actuation_output_port(self._robot),
             }
-            self._logged = {
-                name: LogVectorOutput(port, builder, LOG_PERIOD) for name, port in ports.items()
-            }
-        self._diagram = builder.Build()
-        self._simulator = Simulator(self._diagram)
+            for name, port in ports.items():
+                LogVectorOutput(port, builder, LOG_PERIOD).set_name(f"log_{name}")
+        self.diagram = builder.Build()
+        self.simulator = Simulator(self.diagram)
         # Of the wall clock's seconds, as all that is in messages.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
         self.guard = CommandGuard(self._q_start[self._arm], limits)
-        self.pace = Pace()
+        self.wall_time, self.followed, self.ignored = 0.0, 0, 0
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._waits = self._ends = waits
         self.event_times: list[float] = []
@@ -220,52 +195,41 @@ class PandaStation:
         ]
         lcm.Subscribe(COMMAND_CHANNEL, self._take)
         self._actuate()
-        self._simulator.Initialize()
+        self.simulator.Initialize()
         for camera in station.cameras.values():
             # The first image takes longest: a renderer begins with it.
             system = camera.depth_image.get_system()
-            camera.depth_image.Eval(system.GetMyContextFromRoot(self._simulator.get_context()))
+            camera.depth_image.Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
 
     def step(self) -> None:
         """Takes the commands that have come, goes on by a step of the plant, sends the status."""
         while self._lcm.HandleSubscriptions(0):
             pass
         self._actuate()
-        context = self._simulator.get_context()
+        context = self.simulator.get_context()
         still = self._waits and self.guard.holding
         if not still:
             self._waits = False
-            self._simulator.AdvanceTo(context.get_time() + self._step)
+            self.simulator.AdvanceTo(context.get_time() + self._step)
         now, simulated = self._clock(), context.get_time()
         self.event_times += [simulated] * (len(self.guard.events) - len(self.event_times))
         self._lcm.Publish(STATUS_CHANNEL, self.status(now).encode())
-        self.pace.statuses += 1
         for sender in self._senders:
             if sender.is_due(context, now, still):
                 sender.send(context, self._lcm, now, self._rate, still)
-                self.pace.images += 1
 
     @property
     def finished(self) -> bool:
         """True if it waited for a commander that is done, and all has been at rest since."""
-        root = self._simulator.get_context()
-        state = self._diagram.GetOutputPort("robot_state").Eval(root)
+        root = self.simulator.get_context()
+        state = self.diagram.GetOutputPort("robot_state").Eval(root)
         if not self.guard.holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
             self._moved = root.get_time()
         rests = root.get_time() > max(self._moved, self._world_end) + _REST_TIME
         return self._ends and not self._waits and rests
 
-    @property
-    def states(self) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Times (T,) [s] and values (T, n) of robot_state, plant_state and actuation."""
-        root = self._simulator.get_context()
-        logs = {name: sink.FindLog(root) for name, sink in self._logged.items()}
-        return {
-            name: (log.sample_times().copy(), log.data().T.copy()) for name, log in logs.items()
-        }
-
-    def run(self, duration: float, each_step: Callable[[], None] | None = None) -> Pace:
-        """Goes on for a time, no faster than the rate.
+    def run(self, duration: float, each_step: Callable[[], None] = lambda: None) -> None:
+        """Goes on until a time, no faster than the rate.
 
         Where a step takes longer than it may, later ones catch up by `_CATCH_UP` at most: else
         the arm would move faster than the wall clock.
@@ -277,26 +241,22 @@ class PandaStation:
         with suppress(OSError):
             # A real arm shares its computer with nobody.
             os.setpriority(os.PRIO_PROCESS, 0, -10)
-        context = self._simulator.get_context()
+        context = self.simulator.get_context()
         started = due = self._clock()
-        begin = context.get_time()
         try:
-            while context.get_time() - begin < duration - 0.5 * self._step and not self.finished:
+            while context.get_time() < duration - 0.5 * self._step and not self.finished:
                 self.step()
-                if each_step is not None:
-                    each_step()
+                each_step()
                 due = max(due + self._step / self._rate, self._clock() - _CATCH_UP)
                 time.sleep(max(0.0, due - self._clock()))
         finally:
-            self.pace.simulated += context.get_time() - begin
-            self.pace.wall += self._clock() - started
-            release_cameras(self._diagram)
-        return self.pace
+            self.wall_time += self._clock() - started
+            release_cameras(self.diagram)
 
     @property
     def q(self) -> FloatArray:
         """(7,) where the arm is [rad]."""
-        state = self._diagram.GetOutputPort("robot_state").Eval(self._simulator.get_context())
+        state = self.diagram.GetOutputPort("robot_state").Eval(self.simulator.get_context())
         return np.array(state[self._arm])
 
     def _take(self, data: bytes) -> None:
@@ -306,8 +266,8 @@ class PandaStation:
             follows = self.guard.receive(lcmt_panda_command.decode(data), self._clock())
         except Exception as error:
             _logger.warning("station: %s holds no lcmt_panda_command: %s", COMMAND_CHANNEL, error)
-        self.pace.followed += follows
-        self.pace.rejected += not follows
+        self.followed += follows
+        self.ignored += not follows
 
     def _actuate(self) -> None:
         """Sets the desired state until the next step."""
@@ -316,15 +276,15 @@ class PandaStation:
         q, v = self.guard.desired(self._clock())
         desired[self._arm] = q
         desired[n + np.array(self._arm)] = v / self._rate
-        self._diagram.GetInputPort("desired_state").FixValue(
-            self._simulator.get_mutable_context(), desired
+        self.diagram.GetInputPort("desired_state").FixValue(
+            self.simulator.get_mutable_context(), desired
         )
 
     def status(self, now: float) -> lcmt_panda_status:
         """Returns the message about the arm at a time of the wall clock [s]."""
-        context = self._simulator.get_context()
-        state = self._diagram.GetOutputPort("robot_state").Eval(context)
-        tau = self._diagram.GetOutputPort("actuation").Eval(context)[self._arm]
+        context = self.simulator.get_context()
+        state = self.diagram.GetOutputPort("robot_state").Eval(context)
+        tau = self.diagram.GetOutputPort("actuation").Eval(context)[self._arm]
         q, v = self.guard.desired(now)
         zero = [0.0] * ARM_JOINTS
         status = lcmt_panda_status()

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
@@ -21,10 +20,7 @@ from drake_oa.hardware.command_player import (
     COMMAND_PERIOD,
     LEAD,
     SILENCE,
-    CommandPlayer,
-    PlayerState,
     beyond_limits,
-    check_rate,
     play,
     shared_motion,
 )
@@ -49,8 +45,7 @@ class HardwareError(Exception):
 class RobotLink:
     """Joins a diagram to the arm behind LCM messages: the diagram writes, a player commands.
 
-    The player is a process of its own, so that the diagram may think; or, given `lcm`, in this
-    one, where `wait` has to call `player.step`.
+    The player is a process of its own, which `start` begins, so that the diagram may think.
 
     Attributes:
         motion: what both share.
@@ -58,7 +53,6 @@ class RobotLink:
         url: of the bus.
         clock: the wall clock [s].
         wait: called repeatedly during waits.
-        player: in this process, or None.
         events: (simulated time [s], message about the player's state) at each change.
     """
 
@@ -67,38 +61,31 @@ class RobotLink:
         lcm_url: str,
         *,
         rate: float = 1.0,
-        lcm: DrakeLcm | None = None,
         wait: Callable[[], None] = lambda: time.sleep(_NAP),
         raise_if_asked: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        """Starts to listen; nothing is commanded before something is written.
+        """Makes the shared memory.
 
         Args:
             lcm_url: of the bus.
             rate: simulated seconds in one of the wall clock, at most.
-            lcm: plays in this process, by this.
             wait: called again and again while the diagram is too far ahead.
             raise_if_asked: raises KeyboardInterrupt when somebody has asked for the end.
             clock: the wall clock [s].
-
-        Raises:
-            ValueError: if the rate is not above 0 and at most 1.
         """
         self.motion, self.rate = shared_motion(), rate
         self.url, self.wait, self.clock = lcm_url, wait, clock
         self._raise_if_asked = raise_if_asked
         self.events: list[tuple[float, str]] = []
         self._rehearsed_since = math.nan
-        self.player: CommandPlayer | None = None
         self._process: BaseProcess | None = None
-        if lcm is not None:
-            self.player = CommandPlayer(self.motion, lcm, rate)
-            return
-        check_rate(rate)
+
+    def start(self) -> None:
+        """Starts the player; nothing is commanded before something is written."""
         self._process = multiprocessing.get_context("spawn").Process(
             target=play,
-            args=(self.motion, lcm_url, rate, os.getpid()),
+            args=(self.motion, self.url, self.rate, os.getpid()),
             name="command player",
             # Ends the arm's motion by itself when this process is gone.
             daemon=False,
@@ -113,12 +100,6 @@ class RobotLink:
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join()
-
-    @property
-    def summary(self) -> str:
-        """Counts and extremes of the commands sent until now."""
-        motion = self.motion
-        return f"commands {motion.commands:.0f}; the arm was at most {motion.farthest:.3f} rad off"
 
     @contextmanager
     def rehearsal(self) -> Iterator[None]:
@@ -152,17 +133,18 @@ class RobotLink:
             HardwareError: if it is silent, somewhere else, out of limits, moves, or is commanded.
         """
         since = self.clock()
-        while self.motion.state is PlayerState.LISTENING and self.clock() - since < START_UP:
-            self._check_player()
+        while not self.motion.stopped and np.isnan(self.motion.measured[0]).all():
+            if self.clock() - since > START_UP:
+                break
             self._raise_if_asked()
             self.wait()
         # By then any other commander is heard.
         listened = self.clock()
         while self.clock() - listened < 2.0 * SILENCE:
             self.wait()
-        if self.motion.state is not PlayerState.READY:
-            raise HardwareError(f"{self.motion.note or 'no status of the arm'} ({self.url})")
         q, v = self.motion.measured
+        if self.motion.note or np.isnan(q).any():
+            raise HardwareError(f"{self.motion.note or 'no status of the arm'} ({self.url})")
         if beyond := beyond_limits(q, limits):
             raise HardwareError(beyond)
         name, off = limits.position_name, np.abs(q - q_start)
@@ -204,19 +186,15 @@ class RobotLink:
             self.wait()
             self._check_player(t)
 
-    def _check_player(self, t: float = 0.0) -> None:
+    def _check_player(self, t: float) -> None:
         """Records changes of the player's state at a simulated time; raises if it has stopped."""
-        state, note = self.motion.state, self.motion.note
-        last = self.events[-1][1] if self.events else ""
-        if state is PlayerState.STOPPED:
-            note = f"arm stopped: {note}"
-        elif state is PlayerState.HOLDING:
-            note = f"arm holds: {note}"
-        else:
-            note = "arm resumed" if last else ""
+        motion, last = self.motion, self.events[-1][1] if self.events else ""
+        note = "arm resumed" if last else ""
+        if motion.note:
+            note = f"arm {'stopped' if motion.stopped else 'holds'}: {motion.note}"
         if note != last:
             self.events.append((t, note))
-        if state is PlayerState.STOPPED:
+        if motion.stopped:
             raise HardwareError(note)
         if self._process is not None and not self._process.is_alive():
             raise HardwareError("arm stopped: the command player has ended")

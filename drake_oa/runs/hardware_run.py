@@ -24,6 +24,7 @@ from drake_oa.runs.simulation import (
     MotionWatcher,
     columns_of,
     log_of,
+    logged_signals,
     run_motion,
 )
 from drake_oa.scenario.end_poses import start_positions
@@ -131,25 +132,18 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
     Args:
         scenario: of the station.
         station: made with `log`.
-
-    Raises:
-        ValueError: if it kept no log.
     """
-    states = station.states
-    if not states:
-        raise ValueError("the station keeps no log: make it with log=True")
-    signals = {name: values for name, (_, values) in states.items()}
+    t, signals = logged_signals(station.diagram, station.simulator.get_context())
     events = zip(station.event_times, station.guard.events, strict=False)
-    told = [(t, "", event) for t, event in events]
     return log_of(
         scenario,
-        states["robot_state"][0],
+        t,
         signals,
         q_world=signals["plant_state"][:, : station.num_positions],
         regulation="",
-        **columns_of(told, EVENT),
+        **columns_of([(at, "", event) for at, event in events], EVENT),
         stop_reason="station ended",
         ended=MotionEnd.TIME_LIMIT.value,
-        wall_time=station.pace.wall,
+        wall_time=station.wall_time,
         modulated=True,
     )

@@ -14,7 +14,6 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.perception.config import LcmCamera
 from drake_oa.planning.search import SOURCES
-from drake_oa.policy.dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.safety.maneuvers import ACTIONS
@@ -178,11 +177,11 @@ def layer_costs(log: MotionLog, layer: str = "regulation") -> FloatArray:
 def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     if not len(log.desired_orientation):
         return {}
-    desired = rotation_matrix(log.desired_orientation[-1])
+    desired = Rotation.from_quat(log.desired_orientation[-1], scalar_first=True)
     # The logged error leads from the actual to the desired orientation.
-    actual = Rotation.from_rotvec(-log.orientation_error[-1]).as_matrix() @ desired
-    goal = end_rotations(scenario)[1].matrix()
-    return {"orientation_error": float(Rotation.from_matrix(goal @ actual.T).magnitude())}
+    to_desired = Rotation.from_rotvec(log.orientation_error[-1])
+    goal = Rotation.from_matrix(end_rotations(scenario)[1].matrix())
+    return {"orientation_error": float((goal * desired.inv() * to_desired).magnitude())}
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
@@ -267,14 +266,6 @@ def contact_error(report: dict[str, Any]) -> str:
     return pairs and f"contact during the avoiding motion: {pairs}"
 
 
-def _thinking(cost: dict[str, float]) -> str:
-    return (
-        f"decisions took {1e3 * cost['median']:.0f} ms (median), 99 % within "
-        f"{1e3 * cost['p99']:.0f} ms, at most {1e3 * cost['max']:.0f} ms; "
-        f"{1e2 * cost['share_over_period']:.1f} % of them longer than a frame"
-    )
-
-
 def _notes(motion: str, found: dict[str, Any]) -> list[str]:
     """What is to be said of one motion's clearance; less than `TOLD` is not."""
     notes = []
@@ -286,8 +277,6 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
         notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
     if not found["regulation"]:
         return notes
-    if (found["decision_cost"] or {}).get("share_over_period", 0.0) > 0.0:
-        notes.append(f"note: {motion}: {_thinking(found['decision_cost'])}")
     if found["regulation"] == "Paper" and found["out_of_range"]:
         notes.append(
             f"note: {motion}: obstacles outside the regressor chain's trained range in "
@@ -302,10 +291,5 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
         notes.append(
             f"note: {motion}: regulation lowered the asked clearance by up to "
             f"{1e3 * found['lowered']:.1f} mm: it took an obstacle to be that near"
-        )
-    if (found["believed_shortfall"] or 0.0) > TOLD:
-        notes.append(
-            f"note: {motion}: regulation believed to lack {1e3 * found['believed_shortfall']:.1f} "
-            "mm of the clearance"
         )
     return notes

@@ -132,6 +132,7 @@ class MotionWatcher:
         ending: what ended the motion; None until then.
         motion_end: when it did [s]; NaN until then.
         settled: whether all has come to rest since.
+        num_positions: of the station's plant; 0 without a robot.
     """
 
     def __init__(
@@ -181,6 +182,7 @@ class MotionWatcher:
         self.out_of_range: list[int] = []
         self.events: list[tuple[float, HoldCause, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
+        self._decided, self._noted = ("run", ""), ""
         self.ending: Ending | None = None
         self.motion_end = math.nan
         self.settled = False
@@ -188,9 +190,10 @@ class MotionWatcher:
         self.world_end = _last_change(scenario, self._end_time)
         settled = max(self._end_time, self.world_end) + LONGEST_SETTLING
         self.latest_time = settled if duration is None else duration
-        self._plant = None
+        self._plant, self.num_positions = None, 0
         if scenario.robot is not None:
             self._plant = diagram.GetSubsystemByName("plant")
+            self.num_positions = self._plant.num_positions()
             self._tool_frame = self._plant.GetFrameByName(TOOL_FRAME)
             self._robot = self._tool_frame.model_instance()
 
@@ -209,9 +212,10 @@ class MotionWatcher:
         self.phase = policy.phase
         self._on_look(self, root)
         if self.ending and self.ending.may_go_on and policy.hold is HoldCause.NONE:
-            self._end(math.nan, None)
+            self.ending, self.motion_end = None, math.nan
         if not self.ending:
-            self._end(now, self._why_ended(root, now, policy, supervision))
+            self.ending = self._why_ended(root, now, policy, supervision)
+            self.motion_end = now if self.ending else math.nan
         self._look_for_rest(root, now)
         if self.settled:
             return EventStatus.ReachedTermination(
@@ -238,27 +242,13 @@ class MotionWatcher:
             return f"ended: {self.ending.reason}"
         return motion_state(self._decided, self._noted)
 
-    @property
-    def _decided(self) -> tuple[str, str]:
-        """The motion guard's newest action and its reason."""
-        return self.supervision[-1][1:] if self.supervision else ("run", "")
-
-    @property
-    def _noted(self) -> str:
-        """The policy's newest note."""
-        return self.events[-1][2] if self.events else ""
-
     def finish(self, root: Context) -> None:
         """Says what the end of the run makes of the motion's."""
         if not self.ending:
-            self._end(self._end_time, self._time_limit())
+            self.ending, self.motion_end = self._time_limit(), self._end_time
         error = self._goal_error(root)
         if self.ending == AT_THE_GOAL and error > AT_GOAL:
             self.ending = Ending(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
-
-    def _end(self, now: float, ending: Ending | None) -> None:
-        """Takes down that the motion has ended, if it has, or that it goes on."""
-        self.ending, self.motion_end = ending, now if ending else math.nan
 
     def _time_limit(self) -> Ending:
         return Ending(MotionEnd.TIME_LIMIT, f"time limit of {self._end_time:g} s")
@@ -278,15 +268,13 @@ class MotionWatcher:
             return AT_THE_GOAL
         if supervision.action == "stop" and policy.speed == 0.0:
             return Ending(MotionEnd.STOPPED, f"stopped: {supervision.reason}")
-        if now > self._last_move and s >= self._latest_end:
-            self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
-        if now > self._last_move and s >= self._latest_end:
+        is_late = now > self._last_move and s >= self._latest_end
+        if is_late and s >= self._verified_end(root) + _GRACE:
             error = self._goal_error(root)
             if error <= AT_GOAL:
                 # The paper's terms act on there, and let it creep.
                 return AT_THE_GOAL
-            why = f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}"
-            return Ending(MotionEnd.MISSED, why)
+            return Ending(MotionEnd.MISSED, f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}")
         if (
             self._held_since is not None
             and now - max(self._held_since, self._last_move) > LONGEST_HOLD
@@ -304,7 +292,7 @@ class MotionWatcher:
             self._rest_since, self.settled = math.inf, False
             return
         self._rest_since = min(self._rest_since, now)
-        rest = LONGEST_HOLD if self.ending and self.ending.may_go_on else REST_TIME
+        rest = LONGEST_HOLD if self.ending.may_go_on else REST_TIME
         self.settled = now - self._rest_since >= rest
 
     def _fastest(self, root: Context) -> float:
@@ -329,9 +317,12 @@ class MotionWatcher:
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
-        self._note(now, policy.hold, policy.note)
+        if policy.note != self._noted:
+            self._noted = policy.note
+            self.events.append((now, policy.hold, policy.note))
         decided = supervision.action, supervision.reason
         if decided != self._decided:
+            self._decided = decided
             self.supervision.append((now, *decided))
         if policy.hold in (HoldCause.NONE, HoldCause.DECIDING):
             self._held_since = None
@@ -342,10 +333,6 @@ class MotionWatcher:
             self.frames.append(seen)
             self.frame_times.append(now)
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
-
-    def _note(self, now: float, hold: HoldCause, note: str) -> None:
-        if note != self._noted:
-            self.events.append((now, hold, note))
 
     def _verified_end(self, root: Context) -> float:
         """Normalised time at which the motion has been verified to arrive; 0: it has not."""
@@ -444,25 +431,32 @@ def run_motion(
     Raises:
         MotionInterruptedError: as `simulate` does.
     """
-    started = time.perf_counter()
+    started, failure = time.perf_counter(), None
     try:
         simulator.Initialize()
         simulator.set_monitor(watcher)
         started = time.perf_counter()
         simulator.AdvanceTo(watcher.latest_time)
+        watcher.finish(simulator.get_context())
     except (Exception, KeyboardInterrupt) as error:
-        if isinstance(error, KeyboardInterrupt):
-            why = str(error) or "interrupted"
-        else:
-            why = f"{type(error).__name__}: {error}".rstrip(": ")
+        failure, name = error, "" if isinstance(error, KeyboardInterrupt) else type(error).__name__
+        why = f"{name}: {error}".strip(": ") or "interrupted"
         watcher.ending, watcher.motion_end = Ending(MotionEnd.CUT_SHORT, why), math.nan
-        log = collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
-        raise MotionInterruptedError(log) from error
     finally:
         simulator.clear_monitor()
         release_cameras(simulator.get_system())
-    watcher.finish(simulator.get_context())
-    return collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+    log = collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+    if failure is not None:
+        raise MotionInterruptedError(log) from failure
+    return log
+
+
+def logged_signals(diagram: Diagram, root: Context) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Returns instants (T,) [s] and the signals (T, n) of a diagram's log_<signal> sinks."""
+    sinks = [system for system in diagram.GetSystems() if isinstance(system, VectorLogSink)]
+    signals = {sink.get_name().removeprefix("log_"): sink.FindLog(root) for sink in sinks}
+    t = next(iter(signals.values())).sample_times().copy()
+    return t, {name: log.data().T.copy() for name, log in signals.items()}
 
 
 def collect_log(
@@ -473,21 +467,13 @@ def collect_log(
     wall_time: float,
 ) -> MotionLog:
     """What a diagram of a scenario has logged until now; see `run_motion`."""
-    root = simulator.get_context()
-    ending = watcher.ending or Ending(MotionEnd.CUT_SHORT, "")
-    diagram = simulator.get_system()
-    sinks = [system for system in diagram.GetSystems() if isinstance(system, VectorLogSink)]
-    logs = {sink.get_name().removeprefix("log_"): sink.FindLog(root) for sink in sinks}
-    signals = {name: log.data().T.copy() for name, log in logs.items()}
-    t = next(iter(logs.values())).sample_times().copy()
-    world = signals.get("plant_state", np.zeros((len(t), 0)))
-    if scenario.robot is not None:
-        world = world[:, : diagram.GetSubsystemByName("plant").num_positions()]
+    diagram, ending = simulator.get_system(), watcher.ending or Ending(MotionEnd.CUT_SHORT, "")
+    t, signals = logged_signals(diagram, simulator.get_context())
     return log_of(
         scenario,
         t,
         signals,
-        q_world=world,
+        q_world=signals.get("plant_state", np.zeros((len(t), 0)))[:, : watcher.num_positions],
         observation_time=np.array(watcher.frame_times),
         **pack_ellipsoids(watcher.frames),
         **pack_decisions(signals),

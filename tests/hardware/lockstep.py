@@ -6,12 +6,15 @@ from typing import Any
 
 from pydrake.lcm import DrakeLcm
 
+from drake_oa.hardware.command_player import CommandPlayer
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_messages import lcm_bus
 
 EPOCH, STEP = 1.7e9, 0.002
+BLIND = ["cameras=[]", "perception=!GroundTruth {}"]
+"""Fields of a scenario without cameras."""
 _numbers = count()
 
 
@@ -59,21 +62,16 @@ class Lockstep:
         self.url = f"memq://{next(_numbers)}"
         self.lcm, self.clock = lcm_bus(self.url), Clock()
         self.statuses: Any = Deaf(self.lcm)
-        self.scenario = load_scenario(scenario)
+        self.scenario = load_scenario(scenario, [] if images else BLIND)
         self.station = PandaStation(
             self.scenario,
             self.statuses,
-            images=images,
             clock=self.clock,
             waits=True,
             log=log,
         )
-        self.link = RobotLink(
-            self.url,
-            lcm=self.lcm,
-            wait=self.step,
-            clock=self.clock,
-        )
+        self.link = RobotLink(self.url, wait=self.step, clock=self.clock)
+        self.player = CommandPlayer(self.link.motion, self.lcm, self.link.rate)
         self.alive, self.ended = True, False
         self.each: Callable[[], object] = lambda: None
 
@@ -83,7 +81,6 @@ class Lockstep:
         self.clock.now += STEP
         if self.alive:
             self.station.step()
-        assert self.link.player is not None
-        self.ended = self.ended or self.link.player.finished
+        self.ended = self.ended or self.player.finished
         if not self.ended:
-            self.link.player.step(self.clock.now)
+            self.player.step(self.clock.now)
