@@ -31,7 +31,7 @@ from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.perception.visibility import ImageRange
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.true_solids import TrueSolids
-from drake_oa.regulation.config import Paper
+from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import tool_link_corners
 from drake_oa.scenario.end_poses import held_robots
 from drake_oa.scenario.perception import GivenEllipsoids
@@ -99,6 +99,8 @@ def _add_ground_truth(
         period=source.period,
     )
     wires.add("perception", system)
+    if not isinstance(scenario.regulation, Verified):
+        return
     # Of all that is not the robot.
     others = [
         body
@@ -119,7 +121,7 @@ def _add_ground_truth(
         names=names,
         period=source.period,
     )
-    wires.add("solids", solids, if_read=True)
+    wires.add("solids", solids)
 
 
 def _add_recorded_clouds(
@@ -214,8 +216,10 @@ SOURCES |= {
 
 
 def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Adds solids, unless the source knows them itself: obstacles_W -> solids_W."""
+    """Adds solids of `!Verified`, unless the source knows them itself: obstacles_W -> solids_W."""
     if cell is None or "solids_W" in wires or "obstacles_W" not in wires:
+        return
+    if not isinstance(scenario.regulation, Verified):
         return
     source, cameras = scenario.perception, {}
     if isinstance(source, CameraSource) and cell.cameras:
@@ -227,7 +231,7 @@ def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     solids = CloudSolids(
         period=perception_period(scenario), cameras=cameras, table=table_plane(scenario)
     )
-    wires.add("solids", solids, if_read=True)
+    wires.add("solids", solids)
 
 
 def _of_robot(source: object, cell: Cell | None) -> Cell:

@@ -75,13 +75,8 @@ def _kernel_folder(beside: str) -> str:
                 shutil.copytree(beside, made, dirs_exist_ok=True)
             Path(made).rename(user)
         return str(user)
-    return str(Path(_temporary_folder().name) / user.name)
-
-
-@cache
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     # Not a fixed name in a shared folder: compiled code is read back without checks.
-    return tempfile.TemporaryDirectory(prefix="drake_oa-kernels-")
+    return tempfile.mkdtemp(prefix="drake_oa-kernels-")
 
 
 numba.config.CACHE_LOCATOR_CLASSES = ",".join(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -83,20 +82,15 @@ def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
 def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
     """Makes an empty file `folder/stem-TIME suffix` that no other process has or will get.
 
-    TIME is UTC, to a second; a number follows it where that name is taken.
+    TIME is UTC, to a microsecond.
 
     Raises:
         ValueError: if the folder or the file cannot be made; names it, and why.
     """
-    time = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    path = folder / f"{stem}-{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}{suffix}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for number in itertools.count(1):
-            tail = "" if number == 1 else f"-{number}"
-            path = folder / f"{stem}-{time}{tail}{suffix}"
-            with contextlib.suppress(FileExistsError):
-                path.touch(exist_ok=False)
-                break
+        path.touch(exist_ok=False)
         return path
     except OSError as error:
         raise ValueError(f"cannot write to the folder {folder}: {error.strerror}") from None

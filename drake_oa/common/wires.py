@@ -32,7 +32,6 @@ class _Wired:
     reads: Names = field(default_factory=dict)
     offers: Names = field(default_factory=dict)
     behind: tuple[str, ...] = ()
-    if_read: bool = False
 
     def inputs(self) -> dict[str, InputPort]:
         """Returns signal -> input port."""
@@ -92,7 +91,6 @@ class Wires:
         *,
         reads: Names | None = None,
         offers: Names | None = None,
-        if_read: bool = False,
     ) -> _Added:
         """Adds a system, which offers and reads signals by the names of its ports.
 
@@ -101,7 +99,6 @@ class Wires:
             system: that is added.
             reads: input port -> signal, where it is another name; None leaves the port open.
             offers: output port -> signal, likewise.
-            if_read: whether it is left out where nobody reads what it offers.
 
         Returns:
             The system.
@@ -109,7 +106,7 @@ class Wires:
         Raises:
             ValueError: if there is a subsystem of that name, or a signal has a source.
         """
-        self._add(name, _Wired(system, reads or {}, offers or {}, if_read=if_read))
+        self._add(name, _Wired(system, reads or {}, offers or {}))
         return system
 
     def replace(
@@ -190,7 +187,6 @@ class Wires:
         Raises:
             ValueError: if a system is put behind a signal that nobody offers.
         """
-        self._leave_out_unread()
         for name, wired in self._systems.items():
             self.builder.AddNamedSystem(name, wired.system)
         for name, wired in self._systems.items():
@@ -227,14 +223,6 @@ class Wires:
                 f"the signal '{signal}' has a source already; Wires.interpose puts a system behind "
                 "it, Wires.replace in its place"
             )
-
-    def _leave_out_unread(self) -> None:
-        for name, wired in list(self._systems.items()):
-            others = [other for key, other in self._systems.items() if key != name]
-            read = {signal for other in others for signal in other.inputs()}
-            read |= {signal for signal, _ in self._taken} | set(self._logged + self._exported)
-            if wired.if_read and not read & set(wired.outputs()):
-                del self._systems[name]
 
     def _signals(self) -> set[str]:
         offered = set(self._offered)

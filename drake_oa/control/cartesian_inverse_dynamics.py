@@ -22,8 +22,6 @@ LARGEST_ACCELERATION = 2.0
 """Largest acceleration by which the integral corrects each axis [m/s^2]; a wrong model of the Panda
 needs less than 1."""
 
-_ORIGIN = np.zeros(3)
-
 
 class CartesianInverseDynamics(InverseDynamics):
     """Controller of the tool's motion by operational-space inverse dynamics.
@@ -137,10 +135,9 @@ class CartesianInverseDynamics(InverseDynamics):
             for port, default in self._optional
         )
         X_WE, world = self._frame.CalcPoseInWorld(model), self._plant.world_frame()
-        J = self._model.jacobian(model, self._frame)[:, arm]
-        bias = self._plant.CalcBiasSpatialAcceleration(
-            model, JacobianWrtVariable.kV, self._frame, _ORIGIN, world, world
-        )
+        of_frame = model, JacobianWrtVariable.kV, self._frame, np.zeros(3), world, world
+        J = self._plant.CalcJacobianSpatialVelocity(*of_frame)[:, arm]
+        bias = self._plant.CalcBiasSpatialAcceleration(*of_frame)
         R_error = rotation_of(quaternion) @ X_WE.rotation().matrix().T
         error = np.concatenate((rotation_vector(R_error), p_d - X_WE.translation()))
         velocity_error = np.concatenate((w_d, v_d)) - J @ v

@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -22,8 +23,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, MultibodyForces
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, ValueProducer
 
-from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.common.ports import Cell, ModelContext, valid_period
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, zeros
+from drake_oa.common.ports import valid_period
 from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.02
@@ -38,7 +39,8 @@ LARGEST_STATE = 1e9
 """Magnitude from which a position or velocity counts as not finite, as torques would overflow."""
 
 
-class Command(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Command(Frozen):
     """Torques of one instant.
 
     Attributes:
@@ -48,10 +50,10 @@ class Command(NamedTuple):
         error: (k,) control error; all inf while the joints are braked.
     """
 
-    tau: FloatArray
-    saturated: bool
-    stopping: bool
-    error: FloatArray
+    tau: FloatArray = zeros(0)
+    saturated: bool = False
+    stopping: bool = False
+    error: FloatArray = zeros(0)
 
 
 class InverseDynamics(LeafSystem):
@@ -109,11 +111,15 @@ class InverseDynamics(LeafSystem):
         self._n = self._arm.stop - self._arm.start
         self._hand = np.delete(np.arange(self._m), self._arm)
         self._state = self.DeclareVectorInputPort("robot_state", 2 * self._m)
-        self._model = ModelContext(self, plant)
+        self._model = self.DeclareCacheEntry(
+            "context of the robot's model",
+            ValueProducer(lambda: Value(plant.CreateDefaultContext()), ValueProducer.NoopCalc),
+            {self.nothing_ticket()},
+        )
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, self._period, self._integrate)
         self._command = self.DeclareCacheEntry(
             "joint torques",
-            ValueProducer(allocate=lambda: Value(Cell()), calc=self._calc_command),
+            ValueProducer(allocate=lambda: Value(Command()), calc=self._calc_command),
             prerequisites_of_calc={self.all_input_ports_ticket(), self.xd_ticket()},
         )
         self._offer("actuation", self._m, lambda command: command.tau[self._order])
@@ -130,8 +136,8 @@ class InverseDynamics(LeafSystem):
         )
 
     def _evaluate(self, context: Context) -> Command:
-        cell: Cell[Command] = self._command.Eval(context)
-        return cell.known
+        command: Command = self._command.Eval(context)
+        return command
 
     @abstractmethod
     def _drive(
@@ -167,7 +173,9 @@ class InverseDynamics(LeafSystem):
         spring = FINGER_STIFFNESS * (self._opening - q[hand]) - FINGER_DAMPING * v[hand]
         tau[hand] = np.clip(np.nan_to_num(spring), -effort[hand], effort[hand])
         if np.abs([q, v]).max() < LARGEST_STATE:
-            model = self._model.at(context, q, v)
+            entry = self._model.get_mutable_cache_entry_value(context)
+            model: Context = entry.GetMutableValueOrThrow()
+            plant.SetPositionsAndVelocities(model, self._state.Eval(context))
             forces = MultibodyForces(plant)
             plant.CalcForceElementsContribution(model, forces)
             bias = plant.CalcInverseDynamics(model, np.zeros(self._m), forces)[arm]
@@ -177,7 +185,7 @@ class InverseDynamics(LeafSystem):
             if stopping:
                 drive, error = -self._gains.kd_stop * (M @ v[arm]), unknown
             tau[arm], saturated = limit_torque(bias, drive, effort[arm])
-        value.get_mutable_value().value = Command(tau, saturated, stopping, error)
+        value.set_value(Command(tau, saturated, stopping, error))
 
 
 class JointInverseDynamics(InverseDynamics):

@@ -1,6 +1,6 @@
 """Primitive shapes of obstacles and of what the hand holds, as blocks of a scenario."""
 
-from typing import Annotated, Protocol
+from typing import Annotated, Any
 
 import pydrake.geometry as geometry
 from pydantic import Field
@@ -53,15 +53,8 @@ class Sphere:
     """Roll, pitch and yaw of G in the frame of the obstacle or hand [rad], without effect."""
 
 
-class Placed(Protocol):
-    """What has a place: a translation [m], and roll, pitch, yaw [rad]."""
-
-    translation: list[float]
-    rpy: list[float]
-
-
-def pose(item: Placed) -> RigidTransform:
-    """Pose of a shape in its obstacle, X_OG, or of an obstacle or a base in the world."""
+def pose(item: Any) -> RigidTransform:
+    """Returns the pose of a block with a translation [m] and roll, pitch and yaw [rad]."""
     return RigidTransform(RollPitchYaw(item.rpy), item.translation)
 
 

@@ -72,11 +72,9 @@ class _ImageSender:
         if stands:
             return now - self._sent >= self._period
         late = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
-        if late < 0.0 or late > _PATIENCE * self._period:
-            return late >= 0.0
-        if not isinstance(self._system, LateCamera):
-            return True
-        return self._system.ready(self._system.GetMyContextFromRoot(root))
+        waits = isinstance(self._system, LateCamera) and late <= _PATIENCE * self._period
+        context = self._system.GetMyContextFromRoot(root)
+        return late >= 0.0 and (not waits or self._system.ready(context))
 
     def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, stands: bool) -> None:
         """Sends the latest image."""

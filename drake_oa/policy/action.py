@@ -44,7 +44,7 @@ class Segment(Frozen):
         state: the policy at the beginning.
         end: the policy at the end.
         evasion: (2, 3) velocities at both that displace it besides [m/s].
-        primitive: what it imitates; None: what the `ActionLevel` was made with.
+        primitive: what it imitates; None: the one of `take_step`.
     """
 
     state: PolicyState
@@ -85,91 +85,83 @@ def resting(state: PolicyState, primitive: Dmp | None = None) -> Segment:
     return Segment(state, state, primitive=primitive)
 
 
-class ActionLevel:
-    """A movement primitive with its coupling terms."""
+def take_step(
+    before: Segment,
+    p_WG: FloatArray,
+    around: Surroundings,
+    time: float,
+    step: float,
+    *,
+    dmp: Dmp,
+    config: Policy,
+    speed_scale: float = 1.0,
+    evasion: FloatArray | None = None,
+) -> Segment:
+    """Takes a step of the policy from the end of a segment.
 
-    def __init__(self, dmp: Dmp, config: Policy | None = None) -> None:
-        """Stores the constants.
+    Args:
+        before: where it is.
+        p_WG: (3,) the goal now [m].
+        around: obstacles and coupling terms.
+        time: now [s].
+        step: length of the step [s].
+        dmp: the movement primitive, of three dimensions, unless the segment has its own.
+        config: how coupling terms and holds act.
+        speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
+            gets there at the rate of a hold. What is not in [0, 1] counts as the
+            nearest of them, NaN as 0.
+        evasion: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
+            phase being what they are; it changes linearly within the step. None,
+            and what is not finite: not at all.
 
-        Args:
-            dmp: the movement primitive, of three dimensions.
-            config: how coupling terms and holds act; None: the defaults.
-        """
-        self._dmp, self._config = dmp, config or Policy()
+    Returns:
+        The motion in this step.
 
-    def step(
-        self,
-        before: Segment,
-        p_WG: FloatArray,
-        around: Surroundings,
-        time: float,
-        step: float,
-        speed_scale: float = 1.0,
-        evasion: FloatArray | None = None,
-    ) -> Segment:
-        """Takes a step of the policy from the end of a segment.
-
-        Args:
-            before: where it is.
-            p_WG: (3,) the goal now [m].
-            around: obstacles and coupling terms.
-            time: now [s].
-            step: length of the step [s].
-            speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
-                gets there at the rate of a hold. What is not in [0, 1] counts as the
-                nearest of them, NaN as 0.
-            evasion: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
-                phase being what they are; it changes linearly within the step. None,
-                and what is not finite: not at all.
-
-        Returns:
-            The motion in this step.
-
-        Raises:
-            ValueError: if the goal has come to lie on the start, or the step is negative or not
-                finite.
-        """
-        state, config, dmp = before.end, self._config, before.primitive or self._dmp
-        if not np.array_equal(state.p_WG, p_WG):
-            state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
-        baseline = state.baseline
-        hold, note = around.hold_at(state, time, config.max_observation_age)
-        held = hold is not HoldCause.NONE
-        scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 and not held else 0.0
-        if scale == 0.0 and not held:
-            hold, note = HoldCause.SPEED_SCALE, SCALED_TO_REST
-        tau = around.tau or state.tau
-        if not around.tau and around.path_length is not None:
-            tau = max(1.0, around.path_length / baseline)
-        # What is held before it has begun does not begin.
-        speed = 0.0 if held and state.phase == 1.0 else state.speed
-        most = step / (dmp.duration * config.hold_time)
-        after = speed + min(max(scale / (tau * dmp.duration) - speed, -most), most)
-        ds = 0.5 * (speed + after) * step
-        if not 0.0 <= ds < math.inf:
-            raise ValueError(
-                f"a step of {step} s at {speed} 1/s is not finite and at least 0 in normalised time"
-            )
-        motion = np.empty((2, 2, 3))
-        motion[:] = np.array([state.p_WE, state.z_W])[:, None]
-        if ds > 0.0:
-            middle = np.array([state.phase * math.exp(-0.5 * dmp.alpha_k * ds)])
-            spread, fade = baseline * state.R_WL, config.fade * baseline
-            course = dmp.course(middle, ds, state.p_WG, spread, fade=fade)
-            advance(course, around.obstacles, around.obstacles.terms, math.inf, *motion)
-        if evasion is None or not math.isfinite(evasion.sum()):
-            evasion = np.zeros(3)
-        evasions = np.array([before.evasion[1], evasion])
-        begin = replace(state, tau=tau, speed=speed, stamp=time, hold=hold, note=note)
-        end = replace(
-            begin,
-            p_WE=motion[0, 1] + step * evasions.mean(axis=0),
-            z_W=motion[1, 1],
-            phase=state.phase * math.exp(-dmp.alpha_k * ds),
-            speed=after,
-            stamp=time + step,
+    Raises:
+        ValueError: if the goal has come to lie on the start, or the step is negative or not
+            finite.
+    """
+    state, dmp = before.end, before.primitive or dmp
+    if not np.array_equal(state.p_WG, p_WG):
+        state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
+    baseline = state.baseline
+    hold, note = around.hold_at(state, time, config.max_observation_age)
+    held = hold is not HoldCause.NONE
+    scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 and not held else 0.0
+    if scale == 0.0 and not held:
+        hold, note = HoldCause.SPEED_SCALE, SCALED_TO_REST
+    tau = around.tau or state.tau
+    if not around.tau and around.path_length is not None:
+        tau = max(1.0, around.path_length / baseline)
+    # What is held before it has begun does not begin.
+    speed = 0.0 if held and state.phase == 1.0 else state.speed
+    most = step / (dmp.duration * config.hold_time)
+    after = speed + min(max(scale / (tau * dmp.duration) - speed, -most), most)
+    ds = 0.5 * (speed + after) * step
+    if not 0.0 <= ds < math.inf:
+        raise ValueError(
+            f"a step of {step} s at {speed} 1/s is not finite and at least 0 in normalised time"
         )
-        return Segment(begin, end, evasions, before.primitive)
+    motion = np.empty((2, 2, 3))
+    motion[:] = np.array([state.p_WE, state.z_W])[:, None]
+    if ds > 0.0:
+        middle = np.array([state.phase * math.exp(-0.5 * dmp.alpha_k * ds)])
+        spread, fade = baseline * state.R_WL, config.fade * baseline
+        course = dmp.course(middle, ds, state.p_WG, spread, fade=fade)
+        advance(course, around.obstacles, around.obstacles.terms, math.inf, *motion)
+    if evasion is None or not math.isfinite(evasion.sum()):
+        evasion = np.zeros(3)
+    evasions = np.array([before.evasion[1], evasion])
+    begin = replace(state, tau=tau, speed=speed, stamp=time, hold=hold, note=note)
+    end = replace(
+        begin,
+        p_WE=motion[0, 1] + step * evasions.mean(axis=0),
+        z_W=motion[1, 1],
+        phase=state.phase * math.exp(-dmp.alpha_k * ds),
+        speed=after,
+        stamp=time + step,
+    )
+    return Segment(begin, end, evasions, before.primitive)
 
 
 def restarted(
@@ -183,7 +175,7 @@ def restarted(
         before: where it is.
         p_WG: (3,) the goal [m].
         time: now [s].
-        primitive: what it imitates; None: what the `ActionLevel` was made with.
+        primitive: what it imitates; None: the one of `take_step`.
     """
     state = before.end
     has_left = not np.array_equal(state.p_WE, state.p_WS)

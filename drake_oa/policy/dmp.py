@@ -276,18 +276,14 @@ def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
 def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     """(T, D) positions and (T,) stamps that can be imitated; raises as `imitate`."""
     path = np.asarray(path, dtype=float)
-    if path.ndim != 2 or path.shape[1] == 0:
-        raise ValueError(f"path must be (T, D) with D >= 1, not {path.shape}")
-    if len(path) < 2:
-        raise ValueError(f"path must have at least 2 samples, not {len(path)}")
+    if path.ndim != 2 or len(path) < 2:
+        raise ValueError(f"path must be (T, D) with at least 2 samples, not {path.shape}")
     t = np.linspace(0.0, 1.0, len(path)) if t is None else np.asarray(t, dtype=float)
     if t.shape != (len(path),):
         raise ValueError(f"t must be one stamp a sample, ({len(path)},), not {t.shape}")
-    _refuse(~np.isfinite(path).all(axis=1), "path must be finite: sample {} is not")
-    _refuse(~np.isfinite(t), "t must be finite: sample {} is not")
-    row = int(np.append(np.diff(t) <= 0.0, True).argmax()) + 1
-    if row < len(t):
-        raise ValueError(f"stamps must increase: sample {row} at {t[row]} s follows {t[row - 1]} s")
+    bad = ~np.isfinite(np.column_stack([path, t])).all(axis=1)
+    _refuse(bad, "path and t must be finite: sample {} is not")
+    _refuse(np.diff(t, prepend=-np.inf) <= 0.0, "stamps must increase: that of sample {} does not")
     return path, t
 
 
@@ -518,17 +514,13 @@ def checked_turn(orientations: ArrayLike, t: ArrayLike | None) -> tuple[FloatArr
 def checked_rotations(orientations: ArrayLike) -> FloatArray:
     """Returns (T, 3, 3) rotation matrices that can be imitated; raises as `imitate_orientation`."""
     given = np.asarray(orientations, dtype=float)
-    if given.shape[1:] not in ((4,), (3, 3)):
+    if given.shape[1:] not in ((4,), (3, 3)) or len(given) < 2:
         raise ValueError(
-            "orientations must be (T, 4) quaternions, w first, or (T, 3, 3) rotation matrices, "
-            f"not {given.shape}"
+            "orientations must be (T, 4) quaternions, w first, or (T, 3, 3) rotation matrices, of "
+            f"at least 2 samples, not {given.shape}"
         )
-    if len(given) < 2:
-        raise ValueError(f"orientations must have at least 2 samples, not {len(given)}")
-    _refuse(
-        ~np.isfinite(given).reshape(len(given), -1).all(axis=1),
-        "orientations must be finite: sample {} is not",
-    )
+    bad = ~np.isfinite(given).reshape(len(given), -1).all(axis=1)
+    _refuse(bad, "orientations must be finite: sample {} is not")
     if given.ndim == 2:
         _refuse(~given.any(axis=1), "orientations: the quaternion of sample {} is 0")
         given = Rotation.from_quat(given, scalar_first=True).as_matrix()

@@ -23,7 +23,7 @@ from drake_oa.common.messages import (
     Route,
 )
 from drake_oa.common.ports import read_optional
-from drake_oa.policy.action import ActionLevel, Segment, Surroundings, restarted, resting
+from drake_oa.policy.action import Segment, Surroundings, restarted, resting, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, local_frame
 
@@ -96,18 +96,10 @@ class DmpIntegrator(LeafSystem):
             dmp: the movement primitive.
             start: (3,) where the motion starts [m].
             config: its period, and how coupling terms and holds act; None: the defaults.
-
-        Raises:
-            ValueError: if the start is not three finite numbers.
         """
         super().__init__()
-        start = np.asarray(start, dtype=float)
-        if start.shape != (3,) or not np.isfinite(start).all():
-            raise ValueError(f"start must be 3 finite numbers [m], not {start}")
-        self._dmp = dmp
-        self._level = ActionLevel(dmp, config)
-        self._start = start
-        self._period = period = (config or Policy()).period
+        self._dmp, self._config = dmp, config or Policy()
+        self._start = start = np.asarray(start, dtype=float)
 
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
@@ -159,7 +151,7 @@ class DmpIntegrator(LeafSystem):
             stepped,
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._step)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._step)
 
     def _read_segment(self, context: Context) -> Segment:
         return context.get_abstract_state(self._segment).get_value()
@@ -201,12 +193,14 @@ class DmpIntegrator(LeafSystem):
             primitive = None if given is None else given.position
             before = restarted(before, goal, context.get_time(), primitive)
         scale = self._speed_scale
-        after = self._level.step(
+        after = take_step(
             before,
             goal,
             around,
             context.get_time(),
-            self._period,
+            self._config.period,
+            dmp=self._dmp,
+            config=self._config,
             speed_scale=scale.Eval(context)[0] if scale.HasValue(context) else 1.0,
             evasion=self._evasion.Eval(context) if self._evasion.HasValue(context) else None,
         )

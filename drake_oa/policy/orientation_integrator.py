@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState, zeros
-from drake_oa.common.ports import Cell, read_optional, read_value, valid_period
+from drake_oa.common.ports import read_optional, read_value, valid_period
 from drake_oa.policy.dmp import (
     ALPHA,
     QUATERNION,
@@ -140,7 +140,7 @@ class OrientationIntegrator(LeafSystem):
         self._segment = self.DeclareAbstractState(Value(begin))
         self._now = self.DeclareCacheEntry(
             "orientation now",
-            ValueProducer(lambda: Value(Cell()), self._calc_now),
+            ValueProducer(lambda: Value(np.zeros(10)), self._calc_now),
             {self.time_ticket(), self.abstract_state_ticket(self._segment)},
         )
         for name, part in (
@@ -152,7 +152,7 @@ class OrientationIntegrator(LeafSystem):
                 name,
                 part.stop - part.start,
                 lambda context, output, part=part: output.SetFromVector(
-                    self._now.Eval(context).value[part]
+                    self._now.Eval(context)[part]
                 ),
                 {self._now.ticket()},
             )
@@ -164,8 +164,7 @@ class OrientationIntegrator(LeafSystem):
     def _calc_now(self, context: Context, value: AbstractValue) -> None:
         segment = self._read_segment(context)
         since = max(context.get_time() - segment.begin, 0.0)
-        cell: Cell[FloatArray] = value.get_mutable_value()
-        cell.value = evaluate(segment.ends, segment.length, segment.origin, since)
+        value.set_value(evaluate(segment.ends, segment.length, segment.origin, since))
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> FloatArray:
         """Returns the goal's rotation vector."""

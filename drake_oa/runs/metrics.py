@@ -6,7 +6,6 @@ own distance and contact queries: nothing that steered the motion judges it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -296,7 +295,7 @@ class RobotJudge:
                 known[pair] = hit
         return found, own
 
-    def _clearances(self, query: QueryObject) -> list[float]:
+    def _clearances(self, query: QueryObject) -> FloatArray:
         """Returns minimum distances to the obstacles that are there [m].
 
         Of the robot, of the tool, and of the tool to what never moves. No pair of geometries is
@@ -305,19 +304,16 @@ class RobotJudge:
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
         bounds = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
-        order, tool, found = np.argsort(bounds, axis=None), self._tool[:, None], []
-        for counted in (np.True_, tool, tool & self._rests):
-            chosen = order[np.broadcast_to(counted, bounds.shape).ravel()[order]]
-            least = OUT_OF_WORLD
-            for i, j in zip(*np.unravel_index(chosen, bounds.shape), strict=True):
-                if bounds[i, j] >= least:
-                    break
-                pair = query.ComputeSignedDistancePairClosestPoints(
-                    ours.geometries[i], others.geometries[j]
-                )
-                least = min(least, pair.distance)
-            found.append(least if least < OUT_OF_WORLD else math.inf)
-        return found
+        order, least = np.argsort(bounds, axis=None), np.full(3, OUT_OF_WORLD)
+        for i, j in zip(*np.unravel_index(order, bounds.shape), strict=True):
+            if bounds[i, j] >= least.max():
+                break
+            counts = np.array([True, self._tool[i], self._tool[i] and self._rests[j]])
+            if (least[counts] > bounds[i, j]).any():
+                geometries = ours.geometries[i], others.geometries[j]
+                pair = query.ComputeSignedDistancePairClosestPoints(*geometries)
+                least[counts] = np.minimum(least[counts], pair.distance)
+        return np.where(least < OUT_OF_WORLD, least, np.inf)
 
 
 class _Balls:

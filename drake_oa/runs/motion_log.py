@@ -303,10 +303,9 @@ def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
         raise ValueError("it has no key MOTION/stop_reason")
     version = int(arrays.get(_SCHEMA_KEY, 1))
     if version != SCHEMA_VERSION:
-        age = "older" if version < SCHEMA_VERSION else "newer"
         raise ValueError(
-            f"it has schema {version}, {age} than the {SCHEMA_VERSION} that this version of "
-            "drake_oa reads; run the scenario again, or use the version named in the log's versions"
+            f"it has schema {version}; this version of drake_oa reads {SCHEMA_VERSION}: run the "
+            "scenario again, or use the version named in the log's versions"
         )
     logs = {}
     for motion in motions:

@@ -11,7 +11,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.perception.config import CameraSource
 from drake_oa.planning.search import SOURCES
 from drake_oa.regulation.config import Paper
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_judge
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.simulation import MotionWatcher, motion_state
@@ -88,9 +87,6 @@ def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
     """
     if not len(log.t):
         return [Reading(0.0, "")]
-    q, robot = log.q, scenario.robot
-    if robot and q.shape[1] != make_robot_plant(robot).plant.num_positions():
-        q = q[:, :0]
     panel = PanelReadings(scenario, log.modulated)
     found, first = [], 0
     for time in np.arange(0.0, log.t[-1] + _PERIOD, _PERIOD):
@@ -99,7 +95,7 @@ def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
         now, first = float(log.t[last]), last + 1
         source = float(log.motion_source[last]) if len(log.motion_source) else -1.0
         state = _logged_state(log, now)
-        found.append(panel.at(round(now, 3), state, q[rows], log.q_world[rows], source))
+        found.append(panel.at(round(now, 3), state, log.q[rows], log.q_world[rows], source))
     return found
 
 

@@ -11,7 +11,6 @@ import copy
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -82,21 +81,6 @@ def move_obstacle(scenario: Scenario, name: str, X_WO: RigidTransform) -> None:
             item.rpy = RollPitchYaw(X_WO.rotation()).vector().tolist()
 
 
-@dataclass
-class Settings:
-    """State of the controls.
-
-    Attributes:
-        values: name of a slider -> its value [m, rad].
-        regulation: "verified", "paper" or "preplanned".
-        is_seen: whether the scenario's camera sees the obstacles, which are known otherwise.
-    """
-
-    values: dict[str, float]
-    regulation: str
-    is_seen: bool
-
-
 class PlaySession:
     """Interactive run of one scenario: `tick` after `tick`, until `stopped`.
 
@@ -139,7 +123,7 @@ class PlaySession:
         self._begin(None)
 
     def _add_controls(self) -> list[str]:
-        """Adds buttons and sliders; returns the names of the sliders of `Settings`."""
+        """Adds buttons and sliders; returns the names of the sliders but that of the speed."""
         for name, key in (
             ("pause", "Space"),
             ("reset", "KeyR"),
@@ -169,15 +153,15 @@ class PlaySession:
     def _clicks(self, name: str) -> int:
         return int(self.meshcat.GetButtonClicks(name))
 
-    def _settings(self) -> Settings:
-        """Reads the controls."""
+    def _settings(self) -> dict[str, Any]:
+        """Reads the sliders [m, rad], "regulation", and "is_seen" by the scenario's camera."""
         turn = self._clicks(_NEXT) + _is_paper(self._scenario)
         can_see = isinstance(self._scenario.perception, CameraSource)
-        return Settings(
-            {name: self.meshcat.GetSliderValue(name) for name in self._sliders},
-            regulation=_REGULATIONS[turn % len(_REGULATIONS)],
-            is_seen=can_see and self._clicks(_SOURCE) % 2 == 0,
-        )
+        return {
+            **{name: self.meshcat.GetSliderValue(name) for name in self._sliders},
+            "regulation": _REGULATIONS[turn % len(_REGULATIONS)],
+            "is_seen": can_see and self._clicks(_SOURCE) % 2 == 0,
+        }
 
     def tick(self) -> None:
         """Applies changes, advances by `TICK` unless paused, and shows the state."""
@@ -228,7 +212,7 @@ class PlaySession:
         Impossible settings are refused: the sliders return, and the present motion goes on.
         """
         settings = self._taken = self._wanted
-        modulated = settings.regulation != "preplanned"
+        modulated = settings["regulation"] != "preplanned"
         try:
             scenario = self._changed(settings, q)
             diagram = build_avoidance(scenario, modulated=modulated, meshcat=self.meshcat)
@@ -242,8 +226,8 @@ class PlaySession:
             self._refused = str(error)
             if self._simulator is None:
                 raise
-            for name, value in self._active.values.items():
-                self.meshcat.SetSliderValue(name, value)
+            for name in self._sliders:
+                self.meshcat.SetSliderValue(name, self._active[name])
             self._taken = self._wanted = self._settings()
             return
         self._end_leg()
@@ -258,26 +242,25 @@ class PlaySession:
         """Returns the pairs in contact now."""
         return frozenset(self._judge.metrics(*self._watcher.positions(self._root())).contacts)
 
-    def _changed(self, settings: Settings, q: FloatArray | None) -> Scenario:
+    def _changed(self, settings: dict[str, Any], q: FloatArray | None) -> Scenario:
         """Returns the scenario with the settings, its motion from where the arm is."""
         scenario = copy.deepcopy(self._scenario)
-        task, values = scenario.task, settings.values
-        task.clearance = values["clearance [m]"]
-        task.goal = [values[f"goal {axis} [m]"] for axis in "xyz"]
+        task = scenario.task
+        task.clearance = settings["clearance [m]"]
+        task.goal = [settings[f"goal {axis} [m]"] for axis in "xyz"]
         if self.homeward:
             task.goal = list(self._home)
         if q is not None:
             task.q_start, task.q_goal = q[: len(robot_of(scenario).q_seed)].tolist(), None
             task.goal_moves, task.demonstration = [], []
             follow_joints(scenario)
-        if settings.regulation == "paper" and not _is_paper(scenario):
-            scenario.regulation = Paper()
-        elif settings.regulation == "verified" and _is_paper(scenario):
-            scenario.regulation = Verified()
-        if not settings.is_seen and isinstance(scenario.perception, CameraSource):
+        wants_paper = settings["regulation"] == "paper"
+        if wants_paper != _is_paper(scenario):
+            scenario.regulation = Paper() if wants_paper else Verified()
+        if not settings["is_seen"] and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
         for name, X_WO in self._poses.items():
-            x, y, yaw = (values[f"{name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
+            x, y, yaw = (settings[f"{name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
             roll, pitch, _ = RollPitchYaw(X_WO.rotation()).vector()
             p_WO = [x, y, X_WO.translation()[2]]
             X_WO = RigidTransform(RollPitchYaw(roll, pitch, yaw), p_WO)
@@ -310,7 +293,7 @@ class PlaySession:
             return
         self._simulator.clear_monitor()
         self._leg += 1
-        modulated = self._active.regulation != "preplanned"
+        modulated = self._active["regulation"] != "preplanned"
         self._watcher.finish(self._root())
         if not math.isfinite(self._watcher.motion_end):
             self._watcher.ending = Ending(MotionEnd.CUT_SHORT, "restarted")

@@ -91,22 +91,19 @@ _SUPERVISION = ("supervision_time", "supervision_action", "supervision_reason")
 T = TypeVar("T")
 
 
-def _reader(
-    diagram: Diagram, system: str, port: str | None, otherwise: T
-) -> Callable[[Context], T]:
+def _reader(diagram: Diagram, system: str, port: str, otherwise: T) -> Callable[[Context], T]:
     """Makes a function that reads an output port of a system by the Context of its diagram.
 
     Args:
         diagram: what is read.
         system: name of the system.
-        port: name of the port; None: the only one.
+        port: name of the port.
         otherwise: the value where the diagram lacks the system.
     """
     if not diagram.HasSubsystemNamed(system):
         return lambda root: otherwise
     found = diagram.GetSubsystemByName(system)
-    output = found.GetOutputPort(port) if port else found.get_output_port()
-    return lambda root: output.Eval(found.GetMyContextFromRoot(root))
+    return lambda root: found.GetOutputPort(port).Eval(found.GetMyContextFromRoot(root))
 
 
 def motion_state(supervision: tuple[str, str], note: str) -> str:
@@ -155,7 +152,6 @@ class MotionWatcher:
             on_look: called after each look with this and the diagram's Context.
         """
         self._diagram = diagram
-        described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
         self._policy = _reader(diagram, "dmp_integrator", "policy_state", PolicyState())
         self._supervision = _reader(diagram, "motion_guard", "supervision", Supervision())
         self._motion = _reader(diagram, "motion_verifier", "motion", PlannedMotion())
@@ -163,9 +159,9 @@ class MotionWatcher:
         # With MotionVerifier the chain only proposes, and is evaluated only for a search.
         chain = "" if diagram.HasSubsystemNamed("motion_verifier") else "regressor_chain"
         self._coupling = _reader(diagram, chain, "coupling_parameters", CouplingParameters())
-        self._ellipsoids = _reader(
-            diagram, "ellipsoid_descriptor" if described else "perception", None, EllipsoidSet()
-        )
+        described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
+        source = "ellipsoid_descriptor" if described else "perception"
+        self._ellipsoids = _reader(diagram, source, "ellipsoids_W", EllipsoidSet())
         self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
         self._on_look = on_look

@@ -69,7 +69,7 @@ def test_the_table_lists_every_key_and_no_other() -> None:
 
 @pytest.mark.parametrize(
     ("version", "said"),
-    [(None, "schema 1, older"), (2, r"missing .*'q'"), (3, "schema 3, newer")],
+    [(None, "schema 1; this version"), (2, r"missing .*'q'"), (3, "schema 3; this version")],
 )
 def test_another_schema_and_missing_keys_are_named(
     version: int | None, said: str, tmp_path: Path

@@ -70,9 +70,8 @@ def test_what_regulation_believes_is_told_apart_from_what_was_kept(log_of: LogOf
     assert [report["modulated"][key] for key in keys] == ["Verified", 0.0123, 0.02, 0.0]
     assert [report["preplanned"][key] for key in keys[:3]] == [None, None, None]
     assert report["preplanned"]["short_of_feasible"] > report["preplanned"]["feasible_clearance"]
-    *_, lowered, lacked = str(report_table(report)).splitlines()
+    *_, lowered = str(report_table(report)).splitlines()
     assert lowered.startswith("note: modulated: regulation lowered the asked clearance")
-    assert lacked == "note: modulated: regulation believed to lack 12.3 mm of the clearance"
 
 
 def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told(
@@ -107,6 +106,4 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         "count": 3,
     }
     assert found["guard_cost"]["max"] == 0.004
-    table = str(report_table({"modulated": found}))
-    assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table
     assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None

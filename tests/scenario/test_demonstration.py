@@ -116,7 +116,7 @@ def test_of_several_the_bad_one_is_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "good.npz", path=PATH)
     np.savez(tmp_path / "nan.npz", path=np.where(S[:, None] == S[4], np.nan, PATH))
     np.savez(tmp_path / "turns.npz", path=PATH, R=np.tile(np.eye(3), (11, 1, 1)))
-    with pytest.raises(ScenarioError, match=r"'[^']*nan\.npz': path must be finite: sample 4 is"):
+    with pytest.raises(ScenarioError, match=r"nan\.npz': path and t must be finite: sample 4 is"):
         demonstrated_path(taught(tmp_path / "good.npz", tmp_path / "nan.npz"))
     with pytest.raises(ScenarioError, match=r"good\.npz' has no orientations, others have"):
         demonstrated_path(taught(tmp_path / "turns.npz", tmp_path / "good.npz"))
