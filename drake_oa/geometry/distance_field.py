@@ -185,7 +185,7 @@ def _hidden(
     image = p_VQ[:, :2] / p_VQ[:, 2:]
     pixel = max(_PIXEL * voxel / distance, float(np.ptp(image, axis=0).max()) / _MAX_PIXELS)
     corner = image.min(axis=0) - 1.5 * pixel
-    near, far = _depth_images((image - corner) / pixel, np.linalg.norm(p_VQ, axis=1))
+    near = _depth_image((image - corner) / pixel, np.linalg.norm(p_VQ, axis=1))
 
     first = np.floor((low - deepest - p_WO) / voxel).astype(np.int64)
     last = np.floor((high + deepest - p_WO) / voxel).astype(np.int64) + 1
@@ -199,16 +199,14 @@ def _hidden(
     p_WN = p_WO + voxel * nodes
     nodes = nodes[p_WN @ normal >= offset + bottom]
     p_VN = (p_WO + voxel * nodes - p_WV) @ R_WV
-    in_front = p_VN[:, 2] > 0.0
-    nodes, p_VN = nodes[in_front], p_VN[in_front]
-    u, v = np.floor((p_VN[:, :2] / p_VN[:, 2:] - corner) / pixel).T
-    in_image = (u >= 0) & (v >= 0) & (u < near.shape[0]) & (v < near.shape[1])
-    at = u[in_image].astype(np.int64), v[in_image].astype(np.int64)
+    with np.errstate(all="ignore"):
+        u, v = np.floor((p_VN[:, :2] / p_VN[:, 2:] - corner) / pixel).T
+    in_image = (p_VN[:, 2] > 0.0) & (u >= 0) & (v >= 0)
+    in_image &= (u < near.shape[0]) & (v < near.shape[1])
     nodes, r = nodes[in_image], np.linalg.norm(p_VN[in_image], axis=1)
-    # Behind the nearest by no more than the run, or so behind the farthest.
-    behind = np.where(r > far[at], r - far[at], r - near[at])
+    behind = r - near[u[in_image].astype(np.int64), v[in_image].astype(np.int64)]
     horizontal = np.hypot(*(p_WO + voxel * nodes - p_WV)[:, :2].T) / r
-    is_hidden = (r >= near[at]) & (behind * horizontal <= run + 0.5 * voxel)
+    is_hidden = (behind >= 0.0) & (behind * horizontal <= run + 0.5 * voxel)
     hidden[tuple(nodes[is_hidden].T)] = True
     return hidden
 
@@ -233,23 +231,18 @@ def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
     return np.asarray(sides * [1.0, 1.0, -1.0])
 
 
-def _depth_images(place: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Draws the nearest and the farthest distances of points; inf and -inf where there are none.
+def _depth_image(place: FloatArray, distance: FloatArray) -> FloatArray:
+    """Draws the nearest distances of points; inf where there are none.
 
     Args:
         place: (N, 2) of the points [pixel].
         distance: (N,) of them [m].
     """
-    shape = tuple(np.floor(place.max(axis=0)).astype(np.int64) + 3)
-    near, far = np.full(shape, np.inf), np.full(shape, -np.inf)
+    near = np.full(tuple(np.floor(place.max(axis=0)).astype(np.int64) + 3), np.inf)
     # Each point is drawn on the four nearest pixels.
     corner = np.floor(place - 0.5).astype(np.int64)
     for step in np.ndindex(2, 2):
-        at = tuple((corner + step).T)
-        np.minimum.at(near, at, distance)
-        np.maximum.at(far, at, distance)
+        np.minimum.at(near, tuple((corner + step).T), distance)
     drawn = near < np.inf
     gap = ndimage.binary_closing(drawn, np.ones((3, 3))) & ~drawn
-    closest, farthest = ndimage.minimum_filter(near, 3), ndimage.maximum_filter(far, 3)
-    near[gap], far[gap] = closest[gap], farthest[gap]
-    return near, far
+    return np.where(gap, ndimage.minimum_filter(near, 3), near)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import GetScopedFrameByName
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.pinhole import pinhole
@@ -39,13 +36,18 @@ def near_space(scenario: Scenario) -> NearSpace:
 
 def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
     """Computes the volumes in which the cameras of perception measure."""
-    limits = source.segmentation
-    volumes = []
+    limits, volumes = source.segmentation, []
+    plant = MultibodyPlant(time_step=scenario.plant_step)
+    add_world(plant, scenario)
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
     for camera in camera_configs(scenario, source):
         seen = depth_intrinsics(camera)
+        frame = GetScopedFrameByName(plant, camera.X_PB.base_frame or "world")
+        X_WC = frame.CalcPoseInWorld(context) @ camera.X_PB.GetDeterministicValue()
         volumes.append(
             ViewVolume(
-                camera_pose(scenario, camera).GetAsMatrix4(),
+                X_WC.GetAsMatrix4(),
                 np.array(pinhole(seen)),
                 (seen.height(), seen.width()),
                 max(camera.z_near, limits.near),
@@ -53,17 +55,6 @@ def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
             )
         )
     return volumes
-
-
-def camera_pose(scenario: Scenario, camera: CameraConfig) -> RigidTransform:
-    """Computes the pose in the world of a camera of a scenario."""
-    scene_graph, plant = SceneGraph(), MultibodyPlant(time_step=scenario.plant_step)
-    plant.RegisterAsSourceForSceneGraph(scene_graph)
-    add_world(plant, scenario)
-    plant.Finalize()
-    frame = GetScopedFrameByName(plant, camera.X_PB.base_frame or "world")
-    X_WP = frame.CalcPoseInWorld(plant.CreateDefaultContext())
-    return X_WP @ camera.X_PB.GetDeterministicValue()
 
 
 def view_note(scenario: Scenario) -> str:

@@ -20,7 +20,7 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.policy.action import ActionLevel, Segment, Surroundings, restarted, resting
+from drake_oa.policy.action import Segment, Surroundings, restarted, resting, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import HEADING, triple
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
@@ -34,7 +34,7 @@ START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 DMP = imitate(*minimum_jerk(START, GOAL, duration=2.0))
 STEP = 0.005
 POLICY = Policy()
-LEVEL = ActionLevel(DMP, POLICY)
+STEPPED = partial(take_step, dmp=DMP, config=POLICY)
 seeds = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=15)
 
@@ -60,7 +60,7 @@ def run(around: Surroundings, count: int = 480, **inputs: ArrayLike) -> list[Seg
     found = [begun(START, GOAL)]
     for row in range(count):
         given_ = {name: rows[row] for name, rows in inputs.items()}
-        found.append(LEVEL.step(found[-1], GOAL, around, row * STEP, STEP, **given_))
+        found.append(STEPPED(found[-1], GOAL, around, row * STEP, STEP, **given_))
     return found[1:]
 
 
@@ -107,7 +107,7 @@ def under_way(some: Scene, seed: int) -> PolicyState:
 
 def step_of(state: PolicyState, *around: object) -> PolicyState:
     values = Surroundings.of(*around)
-    return LEVEL.step(resting(state), state.p_WG, values, 0.0, STEP).end
+    return STEPPED(resting(state), state.p_WG, values, 0.0, STEP).end
 
 
 # Holds.
@@ -270,20 +270,22 @@ def test_energy_never_rises_over_a_step(seed: int, period: float, ratio: float) 
     for _ in range(5):
         p, z = segment.end.p_WE, segment.end.z_W
         energies.append(alpha**2 * ratio * ((goal - p) ** 2).sum() + (z**2).sum())
-        segment = ActionLevel(dmp).step(segment, goal, around, segment.end.stamp, period)
+        segment = take_step(
+            segment, goal, around, segment.end.stamp, period, dmp=dmp, config=POLICY
+        )
     assert (np.diff(energies) <= 1e-12 * energies[0]).all()
 
 
 def path_in(some: Scene, *, tau: float = 1.0, steps: int = 200) -> FloatArray:
     """Positions of the compiled action level from s = 0 to 1.2, where nothing holds it."""
     start, goal, ellipsoids, coupling, route = some
-    level = ActionLevel(replace(DMP, duration=1.0))
+    stepped = partial(take_step, dmp=replace(DMP, duration=1.0), config=POLICY)
     segment = begun(start, goal, tau=tau, speed=1.0 / tau)
     around = Surroundings.of(ellipsoids, replace(coupling, tau=tau, verified=True), route)
     around = replace(around, obstacles=Surroundings.of(ellipsoids, coupling, route).obstacles)
     found = [start]
     for _ in range(round(1.2 * steps)):
-        segment = level.step(segment, goal, around, segment.end.stamp, tau / steps)
+        segment = stepped(segment, goal, around, segment.end.stamp, tau / steps)
         found.append(segment.end.p_WE)
     return np.array(found)
 
