@@ -55,7 +55,7 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
         found[name] = {"run": {"real_time_factor": factor, "layers": layers}}
     return {
         "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-        "versions": dict(item.split(" ", 1) for item in software_versions()),
+        "versions": software_versions(),
         "scenarios": found,
     }
 

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from drake_oa.app.scenarios import Positive
-from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
-from drake_oa.common.files import check_outputs, replace_json, replace_text
+from drake_oa.app.scenarios import Count, Positive, Seed
+from drake_oa.common.console import FAILED, complain, show
+from drake_oa.common.files import check_outputs, import_extra, replace_json, replace_text
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from drake_oa.common.console import TextTable
     from drake_oa.studies.panda.evaluation import PandaResults, PandaSuite
-    from drake_oa.studies.results import ResultFolder
-    from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
-    from drake_oa.studies.scenes.methods import Method
-    from drake_oa.studies.scenes.scenes import Scenes
-    from drake_oa.studies.scenes.suites import Case, Suite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Where results go that nobody named, relative to the current folder."""
@@ -44,10 +38,10 @@ def synthetic(
     /,
     *,
     methods: Methods = (),
-    scenes: int | None = None,
-    seed: int = 0,
+    scenes: Count | None = None,
+    seed: Seed = 0,
     json: Path | None = None,
-) -> int:
+) -> None:
     """Compare methods on scenes of ellipsoids.
 
     table1, table2, table3, figure_familiar and figure_dead_zone, commands of their own, are the
@@ -76,11 +70,7 @@ def synthetic(
       original             the coupling term that the paper starts from
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
-    method; what was computed so far is in it, with "complete": false, when a method fails
-    or the command is interrupted.
-
-    Exit status: 0 when all was run, 1 when a method failed, 2 for bad input, 130 when
-    interrupted.
+    method.
 
     For example:
 
@@ -94,105 +84,55 @@ def synthetic(
         seed: of the scenes.
         json: write the figures.
     """
-    from drake_oa.studies.scenes.evaluation import evaluation_tables
-    from drake_oa.studies.scenes.methods import load_methods
-    from drake_oa.studies.scenes.suites import draw_scenes
-
-    found_suite = _suite(suite)
-    chosen = load_methods(methods or found_suite.methods)
-    check_outputs(json)
-    drawn = draw_scenes(suite, scenes, seed)
-    evaluation, figures = evaluated(suite, seed, drawn, found_suite.cases, chosen, json)
-    print(_heading(suite, drawn))
-    show(*evaluation_tables(figures))
-    return evaluation_status(evaluation)
+    evaluate_points(suite, methods, scenes, seed, json)
 
 
-def evaluated(
-    suite: str,
+def evaluate_points(
+    name: str,
+    methods: Sequence[str],
+    count: int | None,
     seed: int | None,
-    scenes: Scenes,
-    cases: Sequence[Case],
-    methods: Mapping[str, Method],
     json: Path | None,
     *,
-    more: Mapping[str, Any] | None = None,
-) -> tuple[Evaluation, dict[str, Any]]:
-    """Runs methods on scenes, with a progress bar; the JSON is written after every method.
+    notes: Sequence[str] = (),
+    terms: bool = False,
+) -> None:
+    """Runs methods on a suite of ellipsoids and prints their tables.
+
+    The JSON is written after every method.
 
     Args:
-        suite: name of the result.
+        name: of the suite.
+        methods: names of methods; none: those of the suite.
+        count: number of scenes; None: that of the suite.
         seed: of the scenes; None for scenes without one.
-        scenes: the scenes.
-        cases: how each is run.
-        methods: by name.
         json: where the figures go.
-        more: what stands in the figures besides.
-
-    Returns:
-        The outcomes and their figures.
+        notes: lines below the first table.
+        terms: whether both coupling terms alone are compared as well.
     """
-    from drake_oa.common.files import software_versions
-    from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
-    from drake_oa.studies.scenes.evaluation import evaluation_figures
-
-    versions = software_versions()
-
-    def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
-        return evaluation_figures(suite, seed, versions, cases, outcomes) | dict(more or {})
-
-    def keep(outcomes: Mapping[str, Outcome]) -> None:
-        replace_json(json, figures(outcomes))
-
-    with counted(len(scenes) * len(cases) * len(methods)) as on_progress:
-        evaluation = evaluate_scenes(
-            scenes, cases, methods, on_progress=on_progress, on_method=keep
-        )
-    return evaluation, figures(evaluation.outcomes)
-
-
-def _suite(name: str) -> Suite:
-    from drake_oa.studies.scenes.suites import SUITES, find_suite
-
-    if name not in SUITES:
-        known = ", ".join([*SUITES, *(command for command in evaluate if command[0] != "-")])
-        raise ValueError(f"unknown suite {name!r}; valid: {known}")
-    return find_suite(name)
-
-
-def _heading(suite: str, scenes: Scenes) -> str:
-    from drake_oa.studies.scenes.suites import line_distance
-
-    hit = int((line_distance(scenes) < 0.0).sum())
-    return (
-        f"{suite}: {len(scenes)} scenes; in {hit} an obstacle is on the straight line\n"
-        "where feasible: mean over the scenes in which Delta itself is feasible\n"
+    from drake_oa.studies.scenes.evaluation import (
+        compare_terms,
+        evaluate,
+        evaluation_figures,
+        evaluation_tables,
+        term_table,
     )
+    from drake_oa.studies.scenes.methods import load_methods
+    from drake_oa.studies.scenes.suites import SUITES, draw_scenes, line_distance
 
-
-def evaluation_status(evaluation: Evaluation) -> int:
-    """Complains of what failed or was interrupted, and returns the exit status."""
-    for name, outcome in evaluation.outcomes.items():
-        if outcome.error is not None:
-            complain(f"{name} failed: {outcome.error}")
-    if evaluation.interrupted:
-        complain("interrupted")
-        return INTERRUPTED
-    return 0 if all(o.complete for o in evaluation.outcomes.values()) else FAILED
-
-
-@contextmanager
-def counted(total: int) -> Iterator[Callable[[str, int], None]]:
-    """Shows a progress bar; yields a function of a name and an additional count."""
-    with progress_bar(total) as update:
-        count = 0
-
-        def advance(name: str, more: int) -> None:
-            nonlocal count
-            count += more
-            update(f"{name} {count}/{total}", count)
-
-        yield advance
+    drawn, suite = draw_scenes(name, count, seed or 0), SUITES[name]
+    chosen = load_methods(methods or suite.methods)
+    check_outputs(json)
+    more = {"terms": compare_terms(drawn)} if terms else {}
+    outcomes, figures = {}, dict[str, Any]()
+    for method, function in chosen.items():
+        outcomes[method] = evaluate(method, function, drawn, suite.settings)
+        figures = evaluation_figures(name, seed, suite.settings, outcomes) | more
+        replace_json(json, figures)
+    hit = int((line_distance(drawn) < 0.0).sum())
+    print(f"{name}: {len(drawn)} scenes; in {hit} an obstacle is on the straight line")
+    print("where feasible: mean over the scenes in which Delta itself is feasible\n")
+    show(*map(term_table, more.values()), *evaluation_tables(figures, notes))
 
 
 # The whole robot ------------------------------------------------------------------------
@@ -211,16 +151,14 @@ class Runs:
         json: write the figures.
         results: folder of the results, scene by scene (default: beside --json as STEM.scenes,
             or drake_oa_runs/evaluate-panda).
-        logs: keep each run's log (.npz) in this folder.
         write_scenes: write the scenes as scenario files for `drake-oa run` to this folder.
     """
 
-    jobs: int | None = None
+    jobs: Count | None = None
     scheduler: str | None = None
     duration: Positive | None = None
     json: Path | None = None
     results: Path | None = None
-    logs: Path | None = None
     write_scenes: Path | None = None
 
 
@@ -232,9 +170,9 @@ def panda(
     *,
     kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = ("tabletop",),
     levels: Annotated[tuple[str, ...], Parameter(name="--level")] = (),
-    methods: Methods = (),
-    scenes: int = 100,
-    seed: int = 0,
+    methods: Methods = ("preplanned", "paper", "verified", "differential_ik"),
+    scenes: Count = 100,
+    seed: Seed = 0,
     perception: Literal["depth", "truth"] = "depth",
     cameras: Literal[1, 2] = 1,
     runs: Runs = RUNS,
@@ -257,7 +195,7 @@ def panda(
                    to 4 (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6:
                    floating1 with boxes of this speed [m/s]
 
-    Methods (all by default; planner in all but tabletop):
+    Methods (default: the first four):
 
       preplanned       the planned motion, blind to obstacles
       paper            the paper's method alone, which nothing checks
@@ -312,7 +250,7 @@ def panda(
         cameras: 2: two beside the robot, 2.1 m from the workspace's middle, in place of one.
         runs: how runs are made.
     """
-    from drake_oa.studies.panda.evaluation import default_methods, panda_suite
+    from drake_oa.studies.panda.evaluation import panda_suite
     from drake_oa.studies.panda.scenes import suite_kinds
     from drake_oa.studies.panda.tables import kinds_figures
 
@@ -320,11 +258,11 @@ def panda(
         raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
     sees = "depth2" if cameras == 2 else perception
     suites = [
-        panda_suite(kind, scenes, seed, methods or default_methods(kind), sees, runs.duration)
+        panda_suite(kind, scenes, seed, methods, sees, runs.duration)
         for kind in suite_kinds(_named(kinds), _named(levels))
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
-    return run_suites(runs, suites, heading, lambda _, figures: kinds_figures(figures))
+    return run_suites(runs, suites, heading, kinds_figures)
 
 
 @evaluate.command
@@ -334,7 +272,7 @@ def mbm(
     robot: str | None = None,
     sets: tuple[str, ...] = (),
     methods: Methods = ("verified", "planner"),
-    scenes: int | None = None,
+    scenes: Count | None = None,
     perception: Literal["depth", "truth"] = "truth",
     runs: Runs = RUNS,
 ) -> int:
@@ -391,18 +329,18 @@ def sources(
         "tabletop,clutter6,elbow,moving",
     ),
     problems: Path | None = None,
-    scenes: int = 20,
-    count: int = 10,
-    seed: int = 0,
+    scenes: Count = 20,
+    count: Count = 10,
+    seed: Seed = 0,
     runs: Runs = RUNS,
 ) -> int:
     """Count the sources of the executed motions, and evaluate without each of them.
 
     Sources: nominal (the demonstrated motion), chain (the rows of the paper's regressor chain
     together, with heading guidance), search (the local search) and
-    joint_path (a path in the joints that the primitives imitate). It prints, for each suite, the
-    number of scenes in which a motion of each source was executed, and success, contacts, clearance
-    and path length without chain, search and joint_path.
+    joint_path (a path in the joints that the primitives imitate). It prints the table of `drake-oa
+    evaluate panda` for `verified` and without chain, search and joint_path, and below it the
+    number of scenes in which a motion of each source was executed.
 
     For example:
 
@@ -419,7 +357,7 @@ def sources(
     """
     from drake_oa.studies.mbm.suite import mbm_suites
     from drake_oa.studies.panda.evaluation import WITHOUT, panda_suite
-    from drake_oa.studies.panda.sources import sources_figures, sources_table
+    from drake_oa.studies.panda.tables import kinds_figures
 
     methods = ("verified", *WITHOUT)
     suites = [
@@ -428,7 +366,7 @@ def sources(
     if problems is not None:
         suites += mbm_suites(problems, None, (), methods, count, "truth", runs.duration)
     heading = f"sources: seed {seed}"
-    return run_suites(runs, suites, heading, sources_figures, sources_table)
+    return run_suites(runs, suites, heading, kinds_figures)
 
 
 def _named(texts: Sequence[str]) -> list[str]:
@@ -455,89 +393,38 @@ def run_suites(
     """
     if runs.jobs is not None and runs.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")
-    if runs.jobs is not None and runs.jobs < 1:
-        raise ValueError(f"--jobs must be at least 1, not {runs.jobs}")
 
     from joblib import cpu_count
 
-    from drake_oa.common.files import software_versions
+    from drake_oa.scenario.loading import parse_scenario, scenario_text
     from drake_oa.studies.panda.evaluation import PLANNER, evaluate_panda
-    from drake_oa.studies.panda.planner import check_planner
-    from drake_oa.studies.panda.scenes import MOVING_KINDS
+    from drake_oa.studies.panda.scenes import MOVING_KINDS, seen_by
     from drake_oa.studies.panda.tables import panda_figures, panda_table
 
     if any(PLANNER in suite.methods for suite in suites if suite.kind not in MOVING_KINDS):
-        check_planner()
-    check_outputs(runs.json)
-    folder = _results_folder(runs)
-    jobs = 1 if runs.scheduler is not None else runs.jobs or cpu_count()
-    results: list[PandaResults] = []
-    with counted(
-        sum(len(suite.drawings) * (1 + len(suite.methods)) for suite in suites)
-    ) as progress:
-        for suite in suites:
-            results.append(
-                evaluate_panda(
-                    suite,
-                    jobs=jobs,
-                    scheduler=runs.scheduler,
-                    folder=folder,
-                    logs=runs.logs,
-                    on_progress=progress,
-                )
-            )
-            if results[-1].interrupted:
-                break
-    shared = None if runs.scheduler is not None else jobs
-    versions = software_versions()
-    figures = [panda_figures(found, versions, shared) for found in results]
+        import_extra("ompl.base", "peers")
+    beside = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
+    folder = runs.results or beside
+    folders = filter(None, (folder, runs.write_scenes))
+    check_outputs(runs.json, *(each / ".writable" for each in folders))
+    workers = runs.scheduler or runs.jobs or cpu_count()
+    results = [evaluate_panda(suite, workers=workers, folder=folder) for suite in suites]
+    figures = [panda_figures(found, workers) for found in results]
     whole = together(results, figures)
     replace_json(runs.json, whole)
-    if runs.write_scenes is not None:
-        for found in results:
-            _write_scenes(runs.write_scenes, found)
+    for found in results if runs.write_scenes else ():
+        for scene, text in found.scenarios.items():
+            seen = seen_by(parse_scenario(text), found.suite.perception)
+            file = f"{runs.write_scenes}/{found.suite.scene_name(scene)}.scenario.yaml"
+            replace_text(Path(file), scenario_text(seen))
     resumed = sum(found.resumed for found in results)
     taken = f"; {resumed} runs were on disk" if resumed else ""
     kinds = ", ".join(found.suite.kind for found in results)
     print(f"{heading}, {kinds}, {results[0].suite.perception}{taken}\n")
-    if table is not None:
-        show(table(whole))
-    else:
-        show(panda_table([*figures, *([whole["all"]] if "all" in whole else [])]))
-    return _runs_status(results, folder)
-
-
-def _results_folder(runs: Runs) -> ResultFolder:
-    from drake_oa.studies.results import ResultFolder
-
-    beside = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
-    folder = ResultFolder(runs.results or beside)
-    for other in (runs.logs, runs.write_scenes):
-        if other is not None:
-            # Made before anything is computed.
-            ResultFolder(other)
-    return folder
-
-
-def _write_scenes(folder: Path, results: PandaResults) -> None:
-    from drake_oa.scenario.loading import parse_scenario, scenario_text
-    from drake_oa.studies.panda.evaluation import SCENE_SUFFIX
-    from drake_oa.studies.panda.scenes import seen_by
-
-    for scene, text in results.scenarios.items():
-        seen = seen_by(parse_scenario(text), results.suite.perception)
-        file = folder / f"{results.suite.drawings[scene].name}{SCENE_SUFFIX}"
-        replace_text(file, scenario_text(seen))
-
-
-def _runs_status(results: Sequence[PandaResults], folder: ResultFolder) -> int:
-    runs: list[dict[str, Any]] = [
-        run for found in results for of in found.runs.values() for run in of.values()
-    ]
-    failed = [run["stop_reason"] for run in runs if run["failed"]]
+    all_of = [whole["all"]] if "all" in whole else []
+    show(panda_table([*figures, *all_of]) if table is None else table(whole))
+    done = [run for found in results for of in found.runs.values() for run in of.values()]
+    failed = [run["stop_reason"] for run in done if run["failed"]]
     if failed:
-        complain(f"{len(failed)} of {len(runs)} runs failed; the first: {failed[0]}")
-    if any(found.interrupted for found in results):
-        complain(f"interrupted: {len(runs)} runs are in {folder.path}; the same command resumes")
-        return INTERRUPTED
+        complain(f"{len(failed)} of {len(done)} runs failed; the first: {failed[0]}")
     return FAILED if failed else 0

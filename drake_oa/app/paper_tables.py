@@ -9,18 +9,17 @@ from drake_oa.app.evaluate import (
     RUNS,
     Methods,
     Runs,
-    counted,
-    evaluated,
-    evaluation_status,
+    evaluate_points,
     run_suites,
 )
+from drake_oa.app.scenarios import Count, Seed
 from drake_oa.common.console import show
 from drake_oa.common.files import check_outputs, replace_json
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 
 
-def table1(*, json: Path | None = None) -> int:
+def table1(*, json: Path | None = None) -> None:
     """Print the paper's Table I: errors of the chains as shipped, the print beside.
 
     NMSE of the three networks of each chain, as training measured them and wrote them into the
@@ -29,17 +28,15 @@ def table1(*, json: Path | None = None) -> int:
     Args:
         json: write the figures.
     """
-    from drake_oa.common.files import software_versions
     from drake_oa.studies.paper_tables import table_one, table_one_figures
 
     check_outputs(json)
-    whole = table_one_figures(software_versions())
+    whole = table_one_figures()
     show(*table_one(whole))
     replace_json(json, whole)
-    return 0
 
 
-def table2(*, scenes: int = 4000, seed: int = 0, json: Path | None = None) -> int:
+def table2(*, scenes: Count = 4000, seed: Seed = 0, json: Path | None = None) -> None:
     """Run the paper's Table II: 4 x 1,000 novel scenes, the print beside.
 
     What the print leaves open is read as it agrees best with it: see docs/results/paper.md.
@@ -53,26 +50,22 @@ def table2(*, scenes: int = 4000, seed: int = 0, json: Path | None = None) -> in
         seed: of the scenes.
         json: write the figures.
     """
-    from drake_oa.common.files import software_versions
     from drake_oa.studies.paper_tables import judge_novel, table_two, table_two_figures
     from drake_oa.studies.scenes.suites import draw_scenes
 
     check_outputs(json)
     drawn = draw_scenes("demo", scenes, seed)
-    with counted(scenes) as progress:
-        evaluation = judge_novel(drawn, progress)
-    whole = table_two_figures(evaluation.outcomes["paper"], drawn, seed, software_versions())
+    whole = table_two_figures(judge_novel(drawn), drawn, seed)
     replace_json(json, whole)
     print(f"table2: {scenes} scenes of seed {seed}\n")
     show(table_two(whole))
-    return evaluation_status(evaluation)
 
 
 def table3(
     *,
     methods: Methods = ("preplanned", "paper"),
-    trials: int = 11,
-    seed: int = 0,
+    trials: Count = 11,
+    seed: Seed = 0,
     perception: Literal["depth", "truth"] = "depth",
     runs: Runs = RUNS,
 ) -> int:
@@ -103,9 +96,9 @@ def table3(
 def figure_familiar(
     *,
     methods: Methods = ("paper",),
-    scenes: int = 100,
+    scenes: Count = 100,
     json: Path | None = None,
-) -> int:
+) -> None:
     """Run the paper's figure of familiar scenes: its 100 ellipses, each in its 12 settings.
 
     Six models, RC(lambda') and RC(lambda', Delta) for five Delta, with tau scaled and not; the
@@ -122,30 +115,19 @@ def figure_familiar(
         scenes: how many ellipses, a square.
         json: write the figures.
     """
-    from drake_oa.studies.scenes.evaluation import evaluation_tables
-    from drake_oa.studies.scenes.methods import load_methods
-    from drake_oa.studies.scenes.suites import draw_scenes, find_suite
-
-    suite = "familiar"
-    chosen = load_methods(methods)
-    check_outputs(json)
-    drawn, cases = draw_scenes(suite, scenes, 0), find_suite(suite).cases
-    evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json)
-    print(f"figure_familiar: {len(drawn)} ellipses in {len(cases)} settings\n")
     notes = (
         "print: no collision in any setting; the goal within 30 mm where tau is scaled; else",
         'convergence "rapidly deteriorates" as Delta grows; clearances are drawn as boxes only',
     )
-    show(*evaluation_tables(figures, notes))
-    return evaluation_status(evaluation)
+    evaluate_points("familiar", methods, scenes, None, json, notes=notes)
 
 
 def figure_dead_zone(
     *,
     methods: Methods = ("original", "paper"),
-    scenes: int = 41,
+    scenes: Count = 41,
     json: Path | None = None,
-) -> int:
+) -> None:
     """Run the paper's dead-zone figure: both coupling terms, and a point obstacle on the line.
 
     The obstacle is exactly on the line in the first scene, and 10 um to 10 cm off it in the
@@ -160,17 +142,4 @@ def figure_dead_zone(
         scenes: how many places of the obstacle.
         json: write the figures.
     """
-    from drake_oa.studies.scenes.evaluation import compare_terms, evaluation_tables, term_table
-    from drake_oa.studies.scenes.methods import load_methods
-    from drake_oa.studies.scenes.suites import draw_scenes, find_suite
-
-    suite = "dead-zone"
-    chosen = load_methods(methods)
-    check_outputs(json)
-    drawn = draw_scenes(suite, scenes, 0)
-    more = {"terms": compare_terms(drawn)}
-    cases = find_suite(suite).cases
-    evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json, more=more)
-    print(f"figure_dead_zone: a point obstacle in {len(drawn)} places\n")
-    show(term_table(more["terms"]), *evaluation_tables(figures))
-    return evaluation_status(evaluation)
+    evaluate_points("dead-zone", methods, scenes, None, json, terms=True)

@@ -129,7 +129,7 @@ def perceive(
             complain(f"'{path}': {results[-1]['note']}")
             status = status or FAILED
     show(_table(results))
-    made = {"tool": tool, "tool_W": tool_W.tolist(), "versions": list(software_versions())}
+    made = {"tool": tool, "tool_W": tool_W.tolist(), "versions": software_versions()}
     replace_json(json, made | {"files": results})
     return status
 

@@ -30,7 +30,6 @@ from drake_oa.common.console import (
     complain,
     progress_bar,
     show,
-    write_all,
 )
 from drake_oa.common.files import replace_json, replace_text, reserve_file
 
@@ -53,7 +52,7 @@ LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
 
 @dataclass
 class _Run:
-    """One run: its outputs, and the motions so far.
+    """One run: the motions so far.
 
     Attributes:
         name: name of the scenario.
@@ -61,13 +60,10 @@ class _Run:
         meshcat: viewer, or None.
         browser: whether a browser shows the viewer.
         html: file of the page, or None.
-        json: file of the report, or None.
-        log_file: file of the log, or None.
         duration: simulated time after which each motion is stopped [s]; None: at its end.
         raise_if_asked: raises KeyboardInterrupt once the end was requested.
         logs: log of each motion.
         failure: exception that cut the last motion short.
-        is_written: whether all outputs could be written so far.
     """
 
     name: str
@@ -75,13 +71,10 @@ class _Run:
     meshcat: Meshcat | None
     browser: bool
     html: Path | None
-    json: Path | None
-    log_file: Path | None
     duration: float | None
     raise_if_asked: Callable[[], None]
     logs: dict[str, MotionLog] = field(default_factory=dict)
     failure: BaseException | None = None
-    is_written: bool = True
 
 
 def run(
@@ -164,7 +157,7 @@ def run(
         reserved_log(log, no_log, name) as log_file,
         stop_between_steps() as raise_if_asked,
     ):
-        this = _Run(name, chosen, viewer, meshcat, html, json, log_file, duration, raise_if_asked)
+        this = _Run(name, chosen, viewer, meshcat, html, duration, raise_if_asked)
         if hardware:
             from drake_oa.hardware.robot_link import HardwareError
 
@@ -175,9 +168,7 @@ def run(
                 return FAILED
         else:
             _simulate_both(this)
-        status = _report(this)
-        if log_file is not None:
-            print(f"log: {log_file}", file=sys.stderr)
+        status = _report(this, json, log_file)
     if isinstance(this.failure, KeyboardInterrupt):
         complain(str(this.failure) or "interrupted")
         return TERMINATED if isinstance(this.failure, Terminated) else INTERRUPTED
@@ -242,19 +233,15 @@ def station(
             arm.run(math.inf if duration is None else duration, raise_if_asked)
         except (Exception, KeyboardInterrupt) as error:
             failure = error
-    status = 0
+    contact = ""
     if log is not None:
         logs = {"modulated": station_log(chosen, arm)}
-        report = run_report(scenario_name(scenario), chosen, logs)
-        contact = contact_error(report)
-        try:
-            show(report_table(report))
-        finally:
-            save_logs(log, logs)
+        save_logs(log, logs)
         print(f"log: {log}", file=sys.stderr)
-        if contact:
+        report = run_report(scenario_name(scenario), chosen, logs)
+        show(report_table(report))
+        if contact := contact_error(report):
             complain(contact)
-            status = FAILED
     print(
         f"simulated in {arm.wall_time:.2f} s; "
         f"commands followed {arm.followed}, not followed {arm.ignored}"
@@ -262,7 +249,7 @@ def station(
     if isinstance(failure, Exception):
         complain(f"cut short: {type(failure).__name__}: {failure}")
         return FAILED
-    return TERMINATED if isinstance(failure, Terminated) else status
+    return TERMINATED if isinstance(failure, Terminated) else FAILED if contact else 0
 
 
 def _open_bus(lcm_url: str) -> DrakeLcm:
@@ -336,7 +323,6 @@ def _add_motion(
 ) -> None:
     """Runs one more motion with a progress bar, and logs it up to its end or interruption."""
     from drake_oa.policy.dmp import normalised_time
-    from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.simulation import MotionInterruptedError
     from drake_oa.viewing.viewer import recording
 
@@ -357,44 +343,38 @@ def _add_motion(
     except MotionInterruptedError as error:
         this.logs[name], this.failure = error.log, error.__cause__ or error
         logging.getLogger(__name__).info("where it happened", exc_info=True)
-    if this.log_file is not None:
-        # After each motion, so that nothing is lost by what comes next.
-        this.is_written &= write_all(partial(save_logs, this.log_file, this.logs))
 
 
-def _report(this: _Run) -> int:
-    """Prints the report, then writes page and report.
+def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
+    """Prints the report, and writes log, page and report.
 
     Returns:
-        FAILED if the avoiding motion did not arrive or was in contact, or if an output could
-        not be written.
+        FAILED if the avoiding motion did not arrive or was in contact.
     """
-    from drake_oa.runs.motion_log import MotionEnd
+    from drake_oa.runs.motion_log import MotionEnd, save_logs
     from drake_oa.runs.page import label_page
     from drake_oa.runs.report import contact_error, report_table, run_report
 
-    logs, html, json = this.logs, this.html, this.json
-    report = run_report(this.name, this.scenario, logs)
-
-    def write_page() -> None:
-        if this.meshcat is not None and html is not None and "modulated" in logs:
-            page = this.meshcat.StaticHtml()
-            replace_text(html, label_page(page, this.name, this.scenario, logs["modulated"]))
-
+    logs, report = this.logs, run_report(this.name, this.scenario, this.logs)
     contact = contact_error(report)
-    try:
-        show(report_table(report))
-    finally:
-        written = write_all(write_page, lambda: replace_json(json, report))
-        for output in filter(None, (html, json) if written else ()):
-            print(f"written: {output}", file=sys.stderr)
-        this.is_written &= written
+    # From the last to the first; one that fails does not cost the others.
+    with contextlib.ExitStack() as outputs:
         if contact:
-            complain(contact)
+            outputs.callback(complain, contact)
+        if this.meshcat is not None and this.html is not None and "modulated" in logs:
+            page = label_page(
+                this.meshcat.StaticHtml(), this.name, this.scenario, logs["modulated"]
+            )
+            outputs.callback(replace_text, this.html, page)
+        outputs.callback(replace_json, json, report)
+        if log_file is not None:
+            outputs.callback(print, f"log: {log_file}", file=sys.stderr)
+            outputs.callback(save_logs, log_file, logs)
+        outputs.callback(show, report_table(report))
     # The pre-planned motion may end at an obstacle.
     last = logs.get("modulated") or next(iter(logs.values()))
     enough = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
-    return 0 if this.is_written and not contact and last.ended in enough else FAILED
+    return 0 if not contact and last.ended in enough else FAILED
 
 
 def _open_panel(this: _Run) -> LivePanel | None:

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter, validators
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from drake_oa.common.console import FAILED, Column, TextTable, complain, quiet, show
 from drake_oa.common.files import check_outputs, replace_json, replace_text
@@ -30,15 +31,14 @@ Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
 """Fields to be replaced, as "a.b=c"; the option may be repeated."""
 
 
-def _check_positive(_: object, value: float | None) -> None:
-    if value is not None and not 0.0 < value < math.inf:
-        raise ValueError("must be positive")
-
-
-Positive = Annotated[float, Parameter(validator=_check_positive)]
+Positive = Annotated[float, Parameter(validator=Number(gt=0.0, lt=math.inf))]
 """Positive finite number."""
-Rate = Annotated[float, Parameter(validator=validators.Number(gt=0.0, lte=1.0))]
+Rate = Annotated[float, Parameter(validator=Number(gt=0.0, lte=1.0))]
 """Simulated seconds in one of the wall clock."""
+Count = Annotated[int, Parameter(validator=Number(gte=1))]
+"""Number of scenes, processes or steps."""
+Seed = Annotated[int, Parameter(validator=Number(gte=0))]
+"""Seed of random numbers."""
 
 
 def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) -> Scenario:

@@ -5,15 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from drake_oa.app.scenarios import Count, Seed
+from drake_oa.common.console import show
+from drake_oa.common.files import check_outputs, import_extra
+
 
 def train(
     *,
     recipe: Literal["paper", "paper_running"] = "paper_running",
     out: Path = Path("weights"),
-    seed: int = 0,
-    iterations: int | None = None,
-    device: Literal["auto", "cpu", "cuda"] = "auto",
-) -> int:
+    seed: Seed = 0,
+    iterations: Count | None = None,
+) -> None:
     """Train a network and write its weights.
 
     Without a recipe, train the chain of the default scenario. The training data are simulated
@@ -36,14 +39,17 @@ def train(
         out: folder of the weights.
         seed: random seed of the data and of the initial weights.
         iterations: limit for a shorter trial: optimization steps of each network.
-        device: where the networks are trained; auto: CUDA if torch finds it, else the CPU.
     """
-    # Numba and SciPy take a second to import, which `drake-oa --help` need not wait for.
-    try:
-        from drake_oa.training import session
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
-            raise
-        raise ValueError("training requires torch: pip install 'drake_oa[train]'") from None
+    # SciPy and torch take a second to import, which `drake-oa --help` need not wait for.
+    paper = import_extra("drake_oa.training.paper", "train")
+    from drake_oa.regulation.regressor import save_chain
+    from drake_oa.studies.paper_tables import error_table, printed_errors
 
-    return session.train(recipe, out, seed=seed, iterations=iterations, device=device)
+    files = {name: out / file for name, file in paper.FILES[recipe].items()}
+    check_outputs(*files.values())
+    rows, chains, errors = paper.train_paper(paper.paper_recipe(recipe, iterations), seed)
+    print(f"{rows.rollouts:,} roll-outs, {len(rows.values):,} rows, seed {seed}\n")
+    for name, chain in chains.items():
+        networks = {t: e | printed_errors(name, t) for t, e in errors[name].items()}
+        save_chain(chain, files[name])
+        show(error_table(name, networks, [f"written: {files[name]}"]))

@@ -12,7 +12,7 @@ import difflib
 import math
 import re
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any
 
@@ -269,6 +269,13 @@ def _block(kind: Any, tag: str = "") -> Any:
         return kind if tag in ("", f"!{kind.__name__}") else None
     blocks = (_block(each, tag) for each in typing.get_args(kind))
     return next((block for block in blocks if block is not None), None)
+
+
+def check_choice(what: str, known: Collection[str], *names: str) -> None:
+    """Raises ValueError for a name that is not among the known ones."""
+    for name in names:
+        if name not in known:
+            raise ValueError(f"unknown {what} {name!r}; valid: {', '.join(known)}")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -30,18 +30,6 @@ def complain(message: str) -> None:
     print("drake-oa: error: " + "\n  ".join(lines), file=sys.stderr)
 
 
-def write_all(*writes: Callable[[], object]) -> bool:
-    """Calls each function, also after one that failed to write; returns whether none failed."""
-    written = True
-    for write in writes:
-        try:
-            write()
-        except OSError as error:
-            complain(str(error))
-            written = False
-    return written
-
-
 @cache
 def announce_first_use(work: str) -> None:
     """Prints a line on stderr about work whose result is kept; once a process for the same work."""

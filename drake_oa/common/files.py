@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
-from importlib import resources
+from importlib import import_module, resources
 from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -221,6 +221,20 @@ def package_file(url_or_file: str) -> Path:
     )
 
 
+def import_extra(module: str, extra: str) -> Any:
+    """Imports a module of an optional dependency.
+
+    Raises:
+        ValueError: naming the package that is not installed, and the extra to install.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"requires the package {error.name}: pip install 'drake_oa[{extra}]'"
+        ) from error
+
+
 def installed_package(name: str) -> Path | None:
     """The folder behind package://NAME of something that is installed for this Python.
 
@@ -263,11 +277,11 @@ def provenance() -> dict[str, str]:
     }
 
 
-def software_versions() -> tuple[str, ...]:
-    """Returns "name value" of packages, date and source digest, on which a result depends."""
-    found = []
+def software_versions() -> dict[str, str]:
+    """Returns versions of packages, date and source digest, on which a result depends."""
+    found = {}
     for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
         with contextlib.suppress(PackageNotFoundError):
-            found.append(f"{name} {version(name)}")
+            found[name] = version(name)
     made = provenance()
-    return (*found, f"date {made['date']}", f"source_digest {made['source_digest']}")
+    return found | {key: made[key] for key in ("date", "source_digest")}

@@ -45,8 +45,8 @@ TARGETS = ("kappa", "psi", "alpha")
 class Network(Frozen):
     """A perceptron with tanh layers, a linear output and min-max scaling.
 
-    With x the input, the layers see ``(x - in_offset) * in_gain + in_min``, and their
-    answer y becomes ``(y - out_min) / out_gain + out_offset``.
+    With x the input, the layers see ``(x - in_offset) * in_gain - 1``, and their
+    answer y becomes ``(y + 1) / out_gain + out_offset``.
 
     Attributes:
         weights: one (n_out, n_in) matrix a layer.
@@ -55,8 +55,6 @@ class Network(Frozen):
         in_gain: (d,) scale of the inputs.
         out_offset: smallest target.
         out_gain: scale of the target.
-        in_min: where in_offset is mapped to.
-        out_min: where out_offset is mapped from.
     """
 
     weights: tuple[FloatArray, ...]
@@ -65,19 +63,17 @@ class Network(Frozen):
     in_gain: FloatArray
     out_offset: float
     out_gain: float
-    in_min: float = -1.0
-    out_min: float = -1.0
 
     def evaluate(self, x: FloatArray) -> FloatArray:
         """Evaluates the network at N inputs: (N, d) -> (N,)."""
-        y = (x - self.in_offset) * self.in_gain + self.in_min
+        y = (x - self.in_offset) * self.in_gain - 1.0
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             y = np.tanh(y @ weight.T + bias)
         y = y @ self.weights[-1][0] + self.biases[-1]
-        return np.asarray((y - self.out_min) / self.out_gain + self.out_offset)
+        return np.asarray((y + 1.0) / self.out_gain + self.out_offset)
 
 
-_SCALING = ("in_offset", "in_gain", "out_offset", "out_gain", "in_min", "out_min")
+_SCALING = ("in_offset", "in_gain", "out_offset", "out_gain")
 """Fields of a `Network` with a row each input, two, and its scalar ones."""
 
 
@@ -176,7 +172,20 @@ def actuation_planes(
     normal = np.cross(to_O, z_W)
     limit = _PARALLEL * np.linalg.norm(to_O, axis=1) * np.linalg.norm(z_W)
     normal[np.linalg.norm(normal, axis=1) <= limit] = R_WL[:, 1]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return plane_axes(baseline, to_O, normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> FloatArray:
+    """Returns the directions in which the sections of M obstacles by planes are measured.
+
+    Args:
+        baseline: (3,) direction from start to goal.
+        to_O: (M, 3) vectors to the obstacles, in the planes.
+        normal: (M, 3) unit normals of the planes.
+
+    Returns:
+        (M, 2, 3) unit vectors along the projection of the baseline, and across it.
+    """
     along = baseline - (normal @ baseline)[:, None] * normal
     # A plane square to the baseline is measured along the direction to the obstacle.
     square = np.linalg.norm(along, axis=1) <= _PARALLEL
@@ -207,8 +216,7 @@ def section_extents(
     plane = actuation_planes(p_WE, z_W, R_WL, shapes.p_WO)
     S = section_matrix(shapes.R_WO, shapes.semi_axes, plane)
     diagonal = np.stack([S[:, 1, 1], S[:, 0, 0]], axis=1)
-    extents = np.sqrt(diagonal / np.linalg.det(S)[:, None])
-    return extents
+    return np.asarray(np.sqrt(diagonal / np.linalg.det(S)[:, None]))
 
 
 def save_chain(chain: ChainWeights, path: str | Path) -> None:

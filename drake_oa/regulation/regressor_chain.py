@@ -40,17 +40,9 @@ class RegressorChain(LeafSystem):
         Args:
             weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`.
             asked_clearance: asked distance Delta between tool and obstacle [m].
-
-        Raises:
-            ValueError: if the clearance is not finite and positive.
         """
         super().__init__()
-        if not 0.0 < asked_clearance < np.inf:
-            raise ValueError(
-                f"asked_clearance must be finite and positive [m], not {asked_clearance}"
-            )
-        self._weights = weights
-        self._asked_clearance = float(asked_clearance)
+        self._weights, self._asked_clearance = weights, asked_clearance
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self.DeclareAbstractOutputPort(

@@ -539,7 +539,7 @@ def log_of(
         tracking_error=np.linalg.norm(series.pop("tracking_error"), axis=1),
         scenario=scenario_text(scenario),
         seed=scenario.seed,
-        versions=software_versions(),
+        versions=tuple(map(" ".join, software_versions().items())),
         **vars(limits),
         **facts,
         **{

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from drake_oa.geometry.solids import Solids, least_distances, shape_solids, soli
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.viewer import looking_pose
 
@@ -109,6 +110,16 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
     return scenario
 
 
+def obstacle_solids(obstacles: Iterable[Obstacle], time: float = 0.0) -> Solids:
+    """Returns the solids of obstacles where they are at a time [s]."""
+    placed = []
+    for item in obstacles:
+        X_WO = pose(item).GetAsMatrix4()
+        X_WO[:3, 3] += item.offset_at(time)
+        placed += shape_solids(item.shapes, X_WO)
+    return solids_of(placed)
+
+
 def with_two(scenario: Scenario) -> Scenario:
     """The scenario, seen by two cameras in place of what it is seen by.
 
@@ -123,13 +134,7 @@ def with_two(scenario: Scenario) -> Scenario:
     middle = 0.5 * (np.array(task.start) + np.array(task.goal))
     base = base_pose(scenario.robot).translation()
     toward = math.atan2(base[1] - middle[1], base[0] - middle[0])
-    things = solids_of(
-        [
-            solid
-            for thing in scenario.obstacles
-            for solid in shape_solids(thing.shapes, pose(thing).GetAsMatrix4())
-        ]
-    )
+    things = obstacle_solids(scenario.obstacles)
     places = {
         name: _place(middle, toward + side * ASIDE, things)
         for name, side in (("left", -1.0), ("right", 1.0))

@@ -13,43 +13,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from drake_oa.common.config import check_choice
 from drake_oa.common.console import Column, TextTable
+from drake_oa.common.files import software_versions
 from drake_oa.regulation.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
-from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite, check_methods
-from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate, motion_figures, over
+from drake_oa.studies.panda.evaluation import PandaResults, PandaSuite
+from drake_oa.studies.scenes.evaluation import Outcome, evaluate, motion_figures, over
 from drake_oa.studies.scenes.paper_method import SHIPPED, paper_chain, run, sections
-from drake_oa.studies.scenes.scenes import Scenes
-from drake_oa.studies.scenes.suites import find_suite, line_distance
-from drake_oa.training.paper import error_table, printed_errors
+from drake_oa.studies.scenes.scenes import Scenes, Setting
+from drake_oa.studies.scenes.suites import line_distance
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
 """Keys of the weights' metadata that the JSON repeats."""
 
 
-def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
-    """What the JSON holds: of each shipped file its chain, and a row a network.
+TABLE_ONE = {
+    "RC(lambda')": {"kappa": (0.539, 0.543), "psi": (0.802, 0.802), "alpha": (0.893, 0.897)},
+    "RC(lambda', Delta)": {
+        "kappa": (0.251, 0.253),
+        "psi": (0.244, 0.243),
+        "alpha": (1.6e-4, 1.7e-4),
+    },
+}
+"""Table I of the paper (tab:nn_training): NMSE on the train and on the test rows."""
+
+
+def printed_errors(chain: str, target: str) -> dict[str, float]:
+    """Returns the train and test errors of a network as Table I prints them."""
+    return dict(zip(("train_printed", "test_printed"), TABLE_ONE[chain][target], strict=True))
+
+
+def error_table(
+    title: str, networks: Mapping[str, Mapping[str, Any]], notes: Sequence[str] = ()
+) -> TextTable:
+    """Tabulates the errors of a chain's networks beside the printed ones and the set's floor.
+
+    Args:
+        title: heading of the targets.
+        networks: target -> `train`, `test`, `rows`, and where they are known `printed_errors` and
+            `floor`.
+        notes: lines below.
+    """
+    columns = (
+        Column("name", title),
+        Column("train", form="{:.3g}"),
+        Column("train_printed", "print", "{:.3g}"),
+        Column("test", form="{:.3g}"),
+        Column("test_printed", "print", "{:.3g}"),
+        Column("floor", form="{:.3g}"),
+        Column("rows", form="{:,d}"),
+    )
+    return TextTable(columns, [{"name": name, **row} for name, row in networks.items()], notes)
+
+
+def table_one_figures() -> dict[str, Any]:
+    """Returns the content of the JSON: the chain of each shipped file, and a row a network.
 
     NMSE on the train and the test rows; of the chains on the released code's action level the
     print beside them; the floor that no function of the inputs beats on that set.
 
-    Args:
-        versions: "name version" each.
-
-    Raises:
-        FileNotFoundError: if weights are missing.
-        ValueError: if they are not of the paper's recipe.
     """
     chains = {}
     for file in SHIPPED:
         metadata = paper_chain(file).metadata
-        if metadata.get("recipe") != "paper" or "nmse" not in metadata:
-            raise ValueError(f"{file}.safetensors is not of the paper's recipe")
         networks = {}
         for target in TARGETS:
             network = {**metadata["nmse"][target], "rows": metadata["rows"][target]}
@@ -58,15 +91,11 @@ def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
                 network |= printed_errors(metadata["chain"], target)
             networks[target] = network
         chains[file] = {key: metadata[key] for key in _TOLD} | {"networks": networks}
-    return {
-        "table": "table1",
-        "versions": dict(item.split(" ", 1) for item in versions),
-        "chains": chains,
-    }
+    return {"table": "table1", "versions": software_versions(), "chains": chains}
 
 
 def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
-    """What `table_one_figures` found, a table a file."""
+    """Tabulates `table_one_figures`, a table a file."""
     return [
         error_table(file, chain["networks"], [f"({chain['chain']}; {chain['action_level']})"])
         for file, chain in whole["chains"].items()
@@ -75,22 +104,22 @@ def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
 
 _CELLS = ("clearance_mean", "clearance_min", "goal_error_mean", "goal_error_max", "collisions")
 TABLE_TWO: dict[float, dict[str, Any]] = {
-    0.5: dict(zip(_CELLS, (0.144, -5.01e-4, 4.41e-4, 0.017, 2), strict=True)),
-    1.0: dict(zip(_CELLS, (0.184, 0.060, 4.23e-4, 0.017, 0), strict=True)),
-    1.5: dict(zip(_CELLS, (0.196, 0.068, 5.22e-4, 0.023, 0), strict=True)),
-    2.0: dict(zip(_CELLS, (0.202, 0.076, 6.49e-4, 0.027, 0), strict=True)),
+    baseline: dict(zip(_CELLS, cells, strict=True))
+    for baseline, *cells in (
+        (0.5, 0.144, -5.01e-4, 4.41e-4, 0.017, 2),
+        (1.0, 0.184, 0.060, 4.23e-4, 0.017, 0),
+        (1.5, 0.196, 0.068, 5.22e-4, 0.023, 0),
+        (2.0, 0.202, 0.076, 6.49e-4, 0.027, 0),
+    )
 }
 """The print, by baseline."""
 LINES_HIT = 0.324
 """Share of straight lines in collision there: 1,296 of 4,000."""
 
 
-def judge_novel(
-    scenes: Scenes, on_progress: Callable[[str, int], None] = lambda name, done: None
-) -> Evaluation:
+def judge_novel(scenes: Scenes) -> Outcome:
     """Runs the paper's method on scenes of the suite `demo`, and judges it in the P-plane."""
-    cases = find_suite("demo").cases
-    return evaluate(scenes, cases, {"paper": run}, on_progress=on_progress, judged_among=sections)
+    return evaluate("paper", run, scenes, [Setting()], sections)
 
 
 _MEAN, _LEAST, _FACTOR, _COLLISIONS = 0.01, 0.03, 2.0, 3
@@ -98,30 +127,26 @@ _MEAN, _LEAST, _FACTOR, _COLLISIONS = 0.01, 0.03, 2.0, 3
 
 
 def agrees(found: Mapping[str, Any], printed: Mapping[str, Any]) -> dict[str, bool]:
-    """Which cells of a row agree with the print; none of a row without scenes."""
+    """Finds the cells of a row that agree with the print; none of a row without scenes."""
+    if not found["scenes"]:
+        return dict.fromkeys(printed, False)
     within = {"clearance_mean": _MEAN, "clearance_min": _LEAST, "collisions": _COLLISIONS}
-    close: dict[str, bool] = {}
-    for key, value in printed.items():
-        ours = found[key]
-        if not found["scenes"]:
-            close[key] = False
-        elif key in within:
-            close[key] = abs(ours - value) <= within[key]
-        else:
-            close[key] = value / _FACTOR <= ours <= value * _FACTOR
-    return close
+    # Of goal errors within a factor: of their logarithms.
+    return {
+        key: abs(found[key] - value) <= within[key]
+        if key in within
+        else abs(np.log(found[key] / value)) <= np.log(_FACTOR)
+        for key, value in printed.items()
+    }
 
 
-def table_two_figures(
-    outcome: Outcome, scenes: Scenes, seed: int, versions: Sequence[str]
-) -> dict[str, Any]:
+def table_two_figures(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, Any]:
     """Returns the content of the JSON: a row for each baseline, lengths in m.
 
     Args:
         outcome: of `judge_novel`.
         scenes: of the suite `demo`.
         seed: of the scenes.
-        versions: "name version" each.
     """
     rows, judged = [], outcome.of()
     for baseline, printed in TABLE_TWO.items():
@@ -130,14 +155,12 @@ def table_two_figures(
     return {
         "table": "table2",
         "seed": seed,
-        "versions": dict(item.split(" ", 1) for item in versions),
+        "versions": software_versions(),
         "print": {
             "lines_hit": LINES_HIT,
             "by_baseline": [{"baseline": L, **row} for L, row in TABLE_TWO.items()],
         },
         "lines_hit": float((line_distance(scenes) < 0.0).mean()),
-        "complete": outcome.complete,
-        "error": outcome.error,
         "cells": sum(sum(row["agrees"].values()) for row in rows),
         "by_baseline": rows,
     }
@@ -171,14 +194,16 @@ def table_two(whole: Mapping[str, Any]) -> TextTable:
 
 
 _PRINTED = ("clearance_printed", "goal_error_printed", "contacts_printed", "short_printed")
-_BLIND = dict(zip(_PRINTED, (None, None, 1, 1), strict=True))
 TABLE_THREE: dict[tuple[str, str], dict[str, Any]] = {
-    ("box", "preplanned"): _BLIND,
-    ("box", "paper"): dict(zip(_PRINTED, (0.168, 9.58e-3, 0, 0), strict=True)),
-    ("irregular", "preplanned"): _BLIND,
-    ("irregular", "paper"): dict(zip(_PRINTED, (0.163, 4.17e-3, 0, 0), strict=True)),
-    ("clutter", "preplanned"): dict(zip(_PRINTED, (None, None, 2, 5), strict=True)),
-    ("clutter", "paper"): dict(zip(_PRINTED, (0.172, 1.29e-2, 0, 0), strict=True)),
+    (kind, method): dict(zip(_PRINTED, cells, strict=True))
+    for kind, method, *cells in (
+        ("box", "preplanned", None, None, 1, 1),
+        ("box", "paper", 0.168, 9.58e-3, 0, 0),
+        ("irregular", "preplanned", None, None, 1, 1),
+        ("irregular", "paper", 0.163, 4.17e-3, 0, 0),
+        ("clutter", "preplanned", None, None, 2, 5),
+        ("clutter", "paper", 0.172, 1.29e-2, 0, 0),
+    )
 }
 """Table III of the paper, by kind and method: clearance to the obstacle [m] and convergence to the
 goal [m], None for "fail"; obstacles that were touched, and passed nearer than 0.15 m."""
@@ -209,18 +234,22 @@ def trial_suites(
     """Makes a suite for each kind of obstacles: trials are of consecutive seeds of the noise.
 
     Raises:
-        ValueError: for no trials, a negative seed or an unknown method.
+        ValueError: for an unknown method.
     """
-    chosen = check_methods(methods, TRIAL_METHODS)
-    suites = []
-    for kind in TRIAL_KINDS:
-        name = f"paper_{kind}"
-        drawings = {
-            trial: Drawing(f"{name}-seed{seed}-scene{trial:04d}", trial_text, (name, seed + trial))
-            for trial in range(trials)
-        }
-        suites.append(PandaSuite("table3", kind, seed, chosen, perception, duration, drawings))
-    return suites
+    check_choice("method", TRIAL_METHODS, *methods)
+    return [
+        PandaSuite(
+            "table3",
+            kind,
+            seed,
+            tuple(methods),
+            perception,
+            duration,
+            f"paper_{kind}-seed{seed}",
+            {trial: partial(trial_text, f"paper_{kind}", seed + trial) for trial in range(trials)},
+        )
+        for kind in TRIAL_KINDS
+    ]
 
 
 def trial_figures(

@@ -16,9 +16,8 @@ Recipe `paper_running`: the same on the running system's action level (`lattice.
 
 The chains' networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
 Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by
-`torch.func`, in float64, on the CPU or CUDA: the same seed gives the same weights on the same
-machine.
+`torch.func`, in float64, on the CPU: the same seed gives the same weights on the same machine.
 
 Results: docs/results/learning.md; the choices, with measurements: docs/equations.md, "Regulation".
-Read `session` first, then `paper`.
+Read `paper` first.
 """

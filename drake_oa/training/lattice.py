@@ -6,13 +6,13 @@ V-A): on the action level of the released code (`released_law`), or the running 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 import pydrake.geometry as drake
 
+from drake_oa.common.console import progress_bar
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.solids import Solids, solid_of, solids_of
 from drake_oa.planning.point_search import path_distances
@@ -49,16 +49,13 @@ class PaperLattice(NamedTuple):
 
 
 def roll_out_lattice(
-    lattice: PaperLattice,
-    action_level: ActionLevelName,
-    report: Callable[[str, float], None] = lambda stage, done: None,
+    lattice: PaperLattice, action_level: ActionLevelName
 ) -> tuple[FloatArray, FloatArray]:
     """Rolls out every motion of a lattice.
 
     Args:
         lattice: of A, B, C, D and E values; of alpha in 1/T on the running action level.
         action_level: the law of motion.
-        report: is given the stage and the completed fraction.
 
     Returns:
         (A, B, C, D, E), as the lattice's axes go: the least distance to the ellipse at the steps
@@ -69,28 +66,29 @@ def roll_out_lattice(
     parameters = np.column_stack([alpha, psi, kappa])
     counts = [len(axis) for axis in lattice]
     least, error = np.empty((2, *counts[:2], len(alpha)))
-    for first in range(0, len(alpha), _BATCH):
-        rows = slice(first, first + _BATCH)
-        path = np.empty(0)
-        for j, lambda2 in enumerate(lattice.lambda2):
-            # The motion depends on the shape by tau alone.
-            if action_level == "released":
-                path = released_paths(parameters[rows], np.sqrt(1.0 + 4.0 * lambda2**2) + 0.1)
-            elif j == 0:
-                path = running_paths(parameters[rows])
-            missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
-            for i, lambda1 in enumerate(lattice.lambda1):
-                shape = drake.Ellipsoid(lambda1, lambda2, max(lambda1, lambda2))
-                X_WO = np.eye(4)
-                X_WO[:3, 3] = _CENTER
-                solids = solids_of([replace(solid_of(shape), X_WO=X_WO)])
-                distance = _distances(solids, path[:, ::_COARSE])
-                # Most motions are in contact; the others are measured at every step.
-                free = distance > 0.0
-                distance[free] = _distances(solids, path[free])
-                least[i, j, rows] = np.maximum(distance, 0.0)
-                error[i, j, rows] = np.where(distance <= 0.0, np.inf, missing)
-        report("roll out", min((first + _BATCH) / len(alpha), 1.0))
+    with progress_bar(len(alpha)) as report:
+        for first in range(0, len(alpha), _BATCH):
+            report("roll out", first)
+            rows = slice(first, first + _BATCH)
+            path = np.empty(0)
+            for j, lambda2 in enumerate(lattice.lambda2):
+                # The motion depends on the shape by tau alone.
+                if action_level == "released":
+                    path = released_paths(parameters[rows], np.sqrt(1.0 + 4.0 * lambda2**2) + 0.1)
+                elif j == 0:
+                    path = running_paths(parameters[rows])
+                missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
+                for i, lambda1 in enumerate(lattice.lambda1):
+                    shape = drake.Ellipsoid(lambda1, lambda2, max(lambda1, lambda2))
+                    X_WO = np.eye(4)
+                    X_WO[:3, 3] = _CENTER
+                    solids = solids_of([replace(solid_of(shape), X_WO=X_WO)])
+                    distance = _distances(solids, path[:, ::_COARSE])
+                    # Most motions are in contact; the others are measured at every step.
+                    free = distance > 0.0
+                    distance[free] = _distances(solids, path[free])
+                    least[i, j, rows] = np.maximum(distance, 0.0)
+                    error[i, j, rows] = np.where(distance <= 0.0, np.inf, missing)
     return least.reshape(counts), error.reshape(counts)
 
 

@@ -29,10 +29,7 @@ _DAMPING, _DECREASE, _INCREASE = 1e-3, 0.1, 10.0
 _DAMPING_RANGE = 1e-12, 1e10
 """Range of the damping; beyond it no step lowers the loss."""
 _BLOCK = 8192
-"""Number of rows whose derivatives are in memory at once: 90 MB."""
-
-Report = Callable[[str, float], None]
-"""Callback of the stage of a training and the completed fraction."""
+"""Number of rows that are differentiated at once."""
 
 
 class Round(NamedTuple):
@@ -69,16 +66,13 @@ def normal_equations(
     derivatives = vmap(
         grad_and_value(lambda values, row: functional_call(network, values, (row,))[0]),
         in_dims=(None, 0),
+        chunk_size=_BLOCK,
     )
-    gram: Tensor | float = 0.0
-    gradient: Tensor | float = 0.0
-    total = 0.0
-    for rows in zip(*(column.split(_BLOCK) for column in (x, y, weight.sqrt())), strict=True):
-        slopes, outputs = derivatives(parameters, rows[0])
-        J = torch.cat([slope.flatten(1) for slope in slopes.values()], dim=1) * rows[2][:, None]
-        error = (rows[1] - outputs) * rows[2]
-        gram, gradient, total = gram + J.T @ J, gradient + J.T @ error, total + float(error @ error)
-    return torch.as_tensor(gram), torch.as_tensor(gradient), total
+    slopes, outputs = derivatives(parameters, x)
+    root = weight.sqrt()
+    J = torch.cat([slope.flatten(1) for slope in slopes.values()], dim=1) * root[:, None]
+    error = (y - outputs) * root
+    return J.T @ J, J.T @ error, float(error @ error)
 
 
 def fit(
@@ -131,7 +125,6 @@ def train_network(
     rounds: Sequence[Round],
     weight: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
-    device: str,
 ) -> Network:
     """Fits a network to rows.
 
@@ -142,7 +135,6 @@ def train_network(
         rounds: of the fit, one after the other.
         weight: (N,) weights of the rows.
         bounds: (d + 1,) minima and maxima of inputs and target, for the scaling.
-        device: a torch device.
 
     Returns:
         The network with the lowest loss found.
@@ -150,31 +142,16 @@ def train_network(
     low, high = bounds
     gain = 2.0 / np.where(high > low, high - low, 1.0)
     scaled = (np.column_stack((x, y)) - low) * gain - 1.0
-    rows, weights = (torch.tensor(values, device=device) for values in (scaled, weight))
-    network = make_perceptron(x.shape[1], np.random.default_rng(seed)).to(device)
+    rows, weights = torch.tensor(scaled), torch.tensor(weight)
+    network = make_perceptron(x.shape[1], np.random.default_rng(seed))
     for iterations, n in rounds:
         fit(network, rows[:n, :-1], rows[:n, -1], weights[:n], iterations)
-    layers = [layer.cpu() for layer in network if isinstance(layer, nn.Linear)]
+    layers = [layer for layer in network if isinstance(layer, nn.Linear)]
     weights_, biases = (
         tuple(getattr(layer, name).detach().numpy() for layer in layers)
         for name in ("weight", "bias")
     )
     return Network(weights_, biases, low[:-1], gain[:-1], float(low[-1]), float(gain[-1]))
-
-
-def choose_device(requested: str) -> str:
-    """Returns where to train, "cpu" or "cuda".
-
-    Args:
-        requested: "cpu", "cuda", or "auto" for CUDA if torch finds it.
-
-    Raises:
-        ValueError: if CUDA is requested and torch finds none.
-    """
-    available = torch.cuda.is_available()
-    if requested == "cuda" and not available:
-        raise ValueError("device cuda: torch finds no CUDA device; use --device cpu")
-    return "cuda" if available and requested != "cpu" else "cpu"
 
 
 def nmse(y: FloatArray, prediction: FloatArray) -> float:

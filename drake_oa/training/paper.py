@@ -13,16 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.common.messages import FloatArray
 from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network
 from drake_oa.training.lattice import ActionLevelName, PaperLattice, roll_out_lattice
 from drake_oa.training.networks import (
     DECAY,
     HIDDEN,
     TRAIN_SHARE,
-    Report,
     Round,
     nmse,
     train_network,
@@ -31,12 +29,6 @@ from drake_oa.training.released_law import STEPS
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
 """The two chains of Table I."""
-
-TABLE_ONE = {
-    CHAINS[0]: {"kappa": (0.539, 0.543), "psi": (0.802, 0.802), "alpha": (0.893, 0.897)},
-    CHAINS[1]: {"kappa": (0.251, 0.253), "psi": (0.244, 0.243), "alpha": (1.6e-4, 1.7e-4)},
-}
-"""Table I of the paper (tab:nn_training): NMSE on the train and on the test rows."""
 
 MIN_CLEARANCE = 0.01
 """Minimum clearance of a row [m]."""
@@ -58,28 +50,23 @@ class PaperSet(NamedTuple):
     """N motions that keep the minimum clearance.
 
     Attributes:
-        places: (N, 5) places of lambda1', lambda2', kappa, psi and alpha in the lattice.
-        values: (N, 5) values there.
+        values: (N, 5) lambda1', lambda2', kappa, psi and alpha.
         clearance: (N,) Delta [m].
         goal_error: (N,) distance to the goal at the end [m].
         rollouts: number of motions of the lattice.
     """
 
-    places: IntArray
     values: FloatArray
     clearance: FloatArray
     goal_error: FloatArray
     rollouts: int
 
 
-def build_paper_set(
-    lattice: PaperLattice, report: Report, action_level: ActionLevelName
-) -> PaperSet:
+def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> PaperSet:
     """Rolls out the lattice.
 
     Args:
         lattice: motions to roll out.
-        report: receives the completed fraction.
         action_level: law of motion; alpha is in its unit, see `ACTION_LEVELS`.
 
     Returns:
@@ -90,32 +77,29 @@ def build_paper_set(
     """
     # Rows run over lambda', alpha, psi and kappa, the last the fastest.
     clearance, goal_error = (
-        values.transpose(0, 1, 4, 3, 2)
-        for values in roll_out_lattice(lattice, action_level, report)
+        values.transpose(0, 1, 4, 3, 2) for values in roll_out_lattice(lattice, action_level)
     )
     is_row = clearance >= MIN_CLEARANCE
-    i, j, *place = np.nonzero(is_row)
-    index = np.column_stack((i, j, *place[::-1]))
-    if not len(index):
+    if not is_row.any():
         raise ValueError("no motion of the lattice keeps the least clearance")
-    values = np.column_stack([axis[i] for axis, i in zip(lattice, index.T, strict=True)])
-    count = math.prod(map(len, lattice))
-    return PaperSet(index, values, clearance[is_row], goal_error[is_row], count)
+    i, j, *place = np.nonzero(is_row)
+    index = (i, j, *place[::-1])
+    values = np.column_stack([axis[i] for axis, i in zip(lattice, index, strict=True)])
+    return PaperSet(values, clearance[is_row], goal_error[is_row], is_row.size)
 
 
-def group_means(index: IntArray, y: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+def group_means(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Joins rows of equal inputs: weighted least squares on the means is the same.
 
     Args:
-        index: (N, k) inputs as places in a lattice.
-        y: (N,) targets.
+        columns: (N, d + 1) inputs and target.
 
     Returns:
-        (G, k) distinct inputs, (G,) mean target and (G,) number of rows of each.
+        (G, d + 1) distinct inputs with their mean target, and (G,) number of rows of each.
     """
-    groups, group = np.unique(index, axis=0, return_inverse=True)
+    groups, group = np.unique(columns[:, :-1], axis=0, return_inverse=True)
     count = np.bincount(group.ravel()).astype(float)
-    return groups, np.bincount(group.ravel(), y) / count, count
+    return np.column_stack((groups, np.bincount(group.ravel(), columns[:, -1]) / count)), count
 
 
 class PaperRecipe(NamedTuple):
@@ -161,30 +145,34 @@ def paper_recipe(name: str, iterations: int | None = None) -> PaperRecipe:
     return PaperRecipe(lattice._replace(alpha=alpha), {CHAINS[1]: rounds[CHAINS[1]]}, "running")
 
 
+FILES = {
+    "paper": {
+        CHAINS[0]: "paper_chain_unconstrained.safetensors",
+        CHAINS[1]: "paper_chain.safetensors",
+    },
+    "paper_running": {CHAINS[1]: "paper_chain_running.safetensors"},
+}
+"""Recipe -> weights file of each chain."""
+
+
 Errors = dict[str, dict[str, float]]
 """Target -> NMSE on `train` and `test` rows, and the number of `rows`."""
 
 
 def train_paper(
-    recipe: PaperRecipe,
-    seed: int,
-    *,
-    device: str = "cpu",
-    report: Report = lambda stage, done: None,
+    recipe: PaperRecipe, seed: int
 ) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, Errors]]:
     """Rolls out the set and trains the chains, each network on the true values before it.
 
     Args:
         recipe: parameters.
         seed: of the split, of the rows drawn, and of the first weights.
-        device: of torch, "cpu" or "cuda".
-        report: receives the stage and its completed fraction.
 
     Returns:
         The set, and by name the chains and the errors of their networks.
     """
-    rows = build_paper_set(recipe.lattice, report, recipe.action_level)
-    in_train = np.random.default_rng((seed, 0)).random(len(rows.places)) < TRAIN_SHARE
+    rows = build_paper_set(recipe.lattice, recipe.action_level)
+    in_train = np.random.default_rng((seed, 0)).random(len(rows.values)) < TRAIN_SHARE
     near = rows.goal_error <= NEAR_GOAL
     unsaturated = rows.clearance < 0.5 - rows.values[:, 0] - SATURATED
     chains: dict[str, ChainWeights] = {}
@@ -192,77 +180,48 @@ def train_paper(
     for c, name in enumerate(CHAINS):
         if name not in recipe.rounds:
             continue
+        inputs = rows.values[:, :2]
+        if c == 1:
+            inputs = np.column_stack((inputs, rows.clearance))
         networks: dict[str, Network] = {}
         errors[name] = {}
         for t, target in enumerate(TARGETS):
             # The reading by which Table I is reproduced.
             use = near & unsaturated if c == 1 and target == "alpha" else near
-            columns = np.column_stack((_inputs(rows, c, t), rows.values[:, 2 + t]))
-            x, weight = _fitted_rows(recipe.lattice, rows, use & in_train, columns, (seed, 1, c, t))
+            columns = np.column_stack((inputs, rows.values[:, 2 : 3 + t]))
+            train, test = columns[use & in_train], columns[use & ~in_train]
+            fitted, weight = (train, np.ones(len(train))) if c == 1 else group_means(train)
+            drawn = np.random.default_rng((seed, 1, c, t)).permutation(len(fitted))
             networks[target] = train_network(
-                x[:, :-1],
-                x[:, -1],
+                fitted[drawn, :-1],
+                fitted[drawn, -1],
                 seed=(seed, 2, c, t),
                 rounds=recipe.rounds[name][t],
-                weight=weight,
+                weight=weight[drawn],
                 bounds=(columns[use].min(axis=0), columns[use].max(axis=0)),
-                device=device,
             )
-            prediction, y = networks[target].evaluate(columns[:, :-1]), columns[:, -1]
             errors[name][target] = {
-                "train": nmse(y[use & in_train], prediction[use & in_train]),
-                "test": nmse(y[use & ~in_train], prediction[use & ~in_train]),
-                "rows": int(use.sum()),
-            }
-            report(f"{name}: {target}", (t + 1) / len(TARGETS))
-        chains[name] = _chain(name, networks, rows, recipe, seed, errors[name])
+                part: nmse(of[:, -1], networks[target].evaluate(of[:, :-1]))
+                for part, of in (("train", train), ("test", test))
+            } | {"rows": int(use.sum())}
+        lower, upper = inputs.min(axis=0), inputs.max(axis=0)
+        metadata = _metadata(name, rows, recipe, seed, errors[name])
+        chains[name] = ChainWeights(networks, lower, upper, metadata)
     return rows, chains, errors
 
 
-def _inputs(rows: PaperSet, chain: int, target: int) -> FloatArray:
-    """Returns (N, d) lambda1', lambda2', for RC(lambda', Delta) Delta, and the targets before."""
-    given = [rows.clearance] if chain == 1 else []
-    return np.column_stack((rows.values[:, :2], *given, rows.values[:, 2 : 2 + target]))
-
-
-def _fitted_rows(
-    lattice: PaperLattice,
-    rows: PaperSet,
-    use: BoolArray,
-    columns: FloatArray,
-    seed: tuple[int, ...],
-) -> tuple[FloatArray, FloatArray]:
-    """Returns the shuffled inputs and targets to fit, (K, d + 1), and their weights (K,)."""
-    rng, (_, _, chain, target) = np.random.default_rng(seed), seed
-    if chain == 1:
-        drawn = rng.permutation(np.flatnonzero(use))
-        return columns[drawn], np.ones(len(drawn))
-    groups, mean, count = group_means(rows.places[use, : 2 + target], columns[use, -1])
-    drawn = rng.permutation(len(groups))
-    x = [axis[i] for axis, i in zip(lattice, groups[drawn].T, strict=False)]
-    return np.column_stack([*x, mean[drawn]]), count[drawn]
-
-
-def _chain(
-    name: str,
-    networks: dict[str, Network],
-    rows: PaperSet,
-    recipe: PaperRecipe,
-    seed: int,
-    errors: Errors,
-) -> ChainWeights:
-    constrained = name == CHAINS[1]
-    explored = _inputs(rows, int(constrained), 0)
-    lower, upper = explored.min(axis=0), explored.max(axis=0)
+def _metadata(
+    name: str, rows: PaperSet, recipe: PaperRecipe, seed: int, errors: Errors
+) -> dict[str, Any]:
     action_level, alpha_unit = ACTION_LEVELS[recipe.action_level]
-    metadata = {
-        "inputs": "lambda1'/L, lambda2'/L (semi-axes)" + (", Delta/L" if constrained else ""),
+    more = ", Delta/L" if name == CHAINS[1] else ""
+    return {
+        "inputs": f"lambda1'/L, lambda2'/L (semi-axes){more}",
         "units": {"kappa": "1/L^2", "psi": "rad", "alpha": alpha_unit},
         "recipe": "paper",
         "chain": name,
         "action_level": action_level,
         "seed": seed,
-        "ranges": {"lower": lower.tolist(), "upper": upper.tolist()},
         "rows": {target: of["rows"] for target, of in errors.items()},
         "rollouts": rows.rollouts,
         "training": {
@@ -274,32 +233,3 @@ def _chain(
         "nmse": {target: {k: of[k] for k in ("train", "test")} for target, of in errors.items()},
         **provenance(),
     }
-    return ChainWeights(networks, lower, upper, metadata)
-
-
-def printed_errors(chain: str, target: str) -> dict[str, float]:
-    """Returns the train and test errors of a network as Table I prints them."""
-    return dict(zip(("train_printed", "test_printed"), TABLE_ONE[chain][target], strict=True))
-
-
-def error_table(
-    title: str, networks: Mapping[str, Mapping[str, Any]], notes: Sequence[str] = ()
-) -> TextTable:
-    """Tabulates the errors of a chain's networks beside the printed ones and the set's floor.
-
-    Args:
-        title: heading of the targets.
-        networks: target -> `train`, `test`, `rows`, and where they are known `printed_errors` and
-            `floor`.
-        notes: lines below.
-    """
-    columns = (
-        Column("name", title),
-        Column("train", form="{:.3g}"),
-        Column("train_printed", "print", "{:.3g}"),
-        Column("test", form="{:.3g}"),
-        Column("test_printed", "print", "{:.3g}"),
-        Column("floor", form="{:.3g}"),
-        Column("rows", form="{:,d}"),
-    )
-    return TextTable(columns, [{"name": name, **row} for name, row in networks.items()], notes)

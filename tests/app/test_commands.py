@@ -88,7 +88,6 @@ INVOCATIONS = (
     "benchmark --json .",
     "evaluate novel --scenes 4 --method original --json novel.json",
     "evaluate nowhere",
-    "evaluate familiar",
     "evaluate --seed 1 panda",
     "evaluate novel --perception truth",
     "evaluate novel --method nobody",

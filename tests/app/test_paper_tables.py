@@ -29,7 +29,6 @@ def test_figures_are_told_and_written(
     told = capsys.readouterr().out
     whole = json.loads(out.read_text())
     paper = whole["methods"]["paper"]
-    assert paper["complete"]
     if figure == "figure_familiar":
         assert len(paper["settings"]) == 12
         assert paper["collisions"] == 0

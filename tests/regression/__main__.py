@@ -7,11 +7,12 @@ import json
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drake_oa.common.files import software_versions, source_digest
-from drake_oa.studies.results import ResultFolder, Task, content_key, resumed
+from drake_oa.studies.results import Task, resumed
 from tests.regression import comparison, runs
 
 _HERE = Path(__file__).parent
@@ -50,14 +51,10 @@ def main() -> int:
 def _results(calls: Mapping[str, runs.Call], jobs: int) -> dict[str, Any]:
     """Carries out the calls that have no result of the present source yet."""
     tasks = {
-        name: Task(name.replace("/", "-"), content_key(name, call), call)
+        name: Task(name.replace("/", "-"), partial(runs.carry_out_call, *call))
         for name, call in calls.items()
     }
-    results = {}
-    folder = ResultFolder(_RESULTS)
-    for name, result, _ in resumed(runs.carry_out_call, tasks, folder, jobs=jobs):
-        results[name] = result
-        print(f"{len(results):4} of {len(tasks)}  {name}", file=sys.stderr)
+    results, _ = resumed(tasks, _RESULTS, jobs)
     return dict(sorted(results.items()))
 
 
@@ -98,7 +95,7 @@ def _write(name: str, results: Mapping[str, Any]) -> None:
     head = {
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "source_digest": source_digest(),
-        "versions": list(software_versions()),
+        "versions": software_versions(),
     }
     lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in results.items())
     text = f'{json.dumps(head)[:-1]}, "results": {{\n{lines}\n}}}}\n'

@@ -12,15 +12,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from drake_oa.common.console import show
 from drake_oa.common.files import source_digest
 from drake_oa.scenario.loading import scenario_text
-from drake_oa.studies.panda.evaluation import Drawing, evaluate_panda, panda_suite
+from drake_oa.studies.panda.evaluation import evaluate_panda, panda_suite
 from drake_oa.studies.panda.scenes import draw_panda_scene
 from drake_oa.studies.panda.tables import panda_figures, panda_table
-from drake_oa.studies.results import ResultFolder
 
 VARIANTS: dict[str, dict[str, dict[str, float]]] = {
     "all": {},
@@ -53,12 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = []
     for variant in VARIANTS:
         drawings = {
-            scene: Drawing(name, variant_text, (*arguments, variant))
-            for scene, (name, _, arguments) in suite.drawings.items()
+            scene: partial(variant_text, *draw.args, variant)
+            for scene, draw in suite.drawings.items()
         }
-        folder = ResultFolder(given.results / f"{given.suite}-{variant.replace(' ', '_')}")
-        results = evaluate_panda(replace(suite, drawings=drawings), jobs=given.jobs, folder=folder)
-        found.append(panda_figures(results, ()) | {"kind": variant})
+        of_variant = replace(suite, drawings=drawings)
+        folder = given.results / f"{given.suite}-{variant.replace(' ', '_')}"
+        results = evaluate_panda(of_variant, workers=given.jobs, folder=folder)
+        found.append(panda_figures(results) | {"kind": variant})
         print(f"{variant}: done", flush=True)
     show(panda_table(found))
     print(f"source digest: {source_digest()[:12]}")

@@ -30,7 +30,7 @@ import argparse
 import json
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -325,7 +325,7 @@ def simulate_filter(scenario: Scenario, parameters: Filter) -> MotionLog:
         return replace(differential_ik.simulate_differential_ik(scenario), regulation=METHOD)
 
 
-def run_scene(drawing: evaluation.Drawing, criteria: Any, parameters: Filter) -> dict[str, Any]:
+def run_scene(draw: Callable[[], str], criteria: Any, parameters: Filter) -> dict[str, Any]:
     """Draws a scene, runs the filter in it and judges the run.
 
     The result has, besides the keys of `run_and_judge`, `at_rest_error`: the distance of the tool
@@ -339,7 +339,7 @@ def run_scene(drawing: evaluation.Drawing, criteria: Any, parameters: Filter) ->
         logs.append(simulate_filter(scenario, parameters))
         return logs[0]
 
-    scenario = parse_scenario(drawing.draw(*drawing.arguments))
+    scenario = parse_scenario(draw())
     with patch.object(evaluation, "_simulate", simulate_scene):
         result = evaluation.run_and_judge(scenario, "preplanned", "truth", criteria=criteria)
     error = None
@@ -364,14 +364,14 @@ def run_suite(
             raise ValueError(f"--json {file}: has results of other parameters; name another file")
         content = stored
     runs = content["runs"].setdefault(suite.kind, {})
-    for scene, drawing in suite.drawings.items():
+    for scene, draw in suite.drawings.items():
         if str(scene) not in runs:
-            runs[str(scene)] = run_scene(drawing, suite.criteria, parameters)
+            runs[str(scene)] = run_scene(draw, suite.criteria, parameters)
             replace_json(file, content)
         result = runs[str(scene)]
         touched = ", ".join([*result["contacts"], *result["self_contacts"]])
         reason = touched or result["stop_reason"] or "arrived"
-        print(f"{drawing.name}: {result['outcome']} ({reason})", flush=True)
+        print(f"{suite.scene_name(scene)}: {result['outcome']} ({reason})", flush=True)
     return [runs[str(scene)] for scene in suite.drawings]
 
 

@@ -30,7 +30,7 @@ from drake_oa.studies.paper_tables import (
 )
 from drake_oa.studies.scenes.evaluation import evaluate
 from drake_oa.studies.scenes.methods import load_methods
-from drake_oa.studies.scenes.suites import draw_scenes, find_suite
+from drake_oa.studies.scenes.suites import SUITES, draw_scenes
 
 SCENES = Path(__file__).with_name("scenes")
 """Folder of the stored scenes."""
@@ -78,9 +78,8 @@ def suite_calls() -> dict[str, Call]:
             calls[f"{suite}/{number}"] = ("run_scene", (suite, scene))
     if ARCHIVE.is_file():
         for suite in mbm_suites(ARCHIVE, None, (), ("verified",), _PROBLEMS):
-            for number, (_, draw, arguments) in suite.drawings.items():
-                text = draw(*arguments)
-                calls[f"mbm-{suite.kind}/{number}"] = ("run_problem", (text,))
+            for number, draw in suite.drawings.items():
+                calls[f"mbm-{suite.kind}/{number}"] = ("run_problem", (draw(),))
     for kind in TRIAL_KINDS:
         for trial in range(_TRIALS):
             calls[f"table3-{kind}/{trial}"] = ("run_trial", (f"paper_{kind}", trial))
@@ -143,10 +142,9 @@ def run_trial(name: str, seed: int) -> dict[str, Any]:
 
 def run_points(suite: str, method: str) -> dict[str, Any]:
     """Runs a method on the stored scenes of a suite; returns a list for each quantity."""
-    (case,) = find_suite(suite).cases
     scenes = draw_scenes(suite, _POINT_SCENES, 0)
-    outcome = evaluate(scenes, [case], load_methods([method])).outcomes[method]
-    judged = outcome.of()
+    of_method = load_methods([method])[method]
+    judged = evaluate(method, of_method, scenes, SUITES[suite].settings).of()
     success = ~judged.collided & ~judged.short
     return {
         "success": success.tolist(),
@@ -158,13 +156,13 @@ def run_points(suite: str, method: str) -> dict[str, Any]:
 
 def first_table() -> dict[str, Any]:
     """Returns the figures of the paper's Table I."""
-    return {file: chain["networks"] for file, chain in table_one_figures(())["chains"].items()}
+    return {file: chain["networks"] for file, chain in table_one_figures()["chains"].items()}
 
 
 def second_table() -> dict[str, Any]:
     """Returns the figures of the paper's Table II, without timings."""
     scenes = draw_scenes("demo", _TABLE_SCENES, 0)
-    figures = table_two_figures(judge_novel(scenes).outcomes["paper"], scenes, 0, ())
+    figures = table_two_figures(judge_novel(scenes), scenes, 0)
     return {
         f"{row['baseline']:g} m": {key: row[key] for key in row["agrees"]}
         for row in figures["by_baseline"]

@@ -1,23 +1,25 @@
 """Calls carried out in parallel; results on disk, taken when their key is right."""
 
 import operator
+from functools import partial
 
 import pytest
 
-from drake_oa.studies.results import ResultFolder, carry_out
+from drake_oa.studies.results import Task, carry_out, resumed
+
+_POWERS = [partial(operator.pow, k, 2) for k in range(5)]
+_EXPECTED = {k: k**2 for k in range(5)}
+_FAILING = [partial(operator.truediv, 1, k) for k in (1, 0, 1)]
 
 
 def test_a_result_comes_back_by_its_key_only(tmp_path):
-    folder = ResultFolder(tmp_path / "a" / "b")
-    folder.save("one", "key", {"x": 1.5})
-    assert folder.load("one", "key") == {"x": 1.5}
-    assert folder.load("one", "other") is None
-    assert folder.load("two", "key") is None
-    assert [path.name for path in folder.path.iterdir()] == ["one.json"]
+    def found(call):
+        return resumed({0: Task("one", call)}, tmp_path)
 
-
-_CALLS = [(k, 2) for k in range(5)]
-_EXPECTED = {k: k**2 for k in range(5)}
+    assert found(_POWERS[3]) == ({0: 9}, 0)
+    assert found(_POWERS[3]) == ({0: 9}, 1)
+    assert found(_POWERS[4]) == ({0: 16}, 0)
+    assert [path.name for path in tmp_path.iterdir()] == ["one.json"]
 
 
 @pytest.fixture(scope="module")
@@ -29,18 +31,13 @@ def cluster():
         yield made.scheduler_address
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_every_call_comes_back_with_its_place(jobs):
-    assert dict(carry_out(operator.pow, _CALLS, jobs=jobs)) == _EXPECTED
+@pytest.mark.parametrize("workers", [1, 2, "cluster"])
+def test_every_call_comes_back_with_its_place(workers, request):
+    if workers == "cluster":
+        workers = request.getfixturevalue(workers)
+    assert dict(carry_out(_POWERS, workers)) == _EXPECTED
     with pytest.raises(ZeroDivisionError):
-        list(carry_out(operator.truediv, [(1, 0), (1, 0), (1, 1)], jobs=jobs))
-
-
-def test_a_cluster_does_the_same(cluster):
-    assert dict(carry_out(operator.pow, _CALLS, scheduler=cluster)) == _EXPECTED
-    assert list(carry_out(operator.pow, [], scheduler=cluster)) == []
-    with pytest.raises(ZeroDivisionError):
-        list(carry_out(operator.truediv, [(1, 1), (1, 0), (1, 1)], scheduler=cluster))
+        list(carry_out(_FAILING, workers))
 
 
 @pytest.mark.parametrize("address", ["nothing://localhost:1"])
@@ -48,4 +45,4 @@ def test_a_scheduler_that_is_not_there(address, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("drake_oa.studies.results.CONNECT_TIMEOUT", 0.2)
     with pytest.raises(ValueError, match=f"cannot reach a Dask scheduler at {address}: "):
-        list(carry_out(operator.pow, _CALLS, scheduler=address))
+        list(carry_out(_POWERS, address))

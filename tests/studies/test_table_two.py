@@ -31,8 +31,7 @@ def test_a_cell_agrees_or_not(changes: dict[str, Any], off: set[str]) -> None:
 
 def test_the_method_comes_near_the_print() -> None:
     scenes = draw_scenes("demo", 240, seed=1)
-    outcome = judge_novel(scenes).outcomes["paper"]
-    whole = table_two_figures(outcome, scenes, 1, ("drake_oa 0.1.0",))
+    whole = table_two_figures(judge_novel(scenes), scenes, 1)
     for part, printed in zip(whole["by_baseline"], TABLE_TWO.values(), strict=True):
         assert part["scenes"] == 60
         assert part["collisions"] == 0

@@ -11,24 +11,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
 
-from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import least_distances, shape_solids, solids_of
+from drake_oa.common.config import check_choice
+from drake_oa.geometry.solids import least_distances
 from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
-from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import Task
-from drake_oa.studies.cameras import with_two
+from drake_oa.studies.cameras import obstacle_solids, with_two
 from drake_oa.studies.mbm.problems import (
     PANDA,
     Problem,
@@ -40,10 +39,8 @@ from drake_oa.studies.mbm.problems import (
 from drake_oa.studies.panda.evaluation import (
     WITHOUT,
     Criteria,
-    Drawing,
     PandaResults,
     PandaSuite,
-    check_methods,
 )
 from drake_oa.studies.panda.tables import ALL, methods_figures
 
@@ -111,7 +108,11 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
             q_goal=q_goal if within else None,
             duration=DURATION,
         ),
-        obstacles=[item for item in problem.obstacles if not _holds(item, grasped)],
+        obstacles=[
+            item
+            for item in problem.obstacles
+            if least_distances(obstacle_solids([item]), grasped, 0.0, 0.0, 0.0)[0] >= 0.0
+        ],
         perception=GroundTruth(),
         table_height=None,
     )
@@ -120,12 +121,6 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     asked = math.floor(1e4 * min(CLEARANCE, float(left))) / 1e4
     scenario.task.clearance = max(asked, LEAST_CLEARANCE)
     return scenario
-
-
-def _holds(obstacle: Obstacle, points: FloatArray) -> bool:
-    """Checks whether a point (1, 3) is inside an obstacle."""
-    solids = solids_of(shape_solids(obstacle.shapes, pose(obstacle).GetAsMatrix4()))
-    return bool(least_distances(solids, points, 0.0, 0.0, 0.0)[0] < 0.0)
 
 
 METHODS = ("verified", "preplanned", "differential_ik", "planner", *WITHOUT)
@@ -150,7 +145,7 @@ def mbm_suites(
     perception: str = "truth",
     duration: float | None = None,
 ) -> list[PandaSuite]:
-    """One suite for each set of an archive.
+    """Makes a suite for each set of an archive.
 
     Args:
         file: see `problems.read_archive`.
@@ -165,38 +160,28 @@ def mbm_suites(
         OSError: if the file cannot be read.
         ValueError: naming what is unknown, too many or does not fit.
     """
-    chosen_methods = check_methods(methods, METHODS)
-    if scenes is not None and scenes < 1:
-        raise ValueError(f"--scenes must be at least 1, not {scenes}")
     arm, known = load_robot(robot or PANDA), read_archive(file)
     robot_text, suites = scenario_text(Scenario(robot=arm)), []
-    for name in sets or list(known):
-        if name not in known:
-            raise ValueError(f"unknown set {name!r}; {file} has: {', '.join(known)}")
+    check_choice("method", METHODS, *methods)
+    check_choice(f"set of {file}", known, *sets)
+    for name in sets or known:
         texts = known[name][:scenes]
         if len(texts) < (scenes or 0):
             raise ValueError(f"--scenes {scenes}: the set {name} has {len(texts)}")
         problems = [parse_problem(text) for text in texts]
         # Another robot's joints are told before anything is computed.
         problem_scenario(problems[0], arm)
-        drawings = {
-            text.number: Drawing(
-                f"mbm-{name}-scene{text.number:04d}",
-                draw_problem,
-                (text, robot_text, perception != "truth"),
-            )
-            for text in texts
-        }
-        suites.append(
-            PandaSuite("mbm", name, 0, chosen_methods, perception, duration, drawings, _CRITERIA)
-        )
+        seen = perception != "truth"
+        drawings = {text.number: partial(draw_problem, text, robot_text, seen) for text in texts}
+        stem, of_runs = f"mbm-{name}", (tuple(methods), perception, duration)
+        suites.append(PandaSuite("mbm", name, 0, *of_runs, stem, drawings, _CRITERIA))
     return suites
 
 
 def mbm_figures(
     results: Sequence[PandaResults], figures: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """{"suite", "sets": {set: figures}, "all": figures}.
+    """Returns {"suite", "sets": {set: figures}, "all": figures}.
 
     Args:
         results: of each set.
@@ -211,8 +196,7 @@ def mbm_figures(
                 for scene, run in of.runs[method].items()
             }
             for method in first.methods
-        },
-        {method: all(of.complete(method) for of in results) for method in first.methods},
+        }
     )
     for method, found in together["methods"].items():
         found["perception"] = first.perception_of(method)

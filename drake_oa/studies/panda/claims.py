@@ -84,9 +84,6 @@ def claim_violations(
     q: FloatArray,
     stamp: FloatArray,
     sights: Callable[[float], Sequence[Sight]] | None = None,
-    *,
-    V: float = V,
-    v_unseen: float = V_UNSEEN,
 ) -> dict[str, BoolArray]:
     """Finds the instants at which the claims are violated, by the equations of the module.
 
@@ -96,8 +93,6 @@ def claim_violations(
         q: (T, n) joint positions [rad].
         stamp: (T,) stamp of the newest observation at each instant [s]; -inf: there is none.
         sights: returns the images of all cameras at a stamp, where needed; None: all is seen.
-        V: see there [m/s].
-        v_unseen: see there [m/s].
 
     Returns:
         "A" and "B" -> (T,) whether the claim is violated.
@@ -111,21 +106,22 @@ def claim_violations(
         velocity = (later - now) / dt[..., None]
         speed = np.linalg.norm(velocity, axis=2)
         if s == -np.inf:
-            B[k] = (speed > v_unseen).any(axis=1)
+            B[k] = (speed > V_UNSEEN).any(axis=1)
             continue
-        reach, moving = radius + V * (t[k] - s)[:, None], _solids_at(world, s, _moves_at(world, s))
+        reach, solids = radius + V * (t[k] - s)[:, None], _solids_at(world, s)
         points = np.stack([now, later]).reshape(-1, 3)
-        distance = least_distances(moving, points, 0.0, _FAR, -np.inf).reshape(2, *speed.shape)
+        distance = least_distances(
+            solids.chosen(_moves_at(world, s)), points, 0.0, _FAR, -np.inf
+        ).reshape(2, *speed.shape)
         is_closing = (distance[0] <= reach) & (distance[0] - distance[1] > _AT_REST * dt)
         toward = velocity @ DIRECTIONS.T
-        is_fast = np.concatenate([speed[..., None], toward, toward], axis=2) > v_unseen
+        is_fast = np.concatenate([speed[..., None], toward, toward], axis=2) > V_UNSEEN
         unseen, asked = np.zeros_like(is_fast), is_fast | is_closing[..., None]
         if sights is not None and asked.any():
             row, point, sample = np.nonzero(asked)
             places = now[row, point] + reach[row, point, None] * _SAMPLES[sample]
             arm = centers[np.searchsorted(t, s)], radius
-            everything = _solids_at(world, s, np.ones(len(world.ball[0]), dtype=bool))
-            unseen[asked] = is_unseen(places, everything, arm, sights(float(s)))
+            unseen[asked] = is_unseen(places, solids, arm, sights(float(s)))
         A[k] = (is_closing & ~unseen.any(axis=2)).any(axis=1)
         B[k] = (is_fast & unseen).any(axis=(1, 2))
     return {"A": A, "B": B}
@@ -143,11 +139,10 @@ def _moves_at(world: TrueWorld, time: float) -> BoolArray:
     return np.asarray(np.linalg.norm(after - before, axis=1) > _MOVES)
 
 
-def _solids_at(world: TrueWorld, time: float, chosen: BoolArray) -> Solids:
-    """Returns some of the solids (K,) where they are at a time [s]."""
+def _solids_at(world: TrueWorld, time: float) -> Solids:
+    """Returns the solids where they are at a time [s]."""
     row = _row(world, time)
-    solids = world.arm.solids._replace(ball=world.ball[row], X_WO=world.X_WO[row])
-    return solids.chosen(chosen)
+    return world.arm.solids._replace(ball=world.ball[row], X_WO=world.X_WO[row])
 
 
 def is_unseen(

@@ -35,6 +35,7 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.planning import DofMask, JointLimits, RobotDiagramBuilder, SceneGraphCollisionChecker
 from pydrake.systems.framework import BasicVector, BusValue, Context, DiscreteValues, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.config import ScenarioError
@@ -48,6 +49,7 @@ from drake_oa.policy.dmp import trajectory
 from drake_oa.robot.grasped_object import part_carried, tool_links
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import feasible_clearance_of
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.obstacles import obstacle_instances
@@ -77,9 +79,9 @@ KP, KD = 2500.0, 100.0
 """Stiffness [1/s^2] and damping [1/s] of the joint controller."""
 
 
-TOOL_DISTANCE, ARM_DISTANCE = 0.03, 0.02
-"""Distance of the tool from obstacles, and of the other links from obstacles and of every link from
-the rest of the world [m]."""
+ARM_DISTANCE = 0.02
+"""Maximum distance that links other than the tool keep from obstacles, and every link from the rest
+of the world [m]."""
 METHOD = "DifferentialInverseKinematics"
 """The log's `regulation`."""
 
@@ -181,7 +183,6 @@ class CommandedJoints(LeafSystem):
       - plant_state
       output_ports:
       - desired_joint_state
-      - desired_joint_acceleration
       - desired_cartesian_poses
       - position
       - nominal_posture
@@ -196,11 +197,10 @@ class CommandedJoints(LeafSystem):
       of the start.
     - plant_state: state of the station's plant, of which the obstacles' positions are used.
     - desired_joint_state: (2m,) commanded positions [rad] and velocities [rad/s] of the arm.
-    - desired_joint_acceleration: (m,) zeros.
     - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame a moment
       later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
     - position: positions of the whole world, those of the robot as commanded [rad, m].
-    - nominal_posture: posture of the robot, in the world's positions [rad, m].
+    - nominal_posture: positions of the whole world, the robot in its posture [rad, m].
 
     The state is the commanded positions and velocities. Each period the velocity becomes the
     solution, and the position advances by it at once.
@@ -242,7 +242,6 @@ class CommandedJoints(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, self._advance)
         for name, size, calc, tickets in (
             ("desired_joint_state", 2 * self._arm, self._calc_state, {self.xd_ticket()}),
-            ("desired_joint_acceleration", self._arm, _calc_zeros, {self.nothing_ticket()}),
             ("position", plant.num_positions(), self._calc_position, needed),
             ("nominal_posture", plant.num_positions(), self._calc_posture, needed),
         ):
@@ -274,23 +273,21 @@ class CommandedJoints(LeafSystem):
         output.set_value(poses)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
-        q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
         q_robot, _ = np.split(context.get_discrete_state_vector().value(), 2)
-        self._plant.SetPositionsInArray(self._robot, q_robot, q)
-        output.set_value(q)
+        self._set_positions(context, q_robot, output)
 
     def _calc_posture(self, context: Context, output: BasicVector) -> None:
-        # No posture is requested of the obstacles.
-        posture, q_robot = np.zeros(self._plant.num_positions()), self._q_start.copy()
+        q_robot = self._q_start.copy()
         if self._inputs["desired_posture"].HasValue(context):
             desired = self._inputs["desired_posture"].Eval(context)
             q_robot[: self._arm] = desired[: self._arm]
-        self._plant.SetPositionsInArray(self._robot, q_robot, posture)
-        output.set_value(posture)
+        self._set_positions(context, q_robot, output)
 
-
-def _calc_zeros(context: Context, output: BasicVector) -> None:
-    output.SetZero()
+    def _set_positions(self, context: Context, q_robot: FloatArray, output: BasicVector) -> None:
+        """Sets an output to positions of the robot among the obstacles."""
+        q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
+        self._plant.SetPositionsInArray(self._robot, q_robot, q)
+        output.set_value(q)
 
 
 @contextlib.contextmanager
@@ -312,23 +309,16 @@ def _without_solver_messages() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def simulate_differential_ik(
-    scenario: Scenario,
-    *,
-    duration: float | None = None,
-    tool: float = TOOL_DISTANCE,
-    arm: float = ARM_DISTANCE,
-) -> MotionLog:
+def simulate_differential_ik(scenario: Scenario, duration: float | None = None) -> MotionLog:
     """Runs one motion of the peer until it has ended as one of `simulate` does.
 
     Until the planned duration is over the tool is asked along the planned motion, and then to the
-    goal. Where the program has no solution the robot is held.
+    goal. Where the program has no solution the robot is held. The tool keeps the requested
+    clearance as far as start and goal have it, the other links `ARM_DISTANCE` at most.
 
     Args:
         scenario: with a robot; its perception and regulation are not used.
         duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
-        tool: distance of the tool from obstacles [m].
-        arm: distance of the other links from obstacles, and of all from the rest of the world [m].
 
     Returns:
         The log; `regulation` is `METHOD`, and there are no observations.
@@ -338,7 +328,10 @@ def simulate_differential_ik(
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
-    robot, safety = robot_of(scenario), min(tool, arm)
+    robot = robot_of(scenario)
+    # No arm starts where it would have to keep more than it has.
+    tool, arm = feasible_clearance_of(scenario), min(ARM_DISTANCE, scenario.task.clearance)
+    safety = min(tool, arm)
     gains = replace(robot.gains, kp_position=KP, kd_position=KD, ki_position=0.0)
     stiff = replace(scenario, robot=replace(robot, gains=gains))
 
@@ -353,6 +346,8 @@ def simulate_differential_ik(
             own=SELF_DISTANCE - safety,
         )
         wires.add("commanded_joints", CommandedJoints(scenario, checker.plant(), cell.q_start))
+        steady = ConstantVectorSource(np.zeros(len(robot.q_seed)))
+        wires.add("steady", steady, offers={"y0": "desired_joint_acceleration"})
         program = make_differential_ik(scenario, checker, safety)
         wires.add("differential_ik", program, offers={"commanded_velocity": "joint_velocity"})
 

@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
@@ -83,7 +84,7 @@ class Level:
     draw_motion: Callable[..., Motion | None] = draw_motion
 
 
-def drp_things(random: np.random.Generator, *, level: Level) -> DrawThings:
+def drp_things(random: Generator, *, level: Level) -> DrawThings:
     """Prepares the static world and the boxes of a level."""
 
     def draw(motion: Motion) -> list[Obstacle] | None:
@@ -110,7 +111,7 @@ _GOALS = (0.40, -0.40, 0.30), (0.60, 0.40, 0.55)
 """Corners of the box that contains the goals at which the robot starts [m]."""
 
 
-def _draw_hold(random: np.random.Generator, *, forward: bool = False) -> Motion | None:
+def _draw_hold(random: Generator, *, forward: bool = False) -> Motion | None:
     """Draws a motion of 5 cm to a goal, with the tool forward or down; None if rejected."""
     goal = np.round(random.uniform(*_GOALS), 4)
     start = goal - [_BEGIN, 0.0, 0.0]
@@ -128,9 +129,7 @@ _CASES = {
 """Open face, and ranges of half depth, half width, height over the table and height inside [m]."""
 
 
-def _draw_case(
-    random: np.random.Generator, name: str, number: int, inside: FloatArray | None
-) -> Obstacle:
+def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | None) -> Obstacle:
     """Draws a case of boards, of which the last closes it.
 
     Args:
@@ -162,6 +161,9 @@ def _draw_case(
 
 _MIDDLE = np.array([0.15, 0.0, 0.5])
 """Point that floating boxes are aimed at [m]."""
+_AT_MIDDLE, _AT_GOAL = ((0.8, 1.0), 1.2, 0.2), ((0.5, 0.6), 1.0, 0.01)
+"""Of boxes that fly at that point, or at the goal: range of distances from there at the beginning,
+distance at which they turn back, and maximum distance of their lines along each axis [m]."""
 _BASE, _NEAREST_X = 0.25, 0.1
 """Radius of the cylinder around the base, and x coordinate, at which boxes turn back [m]."""
 _CLEAR = 0.01
@@ -172,7 +174,7 @@ _FINE = 0.005
 """Distance between the points of a line at which a box may turn back [m]."""
 
 
-def _draw_box(random: np.random.Generator, level: Level, number: int, p_WB: FloatArray) -> Obstacle:
+def _draw_box(random: Generator, level: Level, number: int, p_WB: FloatArray) -> Obstacle:
     """Draws a box with a random orientation at a position (3,) [m]."""
     rpy = Rotation.from_quat(random.normal(size=4)).as_euler("xyz")
     box = Box(size=random.uniform(*level.size, 3).tolist(), rpy=rpy.tolist())
@@ -186,7 +188,7 @@ def _lowest(box: Obstacle) -> float:
 
 def _appearing(box: Obstacle, p_WB: FloatArray, present: list[float]) -> Obstacle:
     """Returns a box that is at a position (3,) [m], raised off the table, from time to time [s]."""
-    x, y, z = (float(value) for value in p_WB)
+    x, y, z = p_WB
     return replace(box, translation=[x, y, max(z, _lowest(box))], present=present)
 
 
@@ -202,7 +204,7 @@ def _tool_path(motion: Motion) -> FloatArray:
     return posture_guide(motion.t / motion.t[-1], motion.start, motion.goal)
 
 
-def _sudden(random: np.random.Generator, level: Level, motion: Motion) -> list[Obstacle]:
+def _sudden(random: Generator, level: Level, motion: Motion) -> list[Obstacle]:
     """Draws a box that appears on the planned path."""
     box, begin = _draw_box(random, level, 0, motion.goal), 30 * _STEP
     path = _tool_path(motion)[motion.t > begin]
@@ -210,36 +212,24 @@ def _sudden(random: np.random.Generator, level: Level, motion: Motion) -> list[O
     return [item for item in items if _is_clear(item, motion, _SUDDEN_CLEAR)][:1]
 
 
-def _goal_blocked(random: np.random.Generator, level: Level, motion: Motion) -> list[Obstacle]:
+def _goal_blocked(random: Generator, level: Level, motion: Motion) -> list[Obstacle]:
     """Draws a box that appears at the goal."""
     near = np.linalg.norm(_tool_path(motion) - motion.goal, axis=1) <= 0.5
-    present = [float(motion.t[near.argmax()]), 800 * _STEP]
+    present = [motion.t[near.argmax()], 800 * _STEP]
     box = _appearing(_draw_box(random, level, 0, motion.goal), motion.goal, present)
     return [box] if _is_clear(box, motion, _CLEAR) else []
 
 
 def _flying(
-    random: np.random.Generator,
+    random: Generator,
     level: Level,
     motion: Motion,
     *,
     at_goal: bool,
-    begin: tuple[float, float],
-    farthest: float,
-    noise: float,
 ) -> list[Obstacle]:
-    """Draws boxes that fly at a point and turn back.
-
-    Args:
-        random: source of random numbers.
-        level: parameters.
-        motion: planned motion.
-        at_goal: whether they are aimed at the goal, from above; else at the point over the base.
-        begin: range of their distances from there at the beginning [m].
-        farthest: distance from there at which they turn back [m].
-        noise: maximum distance of their lines from there along each axis [m].
-    """
-    target, boxes = motion.goal if at_goal else _MIDDLE, []
+    """Draws boxes that fly at the goal, from above, or at `_MIDDLE`, and turn back."""
+    target, boxes = motion.goal if at_goal else _MIDDLE, list[Obstacle]()
+    begin, farthest, noise = _AT_GOAL if at_goal else _AT_MIDDLE
     for number in range(level.count):
         away = random.normal(size=3)
         away = np.where([True, False, at_goal], abs(away), away) / np.linalg.norm(away)
@@ -266,14 +256,8 @@ def _flying(
 
 
 _SMALL, _BIG = (0.1, 0.2), (0.1, 0.3)
-_FLOATING = Level(
-    partial(_flying, at_goal=False, begin=(0.8, 1.0), farthest=1.2, noise=0.2), _SMALL, 3
-)
-_HOLD = Level(
-    partial(_flying, at_goal=True, begin=(0.5, 0.6), farthest=1.0, noise=0.01),
-    _BIG,
-    draw_motion=_draw_hold,
-)
+_FLOATING = Level(partial(_flying, at_goal=False), _SMALL, 3)
+_HOLD = Level(partial(_flying, at_goal=True), _BIG, draw_motion=_draw_hold)
 LEVELS = {
     "sudden1": Level(_sudden, (0.05, 0.3)),
     "sudden2": Level(_sudden, _SMALL, world=("open_box",)),

@@ -12,8 +12,7 @@ Methods:
                    knows the obstacles exactly, on the same planned motion; its tool is asked
                    for the same clearance, as far as start and goal have it
   planner          a sampling-based planner that knows the obstacles and their courses exactly, to
-                   tell which scenes have a solution at all: see `planner`, and where obstacles
-                   move `oracle`. It is not simulated
+                   tell which scenes have a solution at all: see `planner`. It is not simulated
 
 Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
 been at rest for a second: each link, the hand and the fingers against obstacles, table and each
@@ -33,19 +32,21 @@ import copy
 import logging
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from drake_oa.common.config import check_choice
 from drake_oa.common.console import quiet
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.runs.motion_log import MotionLog, save_logs
-from drake_oa.runs.report import feasible_clearance_of, layer_costs, motion_report
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import layer_costs, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.end_poses import end_rotations
 from drake_oa.scenario.loading import parse_scenario, scenario_text
@@ -53,70 +54,46 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.studies.panda.claims import run_violations
 from drake_oa.studies.panda.contacts import contact_events
-from drake_oa.studies.panda.differential_ik import ARM_DISTANCE, simulate_differential_ik
+from drake_oa.studies.panda.differential_ik import simulate_differential_ik
 from drake_oa.studies.panda.drp_scenes import EPISODE
-from drake_oa.studies.panda.oracle import run_oracle
 from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
 from drake_oa.studies.panda.scenes import (
     DRP,
     KINDS,
-    check_choice,
     draw_panda_scene,
     seen_by,
 )
 from drake_oa.studies.panda.true_world import make_true_world
-from drake_oa.studies.results import ResultFolder, Task, content_key, resumed
+from drake_oa.studies.results import Task, resumed
 
 PLANNER = "planner"
 """The method that plans, needs OMPL, and is not simulated."""
 DIFFERENTIAL_IK = "differential_ik"
-DEFAULT_METHODS = ("preplanned", "paper", "verified", DIFFERENTIAL_IK)
 WITHOUT: dict[str, dict[str, Any]] = {
     "without_chain": {"chain": None},
     "without_search": {"rounds": 0},
     "without_joint_path": {"configurations": 0, "last_configurations": 0},
 }
 """Methods that are `verified` without one source of motions -> fields of its block."""
-METHODS = (*DEFAULT_METHODS, PLANNER, *WITHOUT)
+METHODS = ("preplanned", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *WITHOUT)
 TRUTH_ONLY = frozenset({DIFFERENTIAL_IK, PLANNER})
 """Methods that know the obstacles exactly, whatever the perception."""
 
-
-_KEPT = (
-    "contacts",
-    "self_contacts",
+_UNKNOWN = (
     "tool_clearance_min",
     "robot_clearance_min",
-    "asked_clearance",
-    "feasible_clearance",
     "short_of_feasible",
-    "believed_shortfall",
-    "lowered",
     "sources",
-    "goal_error",
     "orientation_error",
     "duration",
-    "path_length",
-    "torque_saturation",
-    "stop_reason",
     "ended",
     "settled",
-    "decision_cost",
-    "guard_cost",
-    "events",
     "beyond_limits",
     "drp_outcome",
     "contact_events",
     "claim_violations",
 )
-"""Keys of a result: values of `motion_report` and judgements, the last two of scenes with moving
-obstacles."""
-
-
-def default_methods(kind: str) -> tuple[str, ...]:
-    """Returns the methods that run where none are named: the planner in all but tabletop."""
-    return DEFAULT_METHODS if kind == "tabletop" else (*DEFAULT_METHODS, PLANNER)
-
+"""Keys of a result that are None where nothing is known; the last two without moving obstacles."""
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
 
@@ -178,17 +155,15 @@ def run_and_judge(
     scenario: Scenario,
     method: str,
     perception: str,
-    *,
     duration: float | None = None,
     criteria: Criteria = _CRITERIA,
-    log_file: Path | None = None,
 ) -> dict[str, Any]:
     """Runs a method on a scene.
 
     The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
-    the stop reason with "#" for numbers), `failed` (whether it raised), and of `motion_report`
-    those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the simulation, and by the
-    criteria `drp_outcome`; and where obstacles move `contact_events`, see there, and
+    the stop reason with "#" for numbers), `failed` (whether it raised), and all of `motion_report`;
+    besides `beyond_limits` [rad], `wall_time` [s] and `real_time_factor` of the simulation, and by
+    the criteria `drp_outcome`; and where obstacles move `contact_events`, see there, and
     `claim_violations`: the number of logged instants, and of those that violate each claim of
     `claims`. Of `planner` see `run_planner`.
 
@@ -197,16 +172,16 @@ def run_and_judge(
         method: one of `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of the run [s]; None: that of `simulate`.
-        criteria: what is a success.
-        log_file: where the log goes, if there is one.
+        criteria: conditions of success.
     """
     scenario = with_method(seen_by(scenario, perception), method)
-    failed = False
+    failed, log, found = False, None, _without_motion(scenario)
     try:
         if method == PLANNER:
-            found = _without_motion(scenario, "") | _plan(scenario, criteria)
-            return {**_outcome(found, criteria), "failed": False, **found}
-        log = _simulate(scenario, method, duration)
+            asked = scenario.task.clearance if criteria.planner_asked else CLEARANCE
+            found |= run_planner(scenario, clearance=asked, states=criteria.planner_states)
+        else:
+            log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
@@ -215,58 +190,44 @@ def run_and_judge(
     except Exception as error:
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
-        reason = f"{type(error).__name__}: {error}".rstrip(": ")
-        result = {"outcome": "stopped", "reason": plain_reason(reason), "failed": True}
-        return {**result, **_without_motion(scenario, reason)}
-    if log_file is not None:
-        save_logs(log_file, {"modulated" if log.modulated else "preplanned": log})
-    return _judged(scenario, log, failed, criteria)
+        failed, found["stop_reason"] = True, f"{type(error).__name__}: {error}".rstrip(": ")
+    if log is not None:
+        found = _judged(scenario, log, criteria)
+    outcome, reason = "success", criteria.lacks(found)
+    if found["contacts"] or found["self_contacts"]:
+        outcome, reason = "contact", found["stop_reason"]
+    elif reason or failed:
+        outcome, reason = "stopped", reason or found["stop_reason"]
+    # Without its numbers equal reasons can be counted.
+    reason = _NUMBER.sub("#", reason or "").strip()
+    return {"outcome": outcome, "reason": reason, "failed": failed, **found}
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
     if method == DIFFERENTIAL_IK:
-        # No arm starts where it would have to keep more than it has.
-        tool, arm = feasible_clearance_of(scenario), min(ARM_DISTANCE, scenario.task.clearance)
-        return simulate_differential_ik(scenario, duration=duration, tool=tool, arm=arm)
+        return simulate_differential_ik(scenario, duration)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
-def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
-    if _moves(scenario):
-        return run_oracle(scenario)
-    clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
-    return run_planner(scenario, clearance=clearance, states=criteria.planner_states)
-
-
-def _judged(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria) -> dict[str, Any]:
-    report = motion_report(scenario, log)
-    found = {key: report.get(key) for key in _KEPT}
-    found["beyond_limits"] = _beyond_limits(scenario, log)
+def _judged(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
+    found = dict.fromkeys(_UNKNOWN) | motion_report(scenario, log)
+    arm = len(robot_of(scenario).q_seed)
+    q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
+    found["beyond_limits"] = float(np.maximum(lower - q, q - upper).max(initial=0.0))
     if criteria.by_drp:
-        found["drp_outcome"] = drp_outcome(scenario, log, report["contacts"])
-    if len(log.t) and _moves(scenario):
+        found["drp_outcome"] = drp_outcome(scenario, log, found["contacts"])
+    if len(log.t) and last_change(scenario.obstacles) > 0.0:
         world = make_true_world(scenario)
         violated = run_violations(scenario, log, world)
         counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
         found["contact_events"] = contact_events(scenario, log, world)
         found["claim_violations"] = {"instants": len(log.t), **counts}
-    outcome = _outcome(found, criteria)
-    if failed and outcome["outcome"] == "success":
-        outcome = {"outcome": "stopped", "reason": plain_reason(found["stop_reason"])}
-    return {
-        **outcome,
-        "failed": failed,
-        **found,
+    return found | {
         # To a tenth of a millisecond: to be taken together over scenes.
         "decision_costs": np.round(layer_costs(log), 4).tolist(),
         "wall_time": log.wall_time,
         "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
     }
-
-
-def _moves(scenario: Scenario) -> bool:
-    """Checks whether an obstacle ever moves."""
-    return last_change(scenario.obstacles) > 0.0
 
 
 _DRP_ERROR, _DRP_TURN = 0.05, math.radians(15.0)
@@ -294,58 +255,20 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
     return "success" if error <= _DRP_ERROR and turn <= _DRP_TURN else "stopped"
 
 
-def _beyond_limits(scenario: Scenario, log: MotionLog) -> float:
-    """Computes how far a joint of the arm went beyond its limit at most [rad]."""
-    arm = len(robot_of(scenario).q_seed)
-    q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
-    return float(np.maximum(lower - q, q - upper).max(initial=0.0))
-
-
-def _outcome(found: Mapping[str, Any], criteria: Criteria) -> dict[str, str]:
-    """Returns `outcome` and `reason`."""
-    if found["contacts"] or found["self_contacts"]:
-        return {"outcome": "contact", "reason": plain_reason(found["stop_reason"])}
-    lacks = criteria.lacks(found)
-    return {"outcome": "stopped" if lacks else "success", "reason": plain_reason(lacks)}
-
-
-def _without_motion(scenario: Scenario, reason: str) -> dict[str, Any]:
+def _without_motion(scenario: Scenario) -> dict[str, Any]:
     """Returns the values of a result for a robot that stays at the start."""
     return {
-        **dict.fromkeys(_KEPT),
+        **dict.fromkeys(_UNKNOWN),
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
         "path_length": 0.0,
         "torque_saturation": 0.0,
-        "stop_reason": reason,
+        "stop_reason": "",
         "events": [],
         "wall_time": 0.0,
         "real_time_factor": None,
     }
-
-
-def plain_reason(reason: str | None) -> str:
-    """A reason with "#" for its numbers, so that equal reasons can be counted."""
-    return _NUMBER.sub("#", reason or "").strip()
-
-
-SCENE_SUFFIX = ".scenario.yaml"
-"""Last part of the names of scenes' files."""
-
-
-class Drawing(NamedTuple):
-    """Function that draws a scene, and its arguments.
-
-    Attributes:
-        name: of the scene's files.
-        draw: makes a scenario's text.
-        arguments: of `draw`, on which alone the scene depends.
-    """
-
-    name: str
-    draw: Callable[..., str]
-    arguments: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -359,11 +282,10 @@ class PandaSuite:
         methods: some of `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of a run [s]; None: that of `simulate`.
-        drawings: number of a scene -> how it is made.
-        criteria: what runs are judged by.
-
-    Raises:
-        ValueError: for no scenes or a negative seed.
+        stem: beginning of the names of the scenes' files.
+        drawings: number of a scene -> call that makes its scenario's text, which depends on the
+            positional arguments alone.
+        criteria: conditions of success.
     """
 
     name: str
@@ -372,25 +294,21 @@ class PandaSuite:
     methods: tuple[str, ...]
     perception: str
     duration: float | None
-    drawings: Mapping[int, Drawing]
+    stem: str
+    drawings: Mapping[int, partial[str]]
     criteria: Criteria = _CRITERIA
 
-    def __post_init__(self) -> None:
-        if not self.drawings:
-            raise ValueError("--scenes must be at least 1")
-        if self.seed < 0:
-            raise ValueError(f"--seed must be 0 or more, not {self.seed}")
-
     def perception_of(self, method: str) -> str:
-        """What a method sees by."""
+        """Returns the perception of a method."""
         return "truth" if method in TRUTH_ONLY else self.perception
 
+    def scene_name(self, scene: int) -> str:
+        """Returns the name of a scene's files."""
+        return f"{self.stem}-scene{scene:04d}"
 
-def check_methods(methods: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Returns each method once; raises ValueError for one that is not among the known ones."""
-    for method in methods:
-        check_choice("method", method, known)
-    return tuple(dict.fromkeys(methods))
+    def run_name(self, scene: int, method: str) -> str:
+        """Returns the name of a run's files."""
+        return f"{self.scene_name(scene)}-{method}-{self.perception_of(method)}"
 
 
 def panda_suite(
@@ -412,110 +330,72 @@ def panda_suite(
         duration: time limit of a run [s]; None: that of `simulate`.
 
     Raises:
-        ValueError: as `PandaSuite`, and for an unknown kind or method.
+        ValueError: for an unknown kind or method.
     """
-    check_choice("kind of scenes", kind, KINDS)
-    drawings = {
-        scene: Drawing(f"{kind}-seed{seed}-scene{scene:04d}", draw_text, (seed, scene, kind))
-        for scene in range(scenes)
-    }
-    chosen, criteria = check_methods(methods, METHODS), Criteria(by_drp=DRP in kind)
-    return PandaSuite("panda", kind, seed, chosen, perception, duration, drawings, criteria)
+    check_choice("kind of scenes", KINDS, kind)
+    check_choice("method", METHODS, *methods)
+    return PandaSuite(
+        "panda",
+        kind,
+        seed,
+        tuple(methods),
+        perception,
+        duration,
+        f"{kind}-seed{seed}",
+        {scene: partial(draw_text, seed, scene, kind) for scene in range(scenes)},
+        Criteria(by_drp=DRP in kind),
+    )
 
 
-@dataclass
-class PandaResults:
-    """What is known so far.
+class PandaResults(NamedTuple):
+    """Results of a suite.
 
     Attributes:
         suite: what is evaluated.
         scenarios: scene -> the scenario's text, as it was drawn.
         runs: method -> scene -> result, see `run_and_judge`.
-        resumed: results that were on disk.
-        interrupted: whether it was ended by an interrupt.
+        resumed: number of results that were on disk.
     """
 
     suite: PandaSuite
-    scenarios: dict[int, str] = field(default_factory=dict)
-    runs: dict[str, dict[int, dict[str, Any]]] = field(default_factory=dict)
+    scenarios: dict[int, str]
+    runs: dict[str, dict[int, dict[str, Any]]]
     resumed: int = 0
-    interrupted: bool = False
-
-    def complete(self, method: str) -> bool:
-        """Whether a method has run on all scenes."""
-        return len(self.runs.get(method, {})) == len(self.suite.drawings)
 
 
 def evaluate_panda(
-    suite: PandaSuite,
-    *,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    folder: ResultFolder | None = None,
-    logs: Path | None = None,
-    on_progress: Callable[[str, int], None] = lambda what, count: None,
+    suite: PandaSuite, *, workers: int | str = 1, folder: Path | None = None
 ) -> PandaResults:
     """Draws the scenes and runs each method on each.
 
     A result on disk whose key is that of the scene, the method and the present source is
-    taken; all others are made, and written as soon as each is done. Where a log is requested
-    and does not exist, the run is repeated.
+    taken; all others are made, and written as soon as each is done.
 
     Args:
         suite: what to evaluate.
-        jobs: processes at once.
-        scheduler: address of a Dask scheduler to send the work to instead.
+        workers: see `carry_out`.
         folder: of the results; None: they are not stored.
-        logs: folder of the log of each run (.npz), which the workers write; None: no logs.
-        on_progress: called with what was done and how many of it.
-
-    Returns:
-        All results; after an interrupt those that were finished, with `interrupted`.
 
     Raises:
         ValueError: if the scheduler cannot be reached.
         RuntimeError: if a scene cannot be drawn.
     """
-    results = PandaResults(suite, runs={method: {} for method in suite.methods})
-    options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
-    drawings = {
-        scene: Task(name, content_key("scene", draw.__name__, repr(arguments)), (draw, arguments))
-        for scene, (name, draw, arguments) in suite.drawings.items()
+    drawings = {n: Task(suite.scene_name(n), draw) for n, draw in suite.drawings.items()}
+    scenarios, _ = resumed(drawings, folder, workers)
+    limits = suite.duration, suite.criteria
+    tasks = {
+        (method, scene): Task(
+            suite.run_name(scene, method),
+            partial(run_text, text, method, suite.perception_of(method), *limits),
+        )
+        for scene, text in scenarios.items()
+        for method in suite.methods
     }
-    try:
-        for scene, drawn, _ in resumed(_draw, drawings, folder, **options):
-            results.scenarios[scene] = drawn["scenario"]
-            on_progress("scenes drawn", 1)
-        results.scenarios = dict(sorted(results.scenarios.items()))
-        tasks = {
-            (scene, method): _run_task(suite, scene, text, method, logs)
-            for scene, text in results.scenarios.items()
-            for method in suite.methods
-        }
-        for (scene, method), result, known in resumed(run_text, tasks, folder, **options):
-            results.runs[method][scene] = result
-            results.resumed += known
-            on_progress(method, 1)
-    except KeyboardInterrupt:
-        results.interrupted = True
-    results.runs = {method: dict(sorted(runs.items())) for method, runs in results.runs.items()}
-    return results
-
-
-def run_name(suite: PandaSuite, scene: int, method: str) -> str:
-    """Returns the name of a run's files: those of the scene, the method and its perception."""
-    return f"{suite.drawings[scene].name}-{method}-{suite.perception_of(method)}"
-
-
-def _draw(draw: Callable[..., str], arguments: tuple[Any, ...]) -> dict[str, str]:
-    return {"scenario": draw(*arguments)}
-
-
-def _run_task(suite: PandaSuite, scene: int, text: str, method: str, logs: Path | None) -> Task:
-    name = run_name(suite, scene, method)
-    call = (text, method, suite.perception_of(method), suite.duration, suite.criteria)
-    log = None if logs is None or method == PLANNER else logs / f"{name}.npz"
-    return Task(name, content_key("run", repr(call)), (*call, log), log)
+    found, known = resumed(tasks, folder, workers)
+    runs: dict[str, dict[int, dict[str, Any]]] = {method: {} for method in suite.methods}
+    for (method, scene), result in found.items():
+        runs[method][scene] = result
+    return PandaResults(suite, scenarios, runs, known)
 
 
 def draw_text(seed: int, scene: int, kind: str) -> str:
@@ -523,21 +403,7 @@ def draw_text(seed: int, scene: int, kind: str) -> str:
     return scenario_text(draw_panda_scene(seed, scene, kind=kind))
 
 
-def run_text(
-    text: str,
-    method: str,
-    perception: str,
-    duration: float | None,
-    criteria: Criteria,
-    log: Path | None = None,
-) -> dict[str, Any]:
-    """Runs a scenario's text and returns the result; the log goes to a file, if one is given."""
+def run_text(text: str, *arguments: Any) -> dict[str, Any]:
+    """Runs a scenario's text with further arguments of `run_and_judge`; returns the result."""
     with quiet():
-        return run_and_judge(
-            parse_scenario(text),
-            method,
-            perception,
-            duration=duration,
-            criteria=criteria,
-            log_file=log,
-        )
+        return run_and_judge(parse_scenario(text), *arguments)

@@ -38,6 +38,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.scenario.obstacles import Obstacle
@@ -109,9 +110,7 @@ _FINE = 0.01
 """Length between samples of a way [m]."""
 
 
-def moving_things(
-    random: np.random.Generator, *, hard: bool, highest: float = _HIGHEST
-) -> DrawThings:
+def moving_things(random: Generator, *, hard: bool, highest: float = _HIGHEST) -> DrawThings:
     """Prepares moving obstacles up to a height [m], and none to two at rest."""
     fewest, most = _HARD_MOVING if hard else _MOVING
     count, resting = random.integers(fewest, most + 1), int(random.integers(MOST_RESTING + 1))
@@ -144,7 +143,7 @@ def moving_things(
 
 
 def _on_course(
-    random: np.random.Generator,
+    random: Generator,
     thing: Obstacle,
     does: frozenset[int],
     motion: Motion,
@@ -183,26 +182,26 @@ def _on_course(
 
 
 def _draw_speeds(
-    random: np.random.Generator, does: frozenset[int], slowest: float, fastest: float
+    random: Generator, does: frozenset[int], slowest: float, fastest: float
 ) -> tuple[FloatArray, FloatArray]:
     """Draws (T,) times from 0 [s], `_SAMPLE` apart, and (T,) lengths along the way then [m]."""
-    speed, sense = float(random.uniform(slowest, fastest)), 1.0
-    legs = [(speed, float(random.uniform(*_LEG)))]
+    speed, sense = random.uniform(slowest, fastest), 1.0
+    legs = [(speed, random.uniform(*_LEG))]
     if ENTERS in does:
-        legs = [(speed, float(random.uniform(*_WAY)) / speed)]
+        legs = [(speed, random.uniform(*_WAY) / speed)]
     for event in random.permutation([CHANGES_SPEED, STOPS, COMES_BACK]):
         if event not in does:
             continue
         if event == CHANGES_SPEED:
             span = fastest - slowest
             step = random.uniform(_CHANGE, span - _CHANGE)
-            speed = slowest + float((speed - slowest + step) % span)
+            speed = slowest + (speed - slowest + step) % span
         elif event == STOPS:
-            legs.append((0.0, float(random.uniform(*_STOP))))
+            legs.append((0.0, random.uniform(*_STOP)))
         else:
             sense = -sense
-        legs.append((sense * speed, float(random.uniform(*_LEG))))
-    legs[-1] = (sense * speed, float(random.uniform(*_WAY)) / speed)
+        legs.append((sense * speed, random.uniform(*_LEG)))
+    legs[-1] = (sense * speed, random.uniform(*_WAY) / speed)
     rate = random.uniform(*_ACCELERATION)
     t, v = [0.0], [0.0]
     for target, seconds in [*legs, (0.0, 0.0)]:
@@ -215,7 +214,7 @@ def _draw_speeds(
     return times, np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _draw_way(random: np.random.Generator, along: FloatArray, *, bends: bool) -> FloatArray:
+def _draw_way(random: Generator, along: FloatArray, *, bends: bool) -> FloatArray:
     """Draws (T, 2) places, seen from above, at (T,) lengths along a way [m].
 
     The way is straight, or bends once between two lengths that are reached.

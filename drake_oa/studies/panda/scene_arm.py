@@ -20,8 +20,7 @@ from pydrake.math import RollPitchYaw
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.station import covered_arm
-from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import shape_solids, solid_of, solids_of
+from drake_oa.geometry.solids import solid_of, solids_of
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances
 from drake_oa.planning.search import ToolPaths, roll_out_arm
 from drake_oa.policy.dmp import minimum_jerk_share
@@ -32,6 +31,7 @@ from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
+from drake_oa.studies.cameras import obstacle_solids
 
 LIKE = "tabletop_box"
 """Name of the shipped scenario with the robot, camera and parameters of most scenes."""
@@ -163,16 +163,7 @@ class SceneArm:
             obstacles: at rest or moving.
             t: T times [s], or one for all joints.
         """
-        placed = [
-            solids_of(
-                [
-                    solid
-                    for item in obstacles
-                    for solid in shape_solids(item.shapes, _pose_at(item, time))
-                ]
-            )
-            for time in np.atleast_1d(t)
-        ]
+        placed = [obstacle_solids(obstacles, time) for time in np.atleast_1d(t)]
         return np.stack(
             [
                 group_distances(
@@ -192,13 +183,6 @@ class SceneArm:
         mine = np.isin(self._spheres.joint, joints)
         p_WS = sphere_centers(self._chain, self._spheres, q)[:, mine]
         return np.asarray(p_WS.reshape(-1, 3))
-
-
-def _pose_at(obstacle: Obstacle, time: float) -> FloatArray:
-    """Computes the (4, 4) pose of an obstacle, which may move, at a time [s]."""
-    X_WO = pose(obstacle).GetAsMatrix4()
-    X_WO[:3, 3] += obstacle.offset_at(time)
-    return X_WO
 
 
 @lru_cache(maxsize=1)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
@@ -63,7 +64,7 @@ DrawThings = Callable[[Motion], list[Obstacle] | None]
 
 
 def make_obstacle(
-    random: np.random.Generator,
+    random: Generator,
     kind: str,
     number: int,
     shapes: list[Shape],
@@ -74,17 +75,15 @@ def make_obstacle(
         name=f"{kind}{number}",
         shapes=shapes,
         translation=[round(float(v), 4) for v in p_WO],
-        rpy=[0.0, 0.0, float(random.uniform(-math.pi, math.pi))],
+        rpy=[0.0, 0.0, random.uniform(-math.pi, math.pi)],
         color=list(_COLORS[number % len(_COLORS)]),
     )
 
 
-def draw_shape(
-    random: np.random.Generator, smallest: float, highest: float, widest: float
-) -> Shape:
+def draw_shape(random: Generator, smallest: float, highest: float, widest: float) -> Shape:
     """Draws a box, a cylinder or a sphere whose dimensions are within limits [m]."""
-    x, y = (float(v) for v in random.uniform(smallest, widest, 2))
-    z, kind = float(random.uniform(smallest, highest)), random.integers(3)
+    x, y = random.uniform(smallest, widest, 2)
+    z, kind = random.uniform(smallest, highest), random.integers(3)
     if kind == 0:
         return Box(size=[x, y, z])
     if kind == 1 and random.random() < _LYING:
@@ -101,7 +100,7 @@ def extent(shape: Shape) -> tuple[float, float]:
     size = shape.size if isinstance(shape, Box) else [2 * shape.radius] * 2 + [shape.length]
     corners = 0.5 * np.array(size) * np.array(np.meshgrid(*[[-1, 1]] * 3)).T.reshape(-1, 3)
     x, y, z = pose(shape).rotation() @ corners.T
-    return float(np.hypot(x, y).max()), float(z.max())
+    return np.hypot(x, y).max(), z.max()
 
 
 def footprint_radius(obstacle: Obstacle) -> float:
@@ -122,28 +121,26 @@ def _resting(shape: Shape, x: float = 0.0, y: float = 0.0, ground: float = 0.0) 
     return replace(shape, translation=[x, y, ground + extent(shape)[1]])
 
 
-def _draw_pile(random: np.random.Generator) -> list[Shape]:
+def _draw_pile(random: Generator) -> list[Shape]:
     """Draws a low box, and one to three shapes on it or leaning on it."""
-    x, y = (float(v) for v in random.uniform(0.10, 0.24, 2))
-    top = float(random.uniform(SMALLEST, 0.14))
+    x, y = random.uniform(0.10, 0.24, 2)
+    top = random.uniform(SMALLEST, 0.14)
     shapes: list[Shape] = [_resting(Box(size=[x, y, top]))]
     for _ in range(random.integers(1, 4)):
         if random.random() < _LEANING:
-            tilt, length = float(random.uniform(0.3, 0.8)), float(random.uniform(0.1, 0.27))
-            side = float(random.choice([-1.0, 1.0]))
+            tilt, length = random.uniform(0.3, 0.8), random.uniform(0.1, 0.27)
+            side = random.choice([-1.0, 1.0])
             board = Box(size=[SMALLEST, 0.8 * y, length], rpy=[0.0, -side * tilt, 0.0])
             shapes.append(_resting(board, side * 0.5 * (x + length * math.sin(tilt))))
         elif LARGEST - top > SMALLEST:
             item = draw_shape(random, SMALLEST, LARGEST - top, max(min(x, y), SMALLEST))
-            x_item, y_item = (float(v) for v in random.uniform(-0.02, 0.02, 2))
+            x_item, y_item = random.uniform(-0.02, 0.02, 2)
             shapes.append(_resting(item, x_item, y_item, top))
             top += 2.0 * extent(item)[1]
     return shapes
 
 
-def draw_obstacles(
-    random: np.random.Generator, count: int, first: int = 0
-) -> list[Obstacle] | None:
+def draw_obstacles(random: Generator, count: int, first: int = 0) -> list[Obstacle] | None:
     """Draws obstacles on the table, apart from each other.
 
     Args:
@@ -163,7 +160,7 @@ def draw_obstacles(
         else:
             shape = draw_shape(random, SMALLEST, LARGEST, LARGEST)
             kind, shapes = type(shape).__name__.lower(), [_resting(shape)]
-        x, y = (float(random.uniform(*side)) for side in (TABLE_X, TABLE_Y))
+        x, y = (random.uniform(*side) for side in (TABLE_X, TABLE_Y))
         obstacle = make_obstacle(random, kind, first + len(obstacles), shapes, (x, y, 0.0))
         if fits(obstacle, obstacles):
             obstacles.append(obstacle)
@@ -213,7 +210,7 @@ def _camera(like: str) -> tuple[CameraConfig, RigidTransform]:
     return base_scenario(like).cameras[0], RigidTransform(rpy, _DRAWN_FROM)
 
 
-def draw_motion(random: np.random.Generator) -> Motion | None:
+def draw_motion(random: Generator) -> Motion | None:
     """Draws start and goal of a straight motion that the arm can follow; None if rejected."""
     # Four decimals, as in the scenario's text: the motion that is checked is the one that runs.
     start, goal = np.round(random.uniform(_LOW, _HIGH, (2, 3)), 4)

@@ -42,8 +42,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.random import Generator
 from scipy.spatial import cKDTree
 
+from drake_oa.common.config import check_choice
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder
 from drake_oa.perception.config import GroundTruth
@@ -70,7 +72,7 @@ NEAR, NEAR_OBSTACLES = 0.25, 3
 _MOST_MOTIONS = 5000
 
 
-def table_things(random: np.random.Generator, *, cluttered: bool) -> DrawThings:
+def table_things(random: Generator, *, cluttered: bool) -> DrawThings:
     """Prepares 1 to 6 obstacles on the table, or six in clutter."""
     count = MOST_OBSTACLES if cluttered else int(random.integers(1, MOST_OBSTACLES + 1))
 
@@ -113,7 +115,7 @@ _PLACES = 60
 """Obstacles tried for the same motion."""
 
 
-def elbow_things(random: np.random.Generator) -> DrawThings:
+def elbow_things(random: Generator) -> DrawThings:
     """Prepares an obstacle in the elbow's way, and a second one where there is room."""
 
     def draw(motion: Motion) -> list[Obstacle] | None:
@@ -155,12 +157,12 @@ def _elbow_places(motion: Motion, swung: Motion) -> FloatArray:
     return np.stack([passed[found], away], axis=1)
 
 
-def _draw_elbow_thing(random: np.random.Generator, places: FloatArray, number: int) -> Obstacle:
+def _draw_elbow_thing(random: Generator, places: FloatArray, number: int) -> Obstacle:
     """Draws a post, a board in the air or a box on a stand near one of the `_elbow_places`."""
     point, away = random.choice(places)
     x, y, z = point + random.uniform(*_AWAY) * away + random.uniform(-_ASIDE, _ASIDE, 3)
-    z = float(np.clip(z, *_HEIGHTS))
-    edges = [float(v) for v in random.uniform(0.05, 0.12, 3)]
+    z = np.clip(z, *_HEIGHTS)
+    edges = random.uniform(0.05, 0.12, 3).tolist()
     kind = ("post", "board", "stand")[random.integers(3)]
     if kind == "post":
         width, depth = 0.67 * edges[0], 0.67 * edges[1]
@@ -200,18 +202,16 @@ PERCEPTIONS = ("depth", "depth2", "truth")
 
 @dataclass(frozen=True)
 class _Kind:
-    """How scenes of a kind are drawn, and what they are called.
+    """Drawing of the scenes of a kind.
 
     Attributes:
         things: prepares the drawing of obstacles.
-        title: of the kind.
         stream: its own random numbers.
         like: the shipped scenario whose camera, robot and constants they have.
         motion: draws the planned motion.
     """
 
-    things: Callable[[np.random.Generator], DrawThings]
-    title: str
+    things: Callable[[Generator], DrawThings]
     stream: tuple[int, ...]
     like: str = LIKE
     motion: Callable[..., Motion | None] = draw_motion
@@ -222,17 +222,16 @@ V = 0.8
 DRP = "drp"
 """Suite of all levels of DRPBench."""
 _KINDS = {
-    "tabletop": _Kind(partial(table_things, cluttered=False), "table-top", ()),
-    "moving": _Kind(partial(moving_things, hard=False), "moving", (1,)),
-    "elbow": _Kind(elbow_things, "elbow", (2,), ELBOW_LIKE),
-    "clutter6": _Kind(partial(table_things, cluttered=True), "clutter", (3,)),
-    "moving_hard": _Kind(partial(moving_things, hard=True), "hard moving", (4,)),
-    "moving_high": _Kind(partial(moving_things, hard=True, highest=HIGHEST), "high moving", (5,)),
+    "tabletop": _Kind(partial(table_things, cluttered=False), ()),
+    "moving": _Kind(partial(moving_things, hard=False), (1,)),
+    "elbow": _Kind(elbow_things, (2,), ELBOW_LIKE),
+    "clutter6": _Kind(partial(table_things, cluttered=True), (3,)),
+    "moving_hard": _Kind(partial(moving_things, hard=True), (4,)),
+    "moving_high": _Kind(partial(moving_things, hard=True, highest=HIGHEST), (5,)),
     # Levels that differ in speed alone have the same random numbers, thus the same scenes.
     **{
         f"{DRP}_{name}": _Kind(
             partial(drp_things, level=level),
-            f"DRPBench {name}",
             (6, *name.partition("_at_")[0].encode()),
             motion=level.draw_motion,
         )
@@ -280,7 +279,7 @@ def draw_panda_scene(
         ValueError: for an unknown kind or perception.
         RuntimeError: if no scene was found.
     """
-    check_choice("kind of scenes", kind, KINDS)
+    check_choice("kind of scenes", KINDS, kind)
     of_kind = _KINDS[kind]
     scenario = _empty_scene(kind)
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
@@ -292,11 +291,11 @@ def draw_panda_scene(
         if motion is not None and obstacles is not None:
             break
     else:
-        raise RuntimeError(f"no {of_kind.title} scene found in {_MOST_MOTIONS} attempts")
+        raise RuntimeError(f"no {kind} scene found in {_MOST_MOTIONS} attempts")
     scenario.obstacles = obstacles
     scenario.task.start, scenario.task.goal = motion.start.tolist(), motion.goal.tolist()
     scenario.task.rpy_start = scenario.task.rpy_goal = motion.rpy_WE
-    scenario.description = f"random {of_kind.title} scene {index} of seed {seed}"
+    scenario.description = f"random {kind} scene {index} of seed {seed}"
     return seen_by(scenario, perception)
 
 
@@ -311,16 +310,10 @@ def _empty_scene(kind: str) -> Scenario:
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:
     """A scenario as drawn with "depth", seen by that or by something else of `PERCEPTIONS`."""
-    check_choice("perception", perception, PERCEPTIONS)
+    check_choice("perception", PERCEPTIONS, perception)
     if perception == "depth2":
         return seen_from(scenario, TWO)
     scenario = copy.deepcopy(scenario)
     if perception == "truth":
         scenario.perception = GroundTruth()
     return scenario
-
-
-def check_choice(what: str, name: str, known: Sequence[str]) -> None:
-    """Raises ValueError for a name that is not among the known ones."""
-    if name not in known:
-        raise ValueError(f"unknown {what} '{name}': it must be one of {', '.join(known)}")

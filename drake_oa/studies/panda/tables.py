@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from drake_oa.common.console import Column, TextTable
+from drake_oa.common.files import software_versions
 from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import TOLD, cost_figures
 from drake_oa.scenario.loading import parse_scenario
@@ -18,8 +19,6 @@ from drake_oa.studies.scenes.evaluation import over
 
 ALL = "all"
 """Kind of the figures of several kinds together."""
-
-_Scene = TypeVar("_Scene", int, tuple[str, int])
 
 _COLUMNS = (
     Column("name", "method"),
@@ -33,9 +32,11 @@ _COLUMNS = (
 )
 
 
-def panda_figures(
-    results: PandaResults, versions: Sequence[str], jobs: int | None = 1
-) -> dict[str, Any]:
+_NOTED = {"stop_reasons": "stopped", "contact_pairs": "contact", "sources": "motion of"}
+"""Counts of scenes that are listed below the table -> their heading."""
+
+
+def panda_figures(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
     """Returns the figures of a suite.
 
     They are {"suite", "seed", "kind", "perception", "jobs", "versions", "scenes_digest", "solved",
@@ -43,25 +44,19 @@ def panda_figures(
     of the scenes' seeds, tasks and obstacles, whatever perceives them.
 
     `solved` is how many scenes the planner or another method solves, None where the planner has not
-    run on all; the methods' `success_rate_solved` is their share of successes in those.
+    run; the methods' `success_rate_solved` is their share of successes in those.
 
     Args:
         results: of the runs.
-        versions: "name version" each.
-        jobs: how many runs shared the machine, which real-time factors tell; None: a
-            cluster's.
+        workers: processes that shared the machine, as real-time factors show, or a cluster.
     """
     suite, drawn = results.suite, map(parse_scenario, results.scenarios.values())
     scenes = [(scenario.seed, scenario.task, scenario.obstacles) for scenario in drawn]
-    complete = {name: results.complete(name) for name in results.runs}
-    figures = methods_figures(results.runs, complete)
+    figures = methods_figures(results.runs)
     for name, runs in results.runs.items():
         figures["methods"][name] |= {
             "perception": suite.perception_of(name),
-            "runs": [
-                {"scene": scene, **{k: v for k, v in run.items() if k != "decision_costs"}}
-                for scene, run in runs.items()
-            ],
+            "runs": [{"scene": scene, **run} for scene, run in runs.items()],
         }
     return {
         "suite": suite.name,
@@ -69,48 +64,33 @@ def panda_figures(
         "kind": suite.kind,
         "perception": suite.perception,
         "duration": suite.duration,
-        "jobs": jobs,
-        "versions": dict(item.split(" ", 1) for item in versions),
+        "jobs": workers if isinstance(workers, int) else None,
+        "versions": software_versions(),
         "scenes_digest": sha256(repr(scenes).encode()).hexdigest(),
         **figures,
     }
 
 
-def methods_figures(
-    runs: Mapping[str, Mapping[_Scene, Mapping[str, Any]]], complete: Mapping[str, bool]
-) -> dict[str, Any]:
-    """{"solved", "methods": {name: figures}}.
+def methods_figures(runs: Mapping[str, Mapping[Any, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Returns {"solved", "methods": {name: figures}}.
 
     Args:
         runs: method -> scene -> result.
-        complete: method -> whether it has run on all scenes.
     """
-    solved = None
-    if complete.get(PLANNER):
-        solved = {
-            scene
-            for of in runs.values()
-            for scene, run in of.items()
-            if run["outcome"] == "success"
-        }
-    known = solved or ()
-    return {
-        "solved": None if solved is None else len(solved),
-        "methods": {
-            name: {
-                **run_figures(list(of.values())),
-                "success_rate_solved": over(
-                    np.mean, (of[scene]["outcome"] == "success" for scene in of if scene in known)
-                ),
-                "complete": complete[name],
-            }
-            for name, of in runs.items()
-        },
+    methods = {name: run_figures(list(of.values())) for name, of in runs.items()}
+    solved = {
+        scene for of in runs.values() for scene, run in of.items() if run["outcome"] == "success"
     }
+    for figures in methods.values():
+        is_known = PLANNER in runs and len(solved) > 0
+        figures["success_rate_solved"] = figures["success"] / len(solved) if is_known else None
+    return {"solved": len(solved) if PLANNER in runs else None, "methods": methods}
 
 
-def kinds_figures(figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The figures of one kind of scenes as they are, of several {"suite", "kinds": {...}}."""
+def kinds_figures(
+    results: Sequence[PandaResults], figures: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """Returns the figures of one kind of scenes, or of several {"suite", "kinds": {...}}."""
     if len(figures) == 1:
         return figures[0]
     return {"suite": "panda", "kinds": {of["kind"]: of for of in figures}}
@@ -123,8 +103,9 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     `evaluation`); `self_contacts`, the robot touched itself; `time_limits`, ended by the time
     limit; `failed`, raised an exception; `short_of_feasible`, the tool came more than 1 mm nearer
     to resting obstacles than start and goal leave of the requested clearance;
-    `stop_reasons` and `contact_pairs`: reason or pair -> count. Of contacts: `avoidable_by_physics`
-    and `avoidable_by_view` (see `contact_events`). Of logged instants: `claim_A` and `claim_B`,
+    `stop_reasons`, `contact_pairs` and `sources` (of the motions that `verified` executed): reason,
+    pair or source -> count. Of contacts: `avoidable_by_physics` and `avoidable_by_view` (see
+    `contact_events`). Of logged instants: `claim_A` and `claim_B`,
     violations (see `claims`), None where no obstacle moves. For levels of DRPBench
     `drp_contacts` and `drp_success`, by its rules.
 
@@ -142,6 +123,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     # Each pair once in a scene, an obstacle's number left out.
     touched = ({*run["self_contacts"], *map(_unnumbered, run["contacts"])} for run in runs)
     pairs = Counter(pair for of in touched for pair in of)
+    sources = Counter(source for run in runs for source in run["sources"] or ())
 
     def of(statistic: Callable[..., Any], key: str) -> float | None:
         return over(statistic, (run[key] for run in runs))
@@ -153,6 +135,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "stopped": outcome["stopped"],
         "success_rate": over(np.mean, (run["outcome"] == "success" for run in runs)),
         "stop_reasons": dict(reasons.most_common()),
+        "sources": dict(sources.most_common()),
         "contact_pairs": dict(sorted(pairs.items(), key=lambda item: (-item[1], item[0]))),
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
         **{
@@ -183,9 +166,9 @@ def _unnumbered(contact: str) -> str:
 
 
 def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
-    """The figures of one or several kinds of scenes as one table.
+    """Tabulates the figures of one or several kinds of scenes.
 
-    Below it: why runs were stopped, and what was touched.
+    Below: reasons of stops, contacts, and sources of the executed motions.
 
     Args:
         figures: as `panda_figures` gives them, of each kind.
@@ -206,7 +189,7 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
             rows.append(row)
             if of["kind"] == ALL:
                 continue
-            for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
+            for key, what in _NOTED.items():
                 for reason, count in method[key].items():
                     lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
         if of.get("solved") is not None:

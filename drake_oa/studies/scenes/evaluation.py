@@ -10,102 +10,63 @@ each side; kappa = 0, as the original term knows no distance.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_oa.common.console import Column, TextTable
+from drake_oa.common.console import Column, TextTable, progress_bar
+from drake_oa.common.files import software_versions
 from drake_oa.studies.scenes.judge import Judgement, judge
 from drake_oa.studies.scenes.methods import Method
 from drake_oa.studies.scenes.paper_method import BETA, released_motions
 from drake_oa.studies.scenes.scenes import Scenes, Setting
-from drake_oa.studies.scenes.suites import Case
 
 BATCH = 100
 """Number of scenes that a method receives at once."""
 
 
-@dataclass
-class Outcome:
-    """Judgements of one method so far.
+class Outcome(NamedTuple):
+    """Judgements of one method, by the label of the setting, and its computing time [s]."""
 
-    Attributes:
-        judged: label of each case -> the batches judged, in the order of the scenes.
-        seconds: computing time [s].
-        complete: whether all scenes were run in all cases.
-        error: reason for which not, where the method failed.
-    """
-
-    judged: dict[str, list[Judgement]] = field(default_factory=dict)
-    seconds: float = 0.0
-    complete: bool = False
-    error: str | None = None
+    judged: dict[str, Judgement]
+    seconds: float
 
     def of(self, *labels: str) -> Judgement:
-        """Returns the judgement of some cases, of all without any label."""
-        return Judgement.joined(
-            [part for label in labels or self.judged for part in self.judged.get(label, [])]
-        )
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Outcomes by the method's name, and whether it was interrupted before the end."""
-
-    outcomes: dict[str, Outcome]
-    interrupted: bool = False
+        """Returns the judgement in some settings, in all without any label."""
+        return Judgement.joined([self.judged[label] for label in labels or self.judged])
 
 
 def evaluate(
+    name: str,
+    method: Method,
     scenes: Scenes,
-    cases: Sequence[Case],
-    methods: Mapping[str, Method],
-    *,
-    on_progress: Callable[[str, int], None] = lambda name, count: None,
-    on_method: Callable[[Mapping[str, Outcome]], None] = lambda outcomes: None,
+    settings: Sequence[Setting],
     judged_among: Callable[[Scenes], Scenes] = lambda scenes: scenes,
-) -> Evaluation:
-    """Runs each method on all scenes in each case.
-
-    What was judged remains when a method fails, and when it is interrupted (Ctrl-C).
+) -> Outcome:
+    """Runs a method on all scenes in each setting.
 
     Args:
+        name: of the method.
+        method: the method.
         scenes: the scenes.
-        cases: the ways in which each is run.
-        methods: name -> method.
-        on_progress: receives the method's name and the number of scenes judged since.
-        on_method: receives all outcomes after each method.
+        settings: the ways in which each is run.
         judged_among: of the scenes of a batch, those that its motions are judged among.
-
-    Returns:
-        The outcomes of the methods that were begun.
     """
-    outcomes: dict[str, Outcome] = {}
-    for name, method in methods.items():
-        outcome = outcomes[name] = Outcome()
-        try:
-            for case in cases:
-                parts = outcome.judged.setdefault(case.label, [])
-                for first in range(0, len(scenes), BATCH):
-                    some = case.of(scenes.rows(slice(first, first + BATCH)))
-                    motions = method(some, case.setting)
-                    parts.append(judge(judged_among(some), motions))
-                    outcome.seconds += motions.seconds
-                    on_progress(name, len(some))
-            outcome.complete = True
-        except KeyboardInterrupt:
-            on_method(outcomes)
-            return Evaluation(outcomes, interrupted=True)
-        except Exception as error:
-            # One method's failure, whatever it is, must not cost the others' results.
-            outcome.error = f"{type(error).__name__}: {error}"
-            logging.getLogger(__name__).info("where %s failed", name, exc_info=True)
-        on_method(outcomes)
-    return Evaluation(outcomes)
+    judged, seconds, done = {}, 0.0, 0
+    with progress_bar(len(settings) * len(scenes)) as update:
+        for setting in settings:
+            parts = []
+            for first in range(0, len(scenes), BATCH):
+                some = setting.of(scenes.rows(slice(first, first + BATCH)))
+                motions = method(some, setting)
+                parts.append(judge(judged_among(some), motions))
+                seconds += motions.seconds
+                done += len(some)
+                update(f"{name} {done}", done)
+            judged[setting.label] = Judgement.joined(parts)
+    return Outcome(judged, seconds)
 
 
 def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float | None:
@@ -115,47 +76,38 @@ def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float
 
 
 def evaluation_figures(
-    suite: str,
-    seed: int | None,
-    versions: Sequence[str],
-    cases: Sequence[Case],
-    outcomes: Mapping[str, Outcome],
+    suite: str, seed: int | None, settings: Sequence[Setting], outcomes: Mapping[str, Outcome]
 ) -> dict[str, Any]:
     """Returns {"suite", "seed", "versions", "methods": {name: figures}}; see `method_figures`.
 
     Args:
         suite: the suite's name.
         seed: of the scenes; None for scenes without one.
-        versions: "name version" each.
-        cases: the cases that were run.
+        settings: in which the scenes were run.
         outcomes: name of a method -> its outcome.
     """
     return {
         "suite": suite,
         "seed": seed,
-        "versions": dict(item.split(" ", 1) for item in versions),
-        "methods": {name: method_figures(outcome, cases) for name, outcome in outcomes.items()},
+        "versions": software_versions(),
+        "methods": {name: method_figures(outcome, settings) for name, outcome in outcomes.items()},
     }
 
 
-def method_figures(outcome: Outcome, cases: Sequence[Case]) -> dict[str, Any]:
+def method_figures(outcome: Outcome, settings: Sequence[Setting]) -> dict[str, Any]:
     """Returns the figures of one method.
 
-    `motion_figures` over the suite's scenes; with several cases, over those that ask for
-    a clearance and scale the duration, and `settings` has each case by its label. Besides:
-    `seconds` (computing time of all cases), `complete`, `error` (where it failed) and, for scenes
-    of several baselines, `by_baseline`.
+    `motion_figures` over the suite's scenes; with several settings, over those that ask for
+    a clearance and scale the duration, and `settings` has each by its label. Besides:
+    `seconds` (computing time in all settings) and, for scenes of several baselines,
+    `by_baseline`.
     """
-    main = [case.label for case in cases if case.setting.constrained and case.setting.scale_time]
+    main = [setting.label for setting in settings if setting.constrained and setting.scale_time]
     judged = outcome.of(*main)
-    figures = motion_figures(judged)
-    figures["seconds"] = outcome.seconds
-    figures["complete"] = outcome.complete
-    if outcome.error is not None:
-        figures["error"] = outcome.error
-    if len(cases) > 1:
+    figures = motion_figures(judged) | {"seconds": outcome.seconds}
+    if len(settings) > 1:
         figures["covers"] = main
-        figures["settings"] = {case.label: motion_figures(outcome.of(case.label)) for case in cases}
+        figures["settings"] = {of.label: motion_figures(outcome.of(of.label)) for of in settings}
     baselines = np.unique(judged.baseline)
     if len(baselines) > 1:
         figures["by_baseline"] = [
@@ -173,8 +125,9 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
     short of min(Delta, distance of start, of goal)), `goal_error_mean`, `goal_error_max`,
     `path_ratio_mean`.
     """
-    clearance = judged.kept_clearance[np.isfinite(judged.kept_clearance)]
-    feasible = np.isfinite(judged.kept_clearance) & (judged.feasible >= judged.asked - 1e-12)
+    known = np.isfinite(judged.kept_clearance)
+    clearance = judged.kept_clearance[known]
+    feasible = known & (judged.feasible >= judged.asked - 1e-12)
     return {
         "scenes": len(judged),
         "collisions": int(judged.collided.sum()),
@@ -208,10 +161,7 @@ def evaluation_tables(figures: Mapping[str, Any], notes: Sequence[str] = ()) -> 
         notes: lines below the first table.
     """
     methods: Mapping[str, Any] = figures["methods"]
-    rows = [
-        {"name": name if method["complete"] else f"{name} (not complete)", **method}
-        for name, method in methods.items()
-    ]
+    rows = [{"name": name, **method} for name, method in methods.items()]
     tables = [TextTable((Column("name", "method"), *_COLUMNS), rows, notes)]
     for name, method in methods.items():
         parts = method.get("settings", {}) | {

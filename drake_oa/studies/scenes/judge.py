@@ -27,22 +27,22 @@ SLACK = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Judgement(Batch):
-    """What N motions came to.
+    """Measures of N motions.
 
     Attributes:
         kept_clearance: (N,) minimum signed distance to the obstacle over the whole motion,
             negative inside [m].
         feasible: (N,) min(Delta, distance of the start, distance of the goal) [m].
         goal_error: (N,) distance to the goal at the end [m].
-        path_length: (N,) [m].
-        baseline: (N,) distance from start to goal: the planned path's length [m].
-        asked: (N,) the clearance Delta asked for [m].
+        path_ratio: (N,) length of the path over that of the planned one, the baseline.
+        baseline: (N,) distance from start to goal [m].
+        asked: (N,) requested clearance Delta [m].
     """
 
     kept_clearance: FloatArray
     feasible: FloatArray
     goal_error: FloatArray
-    path_length: FloatArray
+    path_ratio: FloatArray
     baseline: FloatArray
     asked: FloatArray
 
@@ -59,11 +59,6 @@ class Judgement(Batch):
         """(N,) whether the clearance is more than `SLACK` short of the feasible one."""
         return self.kept_clearance < self.feasible - SLACK
 
-    @property
-    def path_ratio(self) -> FloatArray:
-        """(N,) length of the path over that of the planned one."""
-        return self.path_length / self.baseline
-
 
 def judge(scenes: Scenes, motions: Motions) -> Judgement:
     """Judges one motion a scene.
@@ -71,23 +66,15 @@ def judge(scenes: Scenes, motions: Motions) -> Judgement:
     Args:
         scenes: N scenes.
         motions: N motions.
-
-    Returns:
-        The judgement.
-
-    Raises:
-        ValueError: if shapes disagree, or a motion is not finite or has no duration.
     """
-    _check(motions, len(scenes))
-    measured = [_measured(scenes, motions, row) for row in range(len(scenes))]
-    least, length = np.array(measured).reshape(-1, 2).T
+    least, length = np.transpose([_measured(scenes, motions, n) for n in range(len(scenes))])
     goal = scenes.goal
     ends = [obstacle_distance(scenes, end) for end in (0.0 * goal, goal)]
     return Judgement(
         kept_clearance=least,
         feasible=np.min([scenes.clearance, *ends], axis=0),
         goal_error=np.linalg.norm(motions.path[:, -1] - goal, axis=1),
-        path_length=length,
+        path_ratio=length / scenes.baseline,
         baseline=scenes.baseline,
         asked=scenes.clearance,
     )
@@ -95,10 +82,11 @@ def judge(scenes: Scenes, motions: Motions) -> Judgement:
 
 def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]:
     """Returns the minimum signed distance to the obstacle and the length of one path [m]."""
-    knots = np.linspace(0.0, motions.duration[row], motions.steps + 1)
+    steps = motions.path.shape[1]
+    knots = np.linspace(0.0, motions.duration[row], steps)
     curve = CubicHermiteSpline(knots, motions.path[row], motions.velocity[row])
     body = scenes.center[row], scenes.R[row], scenes.semi_axes[row]
-    t = np.linspace(0.0, knots[-1], motions.steps * SUBSTEPS + 1)
+    t = np.linspace(0.0, knots[-1], (steps - 1) * SUBSTEPS + 1)
     points = curve(t)
     sampled = signed_distance(points, *body)
     for _ in range(_REFINEMENTS):
@@ -107,12 +95,3 @@ def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]
         sampled = signed_distance(curve(t), *body)
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     return float(sampled.min()), float(length)
-
-
-def _check(motions: Motions, count: int) -> None:
-    if not len(motions.path) == len(motions.velocity) == len(motions.duration) == count:
-        raise ValueError(f"there must be a motion for each of {count} scenes")
-    if not (np.isfinite(motions.path).all() and np.isfinite(motions.velocity).all()):
-        raise ValueError("path and velocity must be finite")
-    if not (np.isfinite(motions.duration) & (motions.duration > 0.0)).all():
-        raise ValueError("duration must be positive and finite")

@@ -15,18 +15,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.config import check_choice
+from drake_oa.common.files import import_extra
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.planning.search import Ranked
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
-from drake_oa.policy.rollout import Scene, ToolRollouts
+from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.studies.scenes.paper_method import run as run_paper
 from drake_oa.studies.scenes.paper_method import run_original
@@ -71,9 +70,12 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
         length = float(found.length[0]) / scene.baseline
         tau = max(1.0, length) if setting.scale_time else 1.0
         tool = search.tool_paths(found.genes[:1])
-        p, z = _resampled(tool)
-        path[row], velocity[row] = p, z / (DURATION * tau)
-        duration[row] = DURATION * tau * tool.steps[0] * tool.ds
+        taken = int(tool.steps[0]) + 1
+        s = tool.ds * np.arange(taken)
+        spline = CubicHermiteSpline(s, tool.path[0, :taken], tool.velocity[0, :taken])
+        at = np.linspace(0.0, s[-1], SAMPLES + 1)
+        path[row], velocity[row] = spline(at), spline(at, 1) / (DURATION * tau)
+        duration[row] = DURATION * tau * s[-1]
     return Motions(path, velocity, duration, seconds=time.perf_counter() - begun)
 
 
@@ -81,15 +83,6 @@ def _searched(scene: Scene) -> tuple[PointSearch, Ranked]:
     """Returns the search in a scene, and its result."""
     search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
     return search, search.run()
-
-
-def _resampled(tool: ToolRollouts) -> tuple[FloatArray, FloatArray]:
-    """Returns the first path and z at `SAMPLES` + 1 instants from its first to its last step."""
-    taken = int(tool.steps[0])
-    s = tool.ds * np.arange(taken + 1)
-    spline = CubicHermiteSpline(s, tool.path[0, : taken + 1], tool.velocity[0, : taken + 1])
-    at = np.linspace(0.0, s[-1], SAMPLES + 1)
-    return spline(at), spline(at, 1)
 
 
 @cache
@@ -112,7 +105,7 @@ def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
     N, steps = len(scenes), round(DURATION / STEP)
     path, velocity = np.zeros((2, N, steps + 1, 3))
     begin = time.perf_counter()
-    package = _movement_primitives()
+    package = import_extra("movement_primitives.dmp", "peers")
     for row in range(N):
         term = package.CouplingTermObstacleAvoidance3D(scenes.center[row].copy())
         dmp = package.DMP(n_dims=3, execution_time=DURATION, dt=STEP)
@@ -124,19 +117,6 @@ def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
             p, v = dmp.step(p, v, coupling_term=term)
             path[row, step + 1], velocity[row, step + 1] = p, v
     return Motions(path, velocity, np.full(N, DURATION), time.perf_counter() - begin)
-
-
-def _movement_primitives() -> Any:
-    try:
-        return import_module("movement_primitives.dmp")
-    except ModuleNotFoundError as error:
-        # The package does not name pytransform3d as a dependency, but imports it.
-        if (error.name or "").partition(".")[0] not in ("movement_primitives", "pytransform3d"):
-            raise
-        raise ValueError(
-            f"method movement_primitives needs the package {error.name}: "
-            "pip install 'drake_oa[peers]'"
-        ) from error
 
 
 METHODS: dict[str, Method] = {
@@ -154,9 +134,7 @@ def load_methods(names: Sequence[str]) -> dict[str, Method]:
     Raises:
         ValueError: for an unknown name, or one whose package is not installed.
     """
-    for name in names:
-        if name not in METHODS:
-            raise ValueError(f"unknown method {name!r}; valid: {', '.join(METHODS)}")
+    check_choice("method", METHODS, *names)
     if "movement_primitives" in names:
-        _movement_primitives()
+        import_extra("movement_primitives.dmp", "peers")
     return {name: METHODS[name] for name in names}

@@ -31,7 +31,7 @@ from threadpoolctl import threadpool_limits
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid import plane_section
-from drake_oa.regulation.regressor import ChainWeights, load_chain
+from drake_oa.regulation.regressor import ChainWeights, load_chain, plane_axes
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.training.released_law import STEPS, ReleasedMotions, Steps
 
@@ -110,27 +110,6 @@ def sections(scenes: Scenes) -> Scenes:
     return replace(scenes, R=R, semi_axes=semi_axes)
 
 
-def section_axes(
-    to_O: FloatArray, normal: FloatArray, R: FloatArray, semi_axes: FloatArray
-) -> FloatArray:
-    """Computes (K, 2) lambda1', lambda2' of K ellipsoids' sections through their centres [m].
-
-    lambda1' is the one within 45 degrees of the baseline's (the x axis') projection into the
-    plane, or of the way to the centre where the plane is square to it.
-
-    Args:
-        to_O: (K, 3) ways to the centres, in the planes [m].
-        normal: (K, 3) unit normals of the planes.
-        R: (K, 3, 3) principal axes in the columns.
-        semi_axes: (K, 3) [m].
-    """
-    along = np.array((1.0, 0.0, 0.0)) - normal[:, :1] * normal
-    square = np.linalg.norm(along, axis=1) <= _PARALLEL
-    along[square] = to_O[square]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return plane_section(R, semi_axes, along, np.cross(normal, along)).semi_axes
-
-
 # Small matrices: more threads only wait for each other.
 @threadpool_limits.wrap(limits=1)
 def released_motions(
@@ -165,7 +144,9 @@ def released_motions(
             n = np.flatnonzero(turned & (motions.distance > 0.0))
             seen[n] = normal = motions.normal[n]
             to_O = scenes.center[n] - path[-1][n]
-            axes = section_axes(to_O, normal, scenes.R[n], scenes.semi_axes[n])
+            # lambda1' is the one within 45 degrees of the baseline.
+            plane = np.moveaxis(plane_axes(np.array((1.0, 0.0, 0.0)), to_O, normal), 1, 0)
+            axes = plane_section(scenes.R[n], scenes.semi_axes[n], *plane).semi_axes
             inputs = np.column_stack([axes, scenes.clearance[n]])[:, : len(chain.lower)]
             parameters[n] = chain.evaluate(inputs)
         motions.advance(parameters)

@@ -8,8 +8,8 @@ minimum-jerk motion of `DURATION`. The tool is a point: obstacles are dilated al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,9 +33,9 @@ class Batch(Frozen):
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Returns several batches as one; without any, empty rows (0,)."""
+        """Returns several batches as one."""
         columns = ([getattr(part, item.name) for part in parts] for item in fields(cls))
-        return cls(*(np.concatenate(column) if column else np.zeros(0) for column in columns))
+        return cls(*(np.concatenate(column) for column in columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,21 +123,30 @@ def obstacle_distance(scenes: Scenes, points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Setting:
-    """How the paper's experiments on familiar scenarios vary the method.
+    """Variant of a method in the paper's experiments.
 
     Attributes:
+        label: name in the paper's notation.
         constrained: RC(lambda', Delta), else RC(lambda'), which asks for no clearance:
             that of the scenes is then 0.
         scale_time: tau = length of the avoiding path over that of the planned one, else
             tau = 1.
+        clearance: Delta requested in every scene [m]; None: that of the scenes.
     """
 
+    label: str = "RC(lambda',Delta)"
     constrained: bool = True
     scale_time: bool = True
+    clearance: float | None = None
+
+    def of(self, scenes: Scenes) -> Scenes:
+        """Returns the scenes with the requested clearance."""
+        if self.clearance is None:
+            return scenes
+        return replace(scenes, clearance=np.full(len(scenes), self.clearance))
 
 
-@dataclass(frozen=True, eq=False)
-class Motions(Frozen):
+class Motions(NamedTuple):
     """N motions at S + 1 equally spaced instants from t = 0 to their duration.
 
     Attributes:
@@ -152,11 +161,3 @@ class Motions(Frozen):
     velocity: FloatArray
     duration: FloatArray
     seconds: float
-
-    def __len__(self) -> int:
-        return len(self.path)
-
-    @property
-    def steps(self) -> int:
-        """Steps of each motion."""
-        return self.path.shape[1] - 1

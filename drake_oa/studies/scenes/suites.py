@@ -13,25 +13,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
+from drake_oa.common.config import check_choice
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.studies.scenes.scenes import Scenes, Setting, make_scenes, obstacle_distance
 
 _THIRDS = 28
 """Number of times that a segment is cut to two thirds around its nearest point."""
 
-Draw = Callable[[np.random.Generator, int], Scenes]
+Draw = Callable[[Generator, int], Scenes]
 
 
-def accepted(
-    rng: np.random.Generator, count: int, draw: Draw, keep: Callable[[Scenes], BoolArray]
-) -> Scenes:
+def accepted(rng: Generator, count: int, draw: Draw, keep: Callable[[Scenes], BoolArray]) -> Scenes:
     """`count` scenes that `keep` accepts, from batches that `draw` proposes."""
     parts: list[Scenes] = []
     found, batch = 0, max(256, 2 * count)
@@ -46,7 +46,7 @@ def accepted(
     return Scenes.joined(parts).rows(slice(count))
 
 
-def random_rotations(rng: np.random.Generator, count: int) -> FloatArray:
+def random_rotations(rng: Generator, count: int) -> FloatArray:
     """Draws rotations (count, 3, 3), uniform over all."""
     w, x, y, z = rng.standard_normal((4, count))
     return Rotation.from_quat(np.column_stack([x, y, z, w])).as_matrix()
@@ -80,77 +80,40 @@ _SEMI_AXES = (0.025, 0.25)
 
 
 @dataclass(frozen=True)
-class Case:
-    """One way in which every scene of a suite is run.
-
-    Attributes:
-        label: its name, in the paper's notation.
-        setting: what the method is told.
-        clearance: Delta asked in every scene; None: as the scenes have it.
-    """
-
-    label: str
-    setting: Setting
-    clearance: float | None = None
-
-    def of(self, scenes: Scenes) -> Scenes:
-        """The scenes as this case asks for them."""
-        if self.clearance is None:
-            return scenes
-        return replace(scenes, clearance=np.full(len(scenes), self.clearance))
-
-
-@dataclass(frozen=True)
 class Suite:
     """A family of scenes.
 
     Attributes:
         sample: (generator, count) -> scenes.
         count: how many by default.
-        cases: how each scene is run.
+        settings: how each scene is run.
         methods: the methods compared by default.
     """
 
     sample: Draw
     count: int
-    cases: tuple[Case, ...] = (Case("RC(lambda',Delta)", Setting()),)
+    settings: tuple[Setting, ...] = (Setting(),)
     methods: tuple[str, ...] = ("paper", "verified")
 
 
 def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
-    """Scenes of a suite.
+    """Draws the scenes of a suite.
 
     Args:
         name: of the suite.
-        count: how many, at least 1; None: the suite's default.
-        seed: of the generator, at least 0.
+        count: how many; None: the suite's default.
+        seed: of the generator.
 
     Raises:
-        ValueError: for an unknown name, a count or a seed out of range, and for
-            `familiar` a count that is not a square.
+        ValueError: for an unknown name, and for `familiar` a count that is not a square.
     """
-    suite = find_suite(name)
+    check_choice("suite", SUITES, name)
+    suite = SUITES[name]
     count = suite.count if count is None else count
-    if count < 1:
-        raise ValueError(f"the number of scenes must be at least 1, not {count}")
-    if seed < 0:
-        raise ValueError(f"the seed must be at least 0, not {seed}")
     return suite.sample(np.random.default_rng(seed), count)
 
 
-def find_suite(name: str) -> Suite:
-    """The suite of a name.
-
-    Raises:
-        ValueError: for an unknown name.
-    """
-    known = SUITES | _OF_FIGURES
-    if name not in known:
-        raise ValueError(f"unknown suite {name!r}; valid: {', '.join(SUITES)}")
-    return known[name]
-
-
-def _familiar(_: np.random.Generator, count: int) -> Scenes:
+def _familiar(_: Generator, count: int) -> Scenes:
     """Ellipses of the training set: a lattice of semi-axes, midway on a 1 m baseline.
 
     Semi-axes (lambda1', lambda2') on k x k points of linspace(0.025, 0.25, k); the third
@@ -169,7 +132,7 @@ def _familiar(_: np.random.Generator, count: int) -> Scenes:
 
 
 def _boxed(
-    rng: np.random.Generator,
+    rng: Generator,
     count: int,
     baseline: float,
     posed: bool = False,
@@ -196,7 +159,7 @@ def _boxed(
     return make_scenes(baseline, center, a, R=R, clearance=CLEARANCE)
 
 
-def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> Scenes:
+def _single(rng: Generator, count: int, limit: float, **box: Any) -> Scenes:
     """Draws scenes of the paper's box whose straight line comes nearer than a limit.
 
     They are spread over the baselines; box: see `_boxed`.
@@ -213,7 +176,7 @@ def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> S
     return Scenes.joined(parts).rows(np.argsort(np.concatenate(places)))
 
 
-def _dead_zone(_: np.random.Generator, count: int) -> Scenes:
+def _dead_zone(_: Generator, count: int) -> Scenes:
     """A point obstacle midway on a 1 m baseline, on it and then beside it.
 
     The point has the size of the smallest obstacle trained (a sphere of 2.5 cm), as it
@@ -225,29 +188,25 @@ def _dead_zone(_: np.random.Generator, count: int) -> Scenes:
     return make_scenes(1.0, center, np.full((count, 3), POINT_RADIUS), clearance=0.05)
 
 
-def familiar_cases() -> tuple[Case, ...]:
-    """The paper's 12 settings: six models, with the duration scaled and not.
+def _familiar_settings() -> tuple[Setting, ...]:
+    """Returns the paper's 12 settings: six models, with the duration scaled and not.
 
     RC(lambda') asks for no clearance: its scenes have Delta = 0.
     """
-    models = [("RC(lambda')", False, 0.0)]
-    models += [(f"RC(lambda',{delta:g})", True, delta) for delta in FAMILIAR_CLEARANCES]
+    models = {f"RC(lambda',{delta:g})": delta for delta in FAMILIAR_CLEARANCES}
     return tuple(
-        Case(f"{label}, tau {'scaled' if scaled else '= 1'}", Setting(constrained, scaled), delta)
+        Setting(f"{label}, tau {'scaled' if scaled else '= 1'}", delta > 0.0, scaled, delta)
         for scaled in (True, False)
-        for label, constrained, delta in models
+        for label, delta in ({"RC(lambda')": 0.0} | models).items()
     )
 
 
 SUITES: dict[str, Suite] = {
     "novel": Suite(partial(_single, limit=CLEARANCE), 4000),
     "hit": Suite(partial(_single, limit=0.0, posed=True), 1000),
-}
-"""Name of a suite -> the suite; `drake-oa evaluate --help` tells what each is."""
-
-_OF_FIGURES = {
-    "familiar": Suite(_familiar, 100, familiar_cases(), methods=("paper",)),
+    "familiar": Suite(_familiar, 100, _familiar_settings(), methods=("paper",)),
     "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),
     # Of Table II: obstacles are 5 cm from both ends to the extent of the longest one.
     "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000, methods=("paper",)),
 }
+"""Name of a suite -> the suite; `drake-oa evaluate --help` describes the first two."""

@@ -137,8 +137,7 @@ def test_a_problem_may_be_seen_by_two_cameras(tmp_path):
         (suite,) = mbm_suites(file, None, (), ("verified", "planner"), None, perception)
         assert suite.perception_of("verified") == perception
         assert suite.perception_of("planner") == "truth"
-        _, draw, arguments = suite.drawings[1]
-        texts[perception] = parse_scenario(draw(*arguments))
+        texts[perception] = parse_scenario(suite.drawings[1]())
     plain, seen = texts.values()
     assert isinstance(seen.perception, DepthCamera)
     assert [camera.name for camera in seen.cameras] == ["left", "right"]

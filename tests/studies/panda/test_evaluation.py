@@ -1,22 +1,18 @@
 """Scenes of the Panda: judged one by one, evaluated in parallel, stored and resumed."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import pytest
 
-from drake_oa.runs.motion_log import load_logs
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.studies.panda.evaluation import (
     PandaResults,
     evaluate_panda,
     panda_suite,
     run_and_judge,
-    run_name,
 )
 from drake_oa.studies.panda.tables import panda_figures, panda_table, run_figures
-from drake_oa.studies.results import ResultFolder
 
 _SUITE = panda_suite("tabletop", 2, 0, ("preplanned", "verified"), "truth", 0.05)
 
@@ -25,7 +21,7 @@ _SUITE = panda_suite("tabletop", 2, 0, ("preplanned", "verified"), "truth", 0.05
 def stored(tmp_path_factory):
     """An evaluation in this process, and its folder."""
     folder = tmp_path_factory.mktemp("results")
-    return evaluate_panda(_SUITE, folder=ResultFolder(folder), logs=folder / "logs"), folder
+    return evaluate_panda(_SUITE, folder=folder), folder
 
 
 def _same(one, other, methods=_SUITE.methods):
@@ -37,24 +33,21 @@ def _same(one, other, methods=_SUITE.methods):
             assert one.runs[method][scene] | clock == other.runs[method][scene] | clock
 
 
-def test_each_run_is_on_disk_with_its_log(stored):
+def test_each_run_is_on_disk(stored):
     results, folder = stored
-    assert not results.interrupted
     for scene in (0, 1):
-        assert (folder / f"{_SUITE.drawings[scene].name}.json").is_file()
+        assert (folder / f"{_SUITE.scene_name(scene)}.json").is_file()
         for method in _SUITE.methods:
-            name = run_name(_SUITE, scene, method)
+            name = _SUITE.run_name(scene, method)
             on_disk = json.loads((folder / f"{name}.json").read_text())
             assert on_disk["content"] == results.runs[method][scene]
-            (log,) = load_logs(folder / "logs" / f"{name}.npz").values()
-            assert log.modulated == (method == "verified")
 
 
 def test_an_evaluation_resumes_and_repeats_what_is_damaged(stored, caplog):
     results, folder = stored
-    damaged = folder / f"{run_name(_SUITE, 1, 'preplanned')}.json"
+    damaged = folder / f"{_SUITE.run_name(1, 'preplanned')}.json"
     damaged.write_text(damaged.read_text()[:40])
-    again = evaluate_panda(_SUITE, folder=ResultFolder(folder))
+    again = evaluate_panda(_SUITE, folder=folder)
     assert again.resumed == 3
     assert "is unreadable" in caplog.text
     _same(results, again)
@@ -62,43 +55,24 @@ def test_an_evaluation_resumes_and_repeats_what_is_damaged(stored, caplog):
 
 @pytest.mark.slow
 def test_processes_and_a_dask_cluster_give_the_same(stored, tmp_path):
-    _same(stored[0], evaluate_panda(_SUITE, jobs=2))
+    _same(stored[0], evaluate_panda(_SUITE, workers=2))
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
         spread = evaluate_panda(
             replace(_SUITE, methods=("verified",)),
-            scheduler=cluster.scheduler_address,
-            folder=ResultFolder(tmp_path),
+            workers=cluster.scheduler_address,
+            folder=tmp_path,
         )
     _same(stored[0], spread, ("verified",))
     assert len(list(tmp_path.glob("*.json"))) == 4
-
-
-def test_an_interrupt_keeps_what_is_done(stored, tmp_path):
-    for drawn in stored[1].glob("*-scene????.json"):
-        shutil.copy(drawn, tmp_path)
-
-    def interrupt(what, count):
-        if what == "preplanned":
-            raise KeyboardInterrupt
-
-    cut = evaluate_panda(_SUITE, folder=ResultFolder(tmp_path), on_progress=interrupt)
-    assert cut.interrupted
-    assert list(cut.runs["preplanned"]) == [0]
-    figures = panda_figures(cut, ["drake 1"])
-    assert figures["methods"]["preplanned"]["scenes"] == 1
-    assert not figures["methods"]["preplanned"]["complete"]
-    assert figures["methods"]["verified"]["scenes"] == 0
-    assert "-" in str(panda_table([figures]))
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"kind": "maze"}, "unknown kind of scenes 'maze'"),
-        ({"scenes": 0}, "--scenes must be at least 1"),
         ({"methods": ("mine",)}, "unknown method 'mine'"),
     ],
 )
@@ -125,6 +99,7 @@ def _run(outcome, reason="", contacts=(), clearance=0.1, **more):
         "ended": "goal",
         "contact_events": None,
         "claim_violations": None,
+        "sources": None,
         **more,
     }
 
@@ -134,15 +109,15 @@ def test_success_is_a_fraction_of_the_scenes_that_any_method_solves(solved):
     suite = panda_suite("tabletop", 3, 0, ("verified", "planner"), "truth")
     yes, no = _run("success"), _run("stopped", "held")
     runs = {method: {0: yes if method in solved else no, 1: no, 2: no} for method in suite.methods}
-    results = PandaResults(suite, runs=runs)
-    figures = panda_figures(results, ["drake 1"])
+    results = PandaResults(suite, {}, runs)
+    figures = panda_figures(results)
     assert figures["solved"] == 1
     for method, found in figures["methods"].items():
         assert found["success_rate_solved"] == (method in solved)
     assert "scenes that a method solves: 1" in str(panda_table([figures]))
-    # Unknown while the planner has not run on all scenes.
-    del results.runs["planner"][2]
-    figures = panda_figures(results, ["drake 1"])
+    # Unknown without the planner.
+    del results.runs["planner"]
+    figures = panda_figures(results)
     assert figures["solved"] is figures["methods"]["verified"]["success_rate_solved"] is None
 
 
@@ -153,9 +128,16 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
     touched = {"contact_events": events, "claim_violations": claims, "goal_error": 2e-3}
     figures = run_figures(
         [
-            _run("success", short_of_feasible=0.02, claim_violations=claims | {"A": 0}),
+            _run(
+                "success",
+                sources=["sides", "search"],
+                short_of_feasible=0.02,
+                claim_violations=claims | {"A": 0},
+            ),
             _run("stopped", "held", goal_error=0.5, clearance=None, real_time_factor=None),
-            _run("stopped", "held", goal_error=0.4, duration=30.0, ended="time limit"),
+            _run(
+                "stopped", "held", goal_error=0.4, ended="time limit", sources=["sides", "search"]
+            ),
             _run("contact", "goal", contacts=contacts, clearance=-0.01, **touched),
         ]
     )
@@ -173,6 +155,7 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
         "claim_B": 14,
         "time_limits": 1,
         "short_of_feasible": 1,
+        "sources": {"sides": 1},
         "goal_error_max": 2e-3,
         "robot_clearance_min": -0.01,
         "real_time_factor": 1.0,

@@ -8,8 +8,7 @@ from drake_oa.runs.metrics import robot_judge
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.studies.panda.evaluation import run_and_judge
-from drake_oa.studies.panda.oracle import CLEARANCE, find_motion
-from drake_oa.studies.panda.planner import goal_positions
+from drake_oa.studies.panda.planner import MOVING_CLEARANCE, find_motion, goal_positions
 from drake_oa.studies.panda.scenes import draw_panda_scene
 from drake_oa.studies.panda.true_world import STEP, make_true_world
 
@@ -26,11 +25,11 @@ def _mover(name, at, waypoints):
     return f"{{name: {name}, shapes: [{shape}], translation: {at}, waypoints: {waypoints}}}"
 
 
-def _found(scenario, **more):
-    world, (q_start, q_goal) = make_true_world(scenario, CLEARANCE), end_positions(scenario)
+def _found(scenario, seed=0):
+    world, (q_start, q_goal) = make_true_world(scenario, MOVING_CLEARANCE), end_positions(scenario)
     index = world.arm.chain.q_index
     goals = np.array(goal_positions(scenario, q_goal))[:, index]
-    return find_motion(world, q_start[index], goals, **more), index, goals
+    return find_motion(world, q_start[index], goals, seed), index, goals
 
 
 def _check(scenario, motion, index, goals):
@@ -41,7 +40,7 @@ def _check(scenario, motion, index, goals):
     path[:, index] = q
     found = judge.metrics(path, np.array([judge.positions_at(STEP * k) for k in range(len(q))]))
     assert found.contacts == found.self_contacts == ()
-    assert found.robot_clearance.min() >= CLEARANCE
+    assert found.robot_clearance.min() >= MOVING_CLEARANCE
     assert np.abs(goals - q[-1]).max(axis=1).min() < 1e-9
 
 
@@ -56,10 +55,10 @@ def test_an_arm_that_cannot_stay_at_the_start_leaves_it():
     p_WE = load_scenario("tabletop_box").task.start
     way = [[0, 0, 0, 0], [1.5, 0, 1.2, 0], [2.0, 0, 1.2, 0], [3.5, 0, 0, 0]]
     scenario = _scenario(_mover("ball", [p_WE[0], p_WE[1] - 1.2, p_WE[2]], way))
-    (motion, states), index, goals = _found(scenario, seed=1)
+    (motion, states), index, goals = _found(scenario, 1)
     assert np.abs(motion.q - motion.q[0]).max() > 0.1
     _check(scenario, motion, index, goals)
-    (again, same), *_ = _found(scenario, seed=1)
+    (again, same), *_ = _found(scenario, 1)
     assert same == states
     assert np.array_equal(again.q, motion.q)
 

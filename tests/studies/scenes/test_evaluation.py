@@ -22,50 +22,20 @@ from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.studies.scenes.suites import SUITES, draw_scenes
 
 Method = Callable[[Scenes, Setting], Motions]
-NOVEL = SUITES["novel"].cases
+NOVEL = SUITES["novel"].settings
 
 
-class Failing:
-    """Runs a few batches, then raises."""
-
-    def __init__(self, straight: Method, batches: int, error: BaseException) -> None:
-        self.straight, self.left, self.error = straight, batches, error
-
-    def __call__(self, scenes: Scenes, setting: Setting) -> Motions:
-        self.left -= 1
-        if self.left < 0:
-            raise self.error
-        return self.straight(scenes, setting)
-
-
-@pytest.mark.parametrize("interrupted", [False, True])
-def test_a_failure_or_an_interrupt_keeps_what_was_judged(
-    straight: Method, interrupted: bool, monkeypatch: pytest.MonkeyPatch
+def test_figures_and_tables_are_of_each_baseline(
+    straight: Method, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evaluation, "BATCH", 10)
-    error = KeyboardInterrupt() if interrupted else MemoryError("full")
-    told: list[list[str]] = []
-    methods = {"failing": Failing(straight, 2, error), "straight": straight}
-    found = evaluate(
-        draw_scenes("novel", 40),
-        NOVEL,
-        methods,
-        on_method=lambda outcomes: told.append(list(outcomes)),
-    )
-    assert found.interrupted == interrupted
-    assert told == [["failing"], ["failing", "straight"]][: 1 + (not interrupted)]
-    figures = evaluation_figures("novel", 0, ("drake_oa 0.1.0",), NOVEL, found.outcomes)
-    assert figures["versions"] == {"drake_oa": "0.1.0"}
-    failed = figures["methods"]["failing"]
-    assert (failed["complete"], failed["scenes"]) == (False, 20)
-    assert interrupted or str(error) in failed["error"]
-    whole = figures["methods"].get("straight")
+    monkeypatch.setattr(evaluation, "BATCH", 15)
+    outcome = evaluate("straight", straight, draw_scenes("novel", 40), NOVEL)
+    figures = evaluation_figures("novel", 0, NOVEL, {"straight": outcome})
+    found = figures["methods"]["straight"]
+    assert found["scenes"] == 40
+    assert [row["scenes"] for row in found["by_baseline"]] == [10, 10, 10, 10]
     lines = "\n".join(map(str, evaluation_tables(figures))).splitlines()
-    assert "(not complete)" in lines[1]
-    if whole is not None:
-        assert whole["complete"]
-        assert [row["scenes"] for row in whole["by_baseline"]] == [10, 10, 10, 10]
-        assert sum(line.startswith("goal at") for line in lines) == 8
+    assert sum(line.startswith("goal at") for line in lines) == 4
 
 
 def judgement(**changes: float) -> Judgement:
@@ -73,7 +43,7 @@ def judgement(**changes: float) -> Judgement:
         "kept_clearance": 0.15,
         "feasible": 0.15,
         "goal_error": 0.0,
-        "path_length": 1.0,
+        "path_ratio": 1.0,
         "baseline": 1.0,
         "asked": 0.15,
     }
@@ -86,7 +56,7 @@ def test_figures_count_what_they_say() -> None:
         judgement(kept_clearance=0.1495),
         judgement(kept_clearance=0.1485),
         judgement(kept_clearance=0.06, feasible=0.06, goal_error=0.002),
-        judgement(kept_clearance=0.0, path_length=1.5),
+        judgement(kept_clearance=0.0, path_ratio=1.5),
         judgement(kept_clearance=-0.02),
         judgement(kept_clearance=np.inf),
     ]

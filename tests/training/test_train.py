@@ -1,7 +1,6 @@
 """`drake-oa train`: written files, printed errors, and wrong arguments."""
 
 import pytest
-import torch
 
 from drake_oa.app.main import main
 from drake_oa.regulation.regressor import load_chain
@@ -19,7 +18,7 @@ def test_a_recipe_of_the_paper_writes_its_chains(recipe, tmp_path, capsys, monke
     full = PaperLattice()
     lattice = PaperLattice(*(axis[[1, -1]] for axis in full[:2]), *(a[1::12] for a in full[2:]))
     monkeypatch.setattr(paper, "PaperLattice", lambda: lattice)
-    command = ["train", "--recipe", recipe, "--iterations", "2", "--device", "cpu"]
+    command = ["train", "--recipe", recipe, "--iterations", "2"]
     assert main([*command, "--out", str(tmp_path)]) == 0
     for file, inputs in FILES[recipe].items():
         assert load_chain(tmp_path / f"{file}.safetensors").lower.size == inputs
@@ -29,13 +28,11 @@ def test_a_recipe_of_the_paper_writes_its_chains(recipe, tmp_path, capsys, monke
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--iterations", "0"], "--iterations must be at least 1"),
-        (["--seed", "-1"], "--seed must not be negative"),
-        (["--device", "cuda"], "device cuda"),
+        (["--iterations", "0"], "Must be >= 1"),
+        (["--seed", "-1"], "Must be >= 0"),
     ],
 )
-def test_wrong_arguments_are_named(arguments, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+def test_wrong_arguments_are_named(arguments, message, tmp_path, capsys):
     assert main(["train", "--out", str(tmp_path), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
