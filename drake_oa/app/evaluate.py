@@ -1,4 +1,4 @@
-"""`drake-oa evaluate`: runs methods on a suite of scenes and prints what they kept."""
+"""`drake-oa evaluate`: runs methods on a suite of scenes and prints their figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from drake_oa.studies.panda.evaluation import PandaResults, PandaSuite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
-"""Where results go that nobody named, relative to the current folder."""
+"""Default folder of results, relative to the current folder."""
 
 Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
 """Names of methods; the option may be repeated."""
@@ -69,8 +69,7 @@ def synthetic(
       verified             a search among roll-outs, as the running system does
       original             the coupling term that the paper starts from
 
-    --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
-    method.
+    --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}.
 
     For example:
 
@@ -99,8 +98,6 @@ def evaluate_points(
 ) -> None:
     """Runs methods on a suite of ellipsoids and prints their tables.
 
-    The JSON is written after every method.
-
     Args:
         name: of the suite.
         methods: names of methods; none: those of the suite.
@@ -124,11 +121,9 @@ def evaluate_points(
     chosen = load_methods(methods or suite.methods)
     check_outputs(json)
     more = {"terms": compare_terms(drawn)} if terms else {}
-    outcomes, figures = {}, dict[str, Any]()
-    for method, function in chosen.items():
-        outcomes[method] = evaluate(method, function, drawn, suite.settings)
-        figures = evaluation_figures(name, seed, suite.settings, outcomes) | more
-        replace_json(json, figures)
+    outcomes = {of: evaluate(of, chosen[of], drawn, suite.settings) for of in chosen}
+    figures = evaluation_figures(name, seed, suite.settings, outcomes) | more
+    replace_json(json, figures)
     hit = int((line_distance(drawn) < 0.0).sum())
     print(f"{name}: {len(drawn)} scenes; in {hit} an obstacle is on the straight line")
     print("where feasible: mean over the scenes in which Delta itself is feasible\n")
@@ -141,7 +136,7 @@ def evaluate_points(
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """How runs of the whole robot are made, and what is kept of them.
+    """Options of runs of the whole robot, and files of their results.
 
     Attributes:
         jobs: processes at once (default: cores).
@@ -237,12 +232,12 @@ def panda(
     For example:
 
         drake-oa evaluate panda --scenes 20 --perception truth --method verified
-        drake-oa evaluate panda --suite moving,elbow,clutter6 --jobs 2 --json changing.json
+        drake-oa evaluate panda --suite moving --suite elbow --jobs 2 --json changing.json
         drake-oa evaluate panda --suite drp --level floating1 --perception truth --scenes 10
 
     Args:
-        kinds: of the scenes; may be repeated, or name several with commas.
-        levels: of drp; may be repeated, or name several with commas.
+        kinds: of the scenes; may be repeated.
+        levels: of drp; may be repeated.
         methods: a method, see above; may be repeated.
         scenes: how many of each kind.
         seed: of the scenes.
@@ -259,7 +254,7 @@ def panda(
     sees = "depth2" if cameras == 2 else perception
     suites = [
         panda_suite(kind, scenes, seed, methods, sees, runs.duration)
-        for kind in suite_kinds(_named(kinds), _named(levels))
+        for kind in suite_kinds(kinds, levels)
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
     return run_suites(runs, suites, heading, kinds_figures)
@@ -309,7 +304,7 @@ def mbm(
         problems: the file, .tar.bz2.
         robot: panda (default), ur5 (with its gripper; pip install 'drake_oa[robots]'), or a
             scenario whose robot block is of the problems' robot.
-        sets: of the problems (default: all); may be repeated, or name several with commas.
+        sets: of the problems (default: all); may be repeated.
         methods: a method, see above; may be repeated.
         scenes: the first N of each set.
         perception: truth (SceneGraph) or depth (two cameras).
@@ -317,7 +312,7 @@ def mbm(
     """
     from drake_oa.studies.mbm.suite import mbm_figures, mbm_suites
 
-    suites = mbm_suites(problems, robot, _named(sets), methods, scenes, perception, runs.duration)
+    suites = mbm_suites(problems, robot, sets, methods, scenes, perception, runs.duration)
     heading = f"mbm: {sum(len(suite.drawings) for suite in suites)} problems"
     return run_suites(runs, suites, heading, mbm_figures)
 
@@ -326,7 +321,10 @@ def mbm(
 def sources(
     *,
     kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = (
-        "tabletop,clutter6,elbow,moving",
+        "tabletop",
+        "clutter6",
+        "elbow",
+        "moving",
     ),
     problems: Path | None = None,
     scenes: Count = 20,
@@ -360,19 +358,11 @@ def sources(
     from drake_oa.studies.panda.tables import kinds_figures
 
     methods = ("verified", *WITHOUT)
-    suites = [
-        panda_suite(kind, scenes, seed, methods, "depth", runs.duration) for kind in _named(kinds)
-    ]
+    suites = [panda_suite(kind, scenes, seed, methods, "depth", runs.duration) for kind in kinds]
     if problems is not None:
         suites += mbm_suites(problems, None, (), methods, count, "truth", runs.duration)
     heading = f"sources: seed {seed}"
     return run_suites(runs, suites, heading, kinds_figures)
-
-
-def _named(texts: Sequence[str]) -> list[str]:
-    """The names in options that may each hold several, each once; none of no options."""
-    names = ",".join(texts).split(",") if texts else []
-    return list(dict.fromkeys(name.strip() for name in names))
 
 
 def run_suites(

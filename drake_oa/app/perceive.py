@@ -220,22 +220,23 @@ _COLUMNS = (
 
 
 def _table(results: Sequence[dict[str, Any]]) -> TextTable:
-    """Returns a table with a row for each cluster; those of one file follow its name."""
-    blank = dict.fromkeys((column.key for column in _COLUMNS), "")
+    """Returns a table with a row for each cluster, or for a file without any."""
     rows: list[dict[str, Any]] = []
     for result in results:
         if "error" in result:
             continue
-        clusters = [
-            {
-                "cluster": number,
-                "points": cluster["points"],
-                "semi_axis": cluster["ellipsoid"]["semi_axes"][0],
-                "inside": "all" if cluster["enclosed"] else "NOT ALL",
-            }
-            for number, cluster in enumerate(result["clusters"], start=1)
-        ] or [{"cluster": "none"}]
-        rms = result["plane"] and result["plane"]["rms"]
-        clusters[0] |= result | {"file": Path(result["file"]).name, "rms": rms}
-        rows += [blank | cluster for cluster in clusters]
+        name, rms = Path(result["file"]).name, result["plane"] and result["plane"]["rms"]
+        of_file = {"file": name, "rms": rms, "milliseconds": result["milliseconds"]}
+        for number, cluster in enumerate(result["clusters"], start=1):
+            rows.append(
+                {
+                    **of_file,
+                    "cluster": number,
+                    "points": cluster["points"],
+                    "semi_axis": cluster["ellipsoid"]["semi_axes"][0],
+                    "inside": "all" if cluster["enclosed"] else "NOT ALL",
+                }
+            )
+        if not result["clusters"]:
+            rows.append({**of_file, "cluster": "none"})
     return TextTable(_COLUMNS, rows)

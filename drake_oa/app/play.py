@@ -22,7 +22,7 @@ def play(
     log: Path | None = None,
     no_log: bool = False,
 ) -> int:
-    """Play with a scenario in the browser: change what is asked while the arm moves.
+    """Play with a scenario in the browser: change the request while the arm moves.
 
     The arm goes to the goal and back, at real time. The controls are at the upper right:
 

@@ -92,7 +92,7 @@ def run(
     lcm_url: str = LCM_URL,
     rate: Rate = 1.0,
 ) -> int:
-    """Simulate a scenario and print what was kept and touched.
+    """Simulate a scenario and print clearances and contacts.
 
     Simulates two motions from start to goal, the pre-planned one, blind to obstacles,
     and the modulated one, bent round what perception sees, and prints for each:
@@ -332,10 +332,8 @@ def _add_motion(
 
             def look(watcher: MotionWatcher, root: Context) -> None:
                 this.raise_if_asked()
-                time = root.get_time()
                 share = normalised_time(watcher.phase, this.scenario.policy.alpha_k)
-                share = max(share, time / (this.duration or math.inf))
-                update(f"{name:>10} {time:6.2f} s", share)
+                update(f"{name:>10} {root.get_time():6.2f} s", share)
                 if panel is not None:
                     panel(watcher, root)
 
@@ -398,7 +396,7 @@ class Terminated(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def stop_between_steps() -> Iterator[Callable[[], None]]:
-    """Holds Ctrl-C and SIGTERM back until asked for, by what this yields, between two steps.
+    """Delays Ctrl-C and SIGTERM; yields a function that raises them, to call between two steps.
 
     Raised anywhere, it would also strike inside numba's and Drake's own callbacks, and
     leave them half done. A second one is raised at once.

@@ -1,4 +1,4 @@
-"""`drake-oa scenarios`, `new`, `check`, `graph`, and what commands share that take a scenario."""
+"""`drake-oa scenarios`, `new`, `check`, `graph`, and shared parts of commands with a scenario."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def build_errors() -> Iterator[None]:
 
 
 def scenario_name(name_or_file: str) -> str:
-    """What a scenario is called: its shipped name, or its file's."""
+    """Returns the name of a scenario: its shipped name, or that of its file."""
     return Path(name_or_file).name.removesuffix(".scenario.yaml")
 
 
@@ -81,17 +81,11 @@ def scenarios(*, files: bool = False) -> None:
     """
     from drake_oa.scenario.shipped import description, missing_package
 
-    shipped = shipped_scenarios()
-    if files:
-        width = max(map(len, shipped))
-        for name, path in shipped.items():
-            print(f"{name:<{width}}  {path}")
-        return
     rows = []
-    for name, path in shipped.items():
+    for name, path in shipped_scenarios().items():
         package = missing_package(path)
         needs = f" (needs {package}: pip install 'drake_oa[robots]')" if package else ""
-        rows.append({"name": name, "text": description(path) + needs})
+        rows.append({"name": name, "text": str(path) if files else description(path) + needs})
     show(TextTable([Column(key, "", side="left") for key in ("name", "text")], rows))
 
 

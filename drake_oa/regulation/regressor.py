@@ -98,7 +98,7 @@ def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) 
 
 @dataclass(frozen=True, eq=False)
 class ChainWeights(Frozen):
-    """The three networks of the chain, what they accept, and where they come from.
+    """The three networks of the chain, the range of their inputs, and their provenance.
 
     Attributes:
         networks: the networks by target name, see `TARGETS`.

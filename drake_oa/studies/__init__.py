@@ -1,4 +1,4 @@
-"""Experiments: methods on many scenes, judged by what shares no code with them.
+"""Experiments: methods on many scenes, judged by independent code.
 
     scenes/   a point among ellipsoids: the paper's experiments and beyond   evaluate novel, ...
     panda/    the simulated robot in random scenes                           evaluate panda

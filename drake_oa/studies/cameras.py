@@ -1,4 +1,4 @@
-"""Where the depth cameras of studied scenes stand, that are not a shipped scenario's.
+"""Places of the depth cameras of studied scenes.
 
 All are ASUS Xtions as the shipped scenarios have them: 640 x 480 pixels, 58 x 45 degrees, what is
 nearer than 0.8 m is not seen, 30 images a second that come 30 ms late, with the published noise.
@@ -42,13 +42,13 @@ _STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
 _SEEN_FROM = 2.1
 """From a camera of `seen_from` to the middle [m]."""
 AWAY = 1.2
-"""From a camera to the middle of what it looks at [m]."""
+"""Distance from a camera of `with_two` to the middle of the task [m]."""
 ASIDE = math.radians(60.0)
 """From the way to the robot to that to a camera, seen from above [rad]."""
 ELEVATIONS = tuple(math.radians(degrees) for degrees in (35.0, 50.0, 65.0, 80.0, 20.0))
-"""Of a camera over the middle, the first that fits [rad]."""
+"""Elevations of a camera over the middle, of which the first that fits is used [rad]."""
 APART = 0.15
-"""What a camera, and its first 0.8 m of sight to the middle, keep to things [m]."""
+"""Minimum distance of a camera, and of its first 0.8 m of sight to the middle, to obstacles [m]."""
 _NEAREST = 0.8
 
 
@@ -76,7 +76,7 @@ def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:
 
 
 def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> Scenario:
-    """The scenario, seen by cameras around the workspace, from above the table and beside it.
+    """Returns the scenario, seen by cameras around the workspace, from above the table and beside it.
 
     Args:
         scenario: seen by a depth camera.
@@ -121,7 +121,7 @@ def obstacle_solids(obstacles: Iterable[Obstacle], time: float = 0.0) -> Solids:
 
 
 def with_two(scenario: Scenario) -> Scenario:
-    """The scenario, seen by two cameras in place of what it is seen by.
+    """Returns the scenario, seen by two cameras.
 
     They look at the middle between the task's start and goal from 1.2 m, left and right: seen from
     above, by 60 degrees from the way to the robot's base, past which they look into what is open

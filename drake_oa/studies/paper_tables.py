@@ -123,7 +123,7 @@ def judge_novel(scenes: Scenes) -> Outcome:
 
 
 _MEAN, _LEAST, _FACTOR, _COLLISIONS = 0.01, 0.03, 2.0, 3
-"""How far apart a figure may be to agree with the print [m, m, -, -]."""
+"""Maximum difference of a figure that agrees with the print [m, m, -, -]."""
 
 
 def agrees(found: Mapping[str, Any], printed: Mapping[str, Any]) -> dict[str, bool]:
@@ -301,7 +301,7 @@ def trials_figures(
 
 
 def table_three(whole: Mapping[str, Any]) -> TextTable:
-    """What `trials_figures` found, beside the print."""
+    """Tabulates `trials_figures` beside the print."""
     rows = [
         {"name": f"{kind}, {method}", **figures}
         for kind, methods in whole["rows"].items()

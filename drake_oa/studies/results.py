@@ -114,7 +114,7 @@ class Task(NamedTuple):
 def resumed(
     tasks: Mapping[_Place, Task], folder: Path | None, workers: int | str = 1
 ) -> tuple[dict[_Place, Any], int]:
-    """Carries out what is not on disk yet, and writes each result as soon as it is done.
+    """Carries out tasks without a result on disk, and writes each result as soon as it is done.
 
     Args:
         tasks: place -> task.

@@ -31,7 +31,7 @@ _GOAL = np.array([1.0, 0.0, 0.0])
 
 
 class PaperLattice(NamedTuple):
-    """A lattice of motions; by default what the paper explored.
+    """A lattice of motions, by default that of the paper.
 
     Attributes:
         lambda1: semi-axes along the baseline [m].

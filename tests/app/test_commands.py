@@ -100,7 +100,7 @@ INVOCATIONS = (
     f"{PANDA} --jobs 0",
     f"{PANDA} --jobs 2 --scheduler tcp://x:1",
     f"{PANDA} --cameras 2",
-    f"{PANDA} --suite elbow,maze",
+    f"{PANDA} --suite maze",
     "station tabletop_box --lcm-url foo://bar",
     "train --recipe mine",
 )

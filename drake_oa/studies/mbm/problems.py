@@ -25,22 +25,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_oa.common.config import ScenarioError, validate
+from drake_oa.common.config import ScenarioError, read_yaml, validate
 from drake_oa.robot.config import Robot
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
 _MEMBER = re.compile(r"(?:.*/)?(?P<set>[^/]+)/(?P<kind>scene|request)(?P<number>\d{1,9})\.yaml")
-_UNIT = 1e-3
-"""A quaternion's length is 1 within this."""
 
 
 class ProblemText(NamedTuple):
-    """One problem as it is in the archive.
+    """Texts of a problem in the archive.
 
     Attributes:
         name: "<set>/scene<number>", for messages.
@@ -72,7 +69,7 @@ class Problem(NamedTuple):
 
 
 def read_archive(file: Path) -> dict[str, list[ProblemText]]:
-    """The problems of each set, in the order of their numbers.
+    """Reads the problems of each set, in the order of their numbers.
 
     Args:
         file: a .tar.bz2; nothing is unpacked to the disk.
@@ -96,25 +93,21 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
             f"{file}: holds no problems: there must be <set>_<robot>/scene0001.yaml and "
             "request0001.yaml"
         )
-    robots = {name.rpartition("_")[2] for name in found}
-    suffix = f"_{robots.pop()}" if len(robots) == 1 else ""
     problems: dict[str, list[ProblemText]] = {}
     for name, numbers in sorted(found.items()):
         for number, texts in sorted(numbers.items()):
             for kind in {"scene", "request"} - texts.keys():
                 raise ValueError(f"{file}: {name}/{kind}{number:04d}.yaml is missing")
             problem = ProblemText(f"{name}/scene{number:04d}", number, **texts)
-            problems.setdefault(name.removesuffix(suffix), []).append(problem)
+            problems.setdefault(name.rpartition("_")[0], []).append(problem)
     return problems
 
 
 def _placement(given: Mapping[str, Any]) -> dict[str, list[float]]:
     """Returns translation [m] and roll, pitch, yaw [rad], as fields of a shape."""
     x, y, z, w = given["orientation"]
-    length = float(np.linalg.norm([x, y, z, w]))
-    if abs(length - 1.0) > _UNIT:
-        raise ValueError(f"orientation: {[x, y, z, w]} has length {length:.3g}, not 1")
-    R = RotationMatrix(Quaternion(np.array([w, x, y, z]) / length))
+    wxyz = np.array([w, x, y, z])
+    R = RotationMatrix(Quaternion(wxyz / float(np.linalg.norm([x, y, z, w]))))
     return {"translation": given["position"], "rpy": RollPitchYaw(R).vector().tolist()}
 
 
@@ -146,7 +139,7 @@ def parse_problem(text: ProblemText) -> Problem:
         ValueError: naming the problem and what is off.
     """
     try:
-        scene, request = _read(text.scene), _read(text.request)
+        scene, request = read_yaml(text.scene), read_yaml(text.request)
         fields = [_obstacle(item) for item in scene["world"]["collision_objects"]]
         obstacles = validate(list[Obstacle], fields, "obstacles")
         for problem in obstacle_problems(obstacles):
@@ -162,13 +155,6 @@ def parse_problem(text: ProblemText) -> Problem:
         raise ValueError(f"{text.name}: not a problem of MoveIt: {error!r}") from None
     except ValueError as error:
         raise ValueError(f"{text.name}: {error}") from None
-
-
-def _read(text: str) -> Any:
-    try:
-        return yaml.load(text, Loader=yaml.CSafeLoader)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(f"not valid YAML: {error}") from None
 
 
 PANDA, UR5 = "panda", "ur5"

@@ -45,9 +45,9 @@ from drake_oa.studies.panda.evaluation import (
 from drake_oa.studies.panda.tables import ALL, methods_figures
 
 DURATION = 5.0
-"""Of the demonstrated motion [s]."""
+"""Duration of the demonstrated motion [s]."""
 CLEARANCE, LEAST_CLEARANCE = 0.03, 1e-3
-"""That is asked for where start and goal leave it, and where they leave none [m]."""
+"""Requested clearance where start and goal leave it, and where they leave none [m]."""
 
 _FINGER_MARGIN = 1e-3
 """Fingers stay so far within their limits [m]: at a limit the plant's steps cost more."""
@@ -66,7 +66,7 @@ def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
 
 
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
-    """The scenario of a problem.
+    """Makes the scenario of a problem.
 
     A goal with joints beyond the robot's limits is asked for as a pose, without joints.
 
@@ -132,8 +132,9 @@ _CRITERIA = Criteria(
     planner_asked=True,
     planner_states=200_000,
 )
-"""As the benchmarks on these problems count; a joint whose goal is its limit settles about it.
-Three of the first six problems of `cage` take more than the 40 000 states of the random scenes."""
+"""Conditions of success as in the benchmarks on these problems; a joint whose goal is its limit
+settles about it. Three of the first six problems of `cage` take more than the 40 000 states of the
+random scenes."""
 
 
 def mbm_suites(

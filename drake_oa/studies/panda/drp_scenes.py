@@ -162,8 +162,8 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
 _MIDDLE = np.array([0.15, 0.0, 0.5])
 """Point that floating boxes are aimed at [m]."""
 _AT_MIDDLE, _AT_GOAL = ((0.8, 1.0), 1.2, 0.2), ((0.5, 0.6), 1.0, 0.01)
-"""Of boxes that fly at that point, or at the goal: range of distances from there at the beginning,
-distance at which they turn back, and maximum distance of their lines along each axis [m]."""
+"""Range of distances of flying boxes from that point, or from the goal, at the beginning, distance
+at which they turn back, and maximum distance of their lines along each axis [m]."""
 _BASE, _NEAREST_X = 0.25, 0.1
 """Radius of the cylinder around the base, and x coordinate, at which boxes turn back [m]."""
 _CLEAR = 0.01

@@ -102,7 +102,7 @@ _logger = logging.getLogger("drake_oa")
 
 @dataclass(frozen=True)
 class Criteria:
-    """What a run is judged by, besides contacts.
+    """Conditions of success of a run without a contact.
 
     Attributes:
         goal_error: largest distance from the goal [m].
@@ -138,7 +138,7 @@ _CRITERIA = Criteria()
 
 
 def with_method(scenario: Scenario, method: str) -> Scenario:
-    """The scenario as a method runs it."""
+    """Returns the scenario as a method runs it."""
     scenario = copy.deepcopy(scenario)
     if method == "paper":
         scenario.regulation = Paper()
@@ -210,7 +210,7 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
 
 
 def _judged(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
-    found = dict.fromkeys(_UNKNOWN) | motion_report(scenario, log)
+    found: dict[str, Any] = {**dict.fromkeys(_UNKNOWN), **motion_report(scenario, log)}
     arm = len(robot_of(scenario).q_seed)
     q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
     found["beyond_limits"] = float(np.maximum(lower - q, q - upper).max(initial=0.0))

@@ -244,7 +244,7 @@ MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
 
 
 def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
-    """Returns the kinds of scenes of suites, with levels of DRPBench in place of `drp`.
+    """Returns the kinds of scenes of suites, each once, with levels of DRPBench for `drp`.
 
     Args:
         suites: kinds of scenes, or `drp`.
@@ -256,7 +256,8 @@ def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
     if levels and DRP not in suites:
         raise ValueError(f"--level needs --suite {DRP}, not {', '.join(suites)}")
     of_drp = [f"{DRP}_{level}" for level in levels or LEVELS]
-    return [kind for suite in suites for kind in (of_drp if suite == DRP else [suite])]
+    kinds = [kind for suite in suites for kind in (of_drp if suite == DRP else [suite])]
+    return list(dict.fromkeys(kinds))
 
 
 def draw_panda_scene(
@@ -266,7 +267,7 @@ def draw_panda_scene(
     kind: str = "tabletop",
     perception: str = "depth",
 ) -> Scenario:
-    """One random scene.
+    """Draws a random scene.
 
     Args:
         seed: of the evaluation, >= 0.
@@ -309,7 +310,7 @@ def _empty_scene(kind: str) -> Scenario:
 
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:
-    """A scenario as drawn with "depth", seen by that or by something else of `PERCEPTIONS`."""
+    """Returns a scenario that was drawn with "depth", seen by one of `PERCEPTIONS`."""
     check_choice("perception", PERCEPTIONS, perception)
     if perception == "depth2":
         return seen_from(scenario, TWO)

@@ -43,7 +43,7 @@ Method = Callable[[Scenes, Setting], Motions]
 SAMPLES = 500
 """Intervals in which the motions are handed over."""
 LEAST_CLEARANCE = 0.01
-"""Kept where no clearance is asked for: what the paper's training set calls free [m]."""
+"""Clearance where none is requested: the minimum in the paper's training set [m]."""
 PARAMETERS = Verified(candidates=64, rounds=60, polish=6, slack=2e-4)
 POLICY = Policy(period=DURATION / 500)
 DMP = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=DURATION))

@@ -128,16 +128,9 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
     touched = {"contact_events": events, "claim_violations": claims, "goal_error": 2e-3}
     figures = run_figures(
         [
-            _run(
-                "success",
-                sources=["sides", "search"],
-                short_of_feasible=0.02,
-                claim_violations=claims | {"A": 0},
-            ),
+            _run("success", short_of_feasible=0.02, claim_violations=claims | {"A": 0}),
             _run("stopped", "held", goal_error=0.5, clearance=None, real_time_factor=None),
-            _run(
-                "stopped", "held", goal_error=0.4, ended="time limit", sources=["sides", "search"]
-            ),
+            _run("stopped", "held", goal_error=0.4, ended="time limit", sources={"search": 1.0}),
             _run("contact", "goal", contacts=contacts, clearance=-0.01, **touched),
         ]
     )
@@ -155,7 +148,7 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
         "claim_B": 14,
         "time_limits": 1,
         "short_of_feasible": 1,
-        "sources": {"sides": 1},
+        "sources": {"search": 1},
         "goal_error_max": 2e-3,
         "robot_clearance_min": -0.01,
         "real_time_factor": 1.0,
