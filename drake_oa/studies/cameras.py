@@ -76,7 +76,7 @@ def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:
 
 
 def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> Scenario:
-    """Returns the scenario, seen by cameras around the workspace, from above the table and beside it.
+    """Returns the scenario, seen by cameras around the workspace, above the table and beside it.
 
     Args:
         scenario: seen by a depth camera.

@@ -2,7 +2,7 @@
 
 In: a kind of scenes, a seed, how many, and methods. Out: for each method and scene a judged run
 (`evaluation.run_and_judge`: outcome, reason, contacts, clearances [m], goal error [m], times [s]),
-the requested logs, and figures over all (`tables`).
+and figures over all (`tables`).
 
 A scene is a scenario (`scenes.draw_panda_scene`), in the world frame, metres and seconds, whose
 straight tool motion of 0.5 to 1.0 m some link would make into an obstacle:

@@ -11,8 +11,8 @@ them (`evaluation`).
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
                    Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7)
 
-`evaluation` runs them batch by batch, and keeps what was judged when one fails; it also compares
-both coupling terms at the same peak and area, the paper's dead-zone figure. The judge shares no
-code with the kernels that make the motions but the nearest point of an ellipsoid.
+`evaluation` runs them batch by batch; it also compares both coupling terms at the same peak and
+area, the paper's dead-zone figure. The judge shares no code with the kernels that make the motions
+but the nearest point of an ellipsoid.
 Read `suites.py` first for what is asked, then `evaluation.py`.
 """
