@@ -100,16 +100,14 @@ def fit(
         gradient = gradient - DECAY * best
         while lower is None and damping <= _DAMPING_RANGE[1]:
             diagonal = (DECAY + damping) * torch.eye(len(gram)).to(gram)
-            factor, failed = torch.linalg.cholesky_ex(gram + diagonal)
-            if not failed:
-                trial = best + torch.cholesky_solve(gradient[:, None], factor)[:, 0]
-                vector_to_parameters(trial, network.parameters())
-                with torch.no_grad():
-                    error = y - network(x)[:, 0]
-                after = float(weight @ error.square()) + DECAY * float(trial @ trial)
-                if after < loss:
-                    lower = trial
-                    on_step(after)
+            trial = best + torch.linalg.solve(gram + diagonal, gradient)
+            vector_to_parameters(trial, network.parameters())
+            with torch.no_grad():
+                error = y - network(x)[:, 0]
+            after = float(weight @ error.square()) + DECAY * float(trial @ trial)
+            if after < loss:
+                lower = trial
+                on_step(after)
             damping *= _INCREASE if lower is None else _DECREASE
         vector_to_parameters(best if lower is None else lower, network.parameters())
         if lower is None:

