@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from pydrake.geometry import SceneGraph
 from pydrake.multibody.parsing import GetScopedFrameByName
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -37,7 +38,9 @@ def near_space(scenario: Scenario) -> NearSpace:
 def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
     """Computes the volumes in which the cameras of perception measure."""
     limits, volumes = source.segmentation, []
-    plant = MultibodyPlant(time_step=scenario.plant_step)
+    scene_graph, plant = SceneGraph(), MultibodyPlant(time_step=scenario.plant_step)
+    # Obstacles have visual geometry.
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
     add_world(plant, scenario)
     plant.Finalize()
     context = plant.CreateDefaultContext()
