@@ -64,8 +64,7 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
     Returns:
         Of each contact, in order of time: `time` of the first touch [s]; `link`; `obstacle`, the
         model instance; `closing_speed` at the first touch and its maximum until they part,
-        `closing_speed_max` [m/s]; `arm_at_rest`, all joints slower than 0.02 rad/s; `receding`,
-        closing speed not positive; `energy`, the whole robot's kinetic energy [J];
+        `closing_speed_max` [m/s]; `arm_at_rest`, all joints slower than 0.02 rad/s;
         `avoidable_by_physics`; `avoidable_by_view`; and `parked_contact`, those of "start", "goal"
         and "first_sight" (where the arm was when the obstacle was first observed, from then on)
         at which anything touches an arm that stays there.
@@ -99,8 +98,7 @@ def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
     current: dict[str, dict[str, Any]] = {}
     for row, time in enumerate(log.t.tolist()):
         v = log.v[max(row - 1, 0)]
-        speeds, energy = judge.touches(log.q[row], v, log.q_world[row])
-        for pair, speed in speeds.items():
+        for pair, speed in judge.touches(log.q[row], v, log.q_world[row]).items():
             if pair not in current or time > current[pair]["end"] + _APART:
                 link, obstacle = pair.split(" - ")
                 current[pair] = {
@@ -110,8 +108,6 @@ def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
                     "closing_speed": speed,
                     "closing_speed_max": speed,
                     "arm_at_rest": bool(np.abs(v).max() < AT_REST),
-                    "receding": speed <= 0.0,
-                    "energy": energy,
                 }
                 events.append(current[pair])
             fastest = max(current[pair]["closing_speed_max"], speed)
@@ -122,7 +118,7 @@ def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
 def _is_touched(scenario: Scenario, q: FloatArray, times: FloatArray) -> bool:
     """Checks whether anything touches an arm that stays at q (nq,) at some of the times [s]."""
     judge = robot_judge(scenario)
-    return any(judge.touches(q, 0.0 * q, judge.positions_at(time))[0] for time in times)
+    return any(judge.touches(q, 0.0 * q, judge.positions_at(time)) for time in times)
 
 
 def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: FloatArray) -> dict[str, bool]:
