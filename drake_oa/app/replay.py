@@ -80,9 +80,8 @@ def replay(
 def plot(log: Path, /, *, out: Path | None = None) -> None:
     """Draw a logged run.
 
-    Draws clearance of tool and robot against the requested one, phase and speed scale with the
-    times in which the motion was held, the largest joint torque against its limit, tracking
-    error, and the path from above and from the side.
+    Draws clearance of tool and robot against the requested one, phase and speed scale, the
+    largest joint torque against its limit, and the path from above and from the side.
 
     For example:
 

@@ -7,6 +7,7 @@ configurations of the arm along them. `Thinking` makes seconds of it.
 
 import dataclasses as dc
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -17,21 +18,6 @@ from pydantic.dataclasses import dataclass
 
 from drake_oa.common.config import BLOCK
 from drake_oa.common.messages import Frozen
-
-
-@dc.dataclass
-class Work:
-    """Counts of the work of a decision.
-
-    Attributes:
-        searches: batches of motions that were rolled out.
-        steps: their steps, of all motions.
-        configurations: of the whole arm that were measured against the solids.
-    """
-
-    searches: int = 0
-    steps: int = 0
-    configurations: int = 0
 
 
 @dataclass(config=BLOCK)
@@ -48,37 +34,39 @@ class Thinking:
     """Time of one clearance computation of the whole arm [s]. Raising it makes searches and
     maneuvers later."""
 
-    def seconds(self, work: Work) -> float:
+    def seconds(self, work: Counter[str]) -> float:
         """Time that a decision takes [s]."""
         return (
             self.decision
-            + self.search * work.searches
-            + self.step * work.steps
-            + self.configuration * work.configurations
+            + self.search * work["searches"]
+            + self.step * work["steps"]
+            + self.configuration * work["configurations"]
         )
 
 
-_account: ContextVar[Work | None] = ContextVar("work", default=None)
+_account: ContextVar[Counter[str]] = ContextVar("work")
 
 
 @contextmanager
-def counted() -> Iterator[Work]:
-    """Opens an account of the work in the block, which an outer account receives, too."""
-    work = Work()
+def counted() -> Iterator[Counter[str]]:
+    """Opens an account of the work in the block, which an outer account receives, too.
+
+    Yields:
+        Numbers of "searches" (batches of motions that were rolled out), "steps" (of all of these
+        motions) and "configurations" (of the arm that were measured against the solids).
+    """
+    work = Counter[str]()
     token = _account.set(work)
     try:
         yield work
     finally:
         _account.reset(token)
-        count(**vars(work))
+        count(**work)
 
 
 def count(**done: int) -> None:
-    """Adds to the account that is open, by the names of `Work`; there need be none."""
-    work = _account.get()
-    if work is not None:
-        for name, number_done in done.items():
-            setattr(work, name, getattr(work, name) + number_done)
+    """Adds to the account that is open, if one is, by the names that `counted` lists."""
+    _account.get(Counter()).update(done)
 
 
 T = TypeVar("T")

@@ -52,8 +52,7 @@ class Solids(NamedTuple):
             `_interpolated`.
         layout: (K, 6) kind; of a hull its first face and one past the last, of a field where it
             begins among the voxels, and nx, ny, nz; name.
-        faces: (F, 6) unit normal and offset in O [m]; its first triangle and one past the last.
-        triangles: (T, 9) corners a, b, c in O [m].
+        faces: (F, 13) triangles: unit normal and offset, and corners a, b, c in O [m].
         voxels: float32 values of all fields [m].
     """
 
@@ -62,7 +61,6 @@ class Solids(NamedTuple):
     size: FloatArray
     layout: IntArray
     faces: FloatArray
-    triangles: FloatArray
     voxels: NDArray[np.float32]
 
     @property
@@ -89,8 +87,7 @@ class Solid(Frozen):
         stamp: when it is there [s].
         size: see `Solids.size`.
         center, radius: sphere that holds it, in O [m]; inf: a half-space.
-        corners: (F lists of) triangles (T_i, 3, 3) of a hull's faces, in O [m].
-        planes: (F, 4) their outward unit normals and offsets.
+        faces: (F, 13) of a hull, see `Solids.faces`.
         grid: distance field of a cloud.
     """
 
@@ -103,8 +100,7 @@ class Solid(Frozen):
     size: tuple[float, ...] = ()
     center: FloatArray = zeros(3)
     radius: float = math.inf
-    corners: tuple[FloatArray, ...] = ()
-    planes: FloatArray = zeros(0, 4)
+    faces: FloatArray = zeros(0, 13)
     grid: DistanceField | None = None
 
     def placed(self, p_OQ: FloatArray) -> FloatArray:
@@ -135,16 +131,15 @@ def hull(vertices: FloatArray) -> Solid:
         found = ConvexHull(points)
     except QhullError:
         found = ConvexHull(points, qhull_options="QJ")
-    # Coplanar triangles are one face.
-    keys = np.round(found.equations, 9) + 0.0
-    planes, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
-    corners, center = points[found.simplices], 0.5 * (points.min(axis=0) + points.max(axis=0))
+    # Coplanar triangles follow each other.
+    order = np.lexsort(np.round(found.equations, 9).T[::-1])
+    planes, corners = found.equations[order], points[found.simplices[order]]
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return Solid(
         HULL,
         center=center,
         radius=float(np.linalg.norm(points - center, axis=1).max()),
-        corners=tuple(corners[which.ravel() == face] for face in range(len(planes))),
-        planes=found.equations[planes] * [1.0, 1.0, 1.0, -1.0],
+        faces=np.column_stack([planes[:, :3], -planes[:, 3], corners.reshape(-1, 9)]),
     )
 
 
@@ -328,9 +323,8 @@ def solids_of(items: Sequence[Solid]) -> Solids:
     count = len(items)
     X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 8))
     size, layout = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
-    planes, cells = [np.zeros((0, 4))], 0
+    count_faces = cells = 0
     grids: list[DistanceField] = []
-    corners: list[FloatArray] = []
     for row, item in enumerate(items):
         moves = bool(np.any(item.v_WO))
         if not (np.isfinite(item.X_WO).all() and np.isfinite(item.v_WO).all()):
@@ -341,18 +335,14 @@ def solids_of(items: Sequence[Solid]) -> Solids:
         size[row, : len(item.size)] = item.size
         layout[row, [0, 5]] = item.kind, item.name
         if item.kind == HULL:
-            layout[row, 1:3] = len(corners), len(corners) + len(item.planes)
-            planes.append(item.planes)
-            corners += item.corners
+            layout[row, 1:3] = count_faces, count_faces + len(item.faces)
+            count_faces += len(item.faces)
         if item.grid is not None:
             layout[row, 1:5] = cells, *item.grid.values.shape
             grids.append(item.grid)
             cells += item.grid.values.size
-    ends = np.cumsum([len(face) for face in corners], dtype=float)
-    starts = np.concatenate([[0.0], ends])[: len(ends)]
-    faces = np.column_stack([np.concatenate(planes), starts, ends])
-    triangles = np.concatenate([np.zeros((0, 9))] + [face.reshape(-1, 9) for face in corners])
-    return Solids(ball, X_WO, size, layout, faces, triangles, _voxels(*grids))
+    faces = np.concatenate([np.zeros((0, 13)), *(item.faces for item in items)])
+    return Solids(ball, X_WO, size, layout, faces, _voxels(*grids))
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,7 +417,7 @@ def outline_corners(solid: Solid) -> FloatArray:
         ValueError: for a half-space or a field, naming it.
     """
     if solid.kind == HULL:
-        return np.unique(np.concatenate(solid.corners).reshape(-1, 3), axis=0)
+        return np.unique(solid.faces[:, 4:].reshape(-1, 3), axis=0)
     return np.asarray(CORNERS * solid.half_extents)
 
 
@@ -464,7 +454,7 @@ def surface_points(solid: Solid, count: int = 300) -> FloatArray:
         shell = hull(corners)
     # The vertices, and points spread over the faces by area.
     vertices = outline_corners(shell)
-    a, b, c = np.concatenate(shell.corners).swapaxes(0, 1)
+    a, b, c = shell.faces[:, 4:].reshape(-1, 3, 3).swapaxes(0, 1)
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     k = np.arange(max(0, count - len(vertices))) + 0.5
     chosen = np.searchsorted(area, k / max(1, len(k)) * area[-1])
@@ -503,7 +493,7 @@ def solid_distance(solids: Solids, k: int, x: float, y: float, z: float, t: floa
         return c
     if kind == ELLIPSOID:
         return to_ellipsoid(a, b, c, size)
-    return _to_hull(solids.faces, solids.triangles, span, a, b, c)
+    return _to_hull(solids.faces, span, a, b, c)
 
 
 @leaf
@@ -565,49 +555,36 @@ def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
 
 
 @leaf
-def _to_hull(
-    faces: FloatArray, c: FloatArray, span: IntArray, x: float, y: float, z: float
-) -> float:
-    """Signed distance to the hull of the faces `span` of triangles c (T, 9)."""
-    first, last = span[0], span[1]
+def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> float:
+    """Signed distance to the hull of the faces `span` of f (F, 13), see `Solids`."""
     most, best = -np.inf, np.inf
-    for f in range(first, last):
-        most = max(most, faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3])
+    for n in range(span[0], span[1]):
+        most = max(most, f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3])
     if most <= 0.0:
         return most
     # Outside: the nearest of the triangles that the point is above.
-    for f in range(first, last):
-        above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
+    for n in range(span[0], span[1]):
+        above = f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3]
         if above <= 0.0 or above * above >= best:
             continue
-        for n in range(int(faces[f, 4]), int(faces[f, 5])):
-            ax, ay, az = x - c[n, 0], y - c[n, 1], z - c[n, 2]
-            ux, uy, uz = c[n, 3] - c[n, 0], c[n, 4] - c[n, 1], c[n, 5] - c[n, 2]
-            vx, vy, vz = c[n, 6] - c[n, 0], c[n, 7] - c[n, 1], c[n, 8] - c[n, 2]
-            uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
-            uv = ux * vx + uy * vy + uz * vz
-            au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz
-            # Barycentric coordinates of the second and third corner, times the determinant.
-            det = uu * vv - uv * uv
-            s, t = vv * au - uv * av, uu * av - uv * au
-            if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
-                s, t = s / det, t / det
-            else:
-                # The nearest of the points of the three edges.
-                first_edge = min(max(au / uu, 0.0), 1.0), 0.0
-                second_edge = 0.0, min(max(av / vv, 0.0), 1.0)
-                third = min(max((av - au - uv + uu) / (uu + vv - 2.0 * uv), 0.0), 1.0)
-                least = np.inf
-                for p, q in (first_edge, second_edge, (1.0 - third, third)):
-                    bx = ax - p * ux - q * vx
-                    by = ay - p * uy - q * vy
-                    bz = az - p * uz - q * vz
-                    square = bx * bx + by * by + bz * bz
-                    if square < least:
-                        least, s, t = square, p, q
-            bx = ax - s * ux - t * vx
-            by = ay - s * uy - t * vy
-            bz = az - s * uz - t * vz
+        ax, ay, az = x - f[n, 4], y - f[n, 5], z - f[n, 6]
+        ux, uy, uz = f[n, 7] - f[n, 4], f[n, 8] - f[n, 5], f[n, 9] - f[n, 6]
+        vx, vy, vz = f[n, 10] - f[n, 4], f[n, 11] - f[n, 5], f[n, 12] - f[n, 6]
+        uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+        uv = ux * vx + uy * vy + uz * vz
+        au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz
+        # Barycentric coordinates of the second and third corner, times the determinant.
+        det = uu * vv - uv * uv
+        s, t = vv * au - uv * av, uu * av - uv * au
+        if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
+            best = above * above
+            continue
+        # The nearest of the points of the three edges.
+        first = min(max(au / uu, 0.0), 1.0)
+        second = min(max(av / vv, 0.0), 1.0)
+        third = min(max((av - au - uv + uu) / (uu + vv - 2.0 * uv), 0.0), 1.0)
+        for p, q in ((first, 0.0), (0.0, second), (1.0 - third, third)):
+            bx, by, bz = ax - p * ux - q * vx, ay - p * uy - q * vy, az - p * uz - q * vz
             best = min(best, bx * bx + by * by + bz * bz)
     return math.sqrt(best)
 

@@ -1,9 +1,8 @@
-"""Figure of a logged run: clearance, phase, torques, tracking error and the path."""
+"""Figure of a logged run: clearance, phase, torques and the path."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 
 from drake_oa.common.files import saved_figure
-from drake_oa.common.messages import FloatArray, HoldCause
+from drake_oa.common.messages import FloatArray
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.scenario import Scenario
@@ -25,7 +24,6 @@ _PANELS = (
     ("distance to the nearest obstacle", "clearance [m]"),
     ("phase and speed", "phase, speed scale [1]"),
     ("joint torques against their limits", "torque / limit [1]"),
-    ("distance of the tool point from its desired position", "error [mm]"),
 )
 """Titles and labels of the panels of a run; without a robot there are only the first two."""
 _OBSERVATIONS = 6
@@ -47,8 +45,7 @@ def add_legend(ax: Axes, **options: Any) -> None:
 def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, MotionLog]) -> None:
     """Draws a run: panels over time on the left, the path from two sides on the right.
 
-    Without a robot there are neither torques nor a tracking error. Pauses are those of the
-    modulated motion, or of the only motion.
+    Without a robot there are no torques.
 
     Args:
         path: the file of the figure.
@@ -60,14 +57,13 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
         OutputError: if the file cannot be written.
         ScenarioError: if the station of the scenario cannot be built.
     """
-    main = "modulated" if "modulated" in logs else next(iter(logs))
     start, goals = np.asarray(scenario.task.start), goal_steps(scenario.task)[:, 1:]
     along = int(np.argmax(np.abs(goals[0] - start)[:2]))
     for name, log in logs.items():
         title += f"\n{name}: {log.duration:.2f} s, ended by {log.stop_reason}"
     with saved_figure(path, 14.0, 10.0, title) as figure:
         left, right = cast("list[SubFigure]", figure.subfigures(1, 2, width_ratios=[1.35, 1.0]))
-        panels = list(left.subplots(2 if scenario.robot is None else 4, 1, sharex=True))
+        panels = list(left.subplots(2 if scenario.robot is None else 3, 1, sharex=True))
         for name, log in logs.items():
             _draw_motion(panels, name, scenario, log)
         for ax, axes in zip(right.subplots(2, 1), ([0, 1], [along, 2]), strict=True):
@@ -82,7 +78,6 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
         label = f"requested, Δ = {clearance:g} m"
         panels[0].axhline(clearance, color="0.4", linestyle="--", label=label)
         panels[0].axhline(0.0, color=_OBSTACLE)
-        _shade_pauses(panels, logs[main])
         for ax, (heading, label) in zip(panels, _PANELS, strict=False):
             ax.set(title=heading, ylabel=label)
             add_legend(ax, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
@@ -90,7 +85,7 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
 
 
 def _draw_motion(panels: Sequence[Axes], name: str, scenario: Scenario, log: MotionLog) -> None:
-    """Draws clearance, phase and speed of a motion; of a robot torques and tracking error, too."""
+    """Draws clearance, phase and speed of a motion; of a robot torques, too."""
     metrics, color = motion_metrics(scenario, log), _COLORS.get(name)
     clearance, phase, *of_robot = panels
     clearance.plot(log.t, metrics.tool_clearance, color=color, label=f"{name}, tool")
@@ -98,20 +93,10 @@ def _draw_motion(panels: Sequence[Axes], name: str, scenario: Scenario, log: Mot
     phase.plot(log.t, log.speed_scale, "--", color=color, label=f"{name}, speed scale")
     if not of_robot:
         return
-    torque, error = of_robot
+    (torque,) = of_robot
     clearance.plot(log.t, metrics.robot_clearance, ":", color=color, label=f"{name}, any link")
     share = np.abs(log.torque / log.effort_limit).max(axis=1, initial=0.0)
     torque.plot(log.t, share, color=color, label=f"{name}, largest of all joints")
-    distance = 1e3 * np.linalg.norm(log.p_WE - log.desired_position, axis=1)
-    error.plot(log.t, distance, color=color, label=name)
-
-
-def _shade_pauses(panels: Sequence[Axes], log: MotionLog) -> None:
-    """Shades the times in which a motion was held."""
-    spans = pairwise([*log.event_time.tolist(), log.simulated_time])
-    for span, hold in zip(spans, log.event_hold, strict=True):
-        for ax in panels if hold != HoldCause.NONE else ():
-            ax.axvspan(*span, color=_DESIRED, alpha=0.45, zorder=0)
 
 
 def _draw_path(ax: Axes, name: str, log: MotionLog, axes: list[int]) -> None:

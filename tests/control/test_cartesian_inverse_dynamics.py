@@ -16,11 +16,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import Demultiplexer, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_oa.control.cartesian_inverse_dynamics import (
-    LARGEST_ACCELERATION,
-    LARGEST_ERROR,
-    CartesianInverseDynamics,
-)
+from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.robot.config import Gains
 from drake_oa.robot.plant import RobotPlant
 
@@ -136,21 +132,6 @@ def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
     context = fixed(system, desired_orientation=factor * TILTED.ToQuaternion().wxyz())
     expected = read(reference, "actuation", fixed(reference))
     np.testing.assert_allclose(read(system, "actuation", context), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("error", "added"), [(0.9 * LARGEST_ERROR, LARGEST_ACCELERATION), (np.inf, 0.0)]
-)
-def test_a_tool_that_is_held_back_does_not_gather_force(
-    make: Callable, error: float, added: float
-) -> None:
-    system = make()
-    at = START - read(system, "tracking_error", fixed(system))
-    context = fixed(system, desired_position=at + [error, 0.0, 0.0])
-    for _ in range(40):
-        context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context).value())
-    correction = context.get_discrete_state_vector().value()
-    np.testing.assert_allclose(correction, [0.0, 0.0, 0.0, added, 0.0, 0.0], atol=1e-9)
 
 
 @pytest.mark.parametrize(

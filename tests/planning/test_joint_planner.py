@@ -38,7 +38,7 @@ def test_a_path_leads_through_the_gap_to_a_free_goal(walled: ArmWorld, panda_arm
     goals = np.stack([inside(one), other])
     with counted() as work:
         found = plan_path(walled, one, goals, most=MOST, seed=1)
-    assert 0 < work.configurations <= 2 * MOST
+    assert 0 < work["configurations"] <= 2 * MOST
     np.testing.assert_allclose(found[[0, -1]], [one, other], atol=1e-12)
     assert is_clear(walled, found)
     # Whatever else is planned by another seed.
@@ -63,7 +63,7 @@ def test_it_is_empty_where_there_is_none(walled: ArmWorld, panda_arm: ArmAlone) 
         assert plan_path(walled, begin, ends, most=MOST).shape == (0, 7)
     with counted() as work:
         assert not len(plan_path(walled, one, other[None], most=100))
-    assert 100 <= work.configurations < 1000
+    assert 100 <= work["configurations"] < 1000
     # A wall without a gap.
     world = panda_arm.among([box_at([3.0, 0.02, 3.0], [1.7, 0.0, 0.0])], 0.0, 0.0)
     found = plan_path(world, one, other[None], most=5000, seed=1)

@@ -138,7 +138,6 @@ def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntAr
                 fixed.size,
                 fixed.layout,
                 fixed.faces,
-                fixed.triangles,
                 fixed.voxels,
             )
             now = ArmWorld(arm.chain, arm.spheres, solids, arm.asked, 0.0)
