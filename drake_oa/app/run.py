@@ -242,10 +242,6 @@ def station(
         show(report_table(report))
         if contact := contact_error(report):
             complain(contact)
-    print(
-        f"simulated in {arm.wall_time:.2f} s; "
-        f"commands followed {arm.followed}, not followed {arm.ignored}"
-    )
     if isinstance(failure, Exception):
         complain(f"cut short: {type(failure).__name__}: {failure}")
         return FAILED

@@ -31,20 +31,8 @@ _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "trai
 
 PLOT_FORMATS = (".pdf", ".png", ".svg")
 """Suffixes of the files of figures."""
-_PLOT_STYLE: dict[Any, Any] = {
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "figure.titlesize": 11,
-    "grid.color": "0.92",
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-}
-"""Matplotlib settings of all figures."""
-_PLOT_COLORS = "tableau-colorblind10"
-"""Matplotlib style with colors that color-blind readers can distinguish."""
+_PLOT_STYLE: tuple[Any, ...] = ("tableau-colorblind10", {"axes.grid": True, "legend.fontsize": 7})
+"""Matplotlib styles of all figures; color-blind readers can distinguish the colors."""
 
 
 class OutputError(OSError):
@@ -199,7 +187,7 @@ def saved_figure(path: Path, width: float, height: float, title: str = "") -> It
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    with style.context([_PLOT_COLORS, _PLOT_STYLE]):
+    with style.context(_PLOT_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         figure.suptitle(title)
         yield figure

@@ -202,12 +202,11 @@ class Wires:
         for signal, port in self._taken:
             if (source := self._source(signal)) is not None:
                 self.builder.Connect(source, port)
-        for signal in self._logged:
-            if (source := self._source(signal)) is not None:
-                LogVectorOutput(source, self.builder, LOG_PERIOD).set_name(f"log_{signal}")
-        for signal in self._exported:
-            if (source := self._source(signal)) is not None:
-                self.builder.ExportOutput(source, signal)
+        for signal in filter(self.__contains__, self._logged):
+            sink = LogVectorOutput(self._source(signal), self.builder, LOG_PERIOD)
+            sink.set_name(f"log_{signal}")
+        for signal in filter(self.__contains__, self._exported):
+            self.builder.ExportOutput(self._source(signal), signal)
 
     def _add(self, name: str, wired: _Wired) -> None:
         if name in self._systems or self.builder.HasSubsystemNamed(name):

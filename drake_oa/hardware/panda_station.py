@@ -19,7 +19,6 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.diagrams.faults import make_obstacle_movers
 from drake_oa.hardware.command_player import (
@@ -59,8 +58,7 @@ class _ImageSender:
     def __init__(self, name: str, camera: Camera, period: float) -> None:
         self._name, self._camera, self._period = name, camera, period
         self._system = camera.depth_image.get_system()
-        self._count = self._seq = 0
-        self._sent = -math.inf
+        self._count, self._sent = 0, -math.inf
 
     def is_due(self, root: Context, now: float, stands: bool) -> bool:
         """Returns whether an image is to be sent, at a time of the wall clock [s].
@@ -87,8 +85,6 @@ class _ImageSender:
         message = pack_depth(
             image.data[:, :, 0], camera=self._name, utime=round((now - age / rate) / MICROSECOND)
         )
-        message.header.seq = self._seq
-        self._seq += 1
         lcm.Publish(CHANNEL.format(self._name), message.encode())
 
 
@@ -106,8 +102,6 @@ class PandaStation:
         guard: accepts or refuses commands.
         event_times: simulated times of its events [s].
         num_positions: of the whole plant.
-        wall_time: duration of `run` [s].
-        followed, ignored: numbers of commands that the arm followed, and did not.
     """
 
     def __init__(
@@ -180,7 +174,6 @@ class PandaStation:
         # Of the wall clock's seconds, as all that is in messages.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
         self.guard = CommandGuard(self._q_start[self._arm], limits)
-        self.wall_time, self.followed, self.ignored = 0.0, 0, 0
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._waits = self._ends = waits
         self.event_times: list[float] = []
@@ -240,7 +233,7 @@ class PandaStation:
             # A real arm shares its computer with nobody.
             os.setpriority(os.PRIO_PROCESS, 0, -10)
         context = self.simulator.get_context()
-        started = due = self._clock()
+        due = self._clock()
         try:
             while context.get_time() < duration - 0.5 * self._step and not self.finished:
                 self.step()
@@ -248,24 +241,14 @@ class PandaStation:
                 due = max(due + self._step / self._rate, self._clock() - _CATCH_UP)
                 time.sleep(max(0.0, due - self._clock()))
         finally:
-            self.wall_time += self._clock() - started
             release_cameras(self.diagram)
 
-    @property
-    def q(self) -> FloatArray:
-        """(7,) where the arm is [rad]."""
-        state = self.diagram.GetOutputPort("robot_state").Eval(self.simulator.get_context())
-        return np.array(state[self._arm])
-
     def _take(self, data: bytes) -> None:
-        follows = False
         # Drake forbids a handler to raise.
         try:
-            follows = self.guard.receive(lcmt_panda_command.decode(data), self._clock())
+            self.guard.receive(lcmt_panda_command.decode(data), self._clock())
         except Exception as error:
             _logger.warning("station: %s holds no lcmt_panda_command: %s", COMMAND_CHANNEL, error)
-        self.followed += follows
-        self.ignored += not follows
 
     def _actuate(self) -> None:
         """Sets the desired state until the next step."""

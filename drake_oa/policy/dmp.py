@@ -181,7 +181,7 @@ def minimum_jerk_share(s: FloatArray) -> FloatArray:
     return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
-def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: float) -> Dmp:
+def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: Any) -> Dmp:
     """Learns a movement primitive from one demonstrated path.
 
     Args:
@@ -219,7 +219,7 @@ def fit_forcing(
     local: FloatArray,
     t: FloatArray,
     *,
-    n_basis: float = N_BASIS,
+    n_basis: int = N_BASIS,
     alpha_x: float = ALPHA_X,
     beta_x: float = BETA_X,
     alpha_k: float = ALPHA_K,
@@ -237,14 +237,14 @@ def fit_forcing(
         beta_x: spring constant, per normalised time.
         alpha_k: decay of the phase, per normalised time.
     """
-    duration, n_basis = float(t[-1] - t[0]), int(n_basis)
+    duration = float(t[-1] - t[0])
     spline = interpolant((t - t[0]) / duration, local)
-    s, centers, widths, inverse = _fit(n_basis, float(alpha_k))
+    s, centers, widths, inverse = _fit(n_basis, alpha_k)
     x, z, dz = (spline(s[s <= 1.0], derivative) for derivative in (0, 1, 2))
     target = np.zeros((len(s), local.shape[1]))
     target[s <= 1.0] = dz + alpha_x * (z + beta_x * x)
     weights = np.ascontiguousarray((inverse @ target).T)
-    return Dmp(float(alpha_x), float(beta_x), float(alpha_k), centers, widths, weights, duration)
+    return Dmp(alpha_x, beta_x, alpha_k, centers, widths, weights, duration)
 
 
 def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
@@ -450,7 +450,7 @@ def _nearest(r: FloatArray, near: FloatArray) -> FloatArray:
 
 
 def imitate_orientation(
-    orientations: ArrayLike, t: ArrayLike | None = None, **constants: float
+    orientations: ArrayLike, t: ArrayLike | None = None, **constants: Any
 ) -> OrientationDmp:
     """Learns a movement primitive of the orientation from one demonstration.
 
@@ -496,7 +496,7 @@ def origin_of(primitive: OrientationDmp, start: FloatArray) -> Rotation:
     return Rotation.from_matrix(start) * Rotation.from_rotvec(-primitive.offset)
 
 
-def minimum_jerk_orientation(**constants: float) -> OrientationDmp:
+def minimum_jerk_orientation(**constants: Any) -> OrientationDmp:
     """Returns the primitive of a turn about a fixed axis with least jerk: the default.
 
     Args:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
@@ -144,6 +145,6 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
         **columns_of([(at, "", event) for at, event in events], EVENT),
         stop_reason="station ended",
         ended=MotionEnd.TIME_LIMIT.value,
-        wall_time=station.wall_time,
+        wall_time=math.nan,
         modulated=True,
     )

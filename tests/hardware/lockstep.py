@@ -4,6 +4,7 @@ from collections.abc import Callable
 from itertools import count
 from typing import Any
 
+import numpy as np
 from pydrake.lcm import DrakeLcm
 
 from drake_oa.hardware.command_player import CommandPlayer
@@ -40,6 +41,11 @@ class Deaf:
     def Publish(self, channel: str, data: bytes) -> None:
         if not self.lost:
             self._lcm.Publish(channel, data)
+
+
+def joints(arm: PandaStation) -> np.ndarray:
+    """(7,) positions of the simulated arm [rad]."""
+    return np.array(arm.status(EPOCH).joint_position)
 
 
 class Lockstep:
