@@ -99,15 +99,14 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     # The requested clearance of the tool is a margin of the whole arm beside moving obstacles.
     margin = max(scenario.guard.margin_moving, scenario.task.clearance)
     guard = MotionGuard(
-        cell.guarded_arm,
+        cell.robot_plant,
+        cell.chain,
+        cell.spheres,
         make_dmp(scenario).duration,
         cell.q_start[cell.chain.q_index],
-        alpha_k=policy.alpha_k,
+        config=policy,
         period=period,
-        step=policy.period,
-        hold_time=policy.hold_time,
         padding=0.0 if exact else padding(scenario.perception),
-        max_age=policy.max_observation_age,
         turn_limit=scenario.task.turn_limit,
         parameters=replace(scenario.guard, margin_moving=margin),
         thinking=scenario.thinking,

@@ -18,7 +18,6 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
-from drake_oa.safety.joint_motions import GuardedArm, make_guarded_arm
 from drake_oa.scenario.end_poses import posture_guide, start_positions
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.live_camera import Outside
@@ -55,14 +54,6 @@ class Cell(Station):
     def spheres(self) -> ArmSpheres:
         """The robot as spheres."""
         return covered_arm(robot_of(self.scenario))
-
-    @cached_property
-    def guarded_arm(self) -> GuardedArm:
-        """The arm that is kept safe."""
-        try:
-            return make_guarded_arm(self.robot_plant, self.chain, self.spheres)
-        except ValueError as error:
-            raise ScenarioError(f"robot: {error}") from None
 
 
 def add_station(

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TypeVar
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any, TypeVar
 
-from pydrake.systems.framework import Context, InputPort, LeafSystem
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem
 
 T = TypeVar("T")
 
@@ -39,3 +43,38 @@ def valid_period(period: float) -> float:
     if not 0.0 < period < math.inf:
         raise ValueError(f"period must be positive and finite [s], not {period}")
     return float(period)
+
+
+def declare_state_outputs(
+    system: LeafSystem, state: AbstractStateIndex, *ports: tuple[str, int | type, str]
+) -> None:
+    """Declares output ports that hold parts of an abstract state.
+
+    Args:
+        system: under construction.
+        state: row of the state.
+        ports: name of each, the size of a vector or the class of an abstract value, and the path of
+            attributes that leads to it.
+    """
+    tickets = {system.abstract_state_ticket(state)}
+    for name, kind, path in ports:
+
+        def part(context: Context, of: Callable[[Any], Any] = attrgetter(path)) -> Any:
+            return of(context.get_abstract_state(state).get_value())
+
+        if isinstance(kind, int):
+            system.DeclareVectorOutputPort(
+                name,
+                kind,
+                lambda context, output, part=part: output.SetFromVector(
+                    np.array(part(context), dtype=float, ndmin=1)
+                ),
+                tickets,
+            )
+        else:
+            system.DeclareAbstractOutputPort(
+                name,
+                lambda kind=kind: Value(kind()),
+                lambda context, output, part=part: output.set_value(part(context)),
+                tickets,
+            )

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.messages import (
-    DECIDING,
     CouplingParameters,
     EllipsoidSet,
-    HoldCause,
     PlannedMotion,
     PolicyState,
     Route,
 )
-from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.common.ports import (
+    DECISION_OFFSET,
+    declare_state_outputs,
+    read_optional,
+    read_value,
+    valid_period,
+)
 from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
@@ -119,35 +122,20 @@ class MotionVerifier(LeafSystem):
         )
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._chosen = self.DeclareAbstractState(Value(Thoughts(SelectedMotion())))
-        chosen = {self.abstract_state_ticket(self._chosen)}
-        for name, kind, of in (
-            ("coupling_parameters", CouplingParameters, self._coupling),
-            ("route", Route, lambda state: state.in_force.command.route),
-            ("demonstration", Demonstration, lambda state: state.in_force.command.demonstration),
-            ("motion", PlannedMotion, lambda state: state.in_force.prediction.motion),
-            ("sides", Route, lambda state: state.in_force.prediction.sides),
-        ):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda kind=kind: Value(kind()),
-                lambda context, output, of=of: output.set_value(of(self._read(context))),
-                chosen,
-            )
-        for name, size, number in (
-            ("shortfall", 1, lambda state: [state.in_force.prediction.shortfall]),
-            ("lowered", 1, lambda state: [state.in_force.prediction.lowered]),
-            ("decision", 2, lambda state: state.last),
-            ("source", 1, lambda state: [state.in_force.command.source]),
-            ("candidates", len(SOURCES), lambda state: state.in_force.counts),
-        ):
-            self.DeclareVectorOutputPort(
-                name,
-                size,
-                lambda context, output, number=number: output.SetFromVector(
-                    np.asarray(number(self._read(context)), dtype=float)
-                ),
-                chosen,
-            )
+        declare_state_outputs(
+            self,
+            self._chosen,
+            ("coupling_parameters", CouplingParameters, "in_force.command.coupling"),
+            ("route", Route, "in_force.command.route"),
+            ("demonstration", Demonstration, "in_force.command.demonstration"),
+            ("motion", PlannedMotion, "in_force.prediction.motion"),
+            ("sides", Route, "in_force.prediction.sides"),
+            ("shortfall", 1, "in_force.prediction.shortfall"),
+            ("lowered", 1, "in_force.prediction.lowered"),
+            ("decision", 2, "last"),
+            ("source", 1, "in_force.command.source"),
+            ("candidates", len(SOURCES), "in_force.counts"),
+        )
         period = valid_period(period)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
@@ -170,7 +158,7 @@ class MotionVerifier(LeafSystem):
         if policy.baseline == 0.0:
             # There is no motion yet to choose for.
             return EventStatus.DidNothing()
-        sight = self.sight(context)
+        sight = self._sight(context)
         thoughts = kept.thought(
             lambda before: self._search.decide(before, sight), time, self._thinking
         )
@@ -180,26 +168,17 @@ class MotionVerifier(LeafSystem):
         held.set_value(thoughts)
         return EventStatus.Succeeded()
 
-    @property
-    def search(self) -> MotionSearch:
-        """Returns the selection of the motion."""
-        return self._search
-
-    def sight(self, context: Context) -> Sight:
+    def _sight(self, context: Context) -> Sight:
         """Returns the input of a decision now."""
-
-        def proposed() -> tuple[CouplingParameters, Route]:
-            coupling = read_optional(self, self._proposed, context, CouplingParameters)
-            route = read_optional(self, self._route, context, Route)
-            return coupling or CouplingParameters(), route or Route()
-
         return Sight(
             read_value(self, self._policy, context, PolicyState),
             np.array(self._goal.Eval(context)),
             np.array(self._robot.Eval(context)[self._positions]),
             read_value(self, self._solids, context, SolidScene).at_rest(),
             read_optional(self, self._ellipsoids, context, EllipsoidSet) or EllipsoidSet(),
-            proposed,
+            read_optional(self, self._proposed, context, CouplingParameters)
+            or CouplingParameters(),
+            read_optional(self, self._route, context, Route) or Route(),
         )
 
     def _take_effect(self, context: Context, state: State) -> EventStatus:
@@ -210,36 +189,14 @@ class MotionVerifier(LeafSystem):
         if made is None:
             return EventStatus.DidNothing()
         policy = read_value(self, self._policy, context, PolicyState)
-        other = not made.fits(policy, self._goal.Eval(context))
-        if (
-            other
-            or (made.command.restart and policy.speed > 0.0)
-            or self._is_late(made, kept.in_force, context)
-        ):
+        fits = made.fits(policy, self._goal.Eval(context))
+        if fits and (policy.speed == 0.0 or not made.command.restart):
+            _log_change(kept.in_force, made, time)
+            held.set_value(kept.taken())
+        else:
             _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.begun)
             held.set_value(kept.dropped())
-            return EventStatus.Succeeded()
-        _log_change(kept.in_force, made, time)
-        held.set_value(kept.taken())
         return EventStatus.Succeeded()
-
-    def _is_late(self, made: SelectedMotion, in_force: SelectedMotion, context: Context) -> bool:
-        """Whether a choice no more does from where the motion is now, and the one in force does."""
-        is_short = in_force.prediction.shortfall > 0.0 or in_force.command.note
-        if is_short or not in_force.scene.same_as(made.scene):
-            return False
-        sight = self.sight(context)
-        # During a maneuver of MotionGuard neither may.
-        return not self._search.still_holds(made, sight) and self._search.still_holds(
-            in_force, sight
-        )
-
-    def _coupling(self, state: Thoughts[SelectedMotion]) -> CouplingParameters:
-        command = state.in_force.command
-        coupling = command.coupling()
-        if command.tau == 0.0 and self._thinking is not None:
-            return replace(coupling, hold=HoldCause.DECIDING, note=DECIDING)
-        return coupling
 
 
 def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> None:

@@ -1,4 +1,4 @@
-"""The guarded arm and its joint motions in time: tracking of the tool, legs, and clearance.
+"""Joint motions in time: tracking of the tool, legs, and clearance.
 
 A maneuver consists of two legs. In each leg every joint moves to its own target at bounded speed
 and acceleration (trapezoidal velocity), and stays there: each leg ends at rest by itself.
@@ -7,18 +7,15 @@ and acceleration (trapezoidal velocity), and stays there: each leg ends at rest 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from drake_oa.common.compiled import CORES, compiled, leaf, on_cores, parted
-from drake_oa.common.messages import FloatArray, Frozen, IntArray
+from drake_oa.common.messages import FloatArray
 from drake_oa.common.thinking import count
 from drake_oa.planning.arm_world import LINKS, SELF, TOOL, ArmWorld, lower_excess
-from drake_oa.robot.arm import Chain, Spheres, chain_poses, follow, joints_to, scratch, step_toward
-from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.spheres import ArmSpheres
+from drake_oa.robot.arm import Chain, chain_poses, follow, scratch, step_toward
 
 _DRAWN = 1e-4
 """Damping of the velocity of a tracked motion [m^2]."""
@@ -28,57 +25,6 @@ _AT_LIMIT = 1e-3
 """Distance beyond a joint's limit that is only an error of interpolation [rad]."""
 _EACH = 8
 """Motions for which another thread pays."""
-
-
-@dataclass(frozen=True, eq=False)
-class GuardedArm(Frozen):
-    """An arm of n revolute joints, as spheres in G groups.
-
-    Attributes:
-        chain, spheres: see `drake_oa.planning.arm_world.ArmWorld`.
-        joints: (n,) names of the joints.
-        index: (n,) where they are in the robot's positions.
-        size: how many positions the robot has, and velocities.
-        overshoot: (G,) how far the spheres of each body stick out of it at most [m].
-    """
-
-    chain: Chain
-    spheres: Spheres
-    joints: tuple[str, ...]
-    index: IntArray
-    size: int
-    overshoot: FloatArray
-
-    def __post_init__(self) -> None:
-        """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
-
-    def split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) positions and velocities of the joints in the robot's state x (2 size,)."""
-        return np.array(x[self.index]), np.array(x[self.size + self.index])
-
-
-def make_guarded_arm(robot: RobotPlant, chain: Chain, covered: ArmSpheres) -> GuardedArm:
-    """The arm of a robot.
-
-    Args:
-        robot: the robot alone.
-        chain: its joints.
-        covered: it as spheres.
-
-    Raises:
-        ValueError: if a joint of the robot has several degrees of freedom.
-    """
-    plant = robot.plant
-    if plant.num_positions() != plant.num_velocities():
-        raise ValueError("robot: each joint must have one degree of freedom")
-    return GuardedArm(
-        chain=chain,
-        spheres=covered.arrays,
-        joints=tuple(joint.name() for joint in joints_to(plant, robot.tool_frame)),
-        index=chain.q_index,
-        size=plant.num_positions(),
-        overshoot=covered.overshoot,
-    )
 
 
 @compiled

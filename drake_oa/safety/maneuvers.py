@@ -27,17 +27,18 @@ from drake_oa.common.thinking import count
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_distance
-from drake_oa.robot.arm import tool_poses
+from drake_oa.policy.config import Policy
+from drake_oa.robot.arm import Chain, tool_poses
+from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.joint_motions import (
-    GuardedArm,
     Judged,
     Legs,
     advance_leg,
     judge_motions,
     roll_out_legs,
 )
-from drake_oa.safety.passive_safety import Claim, violated_claim
+from drake_oa.safety.passive_safety import CLAIMS, Claim, violated_claim
 
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
 ACTIONS: tuple[Action, ...] = get_args(Action)
@@ -107,6 +108,16 @@ class GuardDecision(Frozen):
     claim: Claim = ""
 
     @property
+    def action_number(self) -> int:
+        """Row of `ACTIONS`."""
+        return ACTIONS.index(self.action)
+
+    @property
+    def claim_number(self) -> int:
+        """Row of `CLAIMS`."""
+        return CLAIMS.index(self.claim)
+
+    @property
     def follows(self) -> bool:
         """Whether the verified motion is followed."""
         return not len(self.target)
@@ -140,9 +151,9 @@ class GuardSight(Frozen):
     full_rate: float
     motion: PlannedMotion
     scene: SolidScene
-    speed_share: float = 1.0
-    number: int = 0
-    free_space: FreeSpace | None = None
+    speed_share: float
+    number: int
+    free_space: FreeSpace | None
 
 
 class GuardSearch:
@@ -150,10 +161,10 @@ class GuardSearch:
 
     def __init__(
         self,
-        arm: GuardedArm,
+        chain: Chain,
+        covered: ArmSpheres,
         *,
-        step: float,
-        hold_time: float,
+        config: Policy,
         period: float,
         padding: float,
         turn_limit: float | None,
@@ -162,29 +173,28 @@ class GuardSearch:
         """Keeps the constants.
 
         Args:
-            arm: the arm.
-            step: time step of the commanded motion [s].
-            hold_time: time in which the phase comes to rest from full speed [s].
+            chain, covered: the arm.
+            config: of the policy.
             period: time between decisions [s].
             padding: distance by which moving obstacles may be nearer than observed [m].
             turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
             parameters: of the search.
         """
         self._turn_limit = math.pi if turn_limit is None else turn_limit
-        self._arm, self._step, self._hold_time = arm, step, hold_time
+        self._chain, self._covered = chain, covered
+        self._step, self._hold_time = config.period, config.hold_time
         self._padding, self._parameters = padding, parameters
-        self._every = max(round(HORIZON / _SAMPLES / step), 1)
-        self._interval = self._every * step
+        self._every = max(round(HORIZON / _SAMPLES / self._step), 1)
+        self._interval = self._every * self._step
         self._times = self._interval * np.arange(1, _SAMPLES + 1)
         self._until_next = math.ceil(period / self._interval)
-        n = len(arm.joints)
-        self.acceleration = np.full(n, parameters.acceleration)
-        self.speed = np.array(arm.chain.speed) * parameters.speed_share
-        self._lower, self._upper = arm.chain.lower + _INSIDE, arm.chain.upper - _INSIDE
+        self.acceleration = np.full(len(chain.speed), parameters.acceleration)
+        self.speed = chain.speed * parameters.speed_share
+        self._lower, self._upper = chain.lower + _INSIDE, chain.upper - _INSIDE
         # Of a verified motion, which is the same for many decisions.
         self._own = lru_cache(maxsize=2)(
             lambda motion: min(
-                (self_distance(arm.chain, arm.spheres, np.array(q)) for q in _samples(motion)),
+                (self_distance(chain, covered.arrays, np.array(q)) for q in _samples(motion)),
                 default=math.inf,
             )
         )
@@ -196,7 +206,7 @@ class GuardSearch:
             before: motion in use.
             sight: input.
         """
-        look = _Look(self._arm, sight, self._padding, self._own(sight.motion))
+        look = _Look(self._chain, self._covered, sight, self._padding, self._own(sight.motion))
         moves = sight.scene.moves
         followed = GuardDecision()
         if sight.on_path:
@@ -275,8 +285,8 @@ class GuardSearch:
         course = np.concatenate([follows[: m + 1], rest[0]])
         count(configurations=len(course))
         return violated_claim(
-            self._arm, t, course, sight.scene, sight.free_space, V=p.obstacle_speed,
-            v_unseen=p.v_unseen,
+            self._chain, self._covered.arrays, t, course, sight.scene, sight.free_space,
+            V=p.obstacle_speed, v_unseen=p.v_unseen,
         )  # fmt: skip
 
     def _judge(self, look: _Look, q: FloatArray) -> Judged:
@@ -313,7 +323,7 @@ class GuardSearch:
         n = q.shape[2]
         some = np.insert(q[:, _TURN_EVERY - 1 :: _TURN_EVERY], 0, sight.q, axis=1)
         postures = np.vstack([some.reshape(-1, n), sight.q_path])
-        R_WE = tool_poses(self._arm.chain, postures)[:, :9]
+        R_WE = tool_poses(self._chain, postures)[:, :9]
         count(steps=len(postures))
         cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
         return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(len(q), -1))
@@ -467,7 +477,8 @@ class _Look:
 
     def __init__(
         self,
-        arm: GuardedArm,
+        chain: Chain,
+        covered: ArmSpheres,
         sight: GuardSight,
         padding: float,
         least_own: float,
@@ -481,7 +492,7 @@ class _Look:
         present distance less a slack.
         """
         self.sight = sight
-        chain, spheres, solids = arm.chain, arm.spheres, sight.scene.solids
+        spheres, solids = covered.arrays, sight.scene.solids
         moves = solids.moving
         self._now = group_distances(
             chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
@@ -492,7 +503,7 @@ class _Look:
         path = np.ascontiguousarray(np.vstack([sight.q_path[None], path]))
         most = _TOUCH_RESTING + 0.1
         kept = group_distances(chain, spheres, solids, path, sight.begin, most)
-        rest = np.minimum(rest, np.maximum(kept - _KEPT, -arm.overshoot[:, None]))
+        rest = np.minimum(rest, np.maximum(kept - _KEPT, -covered.overshoot[:, None]))
         rest[:, moves] = -np.inf
         near = np.minimum(padding + _TOUCH_MOVING, self._now - _SLACK)
         near[:, ~moves] = -np.inf

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.messages import (
     FloatArray,
@@ -18,23 +18,30 @@ from drake_oa.common.messages import (
     PolicyState,
     zeros,
 )
-from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.common.ports import (
+    DECISION_OFFSET,
+    declare_state_outputs,
+    read_optional,
+    read_value,
+    valid_period,
+)
 from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.perception.depth_perception import FreeSpace
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, normalised_time
-from drake_oa.robot.arm import rotation_of, rotation_vector, tool_poses
+from drake_oa.robot.arm import Chain, joints_to, rotation_of, rotation_vector, tool_poses
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.safety.config import GuardParameters
-from drake_oa.safety.joint_motions import GuardedArm, approach, track
+from drake_oa.safety.joint_motions import approach, track
 from drake_oa.safety.maneuvers import (
-    ACTIONS,
     ARRIVED,
     AT_REST,
     GuardDecision,
     GuardSearch,
     GuardSight,
 )
-from drake_oa.safety.passive_safety import CLAIMS
 from drake_oa.safety.supervision import (
     Supervision,
     supervise,
@@ -104,6 +111,11 @@ class GuardState(Frozen):
     def decision(self) -> GuardDecision:
         """Decision in force."""
         return self.thoughts.in_force
+
+    @property
+    def speed_scale(self) -> float:
+        """Share of full speed at which the phase runs."""
+        return self.supervision.speed_scale if self.decision.follows else 0.0
 
     @property
     def speed(self) -> float:
@@ -207,56 +219,52 @@ class MotionGuard(LeafSystem):
 
     def __init__(
         self,
-        arm: GuardedArm,
+        robot: RobotPlant,
+        chain: Chain,
+        covered: ArmSpheres,
         duration: float,
         q_start: FloatArray,
         *,
-        alpha_k: float,
+        config: Policy,
+        parameters: GuardParameters,
         period: float = 1.0 / 15.0,
-        step: float = 0.008,
-        hold_time: float = 0.25,
         padding: float = 0.005,
-        max_age: float = 0.5,
         turn_limit: float | None = None,
-        parameters: GuardParameters | None = None,
         thinking: Thinking | None = None,
     ) -> None:
         """Declares the ports.
 
         Args:
-            arm: the arm.
+            robot: the robot alone, with joints of one degree of freedom.
+            chain, covered: its arm.
             duration: T of the movement primitive [s].
             q_start: (n,) command before the initialization [rad].
-            alpha_k: decay of its phase.
+            config: of the policy: its period is the time between steps of the commanded motion.
+            parameters: of the search, the contact reaction and the monitors.
             period: time between decisions [s].
-            step: time between steps of the commanded motion [s].
-            hold_time: time in which the phase comes to rest from full speed [s].
             padding: distance by which moving obstacles may be nearer than observed [m].
-            max_age: age of an observation beyond which the phase is held [s].
             turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
-            parameters: of the search, the contact reaction and the monitors; None: the defaults.
             thinking: simulated duration of decisions; None: they act immediately.
 
         Raises:
             ValueError: if a duration or period is not positive and finite.
         """
         super().__init__()
-        if not 0.0 < duration < math.inf:
-            raise ValueError(f"duration must be finite and positive [s], not {duration}")
-        self._arm, self._duration, self._alpha_k = arm, float(duration), float(alpha_k)
-        self._period, self._step_length = valid_period(period), valid_period(step)
-        self._parameters = parameters or GuardParameters()
-        self._thinking, self._max_age = thinking, max_age
-        self._fresh = min(self._parameters.stale_frames * self._period, 0.9 * max_age)
+        self._chain, self._index, self._size = chain, chain.q_index, robot.plant.num_positions()
+        self._joints = [joint.name() for joint in joints_to(robot.plant, robot.tool_frame)]
+        self._duration, self._config = valid_period(duration), config
+        self._period, self._parameters = valid_period(period), parameters
+        self._thinking, self._step_length = thinking, config.period
+        self._fresh = min(parameters.stale_frames * period, 0.9 * config.max_observation_age)
         self._search = GuardSearch(
-            arm, step=step, hold_time=hold_time, period=self._period, padding=padding,
-            turn_limit=turn_limit, parameters=self._parameters,
+            chain, covered, config=config, period=period, padding=padding, turn_limit=turn_limit,
+            parameters=parameters,
         )  # fmt: skip
-        reach = float(arm.chain.reach @ self._search.speed)
-        self._slow_share = min(1.0, self._parameters.v_unseen / max(reach, 1e-9))
-        self._n = n = len(arm.joints)
+        reach = float(chain.reach @ self._search.speed)
+        self._slow_share = min(1.0, parameters.v_unseen / max(reach, 1e-9))
+        self._n = n = len(self._joints)
 
-        self._robot = self.DeclareVectorInputPort("robot_state", 2 * arm.size)
+        self._robot = self.DeclareVectorInputPort("robot_state", 2 * self._size)
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._position = self.DeclareVectorInputPort("desired_position", 3)
         self._velocity = self.DeclareVectorInputPort("desired_velocity", 3)
@@ -279,29 +287,31 @@ class MotionGuard(LeafSystem):
         }
         for name, size, calc, of in (
             ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time()), own),
-            ("desired_joint_acceleration", n, lambda c: self._read(c).acceleration, own),
-            ("speed_scale", 1, self._speed_scale, own),
-            ("evasion", 3, lambda c: self._read(c).carry, own),
-            ("decision", 2, lambda c: self._read(c).thoughts.last, own),
-            ("path_state", 2 * arm.size, self._path_state, measured),
+            ("path_state", 2 * self._size, self._path_state, measured),
             ("tracking_error", 3, lambda c: self._tool_error(c)[:3], measured),
             ("orientation_error", 3, lambda c: self._tool_error(c)[3:], measured),
-            ("guard_action", 1, lambda c: [ACTIONS.index(self._read(c).decision.action)], own),
-            ("guard_contact", 1, lambda c: [self._read(c).decision.contact], own),
-            ("guard_claim", 1, lambda c: [CLAIMS.index(self._read(c).decision.claim)], own),
         ):
-            self.DeclareVectorOutputPort(name, size, _vector(calc), of)
-        self.DeclareAbstractOutputPort(
-            "supervision",
-            lambda: Value(Supervision()),
-            lambda c, output: output.set_value(self._read(c).supervision),
-            own,
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, calc=calc: output.SetFromVector(calc(context)),
+                of,
+            )
+        declare_state_outputs(
+            self,
+            self._state,
+            ("desired_joint_acceleration", n, "acceleration"),
+            ("speed_scale", 1, "speed_scale"),
+            ("evasion", 3, "carry"),
+            ("decision", 2, "thoughts.last"),
+            ("guard_action", 1, "decision.action_number"),
+            ("guard_contact", 1, "decision.contact"),
+            ("guard_claim", 1, "decision.claim_number"),
+            ("supervision", Supervision, "supervision"),
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, self._step)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(
-            self._period, 3.0 * DECISION_OFFSET, self._decide
-        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._step)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 3.0 * DECISION_OFFSET, self._decide)
 
     # --- outputs ---------------------------------------------------------------------------
 
@@ -311,24 +321,25 @@ class MotionGuard(LeafSystem):
     def _scene(self, context: Context) -> SolidScene:
         return read_value(self, self._solids, context, SolidScene)
 
-    def _speed_scale(self, context: Context) -> list[float]:
-        state = self._read(context)
-        return [state.supervision.speed_scale if state.decision.follows else 0.0]
-
     def _path_state(self, context: Context) -> FloatArray:
-        x, state = np.array(self._robot.Eval(context)), self._read(context)
+        x, state = self._robot.Eval(context).copy(), self._read(context)
         if not state.on_path and not state.is_lost:
-            x[self._arm.index] = state.path[: self._n]
-            x[self._arm.size + self._arm.index] = state.path[self._n :]
+            x[self._index] = state.path[: self._n]
+            x[self._size + self._index] = state.path[self._n :]
         return x
+
+    def _arm_state(self, context: Context) -> tuple[FloatArray, FloatArray]:
+        """Returns positions and velocities of the arm's joints, (n,) each."""
+        x = self._robot.Eval(context)
+        return x[self._index], x[self._size + self._index]
 
     def _desired_pose(self, context: Context) -> FloatArray:
         return np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
 
     def _tool_error(self, context: Context) -> FloatArray:
         """Returns position and rotation vector from the actual to the desired pose (6,)."""
-        q, _ = self._arm.split(self._robot.Eval(context))
-        return _pose_error(self._desired_pose(context), tool_poses(self._arm.chain, q[None])[0])
+        q, _ = self._arm_state(context)
+        return _pose_error(self._desired_pose(context), tool_poses(self._chain, q[None])[0])
 
     # --- steps -----------------------------------------------------------------------------
 
@@ -338,21 +349,20 @@ class MotionGuard(LeafSystem):
         if before.end > -math.inf:
             # A motion under way, in a Context that another simulator takes over.
             return EventStatus.DidNothing()
-        q, _ = self._arm.split(self._robot.Eval(context))
+        q, _ = self._arm_state(context)
         rest = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else before.x
         held.set_value(replace(before, x=rest, path=rest, end=time))
         return EventStatus.Succeeded()
 
-    def _step(self, context: Context, state: State) -> EventStatus:
+    def _step(self, context: Context, state: State) -> None:
         held = state.get_mutable_abstract_state(self._state)
         before: GuardState = held.get_value()
         time = context.get_time()
-        x = self._robot.Eval(context)
-        if not math.isfinite(x.sum()):
+        q, v = self._arm_state(context)
+        if not math.isfinite(self._robot.Eval(context).sum()):
             supervision = before.supervision.broken("the robot state is not finite", time)
             held.set_value(replace(before, supervision=supervision))
-            return EventStatus.Succeeded()
-        q, v = self._arm.split(x)
+            return
         if before.thoughts.made(time) is not None:
             before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
         before = self._reacted(before, q, v, time)
@@ -361,7 +371,6 @@ class MotionGuard(LeafSystem):
         if time > before.expires and not before.decision.follows:
             before = self._braked(before, before.x)
         held.set_value(self._advanced(context, before, time, moves=scene.moves))
-        return EventStatus.Succeeded()
 
     def _braked(self, state: GuardState, x: FloatArray) -> GuardState:
         """Returns the state in which the arm brakes from a joint state (2n,)."""
@@ -383,7 +392,7 @@ class MotionGuard(LeafSystem):
         if max(np.abs(error).max(), ahead.max() / _FEEDBACK) <= self._parameters.contact_error:
             return state
         if time > state.slow_until:
-            joint = self._arm.joints[int(ahead.argmax())]
+            joint = self._joints[int(ahead.argmax())]
             _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, ahead.max())
         rest = np.append(q, np.zeros(n))
         state = replace(state, x=rest, slow_until=time + self._parameters.contact_time)
@@ -397,7 +406,7 @@ class MotionGuard(LeafSystem):
         policy = read_value(self, self._policy, context, PolicyState)
         late = state.decision.follows and time > state.expires
         demands = [
-            watch_observation(scene, time, self._fresh, self._max_age),
+            watch_observation(scene, time, self._fresh, self._config.max_observation_age),
             watch_guard(state.decision, time, late=late, moves=scene.moves),
         ]
         if state.decision.follows:
@@ -425,12 +434,12 @@ class MotionGuard(LeafSystem):
             time: now [s].
             moves: whether an obstacle moves.
         """
-        n, step, arm = self._n, self._step_length, self._arm
+        n, step, chain = self._n, self._step_length, self._chain
         X_WE, posture = self._desired_pose(context), np.array(self._posture.Eval(context))
         V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
         q, v = np.array(state.path[:n]), np.zeros(n)
         if math.isfinite(X_WE.sum() + V_WE.sum() + posture.sum()):
-            q, v = track(arm.chain, q, X_WE, V_WE, posture, step, _RATE)
+            q, v = track(chain, q, X_WE, V_WE, posture, step, _RATE)
         elif not state.supervision.is_broken:
             supervision = state.supervision.broken("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
@@ -438,14 +447,14 @@ class MotionGuard(LeafSystem):
         lost_since = nearest = math.inf
         if state.decision.follows:
             limit = self._parameters.acceleration_limit
-            ahead = approach(ahead, path, np.array(arm.chain.speed), limit, step)
+            ahead = approach(ahead, path, chain.speed, limit, step)
         else:
             self._search.advance(state.decision, ahead, time)
             away = float(np.abs(ahead - path)[:n].max())
             lost_since, nearest = self._lost_since(state, away, time, moves=moves)
         if state.is_lost and lost_since < math.inf:
             # The desired position follows the tool, and a motion that begins there is awaited.
-            error = -_pose_error(X_WE, tool_poses(arm.chain, ahead[None, :n])[0])
+            error = -_pose_error(X_WE, tool_poses(chain, ahead[None, :n])[0])
             carry = error[:3] / _CARRY if np.abs(error[:3]).max() > _CARRIED else carry
             path = np.append(ahead[:n], np.zeros(n))
             if state.speed <= _STILL and np.abs(error).max() <= _FOUND:
@@ -526,7 +535,7 @@ class MotionGuard(LeafSystem):
                 x[:n] += step * x[n:]
             else:
                 self._search.advance(decision, x, state.end + k * step)
-        s = max(0.0, normalised_time(policy.phase, self._alpha_k))
+        s = max(0.0, normalised_time(policy.phase, self._config.alpha_k))
         return GuardSight(
             begin=begin,
             q=x[:n],
@@ -542,15 +551,6 @@ class MotionGuard(LeafSystem):
             number=state.number,
             free_space=read_optional(self, self._free_space, context, FreeSpace),
         )
-
-
-def _vector(calc):  # type: ignore[no-untyped-def]
-    """Returns the callback of a vector output port that computes its value."""
-
-    def write(context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.asarray(calc(context), dtype=float))
-
-    return write
 
 
 def _pose_error(X_d: FloatArray, X: FloatArray) -> FloatArray:

@@ -31,8 +31,8 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.directions import DIRECTIONS
 from drake_oa.geometry.solids import Solids, SolidScene, least_distances
 from drake_oa.perception.depth_perception import FreeSpace
+from drake_oa.robot.arm import Chain, Spheres
 from drake_oa.robot.spheres import sphere_centers
-from drake_oa.safety.joint_motions import GuardedArm
 
 Claim = Literal["", "A", "B"]
 CLAIMS: tuple[Claim, ...] = get_args(Claim)
@@ -48,7 +48,8 @@ _SHARE = np.linalg.norm(_PLACES, axis=1)
 
 
 def violated_claim(
-    arm: GuardedArm,
+    chain: Chain,
+    spheres: Spheres,
     t: FloatArray,
     q: FloatArray,
     scene: SolidScene,
@@ -60,7 +61,7 @@ def violated_claim(
     """Finds the first of the claims (A) and (B) that a motion violates; "": it violates none.
 
     Args:
-        arm: the arm.
+        chain, spheres: the arm.
         t: (T,) times of the motion until it rests, increasing [s].
         q: (T, n) configurations then [rad].
         scene: collision geometry of everything else, as observed.
@@ -69,13 +70,15 @@ def violated_claim(
         v_unseen: maximum speed toward space that was not seen [m/s].
     """
     solids = scene.solids
-    p_WS = sphere_centers(arm.chain, arm.spheres, np.ascontiguousarray(q))
+    p_WS = sphere_centers(chain, spheres, np.ascontiguousarray(q))
     dt = np.diff(t)[:, None]
-    reach = arm.spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
-    if scene.moves and _is_any_near(
-        p_WS, dt[:, 0], reach, solids.chosen(solids.moving), scene.stamp
-    ):
-        return "A"
+    reach = spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
+    if scene.moves:
+        moving, points = solids.chosen(solids.moving), p_WS.reshape(-1, 3)
+        d = least_distances(moving, points, scene.stamp, reach.max(), -1.0)
+        d = d.reshape(p_WS.shape[:2])
+        if ((d[:-1] < reach) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
+            return "A"
     if free_space is None:
         return ""
     v_WS = np.diff(p_WS, axis=0) / dt[..., None]
@@ -84,28 +87,8 @@ def violated_claim(
     point, place = (v_WS[is_fast] @ _PLACES.T > v_unseen * _SHARE).nonzero()
     places = np.concatenate([centers, centers[point] + rho[point, None] * _PLACES[place]])
     unseen = places[~free_space.contains(places)]
-    is_open = _is_any_open(unseen, p_WS[0], arm.spheres.radius, solids, scene.stamp)
+    is_open = _is_any_open(unseen, p_WS[0], spheres.radius, solids, scene.stamp)
     return "B" if is_open else ""
-
-
-@compiled
-def _is_any_near(
-    p_WS: FloatArray, dt: FloatArray, reach: FloatArray, solids: Solids, stamp: float
-) -> bool:
-    """Checks whether any center p_WS (T, S, 3) approaches the solids within its reach (T-1, S)."""
-    place = np.empty((1, 3))
-    for k in range(len(dt)):
-        for i in range(p_WS.shape[1]):
-            if (p_WS[k, i] == p_WS[k + 1, i]).all():
-                continue
-            far = reach[k, i]
-            place[0] = p_WS[k, i]
-            d = least_distances(solids, place, stamp, far, -1.0)[0]
-            if d < far:
-                place[0] = p_WS[k + 1, i]
-                if d - least_distances(solids, place, stamp, far, -1.0)[0] > _AT_REST * dt[k]:
-                    return True
-    return False
 
 
 @compiled

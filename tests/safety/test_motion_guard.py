@@ -12,9 +12,9 @@ from pydrake.systems.analysis import Simulator
 from drake_oa.common.messages import PlannedMotion, PolicyState
 from drake_oa.geometry.solids import Solid, SolidScene, solid_of, solids_of
 from drake_oa.planning.arm_world import group_distances
+from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
-from drake_oa.safety.joint_motions import GuardedArm
 from drake_oa.safety.motion_guard import MotionGuard
 from tests.planning.arms import ArmAlone
 
@@ -25,17 +25,26 @@ LIMIT = GuardParameters().acceleration_limit
 class Bench:
     """A guard whose command the robot follows exactly, at rest on its path."""
 
-    def __init__(self, panda: ArmAlone, arm: GuardedArm, turn_limit: float | None = None) -> None:
-        self.arm, self.q, self.size = arm, np.array(panda.q), arm.size
-        self.X_WE = tool_poses(arm.chain, self.q[None])[0]
+    def __init__(self, panda: ArmAlone, turn_limit: float | None = None) -> None:
+        self.arm, self.q, self.size = panda, np.array(panda.q), len(panda.q_full)
+        self.index = panda.chain.q_index
+        self.X_WE = panda.X_WE
         self.p_WE = self.X_WE[9:]
         self.system = MotionGuard(
-            arm, 5.0, self.q, alpha_k=0.5, period=FRAME, step=STEP, turn_limit=turn_limit
+            panda.robot,
+            panda.chain,
+            panda.covered,
+            5.0,
+            self.q,
+            config=Policy(alpha_k=0.5, period=STEP),
+            parameters=GuardParameters(),
+            period=FRAME,
+            turn_limit=turn_limit,
         )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
-        self.x = np.zeros(2 * arm.size)
-        self.x[arm.index] = self.q
+        self.x = np.zeros(2 * self.size)
+        self.x[self.index] = self.q
         quaternion = RotationMatrix(self.X_WE[:9].reshape(3, 3)).ToQuaternion().wxyz()
         p_WE = self.X_WE[9:]
         policy = PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE, speed=0.0, phase=0.2)
@@ -62,7 +71,7 @@ class Bench:
             self.fix("solids_W", Value(SolidScene.of(begin + k * STEP, solids)))
             self.simulator.AdvanceTo(begin + (k + 1) * STEP)
             x = self.read("desired_joint_state")
-            self.x[self.arm.index], self.x[self.size + self.arm.index] = np.split(x, 2)
+            self.x[self.index], self.x[self.size + self.index] = np.split(x, 2)
             self.fix("robot_state", self.x)
             self.p_WE = self.p_WE + STEP * self.read("evasion")
             self.fix("desired_position", self.p_WE)
@@ -85,16 +94,19 @@ class Bench:
 
     def gap(self, x: np.ndarray, ball: Solid) -> float:
         """Least distance of the moving links to a ball along joint states (T, 2n) [m]."""
-        chain, spheres, q = self.arm.chain, self.arm.spheres, np.ascontiguousarray(x[:, :7])
-        d = group_distances(chain, spheres, solids_of([ball]), q, STEP, np.inf, STEP)
-        return float(d[spheres.group_joint >= 0].min())
+        chain, spheres, q = self.arm.chain, self.arm.covered.arrays, np.ascontiguousarray(x[:, :7])
+        solids, moves = solids_of([ball]), spheres.group_joint >= 0
+        return min(
+            group_distances(chain, spheres, solids, q[k : k + 1], STEP * (k + 1), np.inf)[
+                moves
+            ].min()
+            for k in range(len(q))
+        )
 
 
 @pytest.mark.parametrize("v_WO", [(-0.5, 0.0, 0.0), (0.0, -0.5, 0.0)])
-def test_it_leaves_for_a_ball_and_returns(
-    panda: ArmAlone, guarded: GuardedArm, v_WO: tuple[float, ...]
-) -> None:
-    bench = Bench(panda, guarded)
+def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, v_WO: tuple[float, ...]) -> None:
+    bench = Bench(panda)
     before, rest = bench.run(0.2), np.append(bench.q, np.zeros(7))
     np.testing.assert_allclose(before["x"][-1], rest, atol=1e-6)
     assert before["action"].max() == 0.0
@@ -106,21 +118,19 @@ def test_it_leaves_for_a_ball_and_returns(
     assert found["action"].max() >= 3.0
     assert found["scale"].min() == 0.0
     assert np.abs(np.diff(found["x"][:, 7:], axis=0)).max() <= LIMIT * STEP + 1e-9
-    assert (np.abs(found["x"][:, 7:]) <= guarded.chain.speed + 1e-9).all()
+    assert (np.abs(found["x"][:, 7:]) <= panda.chain.speed + 1e-9).all()
     after = bench.run(2.0)
     np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
     assert (after["action"][-1], after["scale"][-1]) == (0.0, 1.0)
 
 
-def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(
-    panda: ArmAlone, guarded: GuardedArm
-) -> None:
-    bench = Bench(panda, guarded)
+def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(panda: ArmAlone) -> None:
+    bench = Bench(panda)
     bench.run(0.2)
     bench.run(1.2, bench.arriving(1.2, -0.5, 0.0, 0.0))
     # The ball stays where the arm was.
     found = bench.run(5.0, bench.arriving(0.0, 0.0, 0.0, 0.0))
-    p_WE = tool_poses(guarded.chain, found["x"][-1:, :7].copy())[0, 9:]
+    p_WE = tool_poses(panda.chain, found["x"][-1:, :7].copy())[0, 9:]
     assert np.linalg.norm(p_WE - bench.X_WE[9:]) > 0.03
     np.testing.assert_allclose(bench.p_WE, p_WE, atol=1e-3)
     np.testing.assert_array_equal(bench.read("evasion"), 0.0)
@@ -128,33 +138,33 @@ def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(
 
 @pytest.mark.parametrize("limit", [0.1, None])
 def test_a_maneuver_turns_the_tool_no_farther_than_the_task_allows(
-    panda: ArmAlone, guarded: GuardedArm, limit: float | None
+    panda: ArmAlone, limit: float | None
 ) -> None:
-    bench = Bench(panda, guarded, limit)
+    bench = Bench(panda, limit)
     bench.run(0.2)
     found = bench.run(3.0, bench.arriving(1.6, -0.3, 0.0, 0.0))
     assert found["action"].max() >= 3.0
-    R_WE = tool_poses(guarded.chain, np.ascontiguousarray(found["x"][:, :7]))[:, :9]
+    R_WE = tool_poses(panda.chain, np.ascontiguousarray(found["x"][:, :7]))[:, :9]
     turn = np.arccos(np.clip(0.5 * (R_WE @ bench.X_WE[:9] - 1.0), -1.0, 1.0))
     assert (turn.max() <= 0.12) == (limit is not None)
 
 
-def test_a_pushed_arm_is_commanded_from_where_it_is(panda: ArmAlone, guarded: GuardedArm) -> None:
-    bench = Bench(panda, guarded)
+def test_a_pushed_arm_is_commanded_from_where_it_is(panda: ArmAlone) -> None:
+    bench = Bench(panda)
     bench.run(0.2)
-    bench.x[guarded.index[3]] += 0.1
+    bench.x[bench.index[3]] += 0.1
     bench.fix("robot_state", bench.x)
     found = bench.run(0.48)
     assert found["x"][0][3] == pytest.approx(bench.q[3] + 0.1, abs=1e-3)
     # Slow for a while.
-    point_speed = np.abs(found["x"][:, 7:]) @ guarded.chain.reach
+    point_speed = np.abs(found["x"][:, 7:]) @ panda.chain.reach
     assert point_speed.max() <= GuardParameters().v_unseen + 1e-6
 
 
-def test_a_state_that_is_not_finite_stops_it(panda: ArmAlone, guarded: GuardedArm) -> None:
-    bench = Bench(panda, guarded)
+def test_a_state_that_is_not_finite_stops_it(panda: ArmAlone) -> None:
+    bench = Bench(panda)
     bench.run(0.2)
-    bench.fix("robot_state", np.full(2 * guarded.size, np.nan))
+    bench.fix("robot_state", np.full(2 * bench.size, np.nan))
     bench.simulator.AdvanceTo(bench.context.get_time() + 2 * STEP)
     supervision = bench.system.GetOutputPort("supervision").Eval(bench.context)
     assert (supervision.action, supervision.reason) == ("stop", "the robot state is not finite")

@@ -6,11 +6,9 @@ import numpy as np
 import pydrake.geometry as drake
 import pytest
 
-from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import SolidScene, solid_of
 from drake_oa.perception.depth_perception import FreeSpace
-from drake_oa.safety.joint_motions import GuardedArm
 from drake_oa.safety.passive_safety import violated_claim
 from tests.planning.arms import ArmAlone
 
@@ -22,16 +20,15 @@ X_WC = np.array(
 K = np.array([100.0, 100.0, 159.5, 119.5])
 
 
-def claim_of(
-    arm: GuardedArm, q: FloatArray, rate: float, scene: SolidScene, space: FreeSpace | None = None
-) -> str:
+def claim_of(arm: ArmAlone, rate: float, scene: SolidScene, space: FreeSpace | None = None) -> str:
     """Claim that is violated if joint 1 turns at a rate for 0.1 s, then brakes."""
     t = np.arange(0.0, 0.6, 0.03)
     braked = np.clip(t - 0.1, 0.0, abs(rate) / BRAKING)
     way = rate * np.minimum(t, 0.1) + rate * braked - np.sign(rate) * 0.5 * BRAKING * braked**2
-    course = np.tile(q, (len(t), 1))
+    course = np.tile(arm.q, (len(t), 1))
     course[:, 0] += way
-    return violated_claim(arm, t, course, scene, space, V=0.8, v_unseen=0.25)
+    spheres = arm.covered.arrays
+    return violated_claim(arm.chain, spheres, t, course, scene, space, V=0.8, v_unseen=0.25)
 
 
 def moving_ball(panda: ArmAlone, way: float, speed: float) -> SolidScene:
@@ -53,10 +50,8 @@ def moving_ball(panda: ArmAlone, way: float, speed: float) -> SolidScene:
     ],
     ids=["approached", "left", "slow", "far", "at rest"],
 )
-def test_claim_a(
-    panda: ArmAlone, guarded: GuardedArm, way: float, rate: float, speed: float, claim: str
-) -> None:
-    assert claim_of(guarded, panda.q, rate, moving_ball(panda, way, speed)) == claim
+def test_claim_a(panda: ArmAlone, way: float, rate: float, speed: float, claim: str) -> None:
+    assert claim_of(panda, rate, moving_ball(panda, way, speed)) == claim
 
 
 @pytest.mark.parametrize(
@@ -64,10 +59,8 @@ def test_claim_a(
     [(np.inf, 1.0, ""), (np.nan, 1.0, "B"), (0.0, 1.0, "B"), (2.2, 1.0, "B"), (np.nan, 0.1, "")],
     ids=["all seen", "no depth", "too near", "hidden", "slow"],
 )
-def test_claim_b(
-    panda: ArmAlone, guarded: GuardedArm, depth: float, rate: float, claim: str
-) -> None:
+def test_claim_b(panda: ArmAlone, depth: float, rate: float, claim: str) -> None:
     # Every pixel has this depth.
     image = np.full((240, 320), depth, dtype=np.float32)
     space = FreeSpace((View(image, K, X_WC),), 0.0)
-    assert claim_of(guarded, panda.q, rate, SolidScene.of(0.0, []), space) == claim
+    assert claim_of(panda, rate, SolidScene.of(0.0, []), space) == claim
