@@ -101,9 +101,9 @@ def perceive(
     from drake_oa.perception.config import SegmentationConfig
     from drake_oa.perception.recordings import SUFFIXES, checked_intrinsics, frame_files, read_frame
     from drake_oa.robot.config import Robot
-    from drake_oa.robot.plant import tool_corners
+    from drake_oa.robot.plant import tool_link_corners
 
-    tool_W = np.zeros((1, 3)) if tool == "none" else tool_corners(Robot())
+    tool_W = np.zeros((1, 3)) if tool == "none" else np.concatenate(tool_link_corners(Robot()))
     K = None if intrinsics is None else checked_intrinsics(intrinsics, "--intrinsics")
     X_WC = None
     if pose is not None:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
+from pydrake.multibody.tree import Frame, RevoluteJoint
 
 from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
@@ -159,15 +159,6 @@ def axis_frame(joint: RevoluteJoint) -> RigidTransform:
     return X_BM @ RigidTransform(
         RotationMatrix.MakeFromOneVector(joint.revolute_axis(), 2), [0] * 3
     )
-
-
-def moved_by(plant: MultibodyPlant, joints: list[RevoluteJoint]) -> dict[BodyIndex, int]:
-    """The last joint that moves each body that any of them moves."""
-    moved = {}
-    for i, joint in enumerate(joints):
-        for body in plant.GetBodiesKinematicallyAffectedBy([joint.index()]):
-            moved[body] = i
-    return moved
 
 
 class Scratch(NamedTuple):

@@ -185,20 +185,8 @@ class RobotPlant:
         return np.array([X_WE.translation() for X_WE in self.tool_poses(q)]).reshape(-1, 3)
 
 
-_PARSED = (
-    "model",
-    "base_link",
-    "hand_link",
-    "X_WB",
-    "p_HE",
-    "q_seed",
-    "joint_speed",
-    "carried",
-    "carried_mass",
-)
-"""Fields of the robot's block that its plant depends on."""
 _PLANTS: dict[tuple[str, str], RobotPlant] = {}
-"""Robots of this process by fields and file of inertias."""
+"""Robots of this process by their blocks and files of inertias."""
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
@@ -214,7 +202,7 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     Raises:
         ScenarioError: naming the field of the robot that does not fit.
     """
-    key = repr([getattr(robot, name) for name in _PARSED]), inertias
+    key = repr(robot), inertias
     if key not in _PLANTS:
         _PLANTS[key] = _parse(robot, inertias)
     return _PLANTS[key]
@@ -236,18 +224,13 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
 
 
-def tool_corners(robot: Robot) -> FloatArray:
-    """Computes the corners of the tool about E, in the world's orientation, (K, 3) [m].
+def tool_link_corners(robot: Robot) -> list[FloatArray]:
+    """Computes the corners of each tool link about E, in the world's orientation, (K_i, 3) [m].
 
     They come from the collision geometry of `robot.tool_links` and `robot.carried`, posed
     as in the task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
     shape gives the corners of the box round it.
     """
-    return np.concatenate(tool_link_corners(robot))
-
-
-def tool_link_corners(robot: Robot) -> list[FloatArray]:
-    """Computes the corners of each tool link, see `tool_corners`: (K_i, 3) each [m]."""
     robot_plant = make_robot_plant(robot)
     plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()

@@ -22,7 +22,6 @@ from drake_oa.robot.arm import (
     chain_poses,
     joints_to,
     make_chain,
-    moved_by,
 )
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
@@ -100,7 +99,12 @@ def make_arm_spheres(
     """
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     joints = joints_to(plant, robot.tool_frame)
-    moved = moved_by(plant, joints)
+    # The last joint that moves each body.
+    moved = {
+        body: row
+        for row, joint in enumerate(joints)
+        for body in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+    }
     # Of all model instances: a gripper may be one of its own. Body 0 is the world.
     everything = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]
     bodies = [body for body in everything if plant.GetCollisionGeometriesForBody(body)]
@@ -148,7 +152,7 @@ def _joined(
     pairs: list[tuple[int, int]],
 ) -> Spheres:
     """Returns the spheres of all groups in a row, in the frames of their joints, by clusters."""
-    centers, radii, clusters = [], [], []
+    centers, radii, clusters, sizes = [], [], [], [0]
     for found, X in zip(covers, X_JB, strict=True):
         p_JS = found.centers @ X[:3, :3].T + X[:3, 3]
         rows = _clusters(p_JS, np.arange(len(p_JS)))
@@ -156,8 +160,8 @@ def _joined(
         centers.append(p_JS[order])
         radii.append(found.radii[order])
         clusters.append([_ball(p_JS[row], found.radii[row]) for row in rows])
+        sizes += map(len, rows)
     counts = [len(found.radii) for found in covers]
-    sizes = [len(row) for p_JS in centers for row in _clusters(p_JS, np.arange(len(p_JS)))]
     return Spheres(
         joint=np.repeat(joint, counts),
         p_JS=np.concatenate(centers),
@@ -167,7 +171,7 @@ def _joined(
         group_joint=joint,
         bound=np.array([_ball(p, r) for p, r in zip(centers, radii, strict=True)]),
         cluster=np.cumsum([0, *map(len, clusters)], dtype=np.int64),
-        cluster_first=np.cumsum([0, *sizes], dtype=np.int64),
+        cluster_first=np.cumsum(sizes, dtype=np.int64),
         cluster_bound=np.concatenate(clusters),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         allowance=np.zeros(len(pairs)),

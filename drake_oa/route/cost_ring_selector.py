@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import (
     PART,
@@ -25,10 +25,8 @@ from drake_oa.route.cost_rings import (
     FORBIDDEN,
     JointMargins,
     Ring,
-    Selection,
     joint_limits_ring,
     length_ring,
-    passing_normals,
     path_length,
     reach_ring,
     remaining_clearance,
@@ -88,7 +86,6 @@ class CostRingSelector(LeafSystem):
         joint_margins: JointMargins | None = None,
         extra_rings: Mapping[str, Ring] | None = None,
         ring_price: float = 0.5,
-        hysteresis: float = 0.2,
     ) -> None:
         """Declares the ports.
 
@@ -100,19 +97,13 @@ class CostRingSelector(LeafSystem):
                 None: the rings "workspace" and "joint_limits" are absent.
             extra_rings: more rings by name.
             ring_price: cost of a side on which such a ring is just below 1, in baselines.
-            hysteresis: how much dearer a side may be and still be kept.
 
         Raises:
-            ValueError: if the clearance or the period is not finite and positive.
+            ValueError: if the period is not finite and positive.
         """
         super().__init__()
-        if not 0.0 < asked_clearance < math.inf:
-            raise ValueError(
-                f"asked_clearance must be finite and positive [m], not {asked_clearance}"
-            )
         period = valid_period(period)
         self._asked_clearance = asked_clearance
-        self._hysteresis = hysteresis
         self._rings: dict[str, Ring] = {
             "table": partial(table_ring, height=table_height),
             "length": length_ring,
@@ -132,7 +123,7 @@ class CostRingSelector(LeafSystem):
             self.DeclareAbstractOutputPort(
                 name,
                 lambda: Value(Route()),
-                self._calc_decision,
+                lambda context, output: output.set_value(self._current(context)),
                 # Not the goal: a constant source counts as new at every instant.
                 prerequisites_of_calc={
                     self._ellipsoids.ticket(),
@@ -159,39 +150,35 @@ class CostRingSelector(LeafSystem):
         )
         decided: Route = context.get_abstract_state(self._decided).get_value()
         known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
-        selection = select_directions(
-            scene,
-            self._rings,
-            previous=np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64),
-            hysteresis=self._hysteresis,
-        )
-        direction_W = scene.directions_W[selection.index]
-        price = self._price(selection.costs)
+        previous = np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64)
+        index, costs, blocked = select_directions(scene, self._rings, previous=previous)
+        names = ", ".join(map(str, np.unique(ellipsoids.ids[blocked] % PART)))
+        direction_W = scene.directions_W[index]
         return Route(
             direction_W=direction_W,
-            normal_W=passing_normals(direction_W, R_WL),
+            # A turn about them leads from the baseline toward the sides.
+            normal_W=np.cross(R_WL[:, 0], direction_W),
             remaining_clearance=remaining_clearance(scene),
-            index=selection.index,
+            index=index,
             angles=scene.angles,
-            costs=selection.costs,
-            path_length=path_length(scene, selection.index),
+            costs=costs,
+            path_length=path_length(scene, index),
             p_WS=p_WS,
             p_WG=p_WG,
             R_WL=R_WL,
             ids=ellipsoids.ids,
-            blocked=bool(selection.blocked.any()),
-            note=_blocked_note(ellipsoids, selection),
-            price=price,
+            blocked=bool(blocked.any()),
+            note=f"every side of obstacle {names} is forbidden" if names else "",
+            price=self._price(costs),
         )
 
-    def _decide(self, context: Context, state: State) -> EventStatus:
+    def _decide(self, context: Context, state: State) -> None:
         before: Route = context.get_abstract_state(self._decided).get_value()
         policy = read_value(self, self._policy, context, PolicyState)
         route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
         if route.blocked and route.note != before.note:
             _logger.info("t=%.3f s: %s", context.get_time(), route.note)
         state.get_mutable_abstract_state(self._decided).set_value(route)
-        return EventStatus.Succeeded()
 
     def _current(self, context: Context) -> Route:
         """The decision in the Context, or for the same motion past other obstacles, if so."""
@@ -206,9 +193,6 @@ class CostRingSelector(LeafSystem):
             return decided
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
-    def _calc_decision(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._current(context))
-
     def _price(self, costs: Mapping[str, FloatArray]) -> FloatArray:
         """Computes the costs (K,) that the user-supplied rings add to sides; (0,) without any."""
         costs = {name: cost for name, cost in costs.items() if name in self._extra and len(cost)}
@@ -217,10 +201,3 @@ class CostRingSelector(LeafSystem):
         rings = np.array([cost.max(axis=0) for cost in costs.values()])
         forbidden = (rings >= FORBIDDEN).any(axis=0)
         return np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))
-
-
-def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:
-    if not selection.blocked.any():
-        return ""
-    ids = ", ".join(map(str, np.unique(ellipsoids.ids[selection.blocked] % PART)))
-    return f"every side of obstacle {ids} is forbidden"

@@ -43,6 +43,8 @@ FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
 JOINT_MARGIN = 0.1
 """Distance that the joints keep from their limits where there is room [rad]."""
+_HYSTERESIS = 0.2
+"""Cost that another choice must save for a group to leave its side."""
 LEAST_SPREAD = 0.1
 """Spread of path lengths, in baselines, below which they count as near to each other."""
 
@@ -146,15 +148,6 @@ def ring_scene(
     )
 
 
-def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
-    """Computes the normals x_L x omega of the planes in which the obstacles are passed, (M, 3).
-
-    A turn about one by the right-hand rule leads from the baseline toward the selected direction
-    omega, which is orthogonal to the baseline.
-    """
-    return np.cross(R_WL[:, 0], direction_W)
-
-
 def length_ring(scene: RingScene) -> FloatArray:
     """eta_length: path start - passing point - goal, scaled to [0, 1] over the ring.
 
@@ -227,28 +220,12 @@ def path_length(scene: RingScene, index: IntArray) -> float:
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """The chosen side of each obstacle.
-
-    Attributes:
-        index: (M,) chosen column of the rings.
-        costs: name -> (M, K) each ring.
-        blocked: (M,) whether every direction is forbidden by some ring.
-    """
-
-    index: IntArray
-    costs: dict[str, FloatArray]
-    blocked: BoolArray
-
-
 def select_directions(
     scene: RingScene,
     rings: Mapping[str, Ring],
     *,
     previous: IntArray | None = None,
-    hysteresis: float = 0.2,
-) -> Selection:
+) -> tuple[IntArray, dict[str, FloatArray], BoolArray]:
     """Chooses omega_d: the directions of least total cost.
 
     Obstacles with no way between them (`overlap_groups`) are passed on one side:
@@ -260,9 +237,15 @@ def select_directions(
         scene: the scene.
         rings: the rings by name.
         previous: (M,) the columns chosen before, -1 where there was none. A group
-            keeps its side while that is allowed and no other choice takes `hysteresis` off the
+            keeps its side while that is allowed and no other choice takes `_HYSTERESIS` off the
             total.
-        hysteresis: in units of cost.
+
+    Returns:
+        (M,) chosen columns of the rings, the rings (M, K) by name, and (M,) whether some ring
+        forbids every direction.
+
+    Raises:
+        ValueError: naming the ring, for costs of another shape.
     """
     count, width = scene.detour.shape
     costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
@@ -274,7 +257,7 @@ def select_directions(
             )
     index, blocked = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
     if not count:
-        return Selection(index, costs, blocked)
+        return index, costs, blocked
     groups = groups_along_baseline(scene)
     others = [cost for name, cost in costs.items() if name != "length"]
     rings_sum = sum(others, np.zeros((count, width)))
@@ -290,10 +273,10 @@ def select_directions(
     for row, rows in enumerate(groups):
         for side in [] if previous is None else previous[rows][previous[rows] >= 0][:1]:
             # A side is left where that takes more than the hysteresis off the whole.
-            choice[row, side] -= hysteresis * (not shut[row, side])
+            choice[row, side] -= _HYSTERESIS * (not shut[row, side])
     for rows, side, is_shut in zip(groups, least_sequence(choice, pair)[0], shut, strict=True):
         index[rows], blocked[rows] = side, is_shut.all()
-    return Selection(index, costs, blocked)
+    return index, costs, blocked
 
 
 _OBSTRUCTED = 2.0

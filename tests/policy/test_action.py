@@ -25,7 +25,6 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import HEADING, triple
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.guidance import guide
-from drake_oa.route.cost_rings import passing_normals
 from tests.builders import balls
 from tests.reference.coupling import turning
 from tests.reference.dmp import step as dmp_step
@@ -88,7 +87,7 @@ def scene(seed: int, strength: float = 6.0) -> Scene:
     )
     route = Route(
         direction_W=direction,
-        normal_W=passing_normals(direction, R_WL),
+        normal_W=np.cross(R_WL[:, 0], direction),
         remaining_clearance=rng.uniform(0.05, 0.1, count),
         path_length=1.3,
     )

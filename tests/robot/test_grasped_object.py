@@ -6,7 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.geometry.shapes import Box, Sphere
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import make_robot_plant, tool_corners
+from drake_oa.robot.plant import make_robot_plant, tool_link_corners
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import Obstacle
@@ -28,8 +28,8 @@ def scenario() -> Scenario:
 
 
 def test_the_tool_reaches_as_far_as_the_bar(scenario: Scenario) -> None:
-    corners = tool_corners(scenario.robot)
-    bare = tool_corners(Robot())
+    corners = np.concatenate(tool_link_corners(scenario.robot))
+    bare = np.concatenate(tool_link_corners(Robot()))
     # Fingers open along the world's x.
     np.testing.assert_allclose(np.abs(corners[:, 0]).max(), 0.25, atol=1e-9)
     np.testing.assert_allclose(corners[:, 1].max(), bare[:, 1].max(), atol=1e-9)

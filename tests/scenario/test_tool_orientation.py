@@ -14,7 +14,7 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.motion import make_dmp, make_orientation_integrator
 from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.dmp import goal_vector, orientation_along
-from drake_oa.robot.plant import tool_corners
+from drake_oa.robot.plant import tool_link_corners
 from drake_oa.scenario.demonstration import demonstrated_orientation
 from drake_oa.scenario.end_poses import (
     end_rotations,
@@ -137,5 +137,5 @@ def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> 
     ]
     assert max(steps) < np.radians(12.0)
     descriptor = make_ellipsoid_descriptor(turning)
-    one = tool_corners(turning.robot)
+    one = np.concatenate(tool_link_corners(turning.robot))
     assert len(descriptor._describe.keywords["tool_W"]) == len(robots) * len(one)
