@@ -63,6 +63,62 @@ TOOL, LINKS, SELF = range(3)
 
 
 @leaf
+def place_bounds(X: FloatArray, spheres: Spheres, center: FloatArray) -> None:
+    """Sets center (G, 3) to those of the groups' bounds in the world [m]."""
+    for g in range(len(center)):
+        x, y, z = placed(X, spheres.group_joint[g] + 1, spheres.bound, g)
+        center[g, 0], center[g, 1], center[g, 2] = x, y, z
+
+
+@leaf
+def solid_gap(
+    X: FloatArray, spheres: Spheres, center: FloatArray, g: int, solids: Solids, k: int, t: float,
+    keep: float, least: float, enough: float,
+) -> float:  # fmt: skip
+    """Computes the distance of group g to solid k less `keep`, or `least` if that is less [m].
+
+    Args:
+        X: (n + 2, 12) as `chain_poses` leaves them.
+        spheres: of the arm.
+        center: (G, 3), see `place_bounds`.
+        g: row of the group.
+        solids: of the world.
+        k: row of the solid.
+        t: time [s].
+        keep: clearance that is subtracted [m].
+        least: value up to which the result is needed [m].
+        enough: value below which any result does [m].
+    """
+    x, y, z = center[g, 0], center[g, 1], center[g, 2]
+    far = spheres.bound[g, 3] + keep + least
+    if ball_bound(solids, k, x, y, z, t) >= far:
+        return least
+    of_group = solid_distance(solids, k, x, y, z, t)
+    if of_group >= far:
+        return least
+    frame = spheres.group_joint[g] + 1
+    for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
+        u, v, w = placed(X, frame, spheres.cluster_bound, c)
+        far = spheres.cluster_bound[c, 3] + keep + least
+        # No point is nearer by more than it is away.
+        if of_group - far > 0.0:
+            square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+            if square <= (of_group - far) ** 2:
+                continue
+        if solid_distance(solids, k, u, v, w, t) >= far:
+            continue
+        for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
+            u, v, w = placed(X, frame, spheres.p_JS, i)
+            d = solid_distance(solids, k, u, v, w, t)
+            d -= spheres.radius[i] + keep
+            if d < least:
+                least = d
+                if d < enough:
+                    return least
+    return least
+
+
+@leaf
 def pair_distance(
     X: FloatArray,
     spheres: Spheres,
@@ -132,38 +188,16 @@ def lower_excess(
         least: (3,) of `TOOL`, `LINKS` and `SELF`.
         enough: where one of them is below it, the others need not be known.
     """
-    G = len(spheres.group_joint)
-    for g in range(G):
-        frame = spheres.group_joint[g] + 1
-        x, y, z = placed(X, frame, spheres.bound, g)
-        center[g, 0], center[g, 1], center[g, 2] = x, y, z
+    place_bounds(X, spheres, center)
+    for g in range(len(center)):
         row = TOOL if asked.is_tool[g] else LINKS
         for k in range(len(solids.ball)):
             keep = asked.of_solids[g, k]
-            far = spheres.bound[g, 3] + keep + least[row]
-            if ball_bound(solids, k, x, y, z, t) >= far:
-                continue
-            of_group = solid_distance(solids, k, x, y, z, t)
-            if of_group >= far:
-                continue
-            for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
-                u, v, w = placed(X, frame, spheres.cluster_bound, c)
-                far = spheres.cluster_bound[c, 3] + keep + least[row]
-                # No point is nearer by more than it is away.
-                if of_group - far > 0.0:
-                    square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
-                    if square <= (of_group - far) ** 2:
-                        continue
-                if solid_distance(solids, k, u, v, w, t) >= far:
-                    continue
-                for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
-                    u, v, w = placed(X, frame, spheres.p_JS, i)
-                    d = solid_distance(solids, k, u, v, w, t)
-                    d -= spheres.radius[i] + keep
-                    if d < least[row]:
-                        least[row] = d
-                        if d < enough:
-                            return
+            least[row] = solid_gap(
+                X, spheres, center, g, solids, k, t, keep, least[row], enough
+            )  # fmt: skip
+            if least[row] < enough:
+                return
     for m in range(len(spheres.pairs)):
         off = spheres.allowance[m] - asked.of_self
         least[SELF] = pair_distance(X, spheres, center, m, off, least[SELF], enough)
@@ -172,13 +206,11 @@ def lower_excess(
 
 
 @compiled
-def excess(
-    world: ArmWorld, q: FloatArray, t: float, far: float, X: FloatArray, center: FloatArray
-) -> float:
+def excess(world: ArmWorld, q: FloatArray, far: float, X: FloatArray, center: FloatArray) -> float:
     """Computes the excess of a configuration over the requested clearances, at most `far` [m]."""
     least = np.full(3, far)
     chain_poses(q, world.chain.X_PJ, X)
-    lower_excess(X, t, world.spheres, world.solids, world.asked, center, least, 0.0)
+    lower_excess(X, world.now, world.spheres, world.solids, world.asked, center, least, 0.0)
     return min(least[0], min(least[1], least[2]))
 
 
@@ -212,7 +244,7 @@ def share_clear(
     while True:
         for i in range(n):
             q[i] = one[i] + share * (other[i] - one[i])
-        kept = excess(world, q, world.now, FAR, X, center)
+        kept = excess(world, q, FAR, X, center)
         checked += 1
         if kept < 0.0:
             return clear, checked
@@ -227,7 +259,7 @@ def excess_along(world: ArmWorld, q: FloatArray) -> float:
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
     least = FAR
     for row in range(len(q)):
-        least = min(least, excess(world, q[row], world.now, FAR, X, center))
+        least = min(least, excess(world, q[row], FAR, X, center))
     return least
 
 
@@ -239,9 +271,7 @@ def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
     """
     X, center, least = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
     chain_poses(q, chain.X_PJ, X)
-    for g in range(len(center)):
-        frame = spheres.group_joint[g] + 1
-        center[g, 0], center[g, 1], center[g, 2] = placed(X, frame, spheres.bound, g)
+    place_bounds(X, spheres, center)
     for m in range(len(spheres.pairs)):
         least = pair_distance(X, spheres, center, m, spheres.allowance[m], least, -np.inf)
     return least
@@ -249,39 +279,25 @@ def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
 
 @compiled
 def group_distances(
-    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float, most: float,
-    dt: float = 0.0,
-) -> FloatArray:  # fmt: skip
+    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float, most: float
+) -> FloatArray:
     """Computes the least distances (G, K) of groups to solids along configurations (T, n) [m].
 
     Args:
         chain, spheres, solids: see `ArmWorld`.
         q: (T, n) configurations [rad].
-        t: time of the first one [s].
+        t: time at which the solids are where they are [s].
         most: distance above which none is computed exactly [m].
-        dt: time from each to the next [s].
     """
     found = np.full((len(spheres.group_joint), len(solids.ball)), most)
-    X = np.empty((q.shape[1] + 2, 12))
+    X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(spheres.group_joint), 3))
     for row in range(len(q)):
         chain_poses(q[row], chain.X_PJ, X)
-        time = t + row * dt
-        for g in range(len(spheres.group_joint)):
-            frame = spheres.group_joint[g] + 1
-            x, y, z = placed(X, frame, spheres.bound, g)
+        place_bounds(X, spheres, center)
+        for g in range(len(center)):
             for k in range(len(solids.ball)):
-                far = found[g, k] + spheres.bound[g, 3]
-                if ball_bound(solids, k, x, y, z, time) >= far:
-                    continue
-                if solid_distance(solids, k, x, y, z, time) >= far:
-                    continue
-                for m in range(spheres.cluster[g], spheres.cluster[g + 1]):
-                    u, v, w = placed(X, frame, spheres.cluster_bound, m)
-                    near = solid_distance(solids, k, u, v, w, time) - spheres.cluster_bound[m, 3]
-                    if near >= found[g, k]:
-                        continue
-                    for i in range(spheres.cluster_first[m], spheres.cluster_first[m + 1]):
-                        u, v, w = placed(X, frame, spheres.p_JS, i)
-                        d = solid_distance(solids, k, u, v, w, time) - spheres.radius[i]
-                        found[g, k] = min(found[g, k], d)
+                least = found[g, k]
+                found[g, k] = solid_gap(
+                    X, spheres, center, g, solids, k, t, 0.0, least, -np.inf
+                )  # fmt: skip
     return found

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem, State
 from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 
@@ -34,7 +34,6 @@ from drake_oa.common.messages import (
     Frozen,
     ObstacleClouds,
     TablePlane,
-    zeros,
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
@@ -70,6 +69,7 @@ class SeenField(Frozen):
 
     Attributes:
         solid: where it is now, and how fast.
+        grid: its distances.
         made_of: (N, 3) points [m].
         view_W: (n, 3) unit directions in which it was seen, of each camera.
         deepest: what is hidden was taken to be at most so deep [m].
@@ -77,16 +77,11 @@ class SeenField(Frozen):
     """
 
     solid: Solid
+    grid: DistanceField
     made_of: FloatArray
     view_W: FloatArray
     deepest: float
-    inside: FloatArray = zeros(0, 3)
-
-    @property
-    def grid(self) -> DistanceField:
-        """Its distances."""
-        assert self.solid.grid is not None
-        return self.solid.grid
+    inside: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,31 +118,32 @@ def looked_at(
             filled.
         views: images of several cameras: what any of them sees through is not filled.
     """
-    if not _is_readable(obstacles, viewpoints_W):
+    numbers = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
+    # NaN is not below anything.
+    if not all(np.abs(part).max(initial=0.0) <= _FARTHEST for part in numbers):
         return replace(before, scene=replace(before.scene, note=_NOT_FINITE))
     if obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
         return replace(before, scene=replace(before.scene, note=obstacles.note))
-    table = before.table
-    if obstacles.table is not None:
-        table = held_table(table, obstacles.table)
-    moved = names_moved(obstacles, before.moved)
+    table = held_table(before.table, obstacles.table) or before.table
     known = {seen.solid.name: seen for seen in before.fields}
-    fields = []
-    for cloud, name, v_WO in zip(obstacles.clouds_W, obstacles.ids, obstacles.v_WO, strict=True):
+    since = max(0.0, obstacles.stamp - before.scene.stamp)
+    moved, fields = set(), []
+    rows = zip(obstacles.ids.tolist(), obstacles.clouds_W, obstacles.v_WO, strict=True)
+    for name, cloud, v_WO in rows:
+        if v_WO.any() or name in before.moved:
+            moved.add(name)
         if not len(cloud):
             continue
-        last = known.get(int(name))
-        deepest = _DEEPEST_MOVED if int(name) in moved else DEEPEST
+        deepest, last = _DEEPEST_MOVED if name in moved else DEEPEST, known.get(name)
         kept = None
         if last is not None and table is before.table and last.deepest == deepest:
-            after = max(0.0, obstacles.stamp - before.scene.stamp)
-            kept = _kept(last, cloud, after * v_WO, viewpoints_W, views)
-        made = kept or _made(int(name), cloud, viewpoints_W, deepest, table, views)
-        at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
-        fields.append(replace(made, solid=at_rest))
+            kept = _kept(last, cloud, since * v_WO, viewpoints_W, views)
+        made = kept or _made(name, cloud, viewpoints_W, deepest, table, views)
+        solid = replace(made.solid, v_WO=np.array(v_WO), stamp=obstacles.stamp)
+        fields.append(replace(made, solid=solid))
     solids = [seen.solid for seen in fields] + _of_table(table)
     scene = SolidScene.of(obstacles.stamp, solids, obstacles.note)
-    return SeenSolids(scene, tuple(fields), table, moved)
+    return SeenSolids(scene, tuple(fields), table, frozenset(moved))
 
 
 def unseen(table: TablePlane | None = None) -> SeenSolids:
@@ -159,14 +155,6 @@ def _of_table(table: TablePlane | None) -> list[Solid]:
     return [] if table is None else [table_solid(table)]
 
 
-def _is_readable(obstacles: ObstacleClouds, viewpoints_W: FloatArray) -> bool:
-    numbers = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
-    if obstacles.table is not None:
-        numbers += [obstacles.table.normal_W, np.array([obstacles.table.offset])]
-    # NaN is not below anything.
-    return all(float(np.abs(part).max(initial=0.0)) <= _FARTHEST for part in numbers)
-
-
 def _made(
     name: int,
     cloud: FloatArray,
@@ -176,22 +164,22 @@ def _made(
     views: Sequence[View],
 ) -> SeenField:
     """A new field of a cloud."""
-    seen = max((_seen_depth(cloud, p_WV) for p_WV in viewpoints_W), default=0.0)
-    deep = min(max(deepest, seen), _DEEPEST_MOVED)
+    away = cloud[:, :2].mean(axis=0) - viewpoints_W[:, :2]
+    away /= np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
+    # Horizontal depth along each view.
+    seen = np.ptp(cloud[:, :2] @ away.T, axis=0).max(initial=deepest)
     grid = field_of(
         cloud,
         viewpoints_W=viewpoints_W,
-        deepest=deep,
+        deepest=min(seen, _DEEPEST_MOVED),
         table=table,
         seen_free=partial(seen_free, views) if views else None,
     )
     solid = cloud_solid(grid, name=name, label=f"obstacle {name}")
-    made = SeenField(solid, cloud, _view(solid, viewpoints_W), deepest)
-    if len(viewpoints_W) < 2:
-        return made
-    nodes = np.argwhere(grid.values < 0.0)
+    nodes = np.argwhere((grid.values < 0.0) & (len(viewpoints_W) > 1))
     some = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
-    return replace(made, inside=np.asarray(grid.voxel * some, dtype=float))
+    view = _view(solid, viewpoints_W)
+    return SeenField(solid, grid, cloud, view, deepest, grid.voxel * some)
 
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
@@ -202,26 +190,10 @@ def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
     return free
 
 
-def _seen_depth(cloud: FloatArray, viewpoint_W: FloatArray) -> float:
-    """Computes the horizontal depth of a cloud (N, 3) along the view [m]."""
-    away = cloud.mean(axis=0)[:2] - viewpoint_W[:2]
-    along = cloud[:, :2] @ away / max(float(np.linalg.norm(away)), 1e-9)
-    return float(np.ptp(along))
-
-
 def _view(solid: Solid, viewpoints_W: FloatArray) -> FloatArray:
     """(n, 3) unit directions to a solid from where it is seen."""
     view = solid.X_WO[:3, 3] + solid.center - viewpoints_W
     return np.asarray(view / np.maximum(np.linalg.norm(view, axis=1), 1e-9)[:, None])
-
-
-def names_moved(obstacles: ObstacleClouds, before: frozenset[int]) -> frozenset[int]:
-    """The names of the obstacles that move now, or did before and are still there."""
-    return frozenset(
-        int(name)
-        for name, v_WO in zip(obstacles.ids, obstacles.v_WO, strict=True)
-        if (np.isfinite(v_WO).all() and v_WO.any()) or int(name) in before
-    )
 
 
 def _kept(
@@ -342,14 +314,13 @@ class CloudSolids(LeafSystem):
             seen = self._looked_at(context, seen)
         output.set_value(seen.scene)
 
-    def _update(self, context: Context, state: State) -> EventStatus:
+    def _update(self, context: Context, state: State) -> None:
         before = self._read(context)
         after = self._looked_at(context, before)
         if after.scene.note == _NOT_FINITE != before.scene.note:
             message = "t=%.3f s: %s; the solids seen before are kept"
             _logger.warning(message, context.get_time(), _NOT_FINITE)
         state.get_mutable_abstract_state(self._seen).set_value(after)
-        return EventStatus.Succeeded()
 
     def _looked_at(self, context: Context, before: SeenSolids) -> SeenSolids:
         obstacles = read_value(self, self._obstacles, context, ObstacleClouds)

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.thinking import count
+from drake_oa.common.thinking import count, counted
 from drake_oa.planning.arm_world import STRIDE, ArmWorld, exceeds, share_clear
 
 _RANGE, _LEAST = 0.8, 0.05
@@ -28,24 +28,20 @@ _SHORTCUTS = 100
 """Number of shortcuts that are tried on a path."""
 
 
-class _Ways:
-    """Straight ways of an arm among solids, and the number of configurations checked on them."""
-
-    def __init__(self, world: ArmWorld) -> None:
-        self.world, self.checked = world, 0
-
-    def share_clear(self, one: FloatArray, other: FloatArray, stride: float = STRIDE) -> float:
-        """Returns the share of a way that is clear."""
-        share, checked = share_clear(self.world, one, other, stride)
-        self.checked += checked
-        return share
+def _share_clear(
+    world: ArmWorld, one: FloatArray, other: FloatArray, stride: float = STRIDE
+) -> float:
+    """Returns the share of a straight way that is clear, and counts the checked configurations."""
+    share, checked = share_clear(world, one, other, stride)
+    count(configurations=checked)
+    return share
 
 
 class _Tree:
     """Tree of configurations (N, n), of which `used` are set [rad]."""
 
-    def __init__(self, ways: _Ways, roots: FloatArray, size: int) -> None:
-        self.ways, self.used = ways, len(roots)
+    def __init__(self, world: ArmWorld, roots: FloatArray, size: int) -> None:
+        self.world, self.used = world, len(roots)
         self.q = np.empty((size, roots.shape[1]))
         self.q[: self.used] = roots
         self.parent = [-1] * self.used
@@ -59,7 +55,7 @@ class _Tree:
         q = self.q[row]
         d = math.dist(q, aim)
         share = min(1.0, _RANGE / max(d, _RANGE))
-        share *= self.ways.share_clear(q, q + share * (aim - q), _COARSE)
+        share *= _share_clear(self.world, q, q + share * (aim - q), _COARSE)
         if share * d < min(_LEAST, 0.5 * d):
             return -1, False
         self.q[self.used] = q + share * (aim - q)
@@ -80,7 +76,7 @@ class _Tree:
         while self.parent[rows[-1]] >= 0:
             row = rows[-1]
             rows.append(self.parent[row])
-            if self.ways.share_clear(self.q[rows[-1]], self.q[row]) < 1.0:
+            if _share_clear(self.world, self.q[rows[-1]], self.q[row]) < 1.0:
                 lost = {row}
                 for k in range(row, self.used):
                     if self.parent[k] in lost:
@@ -90,7 +86,7 @@ class _Tree:
         return rows
 
 
-def _shorten(ways: _Ways, path: list[FloatArray], random: np.random.Generator) -> None:
+def _shorten(world: ArmWorld, path: list[FloatArray], random: np.random.Generator) -> None:
     """Takes random shortcuts of a path."""
     for _ in range(_SHORTCUTS):
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
@@ -98,7 +94,7 @@ def _shorten(ways: _Ways, path: list[FloatArray], random: np.random.Generator) -
         first, last = np.searchsorted(length[:-1], places, "right") - 1
         ends = np.stack([np.interp(places, length, q) for q in np.transpose(path)], axis=1)
         is_shorter = first < last and math.dist(*ends) < places[1] - places[0] - 1e-3
-        if is_shorter and ways.share_clear(*ends) == 1.0:
+        if is_shorter and _share_clear(world, *ends) == 1.0:
             path[first + 1 : last + 1] = ends
 
 
@@ -121,24 +117,24 @@ def plan_path(
     path: list[FloatArray] = []
     if not (len(goals) and exceeds(world, q_start)):
         return np.zeros((0, len(q_start)))
-    random, size, ways = np.random.default_rng(seed), most + len(goals) + 2, _Ways(world)
-    start = tree = _Tree(ways, q_start[None], size)
-    other = _Tree(ways, goals, size)
+    random, size = np.random.default_rng(seed), most + len(goals) + 2
+    start = tree = _Tree(world, q_start[None], size)
+    other = _Tree(world, goals, size)
     aim = goals[0]
-    while ways.checked < most and not path:
-        new, _ = tree.extend(tree.nearest(aim), aim)
-        row, reached = other.nearest(tree.q[new]) if new >= 0 else -1, False
-        while row >= 0 and not reached and ways.checked < most:
-            row, reached = other.extend(row, tree.q[new])
-        if reached and (one := tree.branch(new)) and (two := other.branch(row)):
-            path = [*tree.q[one[::-1]], *other.q[two[1:]]]
-            path = path if tree is start else path[::-1]
-            _shorten(ways, path, random)
-        tree, other = other, tree
-        aim = random.uniform(world.chain.lower, world.chain.upper)
-        if random.random() < _BESIDE:
-            aim = q_start + random.random() * (goals[0] - q_start)
-            aim = aim + _WIDE * random.normal(size=len(q_start))
-            aim = np.clip(aim, world.chain.lower, world.chain.upper)
-    count(configurations=ways.checked)
+    with counted() as work:
+        while work.configurations < most and not path:
+            new, _ = tree.extend(tree.nearest(aim), aim)
+            row, reached = other.nearest(tree.q[new]) if new >= 0 else -1, False
+            while row >= 0 and not reached and work.configurations < most:
+                row, reached = other.extend(row, tree.q[new])
+            if reached and (one := tree.branch(new)) and (two := other.branch(row)):
+                path = [*tree.q[one[::-1]], *other.q[two[1:]]]
+                path = path if tree is start else path[::-1]
+                _shorten(world, path, random)
+            tree, other = other, tree
+            aim = random.uniform(world.chain.lower, world.chain.upper)
+            if random.random() < _BESIDE:
+                aim = q_start + random.random() * (goals[0] - q_start)
+                aim = aim + _WIDE * random.normal(size=len(q_start))
+                aim = np.clip(aim, world.chain.lower, world.chain.upper)
     return np.array(path).reshape(-1, len(q_start))

@@ -15,13 +15,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
 
 from drake_oa.common.messages import (
+    DECIDING,
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
@@ -35,26 +35,29 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.planning.arm_world import SELF, ArmWorld, Asked, group_distances, self_distance
-from drake_oa.planning.candidates import ALPHA as LN_ALPHA
-from drake_oa.planning.candidates import ANGLE, avoidance_terms, genes_of, rows_of, terms_of
 from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
+from drake_oa.planning.search import ALPHA as LN_ALPHA
 from drake_oa.planning.search import (
+    ANGLE,
     ASTRAY,
     CHAIN,
     JOINT_PATH,
     MISSED,
     NO_ELITES,
     NOMINAL,
+    NOMINAL_GENES,
     SAMPLES,
     SOURCES,
     ArmSearch,
-    nominal_genes,
+    avoidance_terms,
+    genes_of,
     references,
+    rows_of,
 )
 from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import ALPHA, N_COLUMNS, NORMAL
+from drake_oa.policy.coupling import ALPHA, NORMAL
 from drake_oa.policy.dmp import Demonstration, Dmp, normalised_time, orientation_along
 from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, scene_under_way
@@ -82,26 +85,19 @@ class Sight(Frozen):
         policy: the motion under way.
         p_WG: (3,) its goal [m].
         q: (n,) the arm's joints [rad].
-        scene: the solids that rest.
+        scene: the solids, all of which rest.
         ellipsoids: descriptors of the obstacles.
-        proposed: returns the proposed coupling parameters and the route; called only if a search
-            is needed.
+        coupling: parameters of the regressor chain, of the obstacles.
+        route: sides of the obstacles.
     """
 
     policy: PolicyState
     p_WG: FloatArray
     q: FloatArray
     scene: SolidScene
-    ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
-    proposed: Callable[[], tuple[CouplingParameters, Route]] = lambda: (
-        CouplingParameters(),
-        Route(),
-    )
-
-    @property
-    def time(self) -> float:
-        """Time of the decision [s]."""
-        return self.policy.stamp
+    ellipsoids: EllipsoidSet
+    coupling: CouplingParameters
+    route: Route
 
 
 class MotionSearch:
@@ -118,8 +114,8 @@ class MotionSearch:
         policy: Policy,
         orientation: Callable[[FloatArray], FloatArray],
         posture: Callable[[FloatArray], FloatArray],
+        overshoot: FloatArray,
         q_goal: FloatArray | None = None,
-        overshoot: FloatArray | None = None,
     ) -> None:
         """Stores the constants.
 
@@ -131,8 +127,8 @@ class MotionSearch:
             policy: time step and fade of the action level.
             orientation: (T, 3, 3) of the tool at normalised times (T,).
             posture: (T, n) that the null space is drawn to at normalised times (T,) [rad].
+            overshoot: (G,) how far the spheres of each group stick out of the robot [m].
             q_goal: (n,) joints at the goal, where the task gives them [rad].
-            overshoot: (G,) how far the spheres of each group stick out of the robot [m]; None: 0.
         """
         self._dmp, self._clearance = dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
@@ -140,17 +136,8 @@ class MotionSearch:
         s = np.linspace(0.0, 1.0, _LED)
         self._task = references(s, orientation(s), posture(s))
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
-        self._overshoot = np.zeros(len(spheres.group_joint)) if overshoot is None else overshoot
         # Spheres nearer than that may touch something.
-        self._touch = _LEAST_KEPT - self._overshoot
-        # The same pose and seed at every decision.
-        self._posture_at = lru_cache(maxsize=4)(
-            lambda target, seed: inverse_kinematics(
-                chain, np.frombuffer(target), np.frombuffer(seed), seeds=4
-            )[:1]
-        )
-        moved = spheres.group_joint >= 0
-        self._parts = (self._is_tool & moved, ~self._is_tool & moved)
+        self._touch = _LEAST_KEPT - overshoot
 
     def decide(self, before: SelectedMotion, sight: Sight) -> SelectedMotion:
         """Checks the motion under way, and selects another one if there is reason to.
@@ -187,45 +174,41 @@ class MotionSearch:
                     command={"restart": False}, prediction={"motion": motion}
                 )
         elif not before.fits(policy, sight.p_WG):
-            before = SelectedMotion(last_plan=before.last_plan)
+            before = SelectedMotion(last_plan=before.last_plan, p_WE=policy.p_WS)
         here = replace(
             before,
             p_WS=policy.p_WS,
             p_WG=np.array(sight.p_WG, dtype=float),
             p_WE=policy.p_WE,
-            travelled=before.travelled_to(policy),
+            travelled=before.travelled + math.dist(policy.p_WE, before.p_WE),
         ).changed(command={"restart": before.command.restart and policy.speed == 0.0})
         same = here.scene.same_as(sight.scene)
         rests = policy.speed == 0.0 or policy.phase == 1.0
-        plans = rests and sight.time - here.last_plan >= _SEEK_PERIOD
+        plans = rests and sight.policy.stamp - here.last_plan >= _SEEK_PERIOD
         is_left = plans and self._is_left(here, sight)
         is_settled = here.command.tau > 0.0 and not here.command.note and not is_left
         if same and (is_settled or here.prediction.goal_note):
             return here
-        if here.prediction.goal_note:
-            # The result of a search without a goal is no beginning for another one.
-            here = replace(here, genes=NO_ELITES, elites=NO_ELITES).changed(
-                command={"tau": 0.0, "source": -1}, prediction={"goal_note": ""}
-            )
-        here = replace(here, scene=sight.scene)
-        here = here.changed(prediction={"touches": self._touched(sight)})
+        touches = self._touched(sight)
+        here = replace(here, scene=sight.scene).changed(
+            prediction={"touches": touches, "goal_note": ""}
+        )
         if not is_left:
             here = self._modulated(here, sight)
             if here.prediction.can_follow and here.prediction.shortfall == 0.0:
-                return here
+                return here.changed(command={"note": ""})
             sides = here.prediction.sides
             if sides.blocked:
                 return here.changed(command={"note": sides.note})
         if plans:
-            here = replace(here, last_plan=sight.time)
-            planned, is_free = self._planned(here, sight)
+            here = replace(here, last_plan=sight.policy.stamp)
+            planned = self._planned(here, sight)
             if planned is not None:
                 return planned
             here = self._modulated(here, sight) if is_left else here
-            note = "" if is_free else self._no_goal(sight)
-            here = here.changed(prediction={"goal_note": note})
-        note = here.prediction.goal_note or self._hold(here, sight)
-        return here.changed(command={"note": note})
+            if note := self._no_goal(sight):
+                return here.changed(command={"note": note}, prediction={"goal_note": note})
+        return here
 
     def _is_left(self, here: SelectedMotion, sight: Sight) -> bool:
         """Returns whether the arm rests away from the motion in use, with its tool where this is.
@@ -239,31 +222,6 @@ class MotionSearch:
         p_WE = tool_poses(self._chain, sight.q[None])[0, 9:]
         is_near = math.dist(p_WE, policy.p_WE) < _NEAR_TOOL
         return is_near and bool(np.abs(motion.joints(s) - sight.q).max() > _LEFT)
-
-    def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
-        """Returns whether a motion still achieves its predicted clearance from now on.
-
-        Since then the one in use has continued: straight toward an obstacle, small differences
-        decide its side.
-        """
-        if sight.policy.phase == 1.0 or not made.prediction.motion.s.size:
-            return True
-        motion = made.prediction.motion
-        found = self._rolled(made, sight, self._world(sight, motion.q[-1:])).prediction
-        allowed = made.prediction.shortfall + self._parameters.slack
-        return found.can_follow and found.shortfall <= allowed
-
-    def _hold(self, found: SelectedMotion, sight: Sight) -> str:
-        """Returns why a motion must not continue; "": it may."""
-        predicted, least = found.prediction, found.prediction.min_distances
-        if not predicted.can_follow:
-            return "no motion that the arm can follow found"
-        touch = [self._touch[of].min(initial=np.inf) for of in self._parts]
-        if (least[:2] <= touch).any():
-            return f"no motion that clears {predicted.limiting_obstacle} found"
-        if least[SELF] <= min(_LEAST_KEPT, self._own(sight.q) - self._parameters.slack):
-            return "no motion that clears the arm itself found"
-        return ""
 
     def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
         """Returns the arm among the solids, with the required clearances.
@@ -292,10 +250,7 @@ class MotionSearch:
             own = max(self._own(q) for q in ends)
             of_self = min(of_self, max(own, _LEAST_KEPT) - p.slack)
         required = Asked(table, of_self, is_tool)
-        return ArmWorld(self._chain, self._spheres, solids, required, sight.time)
-
-    def _dmp_of(self, command: MotionCommand) -> Dmp:
-        return command.demonstration.position or self._dmp
+        return ArmWorld(self._chain, self._spheres, solids, required, 0.0)
 
     def _leading(self, command: MotionCommand) -> BSpline:
         """Returns the references of the arm along the motion that is under way."""
@@ -310,7 +265,7 @@ class MotionSearch:
     ) -> ArmSearch:
         """Returns the search for a motion with the demonstration of another one."""
         shown = here.command.demonstration
-        dmp = self._dmp_of(here.command)
+        dmp = shown.position or self._dmp
         scene = scene_under_way(
             sight.policy,
             sight.p_WG,
@@ -334,8 +289,9 @@ class MotionSearch:
         """Returns the best motion by coupling terms."""
         command, end = here.command, self._leading(here.command)(1.0)
         target = np.append(end[:9], sight.p_WG)
-        world = self._world(sight, self._posture_at(target.tobytes(), end[9:].tobytes()))
-        coupling, route = sight.proposed()
+        at_goal = inverse_kinematics(self._chain, target, end[9:], seeds=4)
+        world = self._world(sight, at_goal[:1])
+        route = sight.route
         search = self._search(
             here,
             sight,
@@ -347,43 +303,32 @@ class MotionSearch:
             most=math.inf if sight.policy.phase == 1.0 else self._parameters.frame,
         )
         scene = search.scene
-        chain = _guided_command(coupling, route, scene)
+        chain = _guided_command(sight.coupling, route, scene)
         found = search.run(
-            guided=_guided(chain),
-            seeds=NO_ELITES if chain is None else _side_terms(scene, chain),
+            guided=chain.guides,
+            seeds=_seeds(scene, chain),
             source=max(command.source, NOMINAL),
         )
         source = int(found.source[0])
         if source == CHAIN:
-            assert chain is not None
-            terms, guides, shown = chain.terms, chain.ellipsoids, chain.route
+            chosen, genes, shown = chain, NO_ELITES, chain.route
         else:
-            terms, guides = avoidance_terms(scene, found.genes), EllipsoidSet()
-            shown = _shown_sides(route, terms[0], found.genes[0, ANGLE], sight.ellipsoids)
-            terms = terms[terms[:, ALPHA] > 0.0]
-        if source == NOMINAL and command.demonstration.position is not None:
-            source = JOINT_PATH
+            terms = avoidance_terms(scene, found.genes)
+            shown = _shown_sides(route, terms, found.genes[0, ANGLE], sight.ellipsoids)
+            acts = terms[:, ALPHA] > 0.0
+            if source == NOMINAL and command.demonstration.position is not None:
+                source = JOINT_PATH
+            chosen, genes = MotionCommand(source, rows_of(terms[acts])), found.genes[acts]
+        chosen = replace(chosen, demonstration=command.demonstration, restart=command.restart)
         here = replace(
             here,
-            genes=NO_ELITES if source == CHAIN or not len(terms) else found.genes,
+            command=chosen,
+            genes=genes,
             counts=search.counts,
             elites=search.elites,
             rounds=search.rounds,
-        ).changed(
-            command={
-                "source": source,
-                "terms": terms,
-                "ellipsoids": guides,
-                "route": shown if source == CHAIN else Route(),
-            },
-            prediction={"sides": shown},
-        )
+        ).changed(prediction={"sides": shown})
         return self._predicted(here, sight, search, found.genes, float(found.length[0]))
-
-    def _rolled(self, selected: SelectedMotion, sight: Sight, world: ArmWorld) -> SelectedMotion:
-        """Returns a motion with its prediction from now on."""
-        genes = selected.genes if len(selected.genes) else nominal_genes()
-        return self._predicted(selected, sight, self._search(selected, sight, world), genes, 0.0)
 
     def _predicted(
         self,
@@ -399,29 +344,38 @@ class MotionSearch:
             here: the motion.
             sight: input of the decision.
             search: scene, arm and solids.
-            genes: (1, 7) of the motion; those of the nominal motion if it has none.
+            genes: (1, 6) of the motion.
             length: of the tool's path from now on [m].
         """
         asked = search.world.asked
-        tool, arm = search.rollout(genes, _guided(here.command))
+        tool = search.tool_paths(genes, guided=here.command.guides)
+        arm = search.follow(genes, tool, -math.inf)
         count = int(arm.samples[0])
         s, q = search.sample_times(count), arm.q[0, :count]
-        dt = float(search.seconds(genes)[0]) * search.every * search.ds
         # Every second: they are a few millimetres apart.
-        d = self._distances(sight, q[::2], 2.0 * dt)
-        least = [d[of].min(initial=np.inf) for of in self._parts]
-        of_self, is_self = float(arm.excess[0, SELF]), arm.excess[0].argmin() == SELF
+        d = self._distances(sight, q[::2])
+        is_self = arm.excess[0].argmin() == SELF
+        limiting = "the arm itself" if is_self else self._nearest(sight, d)
         follows = float(arm.error[0]) <= MISSED and float(arm.hurry[0]) <= 1.0
         follows &= float(tool.goal_error[0]) <= ASTRAY * search.scene.baseline
-        tau = max(1.0, (here.travelled + length) / max(search.planned_length, 1e-9))
+        own = float(arm.excess[0, SELF]) + asked.of_self
+        note = ""
+        if not follows:
+            note = "no motion that the arm can follow found"
+        elif self._touches(d):
+            note = f"no motion that clears {limiting} found"
+        elif own <= min(_LEAST_KEPT, self._own(sight.q) - self._parameters.slack):
+            note = "no motion that clears the arm itself found"
         lowered = self._clearance - float(asked.of_solids.max(initial=-np.inf))
         return here.changed(
-            command={"tau": tau, "note": ""},
+            command={
+                "tau": max(1.0, (here.travelled + length) / max(search.planned_length, 1e-9)),
+                "note": note,
+            },
             prediction={
                 "motion": PlannedMotion(s, tool.path[0, :count], q, here.p_WS),
-                "min_distances": np.array([*least, of_self + asked.of_self]),
                 "shortfall": max(-float(arm.least[0]) - self._parameters.slack, 0.0),
-                "limiting_obstacle": "the arm itself" if is_self else self._nearest(sight, d),
+                "limiting_obstacle": limiting,
                 "can_follow": follows,
                 "lowered": max(lowered, 0.0) if len(sight.scene) else 0.0,
             },
@@ -433,7 +387,7 @@ class MotionSearch:
         """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
         X_WG, first = self._goal(sight)
         found = inverse_kinematics(self._chain, X_WG, first, seeds=seeds)
-        free = [q for q in found if self._is_free(sight, q)]
+        free = [q for q in found if not self._touches(self._distances(sight, q[None]))]
         return np.array(free).reshape(-1, len(first))
 
     def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
@@ -443,20 +397,18 @@ class MotionSearch:
         return np.append(end[:9], sight.p_WG), first
 
     def _no_goal(self, sight: Sight) -> str:
-        """Names the obstacle that the arm would touch at the goal; "" if it cannot be there."""
-        X_WG, first = self._goal(sight)
-        at_goal = inverse_kinematics(self._chain, X_WG, first, seeds=4)
-        if not len(at_goal):
-            return ""
-        touched = self._nearest(sight, self._distances(sight, at_goal[:1]))
-        return f"at its goal the arm would touch {touched}"
+        """Returns a note that names the obstacle at the goal.
 
-    def _planned(self, here: SelectedMotion, sight: Sight) -> tuple[SelectedMotion | None, bool]:
-        """Plans a path in the joints, for the whole requested clearance or a share of it.
-
-        Returns:
-            The motion that imitates it, or None, and whether a posture at the goal is free.
+        "": the arm has a free posture there, or cannot be there at all.
         """
+        at_goal = inverse_kinematics(self._chain, *self._goal(sight), seeds=_GOAL_SEEDS)
+        d = [self._distances(sight, q[None]) for q in at_goal]
+        if not all(map(self._touches, d)) or not d:
+            return ""
+        return f"at its goal the arm would touch {self._nearest(sight, d[0])}"
+
+    def _planned(self, here: SelectedMotion, sight: Sight) -> SelectedMotion | None:
+        """Plans a path in the joints, for the whole requested clearance or a share of it."""
         p = self._parameters
         # To the task's own posture first: the tool turns no farther than it has to.
         goals = [self._goals(sight, 0)]
@@ -473,8 +425,8 @@ class MotionSearch:
                 corners = plan_path(world, sight.q, ends, most=most)
                 choice = self._along(corners, here, sight, world) if len(corners) else None
                 if choice is not None:
-                    return choice, True
-        return None, any(map(len, goals))
+                    return choice
+        return None
 
     def _along(
         self, corners: FloatArray, here: SelectedMotion, sight: Sight, world: ArmWorld
@@ -499,40 +451,40 @@ class MotionSearch:
             genes=NO_ELITES,
             elites=NO_ELITES,
         )
-        found = self._rolled(start, sight, world)
+        search = self._search(start, sight, world)
+        found = self._predicted(start, sight, search, NOMINAL_GENES, 0.0)
         # Of the whole requested clearance, not of the share that the path was planned for.
         motion = found.prediction.motion
         d = self._distances(sight, motion.q)
         lacking = self._world(sight, shown.q[-1:]).asked.of_solids - d
         short = max(float(lacking.max(initial=-np.inf)) - self._parameters.slack, 0.0)
-        if short > 0.0:
-            found = found.changed(prediction={"limiting_obstacle": self._nearest(sight, d)})
-        if self._hold(found, sight):
+        limiting = self._nearest(sight, d) if short > 0.0 else found.prediction.limiting_obstacle
+        if found.command.note:
             return None
         # The motion belongs to the one that starts there.
         return found.changed(
             command={"tau": 1.0, "restart": True},
-            prediction={"shortfall": short, "motion": replace(motion, p_WS=rests.p_WS)},
+            prediction={
+                "shortfall": short,
+                "limiting_obstacle": limiting,
+                "motion": replace(motion, p_WS=rests.p_WS),
+            },
         )
 
-    def _distances(self, sight: Sight, q: FloatArray, dt: float = 0.0) -> FloatArray:
-        """Returns least distances (G, K) of the groups to the solids; inf of fixed groups [m].
+    def _distances(self, sight: Sight, q: FloatArray) -> FloatArray:
+        """Returns least distances (G, K) of the moving groups to the solids along q (T, n) [m].
 
-        Args:
-            sight: input of the decision.
-            q: (T, n) configurations from now on [rad].
-            dt: time from each to the next [s].
+        Those of fixed groups are inf.
         """
         d = group_distances(
-            self._chain, self._spheres, sight.scene.solids, np.ascontiguousarray(q), sight.time,
-            math.inf, dt,
-        )  # fmt: skip
+            self._chain, self._spheres, sight.scene.solids, np.ascontiguousarray(q), 0.0, math.inf
+        )
         d[self._spheres.group_joint < 0] = np.inf
         return np.asarray(d)
 
-    def _is_free(self, sight: Sight, q: FloatArray) -> bool:
-        """Whether the moving groups touch no solid at a configuration."""
-        return bool((self._distances(sight, q[None]) > self._touch[:, None]).all())
+    def _touches(self, d: FloatArray) -> bool:
+        """Returns whether the arm may touch a solid at distances (G, K) of its groups [m]."""
+        return bool((d <= self._touch[:, None]).any())
 
     def _nearest(self, sight: Sight, d: FloatArray) -> str:
         """Returns the label of the solid with the least of distances (G, K); "": there is none."""
@@ -540,52 +492,42 @@ class MotionSearch:
 
     def _touched(self, sight: Sight) -> str:
         """Returns the label of the solid that the arm is certain to touch; "": none."""
-        d = self._distances(sight, sight.q[None]) + self._overshoot[:, None]
-        return self._nearest(sight, d) if (d < 0.0).any() else ""
+        d = self._distances(sight, sight.q[None]) - self._touch[:, None]
+        return self._nearest(sight, d) if (d < -_LEAST_KEPT).any() else ""
 
     def _own(self, q: FloatArray) -> float:
         """Returns the distance of the arm to itself at a configuration, at most `FAR` [m]."""
         return float(self_distance(self._chain, self._spheres, q))
 
 
-def _guided_command(
-    coupling: CouplingParameters, route: Route, scene: Scene
-) -> MotionCommand | None:
-    """Returns the rows of the paper's chain together as a command; None: they do not act."""
+def _guided_command(coupling: CouplingParameters, route: Route, scene: Scene) -> MotionCommand:
+    """Returns the rows of the paper's chain together as a command; without rows: none act."""
     seen = scene.ellipsoids
-    fits = len(coupling) > 0 and np.array_equal(route.ids, seen.ids) and len(coupling) == len(seen)
+    fits = len(coupling) == len(seen) and np.array_equal(route.ids, seen.ids)
+    acts = (coupling.alpha > 0.0).any() and route.remaining_clearance.any()
     # A forbidden side of an obstacle forbids the chain's motion, not every motion.
-    if not fits or route.blocked or route.baseline == 0.0 or not (coupling.alpha > 0.0).any():
-        return None
-    if not route.remaining_clearance.any():
-        return None
-    rows = replace(coupling, center_W=seen.p_WO, normal_W=np.zeros((len(seen), 3)))
-    return MotionCommand(CHAIN, terms_of(rows), seen, route, tau=1.0)
+    if not (fits and acts) or route.blocked:
+        return MotionCommand()
+    rows = replace(coupling, center_W=seen.p_WO, normal_W=np.zeros((0, 3)), ellipsoids=seen)
+    return MotionCommand(CHAIN, rows, route, tau=1.0)
 
 
 _WEAKER = np.array([-3.0, -2.0, -1.0, 0.0])
 """Differences in ln alpha between seeds of the search and a row of the chain."""
 
 
-def _side_terms(scene: Scene, chain: MotionCommand) -> FloatArray:
-    """Returns seeds (n, 7) of the search: each row of the chain alone, on the route's side."""
-    acts = chain.terms[:, ALPHA] > 0.0
-    terms = chain.terms[acts]
-    terms[:, NORMAL : NORMAL + 3] = chain.route.normal_W[acts]
-    seeds = np.repeat(genes_of(scene, terms), len(_WEAKER), axis=0)
-    seeds[:, LN_ALPHA] += np.tile(_WEAKER, len(terms))
+def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
+    """Returns seeds (n, 6) of the search: each row of the chain alone, on the route's side."""
+    acts = chain.rows.alpha > 0.0
+    normal_W, center_W = chain.route.normal_W[acts], chain.rows.center_W[acts]
+    genes = genes_of(scene, center_W, normal_W, chain.rows.as_array()[acts])
+    seeds = np.repeat(genes, len(_WEAKER), axis=0)
+    seeds[:, LN_ALPHA] += np.tile(_WEAKER, len(genes))
     return seeds
 
 
-def _guided(command: MotionCommand | None) -> Obstacles | None:
-    """Returns the guided candidate of a command by the chain; None: it is none."""
-    if command is None or not len(command.ellipsoids):
-        return None
-    return Surroundings.of(command.ellipsoids, command.coupling(), command.route).obstacles
-
-
-def _shown_sides(route: Route, term: FloatArray, angle: float, seen: EllipsoidSet) -> Route:
-    """Returns the rings of the obstacle nearest to a term's point, with the term's side.
+def _shown_sides(route: Route, terms: FloatArray, angle: float, seen: EllipsoidSet) -> Route:
+    """Returns the rings of the obstacle nearest to the point of a term (1, 13), with its side.
 
     It is blocked if user-supplied rings forbid every side.
     """
@@ -593,8 +535,8 @@ def _shown_sides(route: Route, term: FloatArray, angle: float, seen: EllipsoidSe
     route = replace(route, blocked=blocked, note=route.note if blocked else "")
     if not len(seen) or len(route.ids) != len(seen):
         return route
-    row = [int(np.linalg.norm(seen.p_WO - term[:3], axis=1).argmin())]
-    count, normal_W = len(route.angles), term[None, NORMAL : NORMAL + 3]
+    row = [int(np.linalg.norm(seen.p_WO - terms[:, :3], axis=1).argmin())]
+    count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
     return replace(
         route,
         ids=seen.ids[row],
@@ -603,7 +545,7 @@ def _shown_sides(route: Route, term: FloatArray, angle: float, seen: EllipsoidSe
         normal_W=normal_W,
         costs={name: cost[row] for name, cost in route.costs.items()},
         # The nominal motion passes on none.
-        remaining_clearance=np.array([float(term[ALPHA] > 0.0)]),
+        remaining_clearance=(terms[:, ALPHA] > 0.0).astype(float),
     )
 
 
@@ -613,9 +555,8 @@ class MotionCommand(Frozen):
 
     Attributes:
         source: row of `SOURCES`; -1: nothing was selected.
-        terms: (K, 13) coupling terms, see `coupling.turn_step`; (0, 13): the nominal motion.
-        ellipsoids: K obstacles that lead the headings of the terms; empty: none does.
-        route: sides of these obstacles.
+        rows: coupling parameters of its terms, about their centers; empty: the nominal motion.
+        route: sides of the obstacles that lead the headings of the terms.
         tau: temporal scaling; 0: nothing was selected.
         demonstration: motion to imitate; empty: the task's.
         restart: whether the motion is to restart with this demonstration where the arm rests.
@@ -623,28 +564,30 @@ class MotionCommand(Frozen):
     """
 
     source: int = -1
-    terms: FloatArray = zeros(0, N_COLUMNS)
-    ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
+    rows: CouplingParameters = field(default_factory=CouplingParameters)
     route: Route = field(default_factory=Route)
     tau: float = 0.0
     demonstration: Demonstration = field(default_factory=Demonstration)
     restart: bool = False
     note: str = ""
 
+    @property
     def coupling(self) -> CouplingParameters:
-        """Returns the command as DmpIntegrator reads it."""
-        rows = rows_of(self.terms)
+        """Command as DmpIntegrator reads it."""
+        hold, note = HoldCause.NONE, self.note
+        if self.tau == 0.0:
+            hold, note = HoldCause.DECIDING, DECIDING
+        elif note:
+            hold = HoldCause.OBSTACLES
         return replace(
-            rows,
-            # The planes of guided terms are the route's.
-            normal_W=np.zeros((0, 3)) if len(self.ellipsoids) else rows.normal_W,
-            tau=self.tau,
-            hold=HoldCause.OBSTACLES if self.note else HoldCause.NONE,
-            note=self.note,
-            anew=self.restart,
-            verified=True,
-            ellipsoids=self.ellipsoids,
+            self.rows, tau=self.tau, hold=hold, note=note, anew=self.restart, verified=True
         )
+
+    @property
+    def guides(self) -> Obstacles | None:
+        """Obstacles that lead the headings of the terms; None: none does."""
+        seen = self.rows.ellipsoids
+        return Surroundings.of(seen, self.coupling, self.route).obstacles if len(seen) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -653,7 +596,6 @@ class MotionPrediction(Frozen):
 
     Attributes:
         motion: of the arm, from when it was computed.
-        min_distances: (3,) of tool and links to the solids, and of the arm to itself [m].
         shortfall: of the requested clearance [m].
         limiting_obstacle: label of the solid with the largest shortfall.
         can_follow: whether the arm can follow the tool's motion to the goal.
@@ -664,7 +606,6 @@ class MotionPrediction(Frozen):
     """
 
     motion: PlannedMotion = field(default_factory=PlannedMotion)
-    min_distances: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
     shortfall: float = 0.0
     limiting_obstacle: str = ""
     can_follow: bool = True
@@ -683,8 +624,8 @@ class SelectedMotion(Frozen):
         prediction: whole-arm motion that is expected from it.
         p_WS, p_WG: (3,) start and goal for which it was selected [m]; (0,): none yet.
         scene: the solids for which it was selected.
-        genes: (1, 7) of the motion in use; (0, 7): it has none.
-        elites: (k, 7) genes of the best candidates.
+        genes: (1, 6) of the motion in use; (0, 6): it has none.
+        elites: (k, 6) genes of the best candidates.
         rounds: number of rounds of the search so far.
         last_plan: time of the last search for a path in the joints [s].
         travelled: length of the path that the motion has covered [m].
@@ -708,12 +649,6 @@ class SelectedMotion(Frozen):
     def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
         """Returns whether it is the motion under way."""
         return np.array_equal(self.p_WS, policy.p_WS) and np.array_equal(self.p_WG, p_WG)
-
-    def travelled_to(self, policy: PolicyState) -> float:
-        """Returns the length of the path that the motion has covered by now [m]."""
-        if not len(self.p_WE):
-            return math.dist(policy.p_WE, policy.p_WS)
-        return self.travelled + math.dist(policy.p_WE, self.p_WE)
 
     def changed(self, **parts: dict[str, Any]) -> SelectedMotion:
         """Returns it with changed fields of its command or prediction."""

@@ -7,10 +7,16 @@ obstacles: by the whole arm (`ArmSearch`, `roll_out_arm`) or by a point
 (`drake_oa.planning.point_search`). The random numbers of a round are the same for every scene and
 call, so a scene gets the same motion whatever else is searched for.
 
+A candidate is one avoidance term (eq. 8) that acts about a point on or beside the
+baseline in the plane of the baseline and a side omega. Its genes, in which the search moves::
+
+    angle of omega in the local YZ plane, place of the point along the baseline / L and
+    aside of it toward omega / L (at most 0), ln kappa L^2, ln psi, ln alpha
+
 Whole-arm roll-outs are compiled, and run on all cores. A candidate is a path of the tool point, an
 orientation along it and a posture that its null space is drawn to. Its joints follow
-(`drake_oa.robot.arm`); at each sample, at its time, every sphere of the robot is measured against
-every solid and the other spheres (`drake_oa.planning.arm_world`), and the joints against their
+(`drake_oa.robot.arm`); at each sample every sphere of the robot is measured against every solid,
+which rests, and the other spheres (`drake_oa.planning.arm_world`), and the joints against their
 limits and speeds.
 """
 
@@ -26,34 +32,34 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_interp_spline
 
 from drake_oa.common.compiled import CORES, kernel_arrays, on_cores, parted
-from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.messages import CouplingParameters, FloatArray, IntArray
 from drake_oa.common.thinking import Thinking, count, counted
 from drake_oa.geometry.solids import Solids
 from drake_oa.planning.arm_world import FAR, ArmWorld, Asked, lower_excess
-from drake_oa.planning.candidates import (
-    ALPHA,
-    ANGLE,
-    ELITES,
-    LOWER,
-    N_GENES,
-    NO_PRICE,
-    SPACING,
-    STRIDE,
-    TAU,
-    UPPER,
-    avoidance_terms,
-    closer,
-    draws,
-    price_at,
-    strengths,
-)
 from drake_oa.policy.config import Policy
+from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
+from drake_oa.policy.coupling import KAPPA as KAPPA_COLUMN
+from drake_oa.policy.coupling import N_COLUMNS, NORMAL
 from drake_oa.policy.dmp import Dmp, trajectory
 from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, ToolRollouts, roll_out_tool
 from drake_oa.regulation.config import Verified
 from drake_oa.robot.arm import PULL, Chain, Spheres, follow, scratch
 
+N_GENES = 6
+ANGLE, PLACE, ASIDE, KAPPA, PSI, ALPHA = range(N_GENES)
+LOWER = np.array([-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1)])
+UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0])
+STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8])
+"""Standard deviation of a full step of the search, gene by gene."""
+ELITES = 8
+SPACING = 0.6
+"""Spacing of the strengths of a first candidate, in ln alpha."""
+_CLOSER = 0.4
+"""Ratio of the spacings of two successive rounds."""
+_CLOSEST = 0.02
+"""Minimum spacing, in ln alpha."""
+NO_PRICE: FloatArray = np.zeros(0)
 SAMPLES = 64
 """Number of samples of a motion from s = 0 to 1 at which the arm is placed: 3 cm apart at most on a
 path of 1 m."""
@@ -79,22 +85,94 @@ _LINE, _LEAST = 0.2, 5
 """Share of the candidates of a round, and least number, that differ from the best in alpha only."""
 _FIRST_FRESH = 6
 """First round with random candidates."""
+NOMINAL_GENES = np.where(np.arange(N_GENES) == ALPHA, -np.inf, 0.0)[None]
+"""(1, 6) genes of the nominal motion."""
 NO_ELITES = np.zeros((0, N_GENES))
 """Elites of a search that continues none, and genes if no motion is in use."""
 SOURCES = ("nominal", "chain", "search", "joint_path")
 """Sources of a motion: the nominal motion, the rows of the paper's chain together, the local
 search, and a path in the joints."""
 NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
-_EVEN = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0, 0.0], (16, 1))
+_EVEN = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0], (16, 1))
 _EVEN[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-"""(16, 7) first candidates: a moderate term on every side."""
+"""(16, 6) first candidates: a moderate term on every side."""
+
+
+def avoidance_terms(scene: Scene, genes: FloatArray) -> FloatArray:
+    """Returns the coupling terms (N, 13) of candidates (N, 6) in a scene, see `turn_step`."""
+    x, y, z = scene.R_WL.T
+    cos, sin = np.cos(genes[:, ANGLE, None]), np.sin(genes[:, ANGLE, None])
+    omega = cos * y + sin * z
+    along = (genes[:, PLACE, None] - 1.0) * x + genes[:, ASIDE, None] * omega
+    terms = np.zeros((len(genes), N_COLUMNS))
+    # The baseline ends at the goal, and begins L before it.
+    terms[:, :3] = scene.p_WG + scene.baseline * along
+    # x_L x omega: a turn about it goes from the baseline to the side.
+    terms[:, NORMAL : NORMAL + 3] = cos * z - sin * y
+    terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1] = np.exp(genes[:, [ALPHA, PSI, KAPPA]])
+    terms[:, KAPPA_COLUMN] /= scene.baseline**2
+    return terms
+
+
+def genes_of(
+    scene: Scene, p_WP: FloatArray, normal_W: FloatArray, strength: FloatArray
+) -> FloatArray:
+    """Returns the candidates (N, 6) of coupling terms: the inverse of `avoidance_terms`.
+
+    Args:
+        scene: the scene.
+        p_WP: (N, 3) points about which the terms act [m]; the part that is not in the plane of the
+            normal and the baseline is lost.
+        normal_W: (N, 3) normals of their planes.
+        strength: (N, 3) rows of alpha, psi, kappa.
+    """
+    x, y, z = scene.R_WL.T
+    along = (p_WP - scene.p_WG) / scene.baseline
+    genes = np.zeros((len(p_WP), N_GENES))
+    genes[:, ANGLE] = np.arctan2(-normal_W @ y, normal_W @ z)
+    omega = np.cos(genes[:, ANGLE, None]) * y + np.sin(genes[:, ANGLE, None]) * z
+    genes[:, PLACE], genes[:, ASIDE] = 1.0 + along @ x, (along * omega).sum(axis=1)
+    strength = strength * [1.0, 1.0, scene.baseline**2]
+    genes[:, [ALPHA, PSI, KAPPA]] = np.log(np.maximum(strength, 1e-300))
+    return genes
+
+
+def rows_of(terms: FloatArray) -> CouplingParameters:
+    """Returns the rows of coupling terms (M, 13), see `turn_step`."""
+    alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
+    return CouplingParameters(
+        alpha,
+        psi,
+        kappa,
+        center_W=terms[:, :3],
+        normal_W=terms[:, NORMAL : NORMAL + 3],
+    )
+
+
+def price_at(price: FloatArray, angle: FloatArray) -> FloatArray:
+    """Returns the additional costs of sides at angles (...): the nearest of K; 0 of none."""
+    if not len(price):
+        return np.zeros(np.shape(angle))
+    return price[np.rint(angle * len(price) / (2.0 * np.pi)).astype(int) % len(price)]
+
+
+def strengths(genes: FloatArray, kept: bool, spacing: float, count: int) -> FloatArray:
+    """Returns candidates (count, 6) that differ from one (6,) in alpha only.
+
+    The least alpha that keeps the clearance gives the shortest path: they are weaker, as far as
+    the next weaker one that may not keep it, if the candidate keeps it, else stronger.
+    """
+    share = np.arange(1, count + 1) / (count + 1)
+    line = np.repeat(genes[None], count, axis=0)
+    line[:, ALPHA] += spacing * (share - 1.0 if kept else 2.5 * share)
+    return line
 
 
 class Ranked(NamedTuple):
     """Candidates, the best first.
 
     Attributes:
-        genes: (n, 7) genes; those of the nominal motion where the source is `CHAIN`.
+        genes: (n, 6) genes; those of the nominal motion where the source is `CHAIN`.
         cost: (n,) costs.
         length: (n,) path lengths [m].
         source: (n,) rows of `SOURCES`.
@@ -117,19 +195,12 @@ class Ranked(NamedTuple):
         return Ranked(*(column[order] for column in columns))
 
 
-def nominal_genes() -> FloatArray:
-    """Returns the genes (1, 7) of the nominal motion."""
-    genes = np.zeros((1, N_GENES))
-    genes[:, ALPHA] = -np.inf
-    return genes
-
-
 class Search(ABC):
     """Search in one scene; the obstacles are the subclass's.
 
     Attributes:
         counts: (4,) numbers of candidates that were rolled out, by source.
-        elites: (k, 7) genes of the best candidates of the last round.
+        elites: (k, 6) genes of the best candidates of the last round.
         rounds: number of rounds, those of earlier searches included.
     """
 
@@ -156,10 +227,10 @@ class Search(ABC):
             dmp: the movement primitive.
             policy: time step and fade of the action level.
             parameters: effort and tolerances.
-            previous: (1, 7) genes of the motion in use; (0, 7): none is.
+            previous: (1, 6) genes of the motion in use; (0, 6): none is.
             price: (K,) additional costs of the sides, in baselines, see `price_at`; inf:
                 no motion passes there.
-            elites: (k, 7) best candidates of an earlier search that this one continues.
+            elites: (k, 6) best candidates of an earlier search that this one continues.
             rounds: number of rounds of that.
             most: largest cost by `thinking`, beyond which no round begins [s].
         """
@@ -177,7 +248,7 @@ class Search(ABC):
         """Returns the costs (n,) of the clearance along the paths of the tool.
 
         Args:
-            genes: (n, 7) the candidates.
+            genes: (n, 6) the candidates.
             tool: their paths.
             cost: (n,) their costs so far.
             worst: cost beyond which a candidate is not among the best.
@@ -195,20 +266,20 @@ class Search(ABC):
         Args:
             guided: candidate by the rows of the paper's chain: the obstacles with their terms, past
                 which guidance leads.
-            seeds: (n, 7) first candidates; a moderate term on every side follows them.
+            seeds: (n, 6) first candidates; a moderate term on every side follows them.
             source: of the motion in use.
 
         Returns:
             The best candidate, alone. Nothing is shorter than the nominal motion: where that is
             feasible, nothing else is evaluated, nor where the motion in use is.
         """
-        best = self.evaluate(nominal_genes(), NOMINAL)
+        best = self.evaluate(NOMINAL_GENES, NOMINAL)
         if not best.solved and len(self.previous):
             best = best.joined(self.evaluate(self.previous, source))
         if best.solved:
             return best
         if guided is not None:
-            chain = self.evaluate(nominal_genes(), CHAIN, float(best.cost[0]), guided)
+            chain = self.evaluate(NOMINAL_GENES, CHAIN, float(best.cost[0]), guided)
             best = best.joined(chain)
         worst = float(best.cost[0]) if best.solved else math.inf
         ranked = self.evaluate(self.first(seeds), SEARCH, worst).joined(count=ELITES)
@@ -231,7 +302,7 @@ class Search(ABC):
         worst: float = math.inf,
         guided: Obstacles | None = None,
     ) -> Ranked:
-        """Rolls out candidates (n, 7) of a source, or the guided one.
+        """Rolls out candidates (n, 6) of a source, or the guided one.
 
         Those of a cost above the worst are rolled out only in part.
         """
@@ -248,7 +319,7 @@ class Search(ABC):
     def tool_paths(
         self, genes: FloatArray, longest: float = math.inf, guided: Obstacles | None = None
     ) -> ToolRollouts:
-        """Rolls out the tool along candidates (n, 7), or the guided one."""
+        """Rolls out the tool along candidates (n, 6), or the guided one."""
         if guided is None:
             terms, obstacles = avoidance_terms(self.scene, genes)[:, None], None
         else:
@@ -264,10 +335,6 @@ class Search(ABC):
             every=self.every,
         )
 
-    def seconds(self, genes: FloatArray) -> FloatArray:
-        """Returns tau T (n,) of candidates [s]."""
-        return np.asarray(self.dmp.duration * np.exp(genes[:, TAU]))
-
     def tool_cost(self, genes: FloatArray, tool: ToolRollouts) -> FloatArray:
         """Returns length over L, and small prices; above `BAD` where the motion does not arrive."""
         L = self.scene.baseline
@@ -279,7 +346,7 @@ class Search(ABC):
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
     def first(self, seeds: FloatArray) -> FloatArray:
-        """Returns the first candidates (n, 7).
+        """Returns the first candidates (n, 6).
 
         Those are the best of the earlier search, if there was one. Otherwise the seeds and a
         moderate term on every side; in place of the last of them the motion in use, also with
@@ -295,24 +362,28 @@ class Search(ABC):
         return self.bounded(np.concatenate([seeds, others]))
 
     def children(self, ranked: Ranked) -> FloatArray:
-        """Returns the candidates of a round, (n, 7)."""
+        """Returns the candidates of a round, (n, 6)."""
         count = self.parameters.candidates
         number, self.rounds = self.rounds % _CYCLE, self.rounds + 1
-        random, genes = draws(number, count), ranked.genes
+        random, genes = np.random.default_rng((number, count)), ranked.genes
         size = max(round(_LINE * count), _LEAST)
-        line = strengths(genes[0], ranked.solved, closer(number), size)
-        n_kin = count - size
-        kin = genes[np.arange(n_kin) % len(genes)] + STRIDE * random.step[:n_kin]
-        first, second = random.first[:n_kin] % len(genes), random.second[:n_kin] % len(genes)
-        kin += random.mixing[:n_kin, None] * np.nan_to_num(genes[first] - genes[second])
-        trial = np.concatenate([line, kin])
+        spacing = max(SPACING * _CLOSER**number, _CLOSEST)
+        line = strengths(genes[0], ranked.solved, spacing, size)
+        scale = np.exp(random.uniform(-2.5, 0.0, (count, 1)))
+        first, second = random.integers(0, ELITES, (2, count)) % len(genes)
+        mixing = 0.5 * (random.uniform(size=(count, 1)) < 0.5)
+        kin = genes[np.arange(count) % len(genes)]
+        kin = kin + STRIDE * scale * random.standard_normal(kin.shape)
+        kin += mixing * np.nan_to_num(genes[first] - genes[second])
+        trial = np.concatenate([line, kin[: count - size]])
         if number >= _FIRST_FRESH and not ranked.solved:
-            trial = np.where(random.is_fresh[:, None], random.fresh, trial)
-        trial[:, TAU] = 0.0
+            low, high = np.nan_to_num(LOWER, neginf=0.0), np.nan_to_num(UPPER, posinf=2.0 * np.pi)
+            # A quarter of them.
+            trial[-(count // 4) :] = random.uniform(low, high, (count // 4, N_GENES))
         return self.bounded(trial)
 
     def bounded(self, genes: FloatArray) -> FloatArray:
-        """Returns genes (n, 7) moved into their ranges."""
+        """Returns genes (n, 6) moved into their ranges."""
         return np.clip(genes, LOWER, UPPER)
 
 
@@ -386,19 +457,12 @@ class ArmSearch(Search):
         T = max(int(np.isfinite(tool.path[:, :, 0]).sum(axis=1).max(initial=1)), 2)
         s = self.sample_times(T)
         led = np.tile(self.leading(np.clip(s, 0.0, 1.0)), (len(genes), 1, 1))
-        paths = ToolPaths(s, tool.path[:, :T], led[..., :9], led[..., 9:], self.seconds(genes))
+        paths = ToolPaths(s, tool.path[:, :T], led[..., :9], led[..., 9:], self.dmp.duration)
         return roll_out_arm(self.world, self.q, paths, enough)
-
-    def rollout(
-        self, genes: FloatArray, guided: Obstacles | None
-    ) -> tuple[ToolRollouts, ArmRollouts]:
-        """Returns tool and arm along one candidate (1, 7), or the guided one, to its end."""
-        tool = self.tool_paths(genes, guided=guided)
-        return tool, self.follow(genes, tool, -math.inf)
 
 
 ERROR, HURRY, ENDED = 3, 4, 5
-N_COLUMNS = 6
+_N_RESULTS = 6
 """Columns of the results of candidates, after `TOOL`, `LINKS` and `SELF` of `arm_world`."""
 _EACH = 8
 """Candidates for which another thread pays."""
@@ -412,14 +476,14 @@ class ToolPaths(NamedTuple):
         p_WE: (N, T, 3) positions [m]; NaN after the arrival of a motion.
         R_WE: (N, T, 9) orientations, row by row.
         posture: (N, T, n) postures to which the null space is attracted [rad].
-        seconds: (N,) duration of a unit of s [s].
+        seconds: duration of a unit of s [s].
     """
 
     s: FloatArray
     p_WE: FloatArray
     R_WE: FloatArray
     posture: FloatArray
-    seconds: FloatArray
+    seconds: float
 
 
 class ArmRollouts(NamedTuple):
@@ -458,9 +522,9 @@ def roll_out_arm(
         enough: () or (N,) excess below which a candidate is not followed further [m].
     """
     N, T, _ = paths.p_WE.shape
-    table, joints = np.empty((N, N_COLUMNS)), np.empty((N, T, len(q)))
+    table, joints = np.empty((N, _N_RESULTS)), np.empty((N, T, len(q)))
     stop = np.array(np.broadcast_to(np.asarray(enough, dtype=float), (N,)))
-    bundle = ToolPaths(*kernel_arrays(*paths))
+    bundle = ToolPaths(*kernel_arrays(*paths[:4]), float(paths.seconds))
     threads = min(CORES, N // _EACH + 1)
     on_cores(_roll_some, threads, *world, *kernel_arrays(q), bundle, stop, table, joints)
     samples = table[:, ENDED].astype(np.int64)
@@ -474,7 +538,7 @@ def _roll_some(
     now: float, q0: FloatArray, paths: ToolPaths, enough: FloatArray, out: FloatArray,
     Q: FloatArray,
 ) -> None:  # fmt: skip
-    """Rolls out candidates part, part + parts, ... into out (N, N_COLUMNS) and Q (N, T, n)."""
+    """Rolls out candidates part, part + parts, ... into out (N, 6) and Q (N, T, n)."""
     T, n = Q.shape[1:]
     s, room, target = paths.s, scratch(n), np.empty(12)
     center = np.empty((len(spheres.group_joint), 3))
@@ -492,12 +556,11 @@ def _roll_some(
             if row > 0:
                 # The first sample is the present configuration.
                 error = max(error, missed)
-                dt = paths.seconds[i] * (s[row] - s[row - 1])
+                dt = paths.seconds * (s[row] - s[row - 1])
                 for joint in range(n):
                     moved = abs(q[joint] - Q[i, row - 1, joint])
                     hurry = max(hurry, moved / (chain.speed[joint] * dt))
-            t = now + paths.seconds[i] * (s[row] - s[0])
-            lower_excess(room.X, t, spheres, solids, asked, center, least, enough[i])
+            lower_excess(room.X, now, spheres, solids, asked, center, least, enough[i])
             if min(least[0], min(least[1], least[2])) < enough[i]:
                 break
         for row in range(done, T):

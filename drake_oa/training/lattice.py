@@ -6,16 +6,13 @@ V-A): on the action level of the released code (`released_law`), or the running 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-import pydrake.geometry as drake
 
 from drake_oa.common.console import progress_bar
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.solids import Solids, solid_of, solids_of
-from drake_oa.planning.point_search import path_distances
+from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, minimum_jerk
@@ -79,22 +76,19 @@ def roll_out_lattice(
                     path = running_paths(parameters[rows])
                 missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
                 for i, lambda1 in enumerate(lattice.lambda1):
-                    shape = drake.Ellipsoid(lambda1, lambda2, max(lambda1, lambda2))
-                    X_WO = np.eye(4)
-                    X_WO[:3, 3] = _CENTER
-                    solids = solids_of([replace(solid_of(shape), X_WO=X_WO)])
-                    distance = _distances(solids, path[:, ::_COARSE])
+                    axes = [lambda1, lambda2, max(lambda1, lambda2)]
+                    distance = _distances(axes, path[:, ::_COARSE])
                     # Most motions are in contact; the others are measured at every step.
                     free = distance > 0.0
-                    distance[free] = _distances(solids, path[free])
+                    distance[free] = _distances(axes, path[free])
                     least[i, j, rows] = np.maximum(distance, 0.0)
                     error[i, j, rows] = np.where(distance <= 0.0, np.inf, missing)
     return least.reshape(counts), error.reshape(counts)
 
 
-def _distances(solids: Solids, path: FloatArray) -> FloatArray:
-    """Returns the least distances (N,) of paths (N, T, 3) to a solid at rest [m]."""
-    return path_distances(solids, path, np.zeros(len(path)))[:, 0]
+def _distances(semi_axes: list[float], path: FloatArray) -> FloatArray:
+    """Returns the least distances (N,) of paths (N, T, 3) to the ellipsoid [m]."""
+    return np.fmin.reduce(signed_distance(path, _CENTER, np.eye(3), semi_axes), axis=1)
 
 
 def released_paths(parameters: FloatArray, tau: float) -> FloatArray:

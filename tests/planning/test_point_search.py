@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.planning.candidates import ALPHA, TAU
 from drake_oa.planning.point_search import PointSearch
-from drake_oa.planning.search import Ranked
+from drake_oa.planning.search import ALPHA, Ranked
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
@@ -47,7 +46,7 @@ def searched(scene: Scene) -> tuple[Ranked, FloatArray, FloatArray]:
     found = search.run()
     tool = search.tool_paths(found.genes)
     path = tool.path[0, : int(tool.steps[0]) + 1]
-    return found, path, np.arange(len(path)) * tool.ds * DURATION * np.exp(found.genes[0, TAU])
+    return found, path, np.arange(len(path)) * tool.ds * DURATION
 
 
 def least_distance(scene: Scene, path: FloatArray, stamps: FloatArray) -> float:

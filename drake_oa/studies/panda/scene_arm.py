@@ -139,7 +139,7 @@ class SceneArm:
             p_WE=(start + minimum_jerk_share(s)[:, None] * (goal - start))[None],
             R_WE=np.tile(R_WE, (1, len(s), 1)),
             posture=(q_start + led)[None],
-            seconds=np.array([task.duration]),
+            seconds=task.duration,
         )
         off_table = np.where(self.joint < 0, -np.inf, 0.0)[:, None]
         asked = Asked(off_table, 0.0, self.tool)

@@ -142,7 +142,7 @@ def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntAr
             )
             now = ArmWorld(arm.chain, arm.spheres, solids, arm.asked, 0.0)
             is_within = np.all(arm.chain.lower <= q) and np.all(q <= arm.chain.upper)
-            if not is_within or excess(now, q, 0.0, _NEAR, X, center) < 0.0:
+            if not is_within or excess(now, q, _NEAR, X, center) < 0.0:
                 counts[i] = k
                 break
     return counts
