@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem
+from pydrake.systems.framework import AbstractStateIndex, Context, DependencyTicket, LeafSystem
 
 T = TypeVar("T")
 
@@ -17,25 +17,47 @@ DECISION_OFFSET = 1e-3
 """Delay of a layer's decision after the beginning of a period [s], so that inputs are new."""
 
 
-def read_value(system: LeafSystem, port: InputPort, context: Context, kind: type[T]) -> T:
-    """Evaluates an abstract input port and checks the type of its value.
+class AbstractInput(Generic[T]):
+    """Abstract input port of a system, with a check of the type of its values."""
 
-    Raises:
-        TypeError: naming system, port, the type found and the type expected.
-        RuntimeError: from Drake, if the port is not connected.
-    """
-    value = port.Eval(context)
-    if not isinstance(value, kind):
-        raise TypeError(
-            f"{system.get_name() or type(system).__name__}: input port '{port.get_name()}' "
-            f"holds a {type(value).__name__}; it must be a {kind.__name__}"
-        )
-    return value
+    def __init__(self, system: LeafSystem, name: str, kind: type[T]) -> None:
+        """Declares the port.
 
+        Args:
+            system: under construction.
+            name: of the port.
+            kind: class of its values.
+        """
+        self.port, self._kind = system.DeclareAbstractInputPort(name, Value(kind())), kind
 
-def read_optional(system: LeafSystem, port: InputPort, context: Context, kind: type[T]) -> T | None:
-    """`read_value` of a port that need not be connected; None where it is not."""
-    return read_value(system, port, context, kind) if port.HasValue(context) else None
+    def read(self, context: Context) -> T:
+        """Evaluates the port.
+
+        Raises:
+            TypeError: naming system, port, the type found and the type expected.
+            RuntimeError: from Drake, if the port is not connected.
+        """
+        value = self.port.Eval(context)
+        if not isinstance(value, self._kind):
+            system = self.port.get_system()
+            raise TypeError(
+                f"{system.get_name() or type(system).__name__}: input port "
+                f"'{self.port.get_name()}' holds a {type(value).__name__}; it must be a "
+                f"{self._kind.__name__}"
+            )
+        return value
+
+    def find(self, context: Context) -> T | None:
+        """Evaluates the port; None where it is not connected."""
+        return self.read(context) if self.port.HasValue(context) else None
+
+    def read_or_empty(self, context: Context) -> T:
+        """Evaluates the port; a default value where it is not connected."""
+        return self.read(context) if self.port.HasValue(context) else self._kind()
+
+    def ticket(self) -> DependencyTicket:
+        """Returns the ticket of what depends on the port."""
+        return self.port.ticket()
 
 
 def valid_period(period: float) -> float:

@@ -11,7 +11,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, ObstacleClouds
-from drake_oa.common.ports import read_value
+from drake_oa.common.ports import AbstractInput
 from drake_oa.descriptor.descriptor import Method, describe
 from drake_oa.geometry.ellipsoid import checked_points
 
@@ -73,7 +73,7 @@ class EllipsoidDescriptor(LeafSystem):
             method=method,
             tool_parts=[np.array(checked_points(part, "tool_parts")) for part in tool_parts],
         )
-        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._obstacles = AbstractInput(self, "obstacles_W", ObstacleClouds)
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self.DeclareAbstractOutputPort(
             "ellipsoids_W",
@@ -83,7 +83,7 @@ class EllipsoidDescriptor(LeafSystem):
         )
 
     def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:
-        obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
+        obstacles = self._obstacles.read(context)
         free_W = self._free_W
         if self._goal.HasValue(context):
             free_W = np.vstack([free_W, self._goal.Eval(context)])

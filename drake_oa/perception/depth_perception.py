@@ -16,7 +16,7 @@ from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, ObstacleClouds
-from drake_oa.common.ports import read_value, valid_period
+from drake_oa.common.ports import AbstractInput, valid_period
 from drake_oa.geometry.pinhole import View, pinhole, pixel_at
 from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
@@ -113,8 +113,8 @@ class FreeSpace(Frozen):
 class _Ports(NamedTuple):
     """Input ports of one camera; robot None: a system that knows no robot."""
 
-    image: InputPort
-    pose: InputPort
+    image: AbstractInput[Any]
+    pose: AbstractInput[Any]
     robot: InputPort | None
     stamp: InputPort
 
@@ -235,8 +235,8 @@ class DepthPerception(LeafSystem):
     def _declare_camera(self, suffix: str) -> _Ports:
         robot = self._robot
         return _Ports(
-            self.DeclareAbstractInputPort(f"depth_image{suffix}", Value(ImageDepth32F())),
-            self.DeclareAbstractInputPort(f"camera_pose{suffix}", Value(RigidTransform())),
+            AbstractInput(self, f"depth_image{suffix}", ImageDepth32F),
+            AbstractInput(self, f"camera_pose{suffix}", RigidTransform),
             None
             if robot is None
             else self.DeclareVectorInputPort(f"robot_state{suffix}", robot.num_states),
@@ -308,8 +308,8 @@ class DepthPerception(LeafSystem):
 
     def _view(self, row: int, context: Context) -> View:
         port, (K, size) = self._ports[row], self._cameras[row]
-        image: Any = read_value(self, port.image, context, ImageDepth32F)
-        pose: Any = read_value(self, port.pose, context, RigidTransform)
+        image: Any = port.image.read(context)
+        pose: Any = port.pose.read(context)
         depth = image.data[:, :, 0]
         if depth.shape != size:
             raise ValueError(

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.geometry import FrameId, QueryObject, SceneGraphInspector
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import OUT_OF_WORLD, FloatArray, ObstacleClouds, TablePlane
-from drake_oa.common.ports import read_value, valid_period
+from drake_oa.common.ports import AbstractInput, valid_period
 from drake_oa.geometry.solids import read_solid, surface_points
 from drake_oa.perception.depth_perception import PerceptionState
 from drake_oa.perception.tracking import ObstacleMemory
@@ -78,13 +77,13 @@ class GroundTruthPerception(LeafSystem):
             for instance in obstacles
         )
         period = valid_period(period)
-        self._query_port = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))
+        self._query_port = AbstractInput(self, "query_object", QueryObject)
         self._state = PerceptionState(self)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
 
     def _update(self, context: Context, state: State) -> None:
-        query = read_value(self, self._query_port, context, QueryObject)
+        query = self._query_port.read(context)
         time, before = context.get_time(), self._state.read(context).obstacles
         dt, earlier = (
             time - before.stamp,

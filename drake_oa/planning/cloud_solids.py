@@ -35,7 +35,7 @@ from drake_oa.common.messages import (
     ObstacleClouds,
     TablePlane,
 )
-from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.pinhole import FREE, View, shown
 from drake_oa.geometry.solids import Solid, SolidScene, cloud_solid, table_solid
@@ -280,14 +280,13 @@ class CloudSolids(LeafSystem):
         super().__init__()
         period = valid_period(period)
         self._images = list((cameras or {}).values())
-        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._obstacles = AbstractInput(self, "obstacles_W", ObstacleClouds)
         self._poses = [
-            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
-            for name in cameras or ("camera_pose",)
+            AbstractInput(self, name, RigidTransform) for name in cameras or ("camera_pose",)
         ]
         self._views = None
         if len(self._poses) > 1:
-            self._views = self.DeclareAbstractInputPort("free_space_W", Value(FreeSpace()))
+            self._views = AbstractInput(self, "free_space_W", FreeSpace)
         self._seen = self.DeclareAbstractState(Value(unseen(table)))
         self.DeclareAbstractOutputPort(
             "solids_W",
@@ -323,12 +322,12 @@ class CloudSolids(LeafSystem):
         state.get_mutable_abstract_state(self._seen).set_value(after)
 
     def _looked_at(self, context: Context, before: SeenSolids) -> SeenSolids:
-        obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
-        read = [read_optional(self, port, context, RigidTransform) for port in self._poses]
+        obstacles = self._obstacles.read(context)
+        read = [port.find(context) for port in self._poses]
         poses = [pose.GetAsMatrix4() for pose in read if pose is not None]
         views: list[View] = []
         if self._views is not None:
-            seen = read_optional(self, self._views, context, FreeSpace) or FreeSpace()
+            seen = self._views.read_or_empty(context)
             # Of another time they show what moves elsewhere.
             if seen.stamp == obstacles.stamp:
                 views = [view for view in seen.views if view is not None]

@@ -17,9 +17,8 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import (
     DECISION_OFFSET,
+    AbstractInput,
     declare_state_outputs,
-    read_optional,
-    read_value,
     valid_period,
 )
 from drake_oa.common.thinking import Thinking, Thoughts
@@ -112,15 +111,13 @@ class MotionVerifier(LeafSystem):
         super().__init__()
         self._search, self._positions = search, list(positions)
         self._thinking = thinking
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._robot = self.DeclareVectorInputPort("robot_state", num_states)
-        self._solids = self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
-        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
-        self._proposed = self.DeclareAbstractInputPort(
-            "coupling_parameters", Value(CouplingParameters())
-        )
-        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        self._solids = AbstractInput(self, "solids_W", SolidScene)
+        self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
+        self._proposed = AbstractInput(self, "coupling_parameters", CouplingParameters)
+        self._route = AbstractInput(self, "route", Route)
         self._chosen = self.DeclareAbstractState(Value(Thoughts(SelectedMotion())))
         declare_state_outputs(
             self,
@@ -154,7 +151,7 @@ class MotionVerifier(LeafSystem):
         held = state.get_mutable_abstract_state(self._chosen)
         kept: Thoughts[SelectedMotion] = held.get_value()
         time = context.get_time()
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         if policy.baseline == 0.0:
             # There is no motion yet to choose for.
             return EventStatus.DidNothing()
@@ -171,14 +168,13 @@ class MotionVerifier(LeafSystem):
     def _sight(self, context: Context) -> Sight:
         """Returns the input of a decision now."""
         return Sight(
-            read_value(self, self._policy, context, PolicyState),
+            self._policy.read(context),
             np.array(self._goal.Eval(context)),
             np.array(self._robot.Eval(context)[self._positions]),
-            read_value(self, self._solids, context, SolidScene).at_rest(),
-            read_optional(self, self._ellipsoids, context, EllipsoidSet) or EllipsoidSet(),
-            read_optional(self, self._proposed, context, CouplingParameters)
-            or CouplingParameters(),
-            read_optional(self, self._route, context, Route) or Route(),
+            self._solids.read(context).at_rest(),
+            self._ellipsoids.read_or_empty(context),
+            self._proposed.read_or_empty(context),
+            self._route.read_or_empty(context),
         )
 
     def _take_effect(self, context: Context, state: State) -> EventStatus:
@@ -188,7 +184,7 @@ class MotionVerifier(LeafSystem):
         made = kept.made(time)
         if made is None:
             return EventStatus.DidNothing()
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         fits = made.fits(policy, self._goal.Eval(context))
         if fits and (policy.speed == 0.0 or not made.command.restart):
             _log_change(kept.in_force, made, time)

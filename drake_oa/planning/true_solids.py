@@ -14,7 +14,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import OUT_OF_WORLD
-from drake_oa.common.ports import read_value, valid_period
+from drake_oa.common.ports import AbstractInput, valid_period
 from drake_oa.geometry.solids import (
     SURROUNDINGS,
     SolidScene,
@@ -78,7 +78,7 @@ class TrueSolids(LeafSystem):
             of_body = [replace(solid, name=name, label=label) for solid in read]
             self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
         period = valid_period(period)
-        self._query = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))
+        self._query = AbstractInput(self, "query_object", QueryObject)
         self._origins = self.DeclareDiscreteState(3 * len(self._bodies))
         self._scene = self.DeclareAbstractState(Value(SolidScene()))
         self.DeclareStateOutputPort("solids_W", self._scene)
@@ -86,7 +86,7 @@ class TrueSolids(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
 
     def _update(self, context: Context, state: State) -> None:
-        query = read_value(self, self._query, context, QueryObject)
+        query = self._query.read(context)
         time = context.get_time()
         before: SolidScene = context.get_abstract_state(self._scene).get_value()
         was = context.get_discrete_state(self._origins).value().reshape(-1, 3)

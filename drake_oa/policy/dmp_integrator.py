@@ -22,7 +22,7 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.common.ports import read_optional
+from drake_oa.common.ports import AbstractInput
 from drake_oa.policy.action import Segment, Surroundings, restarted, resting, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, local_frame
@@ -102,14 +102,12 @@ class DmpIntegrator(LeafSystem):
         self._start = start = np.asarray(start, dtype=float)
 
         self._goal = self.DeclareVectorInputPort("goal", 3)
-        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
-        self._coupling = self.DeclareAbstractInputPort(
-            "coupling_parameters", Value(CouplingParameters())
-        )
-        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
+        self._coupling = AbstractInput(self, "coupling_parameters", CouplingParameters)
+        self._route = AbstractInput(self, "route", Route)
         self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
         self._evasion = self.DeclareVectorInputPort("evasion", 3)
-        self._demonstration = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
+        self._demonstration = AbstractInput(self, "demonstration", Demonstration)
         # Perception and decision are much slower than the policy.
         self._surroundings = self.DeclareCacheEntry(
             "surroundings",
@@ -178,9 +176,9 @@ class DmpIntegrator(LeafSystem):
     def _calc_surroundings(self, context: Context, output: AbstractValue) -> None:
         output.set_value(
             Surroundings.of(
-                read_optional(self, self._ellipsoids, context, EllipsoidSet),
-                read_optional(self, self._coupling, context, CouplingParameters),
-                read_optional(self, self._route, context, Route),
+                self._ellipsoids.find(context),
+                self._coupling.find(context),
+                self._route.find(context),
             )
         )
 
@@ -189,7 +187,7 @@ class DmpIntegrator(LeafSystem):
         around = self._surroundings.Eval(context)
         goal = self._goal.Eval(context)
         if around.anew:
-            given = read_optional(self, self._demonstration, context, Demonstration)
+            given = self._demonstration.find(context)
             primitive = None if given is None else given.position
             before = restarted(before, goal, context.get_time(), primitive)
         scale = self._speed_scale

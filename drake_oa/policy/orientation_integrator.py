@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState, zeros
-from drake_oa.common.ports import read_optional, read_value, valid_period
+from drake_oa.common.ports import AbstractInput, valid_period
 from drake_oa.policy.dmp import (
     ALPHA,
     QUATERNION,
@@ -134,9 +134,9 @@ class OrientationIntegrator(LeafSystem):
         self._primitive, begin = primitive, at_rest(primitive, R_WS, self._R_WG)
         self._period = valid_period(period)
 
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._goal_port = self.DeclareVectorInputPort("goal_orientation", 4)
-        self._demonstration = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
+        self._demonstration = AbstractInput(self, "demonstration", Demonstration)
         self._segment = self.DeclareAbstractState(Value(begin))
         self._now = self.DeclareCacheEntry(
             "orientation now",
@@ -183,7 +183,7 @@ class OrientationIntegrator(LeafSystem):
 
         A motion of the task begins at the present orientation.
         """
-        given = read_optional(self, self._demonstration, context, Demonstration)
+        given = self._demonstration.find(context)
         begun = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)
         swapped = policy.phase == 1.0 and given is not before.demonstration
         if given is None or not (begun or swapped):
@@ -196,7 +196,7 @@ class OrientationIntegrator(LeafSystem):
         return at_rest(*motion, phase=policy.phase, p_WS=policy.p_WS, demonstration=given)
 
     def _step(self, context: Context, state: State) -> EventStatus:
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         before = self._restarted(context, self._read_segment(context), policy)
         goal, alpha_k = self._goal_now(context, before), before.primitive.dmp.alpha_k
         passed = normalised_time(policy.phase, alpha_k) - normalised_time(before.phase, alpha_k)

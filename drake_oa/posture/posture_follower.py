@@ -9,7 +9,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.messages import FloatArray, PlannedMotion, PolicyState
-from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
+from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, valid_period
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.posture.posture_course import PostureCourse, course_of
 
@@ -55,8 +55,8 @@ class PostureFollower(LeafSystem):
         super().__init__()
         period = valid_period(period)
         self._rest, self._alpha_k = np.array(q_rest, dtype=float), alpha_k
-        self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._motion = AbstractInput(self, "motion", PlannedMotion)
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._course = self.DeclareAbstractState(Value(course_of(PlannedMotion(), self._rest)))
         self.DeclareVectorOutputPort(
             "desired_posture",
@@ -72,7 +72,7 @@ class PostureFollower(LeafSystem):
 
     def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
         """Normalised time of a motion, its rate [1/s], and the time [s]."""
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         time = context.get_time()
         if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():
             # The policy has begun anew since: where it rested.
@@ -84,7 +84,7 @@ class PostureFollower(LeafSystem):
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
-        motion = read_value(self, self._motion, context, PlannedMotion)
+        motion = self._motion.read(context)
         if motion is before.motion or not (len(motion.q) or len(before.motion.q)):
             return EventStatus.DidNothing()
         after = course_of(motion, self._rest)

@@ -7,7 +7,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, PolicyState
-from drake_oa.common.ports import read_value
+from drake_oa.common.ports import AbstractInput
 from drake_oa.regulation.regressor import ChainWeights, section_extents
 
 
@@ -43,8 +43,8 @@ class RegressorChain(LeafSystem):
         """
         super().__init__()
         self._weights, self._asked_clearance = weights, asked_clearance
-        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
         self.DeclareAbstractOutputPort(
             "coupling_parameters",
             lambda: Value(CouplingParameters()),
@@ -52,8 +52,8 @@ class RegressorChain(LeafSystem):
         )
 
     def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
-        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        policy = read_value(self, self._policy, context, PolicyState)
+        ellipsoids = self._ellipsoids.read(context)
+        policy = self._policy.read(context)
         if policy.baseline == 0.0:
             zeros = np.zeros(len(ellipsoids))
             output.set_value(CouplingParameters(zeros, zeros + 1.0, zeros, zeros > 0.0))

@@ -19,7 +19,7 @@ from drake_oa.common.messages import (
     Route,
     TablePlane,
 )
-from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, valid_period
 from drake_oa.policy.dmp import local_frame
 from drake_oa.route.cost_rings import (
     FORBIDDEN,
@@ -114,10 +114,10 @@ class CostRingSelector(LeafSystem):
         self._extra, self._ring_price = dict(extra_rings or {}), ring_price
         self._rings |= self._extra
 
-        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._goal = self.DeclareVectorInputPort("goal", 3)
-        self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
+        self._table = AbstractInput(self, "table", TablePlane)
         self._decided = self.DeclareAbstractState(Value(Route()))
         for name in ("route", "decision"):
             self.DeclareAbstractOutputPort(
@@ -136,9 +136,9 @@ class CostRingSelector(LeafSystem):
 
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
         """Weighs the rings for a motion from p_WS to p_WG."""
-        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        ellipsoids = self._ellipsoids.read(context)
         R_WL = local_frame(p_WS, p_WG)
-        table = read_optional(self, self._table, context, TablePlane) or ellipsoids.table
+        table = self._table.find(context) or ellipsoids.table
         scene = ring_scene(
             p_WS,
             p_WG,
@@ -174,7 +174,7 @@ class CostRingSelector(LeafSystem):
 
     def _decide(self, context: Context, state: State) -> None:
         before: Route = context.get_abstract_state(self._decided).get_value()
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
         if route.blocked and route.note != before.note:
             _logger.info("t=%.3f s: %s", context.get_time(), route.note)
@@ -182,10 +182,10 @@ class CostRingSelector(LeafSystem):
 
     def _current(self, context: Context) -> Route:
         """The decision in the Context, or for the same motion past other obstacles, if so."""
-        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()
         if decided.baseline == 0.0:
-            policy = read_value(self, self._policy, context, PolicyState)
+            policy = self._policy.read(context)
             goal = self._goal.Eval(context)
             ready = math.dist(policy.p_WS, goal) > 0.0
             return self._weigh(context, policy.p_WS, goal) if ready else decided

@@ -20,9 +20,8 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import (
     DECISION_OFFSET,
+    AbstractInput,
     declare_state_outputs,
-    read_optional,
-    read_value,
     valid_period,
 )
 from drake_oa.common.thinking import Thinking, Thoughts
@@ -265,16 +264,16 @@ class MotionGuard(LeafSystem):
         self._n = n = len(self._joints)
 
         self._robot = self.DeclareVectorInputPort("robot_state", 2 * self._size)
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._position = self.DeclareVectorInputPort("desired_position", 3)
         self._velocity = self.DeclareVectorInputPort("desired_velocity", 3)
         self._orientation = self.DeclareVectorInputPort("desired_orientation", 4)
         self._angular = self.DeclareVectorInputPort("desired_angular_velocity", 3)
         self._posture = self.DeclareVectorInputPort("desired_posture", 2 * n)
-        self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
-        self._solids = self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
-        self._free_space = self.DeclareAbstractInputPort("free_space_W", Value(FreeSpace()))
-        self._shown = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
+        self._motion = AbstractInput(self, "motion", PlannedMotion)
+        self._solids = AbstractInput(self, "solids_W", SolidScene)
+        self._free_space = AbstractInput(self, "free_space_W", FreeSpace)
+        self._shown = AbstractInput(self, "demonstration", Demonstration)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
 
         rest = np.append(q_start, np.zeros(n))
@@ -319,7 +318,7 @@ class MotionGuard(LeafSystem):
         return context.get_abstract_state(self._state).get_value()
 
     def _scene(self, context: Context) -> SolidScene:
-        return read_value(self, self._solids, context, SolidScene)
+        return self._solids.read(context)
 
     def _path_state(self, context: Context) -> FloatArray:
         x, state = self._robot.Eval(context).copy(), self._read(context)
@@ -403,7 +402,7 @@ class MotionGuard(LeafSystem):
     ) -> GuardState:
         """Returns the state after the monitors of observations, torques and the guard itself."""
         kept = state.supervision
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         late = state.decision.follows and time > state.expires
         demands = [
             watch_observation(scene, time, self._fresh, self._config.max_observation_age),
@@ -517,9 +516,9 @@ class MotionGuard(LeafSystem):
     ) -> GuardSight:
         """Returns the input of a decision that comes into force after the usual latency."""
         n, step = self._n, self._step_length
-        policy = read_value(self, self._policy, context, PolicyState)
-        motion = read_value(self, self._motion, context, PlannedMotion)
-        shown = read_optional(self, self._shown, context, Demonstration)
+        policy = self._policy.read(context)
+        motion = self._motion.read(context)
+        shown = self._shown.find(context)
         duration = self._duration
         if shown is not None and shown.position is not None:
             duration = shown.position.duration
@@ -549,7 +548,7 @@ class MotionGuard(LeafSystem):
             scene=scene,
             speed_share=self._slow_share if time < state.slow_until else 1.0,
             number=state.number,
-            free_space=read_optional(self, self._free_space, context, FreeSpace),
+            free_space=self._free_space.find(context),
         )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 from pydrake.common.value import Value
@@ -12,10 +11,10 @@ from pydrake.geometry import Capsule, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import PointCloud
-from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState, Route
-from drake_oa.common.ports import read_optional, read_value
+from drake_oa.common.ports import AbstractInput
 from drake_oa.scenario.scenario import LAYERS
 from drake_oa.viewing import drawing
 from drake_oa.viewing.drawing import Color
@@ -31,7 +30,6 @@ _PLACES = 8
 """Number of places of drawn obstacles; that of an obstacle is the remainder of its ID."""
 _SHORTEST_SEGMENT = 2e-3
 """Minimum length of a drawn segment of the executed path [m]."""
-T = TypeVar("T")
 
 
 class MeshcatOverlay(LeafSystem):
@@ -92,10 +90,10 @@ class MeshcatOverlay(LeafSystem):
         self._planned_W = planned_W
         self._body_index = body_index
         self._p_BE = np.array(p_BE, dtype=float)
-        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
-        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
-        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
-        self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
+        self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
+        self._route = AbstractInput(self, "route", Route)
+        self._cloud = AbstractInput(self, "cloud", PointCloud)
         self._bodies = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self.DeclareDiscreteState(4)
         self.DeclareInitializationDiscreteUpdateEvent(self._begin)
@@ -104,14 +102,9 @@ class MeshcatOverlay(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, PERIOD, self._advance)
         self.DeclarePeriodicPublishEvent(PERIOD, PERIOD, self._draw_frame)
 
-    def _read(self, port: InputPort, context: Context, kind: type[T]) -> T:
-        """Reads a port; an empty value where it is not connected."""
-        found = read_optional(self, port, context, kind)
-        return kind() if found is None else found
-
     def _tool_point(self, context: Context) -> FloatArray:
         if self._body_index is None or not self._bodies.HasValue(context):
-            return read_value(self, self._policy, context, PolicyState).p_WE
+            return self._policy.read(context).p_WE
         X_WB: RigidTransform = self._bodies.Eval(context)[int(self._body_index)]
         return np.asarray(X_WB @ self._p_BE)
 
@@ -171,7 +164,7 @@ class MeshcatOverlay(LeafSystem):
             meshcat.SetProperty(f"{body}/<object>", "material.depthWrite", False)
             line = f"{_ROOT}/decision/{place}/direction/line"
             self._segment(line, np.zeros(3), np.array([length, 0.0, 0.0]), 0.0055, drawing.CHOSEN)
-        policy = read_value(self, self._policy, context, PolicyState)
+        policy = self._policy.read(context)
         path = np.stack([policy.p_WS, policy.p_WG]) if self._planned_W is None else self._planned_W
         for row, (p_from, p_to) in enumerate(pairwise(path)):
             if (p_to != p_from).any():
@@ -195,18 +188,18 @@ class MeshcatOverlay(LeafSystem):
             path = f"{_ROOT}/motion/executed/{frame}"
             self._segment(path, p_from, p_to, 0.0055, drawing.EXECUTED)
             self._appear(path, context)
-        if frame % _LASTING == 0 and self._cloud.HasValue(context):
+        if frame % _LASTING == 0 and self._cloud.port.HasValue(context):
             clouds = f"{_ROOT}/perception/cloud"
             self._show_path(f"{clouds}/{frame - _LASTING}", False, time)
-            thinned = self._cloud.Eval(context).VoxelizedDownSample(_CLOUD_SPACING)
+            thinned = self._cloud.read(context).VoxelizedDownSample(_CLOUD_SPACING)
             self._meshcat.SetObject(f"{clouds}/{frame}", thinned, 0.011, Rgba(*drawing.CLOUD))
             self._appear(f"{clouds}/{frame}", context)
 
     def _draw_obstacles(self, context: Context, frame: int) -> None:
         time, meshcat = context.get_time(), self._meshcat
-        ellipsoids = self._read(self._ellipsoids, context, EllipsoidSet)
-        route = self._read(self._route, context, Route)
-        policy = read_value(self, self._policy, context, PolicyState)
+        ellipsoids = self._ellipsoids.read_or_empty(context)
+        route = self._route.read_or_empty(context)
+        policy = self._policy.read(context)
         ids, left = ellipsoids.ids.tolist(), route.remaining_clearance
         # Rings of obstacles that need no coupling would only hide the others'.
         sides = {

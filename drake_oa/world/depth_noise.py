@@ -26,7 +26,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 from scipy.ndimage import uniform_filter
 
-from drake_oa.common.ports import read_value
+from drake_oa.common.ports import AbstractInput
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraNoise
 
@@ -176,7 +176,7 @@ class DepthNoise(LeafSystem):
         """
         super().__init__()
         self._noise = partial(add_depth_noise, K=pinhole(camera), parameters=parameters, seed=seed)
-        self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
+        self._image_port = AbstractInput(self, "depth_image", ImageDepth32F)
         self.DeclareAbstractOutputPort(
             "depth_image",
             lambda: Value(ImageDepth32F()),
@@ -185,7 +185,7 @@ class DepthNoise(LeafSystem):
         )
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+        image: Any = self._image_port.read(context)
         measured: Any = output.get_mutable_value()
         measured.resize(image.width(), image.height())
         measured.mutable_data[:, :, 0] = self._noise(image.data[:, :, 0], context.get_time())

@@ -21,7 +21,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.common.ports import read_value, valid_period
+from drake_oa.common.ports import AbstractInput, valid_period
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 
 _TIME_TOLERANCE = 1e-6
@@ -91,7 +91,7 @@ class CameraFaults(LeafSystem):
         period = valid_period(period)
         missing = np.full((camera.height(), camera.width(), 1), np.nan, dtype=np.float32)
         nothing = _Frame(-np.inf, missing, np.zeros(num_states))
-        self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
+        self._image_port = AbstractInput(self, "depth_image", ImageDepth32F)
         self._robot_port = self.DeclareVectorInputPort("robot_state", num_states)
         self._last = self.DeclareAbstractState(Value(nothing))
         late = {self.time_ticket(), self.abstract_state_ticket(self._last)}
@@ -117,7 +117,7 @@ class CameraFaults(LeafSystem):
 
     def _keep(self, context: Context, state: State) -> None:
         if self._last_frame(context) is None:
-            image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+            image: Any = self._image_port.read(context)
             x = np.array(self._robot_port.Eval(context))
             frame = _Frame(context.get_time(), image.data.copy(), x)
             state.get_mutable_abstract_state(int(self._last)).set_value(frame)
@@ -125,7 +125,7 @@ class CameraFaults(LeafSystem):
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
         last = self._last_frame(context)
         if last is None:
-            output.set_value(read_value(self, self._image_port, context, ImageDepth32F))
+            output.set_value(self._image_port.read(context))
             return
         height, width, _ = last.data.shape
         image: Any = output.get_mutable_value()
