@@ -179,7 +179,7 @@ def _made(
     nodes = np.argwhere((grid.values < 0.0) & (len(viewpoints_W) > 1))
     some = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
     view = _view(solid, viewpoints_W)
-    return SeenField(solid, grid, cloud, view, deepest, grid.voxel * some)
+    return SeenField(solid, grid, cloud, view, deepest, np.asarray(grid.voxel * some, dtype=float))
 
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:

@@ -524,7 +524,8 @@ def roll_out_arm(
     N, T, _ = paths.p_WE.shape
     table, joints = np.empty((N, _N_RESULTS)), np.empty((N, T, len(q)))
     stop = np.array(np.broadcast_to(np.asarray(enough, dtype=float), (N,)))
-    bundle = ToolPaths(*kernel_arrays(*paths[:4]), float(paths.seconds))
+    s, p_WE, R_WE, posture = kernel_arrays(*paths[:4])
+    bundle = ToolPaths(s, p_WE, R_WE, posture, float(paths.seconds))
     threads = min(CORES, N // _EACH + 1)
     on_cores(_roll_some, threads, *world, *kernel_arrays(q), bundle, stop, table, joints)
     samples = table[:, ENDED].astype(np.int64)
