@@ -317,9 +317,6 @@ class MotionGuard(LeafSystem):
     def _read(self, context: Context) -> GuardState:
         return context.get_abstract_state(self._state).get_value()
 
-    def _scene(self, context: Context) -> SolidScene:
-        return self._solids.read(context)
-
     def _path_state(self, context: Context) -> FloatArray:
         x, state = self._robot.Eval(context).copy(), self._read(context)
         if not state.on_path and not state.is_lost:
@@ -365,7 +362,7 @@ class MotionGuard(LeafSystem):
         if before.thoughts.made(time) is not None:
             before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
         before = self._reacted(before, q, v, time)
-        scene = self._scene(context)
+        scene = self._solids.read(context)
         before = self._supervised(context, before, scene, time)
         if time > before.expires and not before.decision.follows:
             before = self._braked(before, before.x)
@@ -498,7 +495,7 @@ class MotionGuard(LeafSystem):
         held = state.get_mutable_abstract_state(self._state)
         before: GuardState = held.get_value()
         time = context.get_time()
-        scene = self._scene(context)
+        scene = self._solids.read(context)
         if before.thoughts.pending is not None or -math.inf in (scene.stamp, before.end):
             return EventStatus.DidNothing()
         sight = self._sight(context, before, scene, time)
