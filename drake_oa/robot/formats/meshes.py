@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import math
 import tempfile
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from open3d.geometry import TriangleMesh
 
 _ADDED_VOLUME = 0.1
-"""Added share of volume below which two hulls are joined [1]."""
+"""Added share of volume up to which one hull replaces those of all closed surfaces [1]."""
 
 
 def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
@@ -42,7 +41,7 @@ def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
     try:
         digest = hashlib.sha256(mesh.read_bytes()).hexdigest()[:16]
         kind = "hulls" if hulls else "whole"
-        made = user_cache("meshes-3") / f"{mesh.stem}-{digest}-{kind}"
+        made = user_cache("meshes-4") / f"{mesh.stem}-{digest}-{kind}"
         if not made.is_dir():
             announce_first_use(f"converting meshes of {mesh.parent}")
             with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
@@ -105,7 +104,7 @@ def _read_collada(mesh: Path) -> FloatArray:
 
 
 def _hulls(mesh: TriangleMesh) -> list[TriangleMesh]:
-    """Computes few convex hulls that hold the closed surfaces of a mesh, and little else."""
+    """Computes the convex hull of a mesh, or those of its closed surfaces if it would fill much."""
     import open3d
 
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
@@ -113,28 +112,12 @@ def _hulls(mesh: TriangleMesh) -> list[TriangleMesh]:
     edges = np.sort([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=0)
     if (np.unique(edges, axis=1, return_counts=True)[1] % 2).any():
         surface = np.zeros_like(surface)
+    parts = [vertices[np.unique(triangles[surface == row])] for row in np.unique(surface)]
     try:
-        parts = [
-            _hull_corners(vertices[np.unique(triangles[surface == row])])
-            for row in np.unique(surface)
-        ]
-        while len(parts) > 1:
-            volume = [ConvexHull(part).volume for part in parts]
-            added = {
-                (i, j): ConvexHull(np.concatenate([parts[i], parts[j]])).volume
-                / (volume[i] + volume[j])
-                - 1.0
-                for i, j in combinations(range(len(parts)), 2)
-            }
-            i, j = min(added, key=lambda pair: added[pair])
-            if added[i, j] > _ADDED_VOLUME:
-                break
-            parts.append(_hull_corners(np.concatenate([parts.pop(j), parts.pop(i)])))
+        volume = sum(ConvexHull(part).volume for part in parts)
+        if ConvexHull(vertices).volume <= (1.0 + _ADDED_VOLUME) * volume:
+            parts = [vertices]
     except QhullError:
         raise ValueError("a collision mesh must enclose a volume, and a part is flat") from None
     clouds = [open3d.geometry.PointCloud(open3d.utility.Vector3dVector(part)) for part in parts]
     return [cloud.compute_convex_hull()[0] for cloud in clouds]
-
-
-def _hull_corners(points: FloatArray) -> FloatArray:
-    return points[ConvexHull(points).vertices]
