@@ -313,7 +313,8 @@ class DepthPerception(LeafSystem):
         depth = image.data[:, :, 0]
         if depth.shape != size:
             raise ValueError(
-                f"{self.get_name()}: {port.image.port.get_name()} is {depth.shape[1]}x{depth.shape[0]}; "
+                f"{self.get_name()}: {port.image.port.get_name()} is "
+                f"{depth.shape[1]}x{depth.shape[0]}; "
                 f"the camera's intrinsics are for {size[1]}x{size[0]} pixels"
             )
         return View(depth, K, pose.GetAsMatrix4())
