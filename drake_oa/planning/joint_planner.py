@@ -122,10 +122,10 @@ def plan_path(
     other = _Tree(world, goals, size)
     aim = goals[0]
     with counted() as work:
-        while work.configurations < most and not path:
+        while work["configurations"] < most and not path:
             new, _ = tree.extend(tree.nearest(aim), aim)
             row, reached = other.nearest(tree.q[new]) if new >= 0 else -1, False
-            while row >= 0 and not reached and work.configurations < most:
+            while row >= 0 and not reached and work["configurations"] < most:
                 row, reached = other.extend(row, tree.q[new])
             if reached and (one := tree.branch(new)) and (two := other.branch(row)):
                 path = [*tree.q[one[::-1]], *other.q[two[1:]]]
