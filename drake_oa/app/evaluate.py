@@ -37,7 +37,7 @@ def synthetic(
     suite: str,
     /,
     *,
-    methods: Methods = (),
+    methods: Methods = ("paper", "verified"),
     scenes: Count | None = None,
     seed: Seed = 0,
     json: Path | None = None,
@@ -100,7 +100,7 @@ def evaluate_points(
 
     Args:
         name: of the suite.
-        methods: names of methods; none: those of the suite.
+        methods: names of methods.
         count: number of scenes; None: that of the suite.
         seed: of the scenes; None for scenes without one.
         json: where the figures go.
@@ -118,7 +118,7 @@ def evaluate_points(
     from drake_oa.studies.scenes.suites import SUITES, draw_scenes, line_distance
 
     drawn, suite = draw_scenes(name, count, seed or 0), SUITES[name]
-    chosen = load_methods(methods or suite.methods)
+    chosen = load_methods(methods)
     check_outputs(json)
     more = {"terms": compare_terms(drawn)} if terms else {}
     outcomes = {of: evaluate(of, chosen[of], drawn, suite.settings) for of in chosen}

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.config import check_choice
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import software_versions
 from drake_oa.regulation.regressor import TARGETS
@@ -209,7 +208,6 @@ TABLE_THREE: dict[tuple[str, str], dict[str, Any]] = {
 goal [m], None for "fail"; obstacles that were touched, and passed nearer than 0.15 m."""
 
 TRIAL_KINDS = ("box", "irregular", "clutter")
-TRIAL_METHODS = ("preplanned", "paper")
 
 _TRIAL_COLUMNS = (
     Column("name", "scene, method"),
@@ -236,7 +234,6 @@ def trial_suites(
     Raises:
         ValueError: for an unknown method.
     """
-    check_choice("method", TRIAL_METHODS, *methods)
     return [
         PandaSuite(
             "table3",

@@ -37,7 +37,6 @@ from drake_oa.studies.mbm.problems import (
     read_archive,
 )
 from drake_oa.studies.panda.evaluation import (
-    WITHOUT,
     Criteria,
     PandaResults,
     PandaSuite,
@@ -123,8 +122,6 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     return scenario
 
 
-METHODS = ("verified", "preplanned", "differential_ik", "planner", *WITHOUT)
-
 _CRITERIA = Criteria(
     goal_error=0.01,
     orientation_error=math.radians(15.0),
@@ -152,7 +149,7 @@ def mbm_suites(
         file: see `problems.read_archive`.
         robot: see `problems.load_robot`; None: the Panda.
         sets: names of sets; none: all.
-        methods: some of `METHODS`.
+        methods: some of `evaluation.METHODS`.
         scenes: how many of each set; None: all.
         perception: "truth", or "depth": by two cameras.
         duration: time limit of a run [s]; None: that of `simulate`.
@@ -163,7 +160,6 @@ def mbm_suites(
     """
     arm, known = load_robot(robot or PANDA), read_archive(file)
     robot_text, suites = scenario_text(Scenario(robot=arm)), []
-    check_choice("method", METHODS, *methods)
     check_choice(f"set of {file}", known, *sets)
     for name in sets or known:
         texts = known[name][:scenes]

@@ -38,7 +38,6 @@ from pydrake.systems.framework import BasicVector, BusValue, Context, DiscreteVa
 from pydrake.systems.primitives import ConstantVectorSource
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.avoidance import Layers, unmodulated
@@ -99,10 +98,6 @@ def make_collision_checker(
         links: padding of the other links and obstacles [m].
         world: padding of the robot and the rest of the world [m].
         own: padding of the links among each other [m].
-
-    Raises:
-        ScenarioError: if something can move besides the robot and the obstacles that the
-            scenario drives.
     """
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
@@ -110,11 +105,6 @@ def make_collision_checker(
     plant.Finalize()
     part_carried(plant, builder.scene_graph(), scenario.robot)
     obstacles = obstacle_instances(plant)
-    if plant.num_positions() != sum(map(plant.num_positions, [instance, *obstacles])):
-        raise ScenarioError(
-            "directives: something besides the robot and the obstacles that are driven can move; "
-            "differential inverse kinematics needs to know where everything is"
-        )
     checker = SceneGraphCollisionChecker(
         model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP
     )

@@ -210,7 +210,7 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
 
 
 def _judged(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
-    found: dict[str, Any] = {**dict.fromkeys(_UNKNOWN), **motion_report(scenario, log)}
+    found = _without_motion(scenario) | motion_report(scenario, log)
     arm = len(robot_of(scenario).q_seed)
     q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
     found["beyond_limits"] = float(np.maximum(lower - q, q - upper).max(initial=0.0))
@@ -262,10 +262,7 @@ def _without_motion(scenario: Scenario) -> dict[str, Any]:
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
-        "path_length": 0.0,
-        "torque_saturation": 0.0,
         "stop_reason": "",
-        "events": [],
         "wall_time": 0.0,
         "real_time_factor": None,
     }
@@ -286,6 +283,9 @@ class PandaSuite:
         drawings: number of a scene -> call that makes its scenario's text, which depends on the
             positional arguments alone.
         criteria: conditions of success.
+
+    Raises:
+        ValueError: for an unknown method.
     """
 
     name: str
@@ -297,6 +297,9 @@ class PandaSuite:
     stem: str
     drawings: Mapping[int, partial[str]]
     criteria: Criteria = _CRITERIA
+
+    def __post_init__(self) -> None:
+        check_choice("method", METHODS, *self.methods)
 
     def perception_of(self, method: str) -> str:
         """Returns the perception of a method."""
@@ -333,7 +336,6 @@ def panda_suite(
         ValueError: for an unknown kind or method.
     """
     check_choice("kind of scenes", KINDS, kind)
-    check_choice("method", METHODS, *methods)
     return PandaSuite(
         "panda",
         kind,

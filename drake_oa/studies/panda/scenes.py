@@ -45,7 +45,6 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from drake_oa.common.config import check_choice
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder
 from drake_oa.perception.config import GroundTruth
@@ -277,10 +276,8 @@ def draw_panda_scene(
             among moving ones `cameras.ONE`; "depth2", the pair `cameras.TWO`; or "truth".
 
     Raises:
-        ValueError: for an unknown kind or perception.
         RuntimeError: if no scene was found.
     """
-    check_choice("kind of scenes", KINDS, kind)
     of_kind = _KINDS[kind]
     scenario = _empty_scene(kind)
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
@@ -311,7 +308,6 @@ def _empty_scene(kind: str) -> Scenario:
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:
     """Returns a scenario that was drawn with "depth", seen by one of `PERCEPTIONS`."""
-    check_choice("perception", PERCEPTIONS, perception)
     if perception == "depth2":
         return seen_from(scenario, TWO)
     scenario = copy.deepcopy(scenario)

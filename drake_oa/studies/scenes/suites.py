@@ -87,13 +87,11 @@ class Suite:
         sample: (generator, count) -> scenes.
         count: how many by default.
         settings: how each scene is run.
-        methods: the methods compared by default.
     """
 
     sample: Draw
     count: int
     settings: tuple[Setting, ...] = (Setting(),)
-    methods: tuple[str, ...] = ("paper", "verified")
 
 
 def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
@@ -204,9 +202,9 @@ def _familiar_settings() -> tuple[Setting, ...]:
 SUITES: dict[str, Suite] = {
     "novel": Suite(partial(_single, limit=CLEARANCE), 4000),
     "hit": Suite(partial(_single, limit=0.0, posed=True), 1000),
-    "familiar": Suite(_familiar, 100, _familiar_settings(), methods=("paper",)),
-    "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),
+    "familiar": Suite(_familiar, 100, _familiar_settings()),
+    "dead-zone": Suite(_dead_zone, 41),
     # Of Table II: obstacles are 5 cm from both ends to the extent of the longest one.
-    "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000, methods=("paper",)),
+    "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000),
 }
 """Name of a suite -> the suite; `drake-oa evaluate --help` describes the first two."""
