@@ -131,36 +131,30 @@ def check(
     *,
     overrides: Overrides = (),
     plot: Path | None = None,
-    no_plot: bool = False,
 ) -> int:
-    """Say all that is wrong with a scenario, and draw it.
+    """Say all that is wrong with a scenario.
 
     Where its fields are right the cell is built, and a table says what start and goal leave
     the arm. A line says how much of the space near the arm its cameras do not see, at the start
-    and on the way. The picture, NAME.check.png unless --plot names another file, shows the cell
-    with the arm at the start, and what each camera sees; green is the start, red the goal.
+    and on the way. The picture of --plot shows the cell with the arm at the start, and what each
+    camera sees; green is the start, red the goal.
 
     Exit status: 0 when nothing is wrong, 1 when something is, 2 for a file that cannot be read.
 
     Args:
         scenario: a file, or a shipped name (see `drake-oa scenarios`).
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
-        plot: the picture's file.
-        no_plot: draw nothing.
+        plot: draw a picture, .png.
     """
     from drake_oa.scenario.loading import scenario_path, scenario_problems
 
-    if plot is not None and no_plot:
-        raise ValueError("--plot and --no-plot exclude each other")
-    name = scenario_name(scenario)
-    file = None if no_plot else plot or Path(f"{name}.check.png")
-    check_outputs(file, read=[scenario_path(scenario)])
+    check_outputs(plot, read=[scenario_path(scenario)])
     wrong = scenario_problems(scenario, overrides)
     if not wrong:
         from drake_oa.runs.camera_placement import view_note
         from drake_oa.runs.scenario_check import end_contacts, end_table, unbuildable
 
-        chosen = open_scenario(scenario, overrides, file)
+        chosen = open_scenario(scenario, overrides, plot)
         with quiet():
             wrong = unbuildable(chosen)
     for problem in wrong:
@@ -168,7 +162,7 @@ def check(
     if wrong:
         return FAILED
     if chosen.robot is None:
-        print(f"{name}: nothing is wrong; without a robot there is nothing to draw")
+        print(f"{scenario}: nothing is wrong; without a robot there is nothing to draw")
         return 0
     with build_errors(), quiet():
         table, contacts = end_table(chosen), end_contacts(chosen)
@@ -176,12 +170,11 @@ def check(
     show(table)
     if view:
         print(view)
-    if file is not None:
+    if plot is not None:
         from drake_oa.viewing.still import draw_scenario
 
         with build_errors(), quiet():
-            draw_scenario(chosen, file)
-        print(f"picture: {file}")
+            draw_scenario(chosen, plot)
     if contacts:
         complain(contacts)
     return FAILED if contacts else 0

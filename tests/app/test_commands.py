@@ -40,7 +40,7 @@ INVOCATIONS = (
     "new 'a b'",
     "check mine.scenario.yaml",
     "check tabletop_box --set task.sed=1 --set sed=1",
-    "check blocked.yaml --no-plot",
+    "check blocked.yaml",
     "check nowhere",
     "graph free_space --signals",
     "graph free_space --dot",

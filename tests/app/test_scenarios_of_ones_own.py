@@ -29,11 +29,11 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_new_scenario_has_no_errors_and_moves(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", "mine"]) == 0
     assert capsys.readouterr().out.split() == ["mine.scenario.yaml", "scenario.schema.json"]
-    assert main(["check", "mine.scenario.yaml"]) == 0
+    assert main(["check", "mine.scenario.yaml", "--plot", "mine.png"]) == 0
     out = capsys.readouterr().out
     assert "asked clearance: 0.1 m" in out
     assert "of the space within 0.4 m of the arm is unseen" in out
-    assert Path("mine.check.png").stat().st_size > 20_000
+    assert Path("mine.png").stat().st_size > 20_000
     log = simulate(load_scenario("mine.scenario.yaml"), duration=0.05)
     assert log.stop_reason == "time limit of 0.05 s"
     assert main(["new", "other", "--like", "cage"]) == 0
@@ -54,7 +54,7 @@ def test_all_errors_are_reported(
     text: str, errors: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("own.yaml").write_text(text)
-    assert main(["check", "own.yaml", "--no-plot"]) == 1
+    assert main(["check", "own.yaml"]) == 1
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == len(errors)
     assert all(any(part in line for line in lines) for part in errors)

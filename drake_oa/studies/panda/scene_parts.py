@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
@@ -189,8 +188,8 @@ def view_margin(p_WQ: FloatArray, like: str = LIKE) -> FloatArray:
 
     They are positive inside the view.
     """
-    camera, X_WC = _camera(like)
-    x, y, z = X_WC.inverse() @ np.asarray(p_WQ).T
+    camera, rpy = base_scenario(like).cameras[0], np.radians([_ROLL[like], 0.0, 110.0])
+    x, y, z = RigidTransform(RollPitchYaw(rpy), _DRAWN_FROM).inverse() @ np.asarray(p_WQ).T
     u, v = camera.principal_point()
     sides = [
         (focal * aside + to_edge * z) / math.hypot(focal, to_edge)
@@ -202,12 +201,6 @@ def view_margin(p_WQ: FloatArray, like: str = LIKE) -> FloatArray:
         )
     ]
     return np.asarray(np.min([*sides, z - camera.z_near, camera.z_far - z], axis=0))
-
-
-def _camera(like: str) -> tuple[CameraConfig, RigidTransform]:
-    """Returns the camera in whose image scenes like a shipped scenario are drawn, and its pose."""
-    rpy = RollPitchYaw(np.radians([_ROLL[like], 0.0, 110.0]))
-    return base_scenario(like).cameras[0], RigidTransform(rpy, _DRAWN_FROM)
 
 
 def draw_motion(random: Generator) -> Motion | None:

@@ -279,7 +279,10 @@ def draw_panda_scene(
         RuntimeError: if no scene was found.
     """
     of_kind = _KINDS[kind]
-    scenario = _empty_scene(kind)
+    scenario = copy.deepcopy(base_scenario(of_kind.like))
+    if kind in MOVING_KINDS:
+        scenario.guard = replace(scenario.guard, obstacle_speed=V)
+        scenario = seen_from(scenario, ONE)
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
     scenario.seed = int(random.integers(2**31))
     draw_things = of_kind.things(random)
@@ -295,15 +298,6 @@ def draw_panda_scene(
     scenario.task.rpy_start = scenario.task.rpy_goal = motion.rpy_WE
     scenario.description = f"random {kind} scene {index} of seed {seed}"
     return seen_by(scenario, perception)
-
-
-def _empty_scene(kind: str) -> Scenario:
-    """Returns the scenario of a kind without obstacles, seen by one camera."""
-    scenario = copy.deepcopy(base_scenario(_KINDS[kind].like))
-    if kind not in MOVING_KINDS:
-        return scenario
-    scenario.guard = replace(scenario.guard, obstacle_speed=V)
-    return seen_from(scenario, ONE)
 
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:

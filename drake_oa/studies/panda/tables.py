@@ -121,8 +121,11 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     drp = {"drp_contacts": by_drp["contact"], "drp_success": by_drp["success"]}
     reasons = Counter(run["reason"] for run in runs if run["outcome"] == "stopped")
     # Each pair once in a scene, an obstacle's number left out.
-    touched = ({*run["self_contacts"], *map(_unnumbered, run["contacts"])} for run in runs)
-    pairs = Counter(pair for of in touched for pair in of)
+    pairs = Counter(
+        pair
+        for run in runs
+        for pair in {*run["self_contacts"], *(of.rstrip("0123456789") for of in run["contacts"])}
+    )
     sources = Counter(source for run in runs for source in run["sources"] or ())
 
     def of(statistic: Callable[..., Any], key: str) -> float | None:
@@ -159,10 +162,6 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "real_time_factor": of(np.median, "real_time_factor"),
         **(drp if set(by_drp) - {None} else {}),
     }
-
-
-def _unnumbered(contact: str) -> str:
-    return contact.rstrip("0123456789")
 
 
 def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
