@@ -151,30 +151,6 @@ class ChainWeights(Frozen):
         return CouplingParameters(alpha, psi, kappa / baseline**2, in_range)
 
 
-def actuation_planes(
-    p_WE: FloatArray, z_W: FloatArray, R_WL: FloatArray, p_WO: FloatArray
-) -> FloatArray:
-    """Returns orthonormal vectors in the obstacles' P-planes.
-
-    The P-plane of an obstacle is spanned by ``p_WO - p_WE`` and the scaled velocity ``z_W``; where
-    these do not span a plane, it is spanned by the local frame's x and z axes.
-
-    Args:
-        p_WE: (3,) position of the end effector [m].
-        z_W: (3,) scaled velocity [m].
-        R_WL: (3, 3) local frame, x from start to goal, z up.
-        p_WO: (M, 3) centers of the obstacles [m].
-
-    Returns:
-        (M, 2, 3) vectors along the projection of the baseline, and across it.
-    """
-    baseline, to_O = R_WL[:, 0], p_WO - p_WE
-    normal = np.cross(to_O, z_W)
-    limit = _PARALLEL * np.linalg.norm(to_O, axis=1) * np.linalg.norm(z_W)
-    normal[np.linalg.norm(normal, axis=1) <= limit] = R_WL[:, 1]
-    return plane_axes(baseline, to_O, normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
 def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> FloatArray:
     """Returns the directions in which the sections of M obstacles by planes are measured.
 
@@ -199,7 +175,9 @@ def section_extents(
 ) -> FloatArray:
     """lambda': half-extents of the shapes' sections by the plane of actuation.
 
-    With U = [u1, u2] of `actuation_planes`, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
+    The P-plane of an obstacle is spanned by ``p_WO - p_WE`` and the scaled velocity ``z_W``; where
+    these do not span a plane, it is spanned by the local frame's x and z axes. With U = [u1, u2] of
+    `plane_axes`, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
     ``A = R diag(1/l^2) R^T``, and its half-extents are the support function
     ``sqrt(u^T S^-1 u)`` along u1 and u2. They vary continuously when an obstacle
     turns, which principal semi-axes matched to directions would not.
@@ -213,7 +191,12 @@ def section_extents(
     Returns:
         (M, 2) half-extents along and across the baseline [m].
     """
-    plane = actuation_planes(p_WE, z_W, R_WL, shapes.p_WO)
+    to_O = shapes.p_WO - p_WE
+    normal = np.cross(to_O, z_W)
+    limit = _PARALLEL * np.linalg.norm(to_O, axis=1) * np.linalg.norm(z_W)
+    normal[np.linalg.norm(normal, axis=1) <= limit] = R_WL[:, 1]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    plane = plane_axes(R_WL[:, 0], to_O, normal)
     S = section_matrix(shapes.R_WO, shapes.semi_axes, plane)
     diagonal = np.stack([S[:, 1, 1], S[:, 0, 0]], axis=1)
     return np.asarray(np.sqrt(diagonal / np.linalg.det(S)[:, None]))

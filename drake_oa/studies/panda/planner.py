@@ -20,7 +20,6 @@ The same scenario, seed and limits give the same plan: the limits count states, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -91,70 +90,6 @@ def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
     return found
 
 
-def _connect(
-    is_free: Callable[[FloatArray], bool],
-    is_over: Callable[[], bool],
-    limits: tuple[FloatArray, FloatArray],
-    q_start: FloatArray,
-    goals: list[FloatArray],
-    seed: int,
-) -> FloatArray | None:
-    """Searches a path by RRT-Connect.
-
-    Args:
-        is_free: whether positions (nq,) are valid.
-        is_over: whether the search has to end.
-        limits: (n,) lower and upper limits of the arm's joints, the first positions [rad].
-        q_start: (nq,) positions at the start [rad, m].
-        goals: positions (nq,) at the goal.
-        seed: seed of the random numbers.
-
-    Returns:
-        (T, nq) positions, or None if no path was found.
-    """
-    base, geometric, util = (
-        import_extra(f"ompl.{name}", "peers") for name in ("base", "geometric", "util")
-    )
-    util.setLogLevel(util.LOG_NONE)
-    util.RNG.setSeed(1 + seed)
-    n = len(limits[0])
-    space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
-    for joint, (lower, upper) in enumerate(np.array(limits).T.tolist()):
-        bounds.setLow(joint, lower)
-        bounds.setHigh(joint, upper)
-    space.setBounds(bounds)
-    setup = geometric.SimpleSetup(space)
-    information = setup.getSpaceInformation()
-
-    def positions(state: Any) -> FloatArray:
-        return np.array([*(state[joint] for joint in range(n)), *q_start[n:]])
-
-    def state_of(q: FloatArray) -> Any:
-        state = space.allocState()
-        for joint, value in enumerate(np.clip(q[:n], *limits).tolist()):
-            state[joint] = value
-        return state
-
-    setup.setStateValidityChecker(lambda state: is_free(positions(state)))
-    information.setStateValidityCheckingResolution(_STEP / space.getMaximumExtent())
-    setup.setStartState(state_of(q_start))
-    targets = base.GoalStates(information)
-    for q in goals:
-        targets.addState(state_of(q))
-    setup.setGoal(targets)
-    planner = geometric.RRTConnect(information)
-    planner.setRange(_RANGE)
-    setup.setPlanner(planner)
-    setup.solve(base.PlannerTerminationCondition(is_over))
-    if not setup.haveExactSolutionPath():
-        return None
-    setup.simplifySolution()
-    path = setup.getSolutionPath()
-    path.interpolate()
-    path.interpolate(_FINE * path.getStateCount())
-    return np.array([positions(path.getState(row)) for row in range(path.getStateCount())])
-
-
 def run_planner(
     scenario: Scenario, *, clearance: float = CLEARANCE, states: int = STATES
 ) -> dict[str, Any]:
@@ -187,11 +122,15 @@ def run_planner(
 
 
 def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[str, dict[str, Any]]:
-    """Returns why there is no plan, or "", and its figures."""
-    looked_at, path = 0, None
+    """Plans by RRT-Connect; returns why there is no plan, or "", and its figures."""
+    base, geometric, util = (
+        import_extra(f"ompl.{name}", "peers") for name in ("base", "geometric", "util")
+    )
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(1 + scenario.seed)
     checker = make_collision_checker(scenario, tool=clearance, links=clearance, world=0.0, own=0.0)
     of_robot, n = make_robot_plant(robot_of(scenario)).limits, len(robot_of(scenario).q_seed)
-    limits = of_robot.position_lower[:n], of_robot.position_upper[:n]
+    lower, upper, looked_at = of_robot.position_lower[:n], of_robot.position_upper[:n], 0
 
     def is_free(q: FloatArray) -> bool:
         nonlocal looked_at
@@ -200,16 +139,46 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
 
     q_start, q_goal = end_positions(scenario)
     goals = [q for q in goal_positions(scenario, q_goal) if is_free(q)]
-    reason = f"no path found in {states} states"
     if not is_free(q_start):
-        reason = "the start is not free"
-    elif not goals:
-        reason = "no configuration at the goal is free"
-    else:
-        last = looked_at + states
-        path = _connect(is_free, lambda: looked_at >= last, limits, q_start, goals, scenario.seed)
-    if path is None:
-        return reason, {"states": looked_at}
+        return "the start is not free", {"states": looked_at}
+    if not goals:
+        return "no configuration at the goal is free", {"states": looked_at}
+    last = looked_at + states
+    space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
+    for joint in range(n):
+        bounds.setLow(joint, float(lower[joint]))
+        bounds.setHigh(joint, float(upper[joint]))
+    space.setBounds(bounds)
+    setup = geometric.SimpleSetup(space)
+    information = setup.getSpaceInformation()
+
+    def positions(state: Any) -> FloatArray:
+        return np.array([*(state[joint] for joint in range(n)), *q_start[n:]])
+
+    def state_of(q: FloatArray) -> Any:
+        state = space.allocState()
+        for joint, value in enumerate(np.clip(q[:n], lower, upper).tolist()):
+            state[joint] = value
+        return state
+
+    setup.setStateValidityChecker(lambda state: is_free(positions(state)))
+    information.setStateValidityCheckingResolution(_STEP / space.getMaximumExtent())
+    setup.setStartState(state_of(q_start))
+    targets = base.GoalStates(information)
+    for q in goals:
+        targets.addState(state_of(q))
+    setup.setGoal(targets)
+    planner = geometric.RRTConnect(information)
+    planner.setRange(_RANGE)
+    setup.setPlanner(planner)
+    setup.solve(base.PlannerTerminationCondition(lambda: looked_at >= last))
+    if not setup.haveExactSolutionPath():
+        return f"no path found in {states} states", {"states": looked_at}
+    setup.simplifySolution()
+    found = setup.getSolutionPath()
+    found.interpolate()
+    found.interpolate(_FINE * found.getStateCount())
+    path = np.array([positions(found.getState(row)) for row in range(found.getStateCount())])
     metrics = robot_metrics(scenario, path)
     steps = np.abs(np.diff(path[:, :n], axis=0)) / (_SPEED * of_robot.velocity_limit[:n])
     return "", {
