@@ -249,8 +249,10 @@ class RobotJudge:
             found.append(replace(solid, X_WO=X_WB @ solid.X_WO))
         return solids_of(found)
 
-    def touches(self, q: FloatArray, v: FloatArray, q_world: FloatArray) -> dict[str, float]:
-        """Computes closing speeds of the robot's contacts with others.
+    def touches(
+        self, q: FloatArray, v: FloatArray, q_world: FloatArray
+    ) -> tuple[dict[str, float], float]:
+        """Computes closing speeds of the robot's contacts with others, and its kinetic energy.
 
         Args:
             q: (nq,) positions of the robot, in the plant's order.
@@ -259,7 +261,7 @@ class RobotJudge:
 
         Returns:
             Pair "link - object" -> velocity of the link's point, where it is deepest in the object,
-            along the contact normal, positive into the object [m/s].
+            along the contact normal, positive into the object [m/s]; and the energy [J].
         """
         hits, _ = self._deepest_hits(self._query_at(q, q_world))
         self._plant.SetVelocities(self._plant_context, self._station.robot, v)
@@ -271,7 +273,7 @@ class RobotJudge:
             offset = p_WC - link.EvalPoseInWorld(self._plant_context).translation()
             V_WC = link.EvalSpatialVelocityInWorld(self._plant_context).Shift(offset)
             found[pair] = sign * float(V_WC.translational() @ hit.nhat_BA_W)
-        return found
+        return found, float(self._plant.EvalKineticEnergy(self._plant_context))
 
     def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
         """Returns the deepest penetration of each "link - object", and of each "link - link"."""

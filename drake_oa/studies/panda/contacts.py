@@ -26,7 +26,8 @@ import numpy as np
 from drake_oa.common.messages import FloatArray
 from drake_oa.runs.metrics import robot_judge
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
+from drake_oa.scenario.end_poses import end_positions
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.scene_parts import bounding_ball
 from drake_oa.studies.panda.true_world import STEP, TrueWorld, bang_motions, clear_steps
@@ -63,19 +64,32 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
     Returns:
         Of each contact, in order of time: `time` of the first touch [s]; `link`; `obstacle`, the
         model instance; `closing_speed` at the first touch and its maximum until they part,
-        `closing_speed_max` [m/s]; `arm_at_rest`, all joints slower than 0.02 rad/s;
-        `avoidable_by_physics`; and `avoidable_by_view`.
+        `closing_speed_max` [m/s]; `arm_at_rest`, all joints slower than 0.02 rad/s; `receding`,
+        closing speed not positive; `energy`, the whole robot's kinetic energy [J];
+        `avoidable_by_physics`; `avoidable_by_view`; and `parked_contact`, those of "start", "goal"
+        and "first_sight" (where the arm was when the obstacle was first observed, from then on)
+        at which anything touches an arm that stays there.
     """
+    end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     courses = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
     until, verdicts, events = -math.inf, dict[str, bool](), _touches(scenario, log)
     for event in events:
+        # The velocity of what is no obstacle is always known: zero.
+        seen, known = 0.0, log.t
+        if event["obstacle"] in courses:
+            seen, known = sightings(log, courses[event["obstacle"]])
         if event["time"] > until + _SAME_EVENT:
-            # The velocity of what is no obstacle is always known: zero.
-            obstacle = courses.get(event["obstacle"])
-            known = log.t if obstacle is None else sightings(log, obstacle)
             verdicts = _verdicts(world, log, event["time"], known)
         until = max(until, event.pop("end"))
+        parked = {"start": (log.q[0], 0.0), "goal": (q_goal, 0.0)}
+        if seen < event["time"]:
+            parked["first_sight"] = log.q[np.searchsorted(log.t, seen)], seen
         event |= verdicts
+        event["parked_contact"] = [
+            name
+            for name, (q, start) in parked.items()
+            if _is_touched(scenario, q, np.arange(start, end + STEP, STEP))
+        ]
     return events
 
 
@@ -85,7 +99,8 @@ def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
     current: dict[str, dict[str, Any]] = {}
     for row, time in enumerate(log.t.tolist()):
         v = log.v[max(row - 1, 0)]
-        for pair, speed in judge.touches(log.q[row], v, log.q_world[row]).items():
+        speeds, energy = judge.touches(log.q[row], v, log.q_world[row])
+        for pair, speed in speeds.items():
             if pair not in current or time > current[pair]["end"] + _APART:
                 link, obstacle = pair.split(" - ")
                 current[pair] = {
@@ -95,11 +110,19 @@ def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
                     "closing_speed": speed,
                     "closing_speed_max": speed,
                     "arm_at_rest": bool(np.abs(v).max() < AT_REST),
+                    "receding": speed <= 0.0,
+                    "energy": energy,
                 }
                 events.append(current[pair])
             fastest = max(current[pair]["closing_speed_max"], speed)
             current[pair] |= {"closing_speed_max": fastest, "end": time}
     return events
+
+
+def _is_touched(scenario: Scenario, q: FloatArray, times: FloatArray) -> bool:
+    """Checks whether anything touches an arm that stays at q (nq,) at some of the times [s]."""
+    judge = robot_judge(scenario)
+    return any(judge.touches(q, 0.0 * q, judge.positions_at(time))[0] for time in times)
 
 
 def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: FloatArray) -> dict[str, bool]:
@@ -152,13 +175,17 @@ def escapes(
     return int((clear_steps(world, motions, np.full(MOTIONS, first)) > steps).sum())
 
 
-def sightings(log: MotionLog, obstacle: Obstacle) -> FloatArray:
-    """Computes the times at which right velocities of an obstacle arrived [s].
+def sightings(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
+    """Computes when an obstacle was first observed, and when its velocity was observed right.
 
     An ellipsoid is of an obstacle if its center is in the ball around the obstacle's true shapes
     at the stamp; its velocity is right within 20 % of the true one, or 0.02 m/s.
+
+    Returns:
+        Time at which the first observation arrived, inf without one, and times at which right
+        velocities arrived [s].
     """
-    known = []
+    seen, known = math.inf, []
     center, radius = bounding_ball(obstacle)
     for row, time in enumerate(log.observation_time.tolist()):
         observed = log.observation(row)
@@ -166,6 +193,7 @@ def sightings(log: MotionLog, obstacle: Obstacle) -> FloatArray:
         velocity = (offset - obstacle.offset_at(observed.stamp - STEP)) / STEP
         is_own = np.linalg.norm(observed.p_WO - center - offset, axis=1) <= radius
         error = np.linalg.norm(observed.v_WO[is_own] - velocity, axis=1)
+        seen = min(seen, time) if is_own.any() else seen
         if error.min(initial=np.inf) <= max(KNOWN * float(np.linalg.norm(velocity)), AT_REST):
             known.append(time)
-    return np.array(known)
+    return seen, np.array(known)

@@ -23,8 +23,11 @@ KEYS = [
     "closing_speed",
     "closing_speed_max",
     "arm_at_rest",
+    "receding",
+    "energy",
     "avoidable_by_physics",
     "avoidable_by_view",
+    "parked_contact",
 ]
 
 
@@ -80,11 +83,13 @@ def test_a_resting_arm_that_is_struck(struck):
     for event in events:
         assert list(event) == KEYS
         assert event["obstacle"] == "obstacle_ball"
-        assert event["closing_speed"] == event["closing_speed_max"] == 0.0
+        assert event["closing_speed"] == event["closing_speed_max"] == event["energy"] == 0.0
         assert event["arm_at_rest"]
+        assert event["receding"]
         assert event["avoidable_by_physics"]
         # Nothing was ever observed.
         assert not event["avoidable_by_view"]
+        assert event["parked_contact"] == ["start"]
     assert 0.3 < events[0]["time"] < 0.9
     assert json.loads(json.dumps(events)) == events
 
@@ -97,8 +102,11 @@ def test_closing_speed_is_of_the_arm_along_the_normal(struck):
         v[:, 0] = rate
         speeds[rate] = contact_events(scenario, _log(scenario, q, v), world)[0]
     # The hand is pushed along +y, as a positive rate of joint 1 moves it.
+    assert speeds[0.2]["receding"]
+    assert not speeds[-0.2]["receding"]
     assert 0.02 < speeds[-0.2]["closing_speed"] < 0.2
     assert speeds[0.2]["closing_speed"] == pytest.approx(-speeds[-0.2]["closing_speed"])
+    assert speeds[0.2]["energy"] > 0.0
     assert not speeds[0.2]["arm_at_rest"]
 
 
@@ -118,6 +126,7 @@ def test_an_obstacle_observed_right_just_before_the_deadline_was_avoidable_by_vi
     log = _log(scenario, q, 0.0 * q, frames)
     (event, *_) = contact_events(scenario, log, make_true_world(scenario))
     assert event["avoidable_by_view"] == is_known
+    assert event["parked_contact"] == ["start", *["first_sight"] * bool(frames)]
 
 
 def _seen(obstacle, stamp, velocity):
@@ -141,7 +150,8 @@ def test_a_velocity_is_right_within_a_fifth(struck, error, aside, is_known):
     wrong = _seen(ball, 0.1, [0.0, -1.0, 0.0])
     right = _seen(ball, 0.3, [0.0, 1.0 + error, 0.0])
     right = replace(right, p_WO=right.p_WO + [aside, 0.0, 0.0])
-    known = sightings(_log(scenario, q[:2], 0.0 * q[:2], [wrong, right]), ball)
+    seen, known = sightings(_log(scenario, q[:2], 0.0 * q[:2], [wrong, right]), ball)
+    assert seen == pytest.approx(0.15)
     assert known == pytest.approx([0.35] if is_known else [])
 
 
