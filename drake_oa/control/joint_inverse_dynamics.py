@@ -25,6 +25,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, Value
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, zeros
 from drake_oa.common.ports import valid_period
+from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.02
@@ -247,13 +248,7 @@ def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
     Raises:
         ValueError: if no joint moves it, or those that do are not consecutive.
     """
-    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
-    arm = [
-        joint.velocity_start()
-        for joint in joints
-        if joint.num_velocities()
-        and frame.body().index() in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
-    ]
+    arm = [joint.velocity_start() for joint in joints_to(plant, frame)]
     if not arm or arm != list(range(arm[0], arm[0] + len(arm))):
         raise ValueError(
             f"tool_frame: the joints that move '{frame.name()}' have indices {arm}; they must "

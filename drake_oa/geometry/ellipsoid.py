@@ -15,7 +15,6 @@ for N points against M ellipsoids pass the points as (N, 1, 3).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,19 +53,6 @@ class Ellipsoid(Frozen):
     R: FloatArray
     semi_axes: FloatArray
     gauge: float
-
-
-class Section(NamedTuple):
-    """Sections of ellipsoids by planes through their centers: ellipses.
-
-    Attributes:
-        semi_axes: (..., 2) semi-axes [m]: of the principal axis within 45 degrees of
-            e1, then of the other one.
-        axes: (..., 2, 3) unit principal axes in W, one a row.
-    """
-
-    semi_axes: FloatArray
-    axes: FloatArray
 
 
 def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
@@ -182,7 +168,9 @@ def section_matrix(R: ArrayLike, semi_axes: ArrayLike, U: ArrayLike) -> FloatArr
     return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
 
 
-def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> Section:
+def plane_section(
+    R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
     """Computes the section by the plane through the center that e1 and e2 span.
 
     Its principal semi-axes, eig(S)^(-1/2) with S of `section_matrix`, are the descriptors lambda'
@@ -193,6 +181,10 @@ def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLi
         semi_axes: (..., 3) positive semi-axes [m].
         e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's centre.
         e2: (..., 3) unit vector in W perpendicular to it.
+
+    Returns:
+        Semi-axes (..., 2) [m]: of the principal axis within 45 degrees of e1, then of the other
+        one; and these axes in W, (..., 2, 3), one a row.
     """
     U = np.stack([e1, e2], axis=-2)
     value, V = np.linalg.eigh(section_matrix(R, semi_axes, U))
@@ -201,7 +193,7 @@ def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLi
     value = np.where(swapped[..., None], value[..., ::-1], value)
     turn = np.swapaxes(np.where(swapped[..., None, None], V[..., ::-1], V), -1, -2)
     sign = np.where(turn[..., :1, :1] < 0.0, -1.0, 1.0)
-    return Section(value**-0.5, sign * turn @ U)
+    return value**-0.5, sign * turn @ U
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:

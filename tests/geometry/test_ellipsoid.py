@@ -119,10 +119,10 @@ def test_section_lies_on_the_ellipsoid_and_on_the_plane(seed, e):
     rng = np.random.default_rng(seed)
     _, R = pose(rng)
     e1, e2, n = Rotation.random(rng=rng).as_matrix().T
-    found = plane_section(R, e, e1, e2)
+    semi_axes, axes = plane_section(R, e, e1, e2)
     turn = np.linspace(0.0, 2.0 * np.pi, 25)
-    ring = np.cos(turn)[:, None] * found.semi_axes[0] * found.axes[0]
-    ring += np.sin(turn)[:, None] * found.semi_axes[1] * found.axes[1]
+    ring = np.cos(turn)[:, None] * semi_axes[0] * axes[0]
+    ring += np.sin(turn)[:, None] * semi_axes[1] * axes[1]
     np.testing.assert_allclose(np.linalg.norm(ring @ R / e, axis=1), 1.0, atol=1e-9)
     np.testing.assert_allclose(ring @ n, 0.0, atol=1e-12)
-    assert found.axes[0] @ e1 >= np.cos(np.pi / 4) - 1e-12
+    assert axes[0] @ e1 >= np.cos(np.pi / 4) - 1e-12

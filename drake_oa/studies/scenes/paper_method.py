@@ -103,10 +103,10 @@ def sections(scenes: Scenes) -> Scenes:
     size = np.linalg.norm(out, axis=1, keepdims=True)
     out = np.where(size <= _PARALLEL, (0.0, 1.0, 0.0), out / np.where(size > 0.0, size, 1.0))
     e1 = np.tile((1.0, 0.0, 0.0), (len(out), 1))
-    cut = plane_section(scenes.R, scenes.semi_axes, e1, out)
-    first, second = np.moveaxis(cut.axes, 1, 0)
+    semi_axes, axes = plane_section(scenes.R, scenes.semi_axes, e1, out)
+    first, second = np.moveaxis(axes, 1, 0)
     R = np.stack([first, second, np.cross(first, second)], axis=2)
-    semi_axes = np.column_stack([cut.semi_axes, np.full(len(out), _ENDLESS)])
+    semi_axes = np.column_stack([semi_axes, np.full(len(out), _ENDLESS)])
     return replace(scenes, R=R, semi_axes=semi_axes)
 
 
@@ -146,7 +146,7 @@ def released_motions(
             to_O = scenes.center[n] - path[-1][n]
             # lambda1' is the one within 45 degrees of the baseline.
             plane = np.moveaxis(plane_axes(np.array((1.0, 0.0, 0.0)), to_O, normal), 1, 0)
-            axes = plane_section(scenes.R[n], scenes.semi_axes[n], *plane).semi_axes
+            axes, _ = plane_section(scenes.R[n], scenes.semi_axes[n], *plane)
             inputs = np.column_stack([axes, scenes.clearance[n]])[:, : len(chain.lower)]
             parameters[n] = chain.evaluate(inputs)
         motions.advance(parameters)
