@@ -232,19 +232,14 @@ class CommandPlayer:
             off = float(np.abs(motion.measured[0] - motion.planned(motion.played)).max())
             if off > _RESTART_TOLERANCE:
                 raise _StoppedError(f"the arm is {off:.3g} rad from where it was left")
-        self._play(min(elapsed, 3.0 * COMMAND_PERIOD), bool(trouble) or motion.end > 0.0)
-        self._send(now)
-
-    def _play(self, elapsed: float, slow: bool) -> None:
-        motion = self._motion
+        elapsed = min(elapsed, 3.0 * COMMAND_PERIOD)
         lead = motion.planned_until - motion.played
         change = self._rate * elapsed / _RAMP
-        pace = max(0.0, self._pace - change) if slow else self._pace + change
+        slows = trouble or motion.end > 0.0
+        pace = max(0.0, self._pace - change) if slows else self._pace + change
         self._pace = min(pace, self._rate * min(1.0, max(0.0, lead / (0.5 * LEAD))))
         motion.played = min(motion.played + self._pace * elapsed, motion.planned_until)
-
-    def _send(self, now: float) -> None:
-        q = self._motion.planned(self._motion.played)
+        q = motion.planned(motion.played)
         message = lcmt_panda_command()
         message.utime = round(now / MICROSECOND)
         message.control_mode_expected = POSITION_MODE
@@ -260,18 +255,16 @@ class CommandPlayer:
         try:
             status = lcmt_panda_status.decode(data[0])
             q, v = np.array([status.joint_position, status.joint_velocity])
+            age = now - MICROSECOND * status.utime
+            if q.shape != (ARM_JOINTS,) or not np.isfinite([q, v]).all():
+                raise ValueError(f"statuses hold no {ARM_JOINTS} finite positions and speeds")
+            if abs(age) > SILENCE:
+                raise ValueError(
+                    f"statuses are {age:.3f} s old by this clock, at most {SILENCE:g} "
+                    "may be: are both clocks set alike?"
+                )
         except Exception as error:
-            self._rejected = f"not an lcmt_panda_status: {error}"
-            return
-        age = now - MICROSECOND * status.utime
-        if q.shape != (ARM_JOINTS,) or not np.isfinite([q, v]).all():
-            self._rejected = f"statuses hold no {ARM_JOINTS} finite positions and speeds"
-            return
-        if abs(age) > SILENCE:
-            self._rejected = (
-                f"statuses are {age:.3f} s old by this clock, at most {SILENCE:g} "
-                "may be: are both clocks set alike?"
-            )
+            self._rejected = f"{STATUS_CHANNEL}: {error}"
             return
         self._heard, self._rejected = tick, f"no status on {STATUS_CHANNEL} for {SILENCE:g} s"
         if status.robot_mode in _NOT_FREE:

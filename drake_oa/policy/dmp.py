@@ -300,13 +300,11 @@ class Trajectory(NamedTuple):
         s: (n + 1,) normalised time.
         p: (n + 1, D) position [m].
         z: (n + 1, D) scaled velocity dp/ds [m].
-        k: (n + 1,) phase.
     """
 
     s: FloatArray
     p: FloatArray
     z: FloatArray
-    k: FloatArray
 
 
 def roll_out(
@@ -339,7 +337,7 @@ def roll_out(
     motion = np.empty((2, steps + 1, 3))
     motion[:, 0] = p, z
     advance(course, NO_OBSTACLES, NO_OBSTACLES.terms, math.inf, *motion)
-    return Trajectory(s, motion[0], motion[1], k * dmp.phase(s))
+    return Trajectory(s, *motion)
 
 
 def trajectory(
@@ -557,7 +555,7 @@ def roll_orientation(
         end: length in normalized time.
 
     Returns:
-        The rotation vectors r as `p`, their derivatives `z`, and the phases `k`.
+        The rotation vectors r as `p`, and their derivatives `z`.
     """
     spread = np.column_stack([goal - primitive.offset, np.eye(3)])
     steps = max(math.ceil(end / _STEP), 1)
