@@ -314,7 +314,7 @@ class MotionSearch:
             chosen, genes, shown = chain, NO_ELITES, chain.route
         else:
             terms = avoidance_terms(scene, found.genes)
-            shown = _shown_sides(route, terms, found.genes[0, ANGLE], sight.ellipsoids)
+            shown = _shown_sides(route, terms, found.genes[0, ANGLE])
             acts = terms[:, ALPHA] > 0.0
             if source == NOMINAL and command.demonstration.position is not None:
                 source = JOINT_PATH
@@ -526,26 +526,23 @@ def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
     return seeds
 
 
-def _shown_sides(route: Route, terms: FloatArray, angle: float, seen: EllipsoidSet) -> Route:
-    """Returns the rings of the obstacle nearest to the point of a term (1, 13), with its side.
+def _shown_sides(route: Route, terms: FloatArray, angle: float) -> Route:
+    """Returns the rings of the obstacles, each with the side of a term (1, 13).
 
     It is blocked if user-supplied rings forbid every side.
     """
     blocked = bool(len(route.price)) and bool(np.isinf(route.price).all())
-    route = replace(route, blocked=blocked, note=route.note if blocked else "")
-    if not len(seen) or len(route.ids) != len(seen):
-        return route
-    row = [int(np.linalg.norm(seen.p_WO - terms[:, :3], axis=1).argmin())]
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
+    rows = np.zeros(len(route.ids), dtype=np.int64)
     return replace(
         route,
-        ids=seen.ids[row],
-        index=np.array([np.rint(angle * count / (2.0 * np.pi)) % count], dtype=np.int64),
-        direction_W=np.cross(normal_W, route.R_WL[:, 0]),
-        normal_W=normal_W,
-        costs={name: cost[row] for name, cost in route.costs.items()},
+        blocked=blocked,
+        note=route.note if blocked else "",
+        index=rows + round(angle * count / (2.0 * np.pi)) % max(count, 1),
+        direction_W=np.cross(normal_W, route.R_WL[:, 0])[rows],
+        normal_W=normal_W[rows],
         # The nominal motion passes on none.
-        remaining_clearance=(terms[:, ALPHA] > 0.0).astype(float),
+        remaining_clearance=route.remaining_clearance * (terms[0, ALPHA] > 0.0),
     )
 
 

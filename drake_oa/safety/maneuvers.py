@@ -43,8 +43,10 @@ from drake_oa.safety.passive_safety import CLAIMS, Claim, violated_claim
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
-_SCALES = (1.0, 0.6, 0.3, 0.15, 0.0)
-"""Shares of full speed at which the verified motion is tried."""
+_FOLLOWED: tuple[tuple[Action, float], ...] = (
+    ("follow", 1.0), ("slow", 0.6), ("slow", 0.3), ("slow", 0.15), ("wait", 0.0),
+)  # fmt: skip
+"""Actions, and shares of full speed, by which the verified motion is tried."""
 HORIZON, _SAMPLES = 1.4, 28
 """Time over which motions are predicted [s], and configurations of each that are judged."""
 _CONTACT, _NEAR_MOVING, _NEAR_RESTING = 60.0, 6.0, 2.0
@@ -217,18 +219,19 @@ class GuardSearch:
             clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
             if clear and not self._violated(ahead, sight):
                 return followed
-        options, q = self._followed_options(sight)
+        options = [GuardDecision(*tried) for tried in _FOLLOWED if sight.on_path]
+        followings, first = [self._followed(sight, one.scale) for one in options], len(options)
+        q = np.array(followings).reshape(-1, _SAMPLES, len(sight.q))
         if moves or not sight.on_path:
             legs = self._maneuvers(before, sight)
             options += legs
             q = np.concatenate([q, self._rolled(legs, sight)])
         judged = self._judge(look, q)
         cost = self._cost(judged, options, q, sight)
-        if not before.follows and len(options) > len(_SCALES) * sight.on_path:
+        if not before.follows and len(options) > first:
             # The first maneuver is the one in use.
-            row = len(_SCALES) * sight.on_path
             back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
-            cost[row] -= _HYSTERESIS * min(1.0, 2.0 * back)
+            cost[first] -= _HYSTERESIS * min(1.0, 2.0 * back)
         if moves or not sight.on_path:
             better = self._refined(options, cost, sight)
             q_better = self._rolled(better, sight)
@@ -344,13 +347,6 @@ class GuardSearch:
         s = sight.s + self._interval * np.cumsum(self._rates(sight, scale))
         away = sight.q - motion.joints(sight.s)
         return np.asarray(motion.joints(s) + np.exp(-_SETTLED * self._times)[:, None] * away)
-
-    def _followed_options(self, sight: GuardSight) -> tuple[list[GuardDecision], FloatArray]:
-        if not sight.on_path:
-            return [], np.zeros((0, _SAMPLES, len(sight.q)))
-        names: dict[float, Action] = {1.0: "follow", 0.0: "wait"}
-        options = [GuardDecision(names.get(scale, "slow"), scale) for scale in _SCALES]
-        return options, np.stack([self._followed(sight, scale) for scale in _SCALES])
 
     def _rolled(self, options: list[GuardDecision], sight: GuardSight) -> FloatArray:
         """Returns configurations (N, T, n) along maneuvers."""

@@ -520,7 +520,8 @@ class MotionGuard(LeafSystem):
         if shown is not None and shown.position is not None:
             duration = shown.position.duration
         held = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
-        if held or motion.q.shape[1:] != (n,) or not _belongs(motion, policy):
+        is_other = len(motion.p_WS) > 0 and not np.array_equal(motion.p_WS, policy.p_WS)
+        if held or is_other or motion.q.shape[1:] != (n,):
             motion = PlannedMotion()
         latency = 0.0 if self._thinking is None else state.thoughts.cost
         steps = max(math.ceil((time + latency - state.end) / step), 0)
@@ -553,8 +554,3 @@ def _pose_error(X_d: FloatArray, X: FloatArray) -> FloatArray:
     """Computes position and rotation vector (6,) from a pose (12,) to a desired one [m, rad]."""
     turn = X_d[:9].reshape(3, 3) @ X[:9].reshape(3, 3).T
     return np.append(X_d[9:] - X[9:], rotation_vector(np.ascontiguousarray(turn)))
-
-
-def _belongs(motion: PlannedMotion, policy: PolicyState) -> bool:
-    """Returns whether a planned motion has the start of the motion under way."""
-    return not len(motion.p_WS) or np.array_equal(motion.p_WS, policy.p_WS)
