@@ -233,7 +233,7 @@ class Route(Frozen):
         blocked: whether no side is allowed for one of them.
         note: empty, or why no side is allowed.
         price: (N,) costs that user-supplied rings add to N evenly spread sides, as path length
-            over the baseline; inf: forbidden. (0,): there are no such rings.
+            over the baseline; inf: forbidden.
     """
 
     direction_W: FloatArray = zeros(0, 3)
@@ -249,7 +249,7 @@ class Route(Frozen):
     ids: IntArray = zeros(0, kind=np.int64)
     blocked: bool = False
     note: str = ""
-    price: FloatArray = zeros(0)
+    price: FloatArray = zeros(1)
 
     @property
     def baseline(self) -> float:

@@ -146,11 +146,6 @@ def looked_at(
     return SeenSolids(scene, tuple(fields), table, frozenset(moved))
 
 
-def unseen(table: TablePlane | None = None) -> SeenSolids:
-    """Returns the known world before the first observation: at most the table."""
-    return SeenSolids(SolidScene.of(-math.inf, _of_table(table)), table=table)
-
-
 def _of_table(table: TablePlane | None) -> list[Solid]:
     return [] if table is None else [table_solid(table)]
 
@@ -287,7 +282,8 @@ class CloudSolids(LeafSystem):
         self._views = None
         if len(self._poses) > 1:
             self._views = AbstractInput(self, "free_space_W", FreeSpace)
-        self._seen = self.DeclareAbstractState(Value(unseen(table)))
+        before = SeenSolids(SolidScene.of(-math.inf, _of_table(table)), table=table)
+        self._seen = self.DeclareAbstractState(Value(before))
         self.DeclareAbstractOutputPort(
             "solids_W",
             lambda: Value(SolidScene()),

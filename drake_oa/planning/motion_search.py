@@ -531,7 +531,7 @@ def _shown_sides(route: Route, terms: FloatArray, angle: float) -> Route:
 
     It is blocked if user-supplied rings forbid every side.
     """
-    blocked = bool(len(route.price)) and bool(np.isinf(route.price).all())
+    blocked = bool(np.isinf(route.price).all())
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
     rows = np.zeros(len(route.ids), dtype=np.int64)
     return replace(

@@ -59,7 +59,7 @@ _CLOSER = 0.4
 """Ratio of the spacings of two successive rounds."""
 _CLOSEST = 0.02
 """Minimum spacing, in ln alpha."""
-NO_PRICE: FloatArray = np.zeros(0)
+NO_PRICE = np.zeros(1)
 SAMPLES = 64
 """Number of samples of a motion from s = 0 to 1 at which the arm is placed: 3 cm apart at most on a
 path of 1 m."""
@@ -149,13 +149,6 @@ def rows_of(terms: FloatArray) -> CouplingParameters:
     )
 
 
-def price_at(price: FloatArray, angle: FloatArray) -> FloatArray:
-    """Returns the additional costs of sides at angles (...): the nearest of K; 0 of none."""
-    if not len(price):
-        return np.zeros(np.shape(angle))
-    return price[np.rint(angle * len(price) / (2.0 * np.pi)).astype(int) % len(price)]
-
-
 def strengths(genes: FloatArray, kept: bool, spacing: float, count: int) -> FloatArray:
     """Returns candidates (count, 6) that differ from one (6,) in alpha only.
 
@@ -228,8 +221,8 @@ class Search(ABC):
             policy: time step and fade of the action level.
             parameters: effort and tolerances.
             previous: (1, 6) genes of the motion in use; (0, 6): none is.
-            price: (K,) additional costs of the sides, in baselines, see `price_at`; inf:
-                no motion passes there.
+            price: (K,) additional costs of K evenly spread sides, in baselines; inf: no motion
+                passes there.
             elites: (k, 6) best candidates of an earlier search that this one continues.
             rounds: number of rounds of that.
             most: largest cost by `thinking`, beyond which no round begins [s].
@@ -340,7 +333,9 @@ class Search(ABC):
         L = self.scene.baseline
         missed = np.maximum(np.minimum(tool.goal_error, L) - self.parameters.tolerance, 0.0)
         bad = _GOAL_PRICE * missed / L + _MISS * (missed > 0.0)
-        price = np.where(genes[:, ALPHA] > -np.inf, price_at(self.price, genes[:, ANGLE]), 0.0)
+        count = len(self.price)
+        side = np.rint(genes[:, ANGLE] * count / (2.0 * np.pi)).astype(int) % count
+        price = np.where(genes[:, ALPHA] > -np.inf, self.price[side], 0.0)
         late = np.maximum(tool.steps * self.ds + self.scene.s - 1.0, 0.0)
         small = _LATE * late + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)

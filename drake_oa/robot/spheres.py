@@ -59,9 +59,6 @@ class ArmSpheres(Frozen):
     bodies: tuple[str, ...]
     overshoot: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.arrays.radius)
-
 
 @compiled
 def sphere_centers(chain: Chain, spheres: Spheres, q: FloatArray) -> FloatArray:

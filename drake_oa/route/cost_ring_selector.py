@@ -194,10 +194,10 @@ class CostRingSelector(LeafSystem):
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
     def _price(self, costs: Mapping[str, FloatArray]) -> FloatArray:
-        """Computes the costs (K,) that the user-supplied rings add to sides; (0,) without any."""
+        """Computes the costs (K,) that the user-supplied rings add to sides; (1,) without any."""
         costs = {name: cost for name, cost in costs.items() if name in self._extra and len(cost)}
         if not costs:
-            return np.zeros(0)
+            return np.zeros(1)
         rings = np.array([cost.max(axis=0) for cost in costs.values()])
         forbidden = (rings >= FORBIDDEN).any(axis=0)
         return np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))

@@ -17,7 +17,6 @@ from drake_oa.planning.cloud_solids import (
     SeenSolids,
     looked_at,
     seen_free,
-    unseen,
 )
 from tests.reference.depth_images import SIZE, K, look_at, ray_cast
 
@@ -111,10 +110,6 @@ def test_a_late_observation_or_one_without_a_table_keeps_the_scene():
     assert looked_at(first, seen(stamp=0.5), CAMERA[None]).scene.solids is first.scene.solids
     after = looked_at(first, seen(box(), stamp=2.0, table=None), CAMERA[None])
     assert after.scene.labels == ("obstacle 0", "the table")
-    before = unseen(TABLE)
-    assert (before.scene.stamp, before.scene.labels) == (-np.inf, ("the table",))
-    after = looked_at(before, seen(stamp=1.0, table=None))
-    assert (after.scene.stamp, after.scene.labels) == (1.0, ("the table",))
 
 
 def updated(made, context, obstacles, time):
