@@ -7,8 +7,8 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import EllipsoidSet
-from drake_oa.planning.candidates import avoidance_terms, rows_of
 from drake_oa.planning.point_search import PointSearch
+from drake_oa.planning.search import avoidance_terms, rows_of
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
