@@ -223,6 +223,20 @@ class MotionSearch:
         is_near = math.dist(p_WE, policy.p_WE) < _NEAR_TOOL
         return is_near and bool(np.abs(motion.joints(s) - sight.q).max() > _LEFT)
 
+    def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
+        """Returns whether a motion still achieves its predicted clearance from now on.
+
+        Since then the one in use has continued: straight toward an obstacle, small differences
+        decide its side.
+        """
+        motion, genes = made.prediction.motion, made.genes if len(made.genes) else NOMINAL_GENES
+        if sight.policy.phase == 1.0 or not motion.s.size:
+            return True
+        search = self._search(made, sight, self._world(sight, motion.q[-1:]))
+        found = self._predicted(made, sight, search, genes, 0.0).prediction
+        allowed = made.prediction.shortfall + self._parameters.slack
+        return found.can_follow and found.shortfall <= allowed
+
     def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
         """Returns the arm among the solids, with the required clearances.
 

@@ -186,13 +186,23 @@ class MotionVerifier(LeafSystem):
             return EventStatus.DidNothing()
         policy = self._policy.read(context)
         fits = made.fits(policy, self._goal.Eval(context))
-        if fits and (policy.speed == 0.0 or not made.command.restart):
+        fits = fits and (policy.speed == 0.0 or not made.command.restart)
+        if fits and not self._is_late(made, kept.in_force, context):
             _log_change(kept.in_force, made, time)
             held.set_value(kept.taken())
         else:
             _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.begun)
             held.set_value(kept.dropped())
         return EventStatus.Succeeded()
+
+    def _is_late(self, made: SelectedMotion, in_force: SelectedMotion, context: Context) -> bool:
+        """Whether a choice no more does from where the motion is now, and the one in force does."""
+        is_short = in_force.prediction.shortfall > 0.0 or in_force.command.note
+        if is_short or not in_force.scene.same_as(made.scene):
+            return False
+        sight, holds = self._sight(context), self._search.still_holds
+        # During a maneuver of MotionGuard neither may.
+        return not holds(made, sight) and holds(in_force, sight)
 
 
 def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> None:

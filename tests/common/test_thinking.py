@@ -29,12 +29,16 @@ class Scripted:
     def __init__(self, searches: int, *answers: SelectedMotion) -> None:
         self.searches, self.answers = searches, answers
         self.asked: list[SelectedMotion] = []
+        self.late: tuple[float, ...] = ()
 
     def decide(self, before: SelectedMotion, sight: Sight) -> SelectedMotion:
         self.asked.append(before)
         count(searches=self.searches)
         found = self.answers[min(len(self.asked), len(self.answers)) - 1]
         return replace(found, p_WS=sight.policy.p_WS, p_WG=sight.p_WG)
+
+    def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
+        return made.command.tau not in self.late
 
 
 class Bench:
@@ -114,15 +118,17 @@ def test_without_a_cost_a_decision_is_in_force_at_once() -> None:
     assert np.isnan(bench.decision[0])
 
 
-@pytest.mark.parametrize("what", ["goal", "start"])
+@pytest.mark.parametrize("what", ["goal", "start", "obstacles"])
 def test_a_decision_that_no_longer_fits_is_dropped(what: str) -> None:
     search = Scripted(2, *choices(1.1, 1.2, 1.3))
     bench = Bench(search)
     bench.at(0.12)
     if what == "goal":
         bench.system.GetInputPort("goal").FixValue(bench.context, ELSEWHERE)
-    else:
+    elif what == "start":
         bench.fix(policy_state=replace(bench.policy, p_WS=ELSEWHERE))
+    else:
+        search.late = (1.2,)
     assert bench.at(0.195).tau == 1.1
     assert len(search.asked) == 2
     # It is made again, from what is in force.
