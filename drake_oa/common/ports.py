@@ -56,7 +56,7 @@ class AbstractInput(Generic[T]):
         return self.read(context) if self.port.HasValue(context) else self._kind()
 
     def ticket(self) -> DependencyTicket:
-        """Returns the ticket of what depends on the port."""
+        """Returns the ticket for values that depend on the port."""
         return self.port.ticket()
 
 

@@ -331,7 +331,7 @@ def fuse(
 
 
 class _Look(NamedTuple):
-    """What V images of the frame show of the N remembered points, and the nearest of them.
+    """State of N remembered points in V images of the frame, and the nearest of the points.
 
     Attributes:
         p_WQ: (N, 3) where they should be in the world [m].

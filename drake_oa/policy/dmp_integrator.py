@@ -22,7 +22,7 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.common.ports import AbstractInput
+from drake_oa.common.ports import AbstractInput, declare_state_outputs
 from drake_oa.policy.action import Segment, Surroundings, restarted, resting, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, local_frame
@@ -117,7 +117,6 @@ class DmpIntegrator(LeafSystem):
         self._segment = self.DeclareAbstractState(
             Value(resting(PolicyState(p_WE=start, p_WS=start, p_WG=start)))
         )
-        stepped = {self.abstract_state_ticket(self._segment)}
         desired = self.DeclareCacheEntry(
             "desired_motion",
             ValueProducer(
@@ -126,7 +125,7 @@ class DmpIntegrator(LeafSystem):
                     self._read_segment(context).interpolate(context.get_time())
                 ),
             ),
-            {self.time_ticket(), *stepped},
+            {self.time_ticket(), self.abstract_state_ticket(self._segment)},
         )
         names = ("desired_position", "desired_velocity", "desired_acceleration")
         for row, name in enumerate(names):
@@ -136,17 +135,8 @@ class DmpIntegrator(LeafSystem):
                 lambda context, output, row=row: output.SetFromVector(desired.Eval(context)[row]),
                 {desired.ticket()},
             )
-        self.DeclareVectorOutputPort(
-            "phase",
-            1,
-            lambda context, output: output.SetAtIndex(0, self._read_segment(context).state.phase),
-            stepped,
-        )
-        self.DeclareAbstractOutputPort(
-            "policy_state",
-            lambda: Value(PolicyState()),
-            lambda context, output: output.set_value(self._read_segment(context).state),
-            stepped,
+        declare_state_outputs(
+            self, self._segment, ("phase", 1, "state.phase"), ("policy_state", PolicyState, "state")
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._step)

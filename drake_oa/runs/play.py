@@ -135,10 +135,8 @@ class PlaySession:
         self.meshcat.AddSlider("speed", 0.1, 1.0, 0.1, 1.0)
         task = self._scenario.task
         sliders = [("clearance [m]", 0.02, 0.30, 0.005, task.clearance)]
-        for axis, at, low, high in zip(
-            "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
-        ):
-            sliders.append((f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at))
+        for axis, at in zip("xyz", task.goal, strict=True):
+            sliders.append((f"goal {axis} [m]", at - 0.5, at + 0.5, 0.01, at))
         for name, X_WO in self._poses.items():
             (x, y, _), yaw = X_WO.translation(), RollPitchYaw(X_WO.rotation()).yaw_angle()
             sliders += [
@@ -195,11 +193,8 @@ class PlaySession:
             each_tick()
             self.tick()
             due += TICK / self.meshcat.GetSliderValue("speed")
-            wait = due - time.monotonic()
-            if wait > 0.0:
-                time.sleep(wait)
-            elif wait < -_LATEST:
-                due = time.monotonic()
+            due = max(due, time.monotonic() - _LATEST)
+            time.sleep(max(0.0, due - time.monotonic()))
 
     def finish(self) -> dict[str, MotionLog]:
         """Ends the present motion, and returns the logs."""

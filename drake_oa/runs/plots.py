@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,32 +20,14 @@ from drake_oa.scenario.task import goal_steps
 _COLORS = {"modulated": "#00798c", "preplanned": "#111111"}
 _OBSTACLE, _DESIRED, _ENDS = "#d1495b", "#edae49", "#0072b2"
 """Colors of obstacles, of the desired path, and of start and goal."""
-_PANELS = (
-    ("distance to the nearest obstacle", "clearance [m]"),
-    ("phase and speed", "phase, speed scale [1]"),
-    ("joint torques against their limits", "torque / limit [1]"),
-)
-"""Titles and labels of the panels of a run; without a robot there are only the first two."""
+_PANELS = ("clearance [m]", "phase, speed scale [1]", "torque / limit [1]")
+"""Labels of the panels of a run."""
 _OBSERVATIONS = 6
 """Number of observations of which obstacles are drawn, one over the other."""
 
 
-def add_legend(ax: Axes, **options: Any) -> None:
-    """Adds a legend with one entry per label, if anything has a label.
-
-    Args:
-        ax: axes.
-        options: arguments of `Axes.legend`.
-    """
-    handles, labels = ax.get_legend_handles_labels()
-    if entries := dict(zip(labels, handles, strict=True)):
-        ax.legend(entries.values(), entries, **options)
-
-
 def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, MotionLog]) -> None:
     """Draws a run: panels over time on the left, the path from two sides on the right.
-
-    Without a robot there are no torques.
 
     Args:
         path: the file of the figure.
@@ -57,46 +39,39 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
         OutputError: if the file cannot be written.
         ScenarioError: if the station of the scenario cannot be built.
     """
-    start, goals = np.asarray(scenario.task.start), goal_steps(scenario.task)[:, 1:]
+    task = scenario.task
+    start, goals = np.asarray(task.start), goal_steps(task)[:, 1:]
     along = int(np.argmax(np.abs(goals[0] - start)[:2]))
     for name, log in logs.items():
         title += f"\n{name}: {log.duration:.2f} s, ended by {log.stop_reason}"
     with saved_figure(path, 14.0, 10.0, title) as figure:
         left, right = cast("list[SubFigure]", figure.subfigures(1, 2, width_ratios=[1.35, 1.0]))
-        panels = list(left.subplots(2 if scenario.robot is None else 3, 1, sharex=True))
+        panels, views = left.subplots(3, 1, sharex=True), right.subplots(2, 1)
+        clearance, phase, torque = panels
+        clearance.axhline(task.clearance, color="0.4", label=f"requested, {task.clearance:g} m")
         for name, log in logs.items():
-            _draw_motion(panels, name, scenario, log)
-        for ax, axes in zip(right.subplots(2, 1), ([0, 1], [along, 2]), strict=True):
-            ax.plot(*start[axes], "o", color=_ENDS, markersize=9, zorder=3, label="start")
-            ax.plot(*goals.T[axes], "*", color=_ENDS, markersize=9, zorder=3, label="goal")
+            metrics, style = motion_metrics(scenario, log), {"color": _COLORS.get(name)}
+            clearance.plot(log.t, metrics.tool_clearance, label=f"{name}, tool", **style)
+            clearance.plot(log.t, metrics.robot_clearance, ":", label=f"{name}, any link", **style)
+            phase.plot(log.t, log.phase, label=f"{name}, phase k", **style)
+            phase.plot(log.t, log.speed_scale, "--", label=f"{name}, speed scale", **style)
+            share = np.abs(log.torque / log.effort_limit).max(axis=1, initial=0.0)
+            torque.plot(log.t, share, label=f"{name}, largest of all joints", **style)
+        torque.set_xlabel("time [s]")
+        for ax, label in zip(panels, _PANELS, strict=True):
+            ax.set_ylabel(label)
+        for ax, axes in zip(views, ([0, 1], [along, 2]), strict=True):
+            ax.plot(*start[axes], "o", color=_ENDS, label="start")
+            ax.plot(*goals.T[axes], "*", color=_ENDS, label="goal")
             ax.set(xlabel=f"{'xyz'[axes[0]]} [m]", ylabel=f"{'xyz'[axes[1]]} [m]")
             ax.set_aspect("equal", adjustable="datalim")
             for name, log in logs.items():
                 _draw_path(ax, name, log, axes)
-            add_legend(ax, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-        clearance = scenario.task.clearance
-        label = f"requested, Δ = {clearance:g} m"
-        panels[0].axhline(clearance, color="0.4", linestyle="--", label=label)
-        panels[0].axhline(0.0, color=_OBSTACLE)
-        for ax, (heading, label) in zip(panels, _PANELS, strict=False):
-            ax.set(title=heading, ylabel=label)
-            add_legend(ax, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-        panels[-1].set_xlabel("time [s]")
-
-
-def _draw_motion(panels: Sequence[Axes], name: str, scenario: Scenario, log: MotionLog) -> None:
-    """Draws clearance, phase and speed of a motion; of a robot torques, too."""
-    metrics, color = motion_metrics(scenario, log), _COLORS.get(name)
-    clearance, phase, *of_robot = panels
-    clearance.plot(log.t, metrics.tool_clearance, color=color, label=f"{name}, tool")
-    phase.plot(log.t, log.phase, color=color, label=f"{name}, phase k")
-    phase.plot(log.t, log.speed_scale, "--", color=color, label=f"{name}, speed scale")
-    if not of_robot:
-        return
-    (torque,) = of_robot
-    clearance.plot(log.t, metrics.robot_clearance, ":", color=color, label=f"{name}, any link")
-    share = np.abs(log.torque / log.effort_limit).max(axis=1, initial=0.0)
-    torque.plot(log.t, share, color=color, label=f"{name}, largest of all joints")
+        for ax in (*panels, *views):
+            # One entry a label.
+            handles, labels = ax.get_legend_handles_labels()
+            entries = dict(zip(labels, handles, strict=True))
+            ax.legend(entries.values(), entries, loc="lower right", bbox_to_anchor=(1.0, 1.0))
 
 
 def _draw_path(ax: Axes, name: str, log: MotionLog, axes: list[int]) -> None:
