@@ -71,7 +71,9 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
             # One entry a label.
             handles, labels = ax.get_legend_handles_labels()
             entries = dict(zip(labels, handles, strict=True))
-            ax.legend(entries.values(), entries, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+            ax.legend(
+                entries.values(), entries, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0)
+            )
 
 
 def _draw_path(ax: Axes, name: str, log: MotionLog, axes: list[int]) -> None:
