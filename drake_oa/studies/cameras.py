@@ -45,7 +45,7 @@ AWAY = 1.2
 """Distance from a camera of `with_two` to the middle of the task [m]."""
 ASIDE = math.radians(60.0)
 """From the way to the robot to that to a camera, seen from above [rad]."""
-ELEVATIONS = tuple(math.radians(degrees) for degrees in (35.0, 50.0, 65.0, 80.0, 20.0))
+ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
 """Elevations of a camera over the middle, of which the first that fits is used [rad]."""
 APART = 0.15
 """Minimum distance of a camera, and of its first 0.8 m of sight to the middle, to obstacles [m]."""
@@ -96,9 +96,7 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(
-            name, placed_around(MIDDLE, math.radians(place[0]), math.radians(place[1]), _SEEN_FROM)
-        )
+        xtion(name, placed_around(MIDDLE, *np.radians(place), _SEEN_FROM))
         for name, place in places.items()
     ]
     scenario.perception = replace(

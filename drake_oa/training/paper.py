@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -205,31 +205,27 @@ def train_paper(
                 for part, of in (("train", train), ("test", test))
             } | {"rows": int(use.sum())}
         lower, upper = inputs.min(axis=0), inputs.max(axis=0)
-        metadata = _metadata(name, rows, recipe, seed, errors[name])
+        action_level, alpha_unit = ACTION_LEVELS[recipe.action_level]
+        more = ", Delta/L" if name == CHAINS[1] else ""
+        metadata = {
+            "inputs": f"lambda1'/L, lambda2'/L (semi-axes){more}",
+            "units": {"kappa": "1/L^2", "psi": "rad", "alpha": alpha_unit},
+            "recipe": "paper",
+            "chain": name,
+            "action_level": action_level,
+            "seed": seed,
+            "rows": {target: of["rows"] for target, of in errors[name].items()},
+            "rollouts": rows.rollouts,
+            "training": {
+                "hidden": list(HIDDEN),
+                "train_share": TRAIN_SHARE,
+                "decay": DECAY,
+                "rounds": [[each._asdict() for each in of] for of in recipe.rounds[name]],
+            },
+            "nmse": {
+                target: {k: of[k] for k in ("train", "test")} for target, of in errors[name].items()
+            },
+            **provenance(),
+        }
         chains[name] = ChainWeights(networks, lower, upper, metadata)
     return rows, chains, errors
-
-
-def _metadata(
-    name: str, rows: PaperSet, recipe: PaperRecipe, seed: int, errors: Errors
-) -> dict[str, Any]:
-    action_level, alpha_unit = ACTION_LEVELS[recipe.action_level]
-    more = ", Delta/L" if name == CHAINS[1] else ""
-    return {
-        "inputs": f"lambda1'/L, lambda2'/L (semi-axes){more}",
-        "units": {"kappa": "1/L^2", "psi": "rad", "alpha": alpha_unit},
-        "recipe": "paper",
-        "chain": name,
-        "action_level": action_level,
-        "seed": seed,
-        "rows": {target: of["rows"] for target, of in errors.items()},
-        "rollouts": rows.rollouts,
-        "training": {
-            "hidden": list(HIDDEN),
-            "train_share": TRAIN_SHARE,
-            "decay": DECAY,
-            "rounds": [[each._asdict() for each in of] for of in recipe.rounds[name]],
-        },
-        "nmse": {target: {k: of[k] for k in ("train", "test")} for target, of in errors.items()},
-        **provenance(),
-    }

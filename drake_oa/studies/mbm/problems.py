@@ -188,10 +188,8 @@ def load_robot(name_or_file: str) -> Robot:
     """
     if name_or_file == PANDA:
         return Robot()
-    if name_or_file == UR5:
-        robot = parse_scenario(_UR5_SCENARIO).robot
-    else:
-        robot = load_scenario(name_or_file).robot
-    if robot is None:
+    is_ur5 = name_or_file == UR5
+    scenario = parse_scenario(_UR5_SCENARIO) if is_ur5 else load_scenario(name_or_file)
+    if scenario.robot is None:
         raise ScenarioError(f"{name_or_file}: robot: is null; --robot takes its robot block")
-    return robot
+    return scenario.robot
