@@ -122,11 +122,10 @@ def straight_motions(scenes: Scenes, setting: Setting) -> Motions:
     velocity = np.zeros_like(path)
     path[..., 0] = scenes.baseline[:, None] * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
     velocity[..., 0] = scenes.baseline[:, None] * 30.0 * (s * (1.0 - s)) ** 2 / DURATION
-    seconds = 1e-6 * _STEPS * len(scenes)
-    return Motions(path, velocity, np.full(len(scenes), DURATION), seconds)
+    return Motions(path, velocity, np.full(len(scenes), DURATION))
 
 
 @pytest.fixture
 def straight() -> Callable[[Scenes, Setting], Motions]:
-    """The unmodulated motion as a method: a microsecond a step."""
+    """The unmodulated motion as a method."""
     return straight_motions

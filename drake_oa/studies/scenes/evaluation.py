@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,9 +61,10 @@ def evaluate(
             parts = []
             for first in range(0, len(scenes), BATCH):
                 some = setting.of(scenes.rows(slice(first, first + BATCH)))
+                begin = perf_counter()
                 motions = method(some, setting)
+                seconds += perf_counter() - begin
                 parts.append(judge(judged_among(some), motions))
-                seconds += motions.seconds
                 done += len(some)
                 update(f"{name} {done}", done)
             judged[setting.label] = Judgement.joined(parts)

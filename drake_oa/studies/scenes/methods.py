@@ -12,17 +12,15 @@ evaluation does not change it. Needs the extra `peers`: pip install 'drake_oa[pe
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from drake_oa.common.config import check_choice
 from drake_oa.common.files import import_extra
+from drake_oa.common.messages import EllipsoidSet
 from drake_oa.planning.point_search import PointSearch
-from drake_oa.planning.search import Ranked
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
@@ -34,8 +32,6 @@ from drake_oa.studies.scenes.scenes import (
     Motions,
     Scenes,
     Setting,
-    make_scenes,
-    posed_scenes,
 )
 
 Method = Callable[[Scenes, Setting], Motions]
@@ -60,14 +56,19 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
     Returns:
         The motions, from rest until they have arrived.
     """
-    _warm_up()
-    begun = time.perf_counter()
-    clearance = scenes.clearance if setting.constrained else LEAST_CLEARANCE
+    clearance = scenes.clearance if setting.constrained else np.full(len(scenes), LEAST_CLEARANCE)
     duration = np.empty(len(scenes))
     path, velocity = np.empty((2, len(scenes), SAMPLES + 1, 3))
-    for row, scene in enumerate(posed_scenes(scenes, clearance)):
-        search, found = _searched(scene)
-        length = float(found.length[0]) / scene.baseline
+    still = np.zeros((1, 3))
+    for row, baseline in enumerate(scenes.baseline.tolist()):
+        one = slice(row, row + 1)
+        shape = scenes.center[one], scenes.R[one], scenes.semi_axes[one]
+        seen = EllipsoidSet(0.0, *shape, still, np.arange(1))
+        at_rest = still[0], still[0], scenes.goal[row], np.eye(3)
+        scene = Scene(*at_rest, baseline, seen, clearance[one])
+        search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
+        found = search.run()
+        length = float(found.length[0]) / baseline
         tau = max(1.0, length) if setting.scale_time else 1.0
         tool = search.tool_paths(found.genes[:1])
         taken = int(tool.steps[0]) + 1
@@ -76,20 +77,7 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
         at = np.linspace(0.0, s[-1], SAMPLES + 1)
         path[row], velocity[row] = spline(at), spline(at, 1) / (DURATION * tau)
         duration[row] = DURATION * tau * s[-1]
-    return Motions(path, velocity, duration, seconds=time.perf_counter() - begun)
-
-
-def _searched(scene: Scene) -> tuple[PointSearch, Ranked]:
-    """Returns the search in a scene, and its result."""
-    search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
-    return search, search.run()
-
-
-@cache
-def _warm_up() -> None:
-    """Loads the kernels, so that it does not count as computing time."""
-    scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
-    _searched(posed_scenes(scenes, 0.05)[0])
+    return Motions(path, velocity, duration)
 
 
 STEP = 0.01
@@ -104,7 +92,6 @@ def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
     """
     N, steps = len(scenes), round(DURATION / STEP)
     path, velocity = np.zeros((2, N, steps + 1, 3))
-    begin = time.perf_counter()
     package = import_extra("movement_primitives.dmp", "peers")
     for row in range(N):
         term = package.CouplingTermObstacleAvoidance3D(scenes.center[row].copy())
@@ -116,7 +103,7 @@ def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
         for step in range(steps):
             p, v = dmp.step(p, v, coupling_term=term)
             path[row, step + 1], velocity[row, step + 1] = p, v
-    return Motions(path, velocity, np.full(N, DURATION), time.perf_counter() - begin)
+    return Motions(path, velocity, np.full(N, DURATION))
 
 
 METHODS: dict[str, Method] = {

@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from time import perf_counter
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -132,7 +131,6 @@ def released_motions(
         chain: gives the parameters in every step; None: they are constant.
         steps: time steps.
     """
-    begin = perf_counter()
     tau = time_scale(scenes) if setting.scale_time else np.ones(len(scenes))
     motions = ReleasedMotions(scenes.baseline, scenes.center, tau, steps=steps, original=original)
     seen = np.zeros_like(scenes.center)
@@ -156,6 +154,4 @@ def released_motions(
         path.append(motions.position)
         velocity.append(motions.velocity)
     duration = np.full(len(scenes), motions.number * steps.length)
-    return Motions(
-        np.stack(path, 1), np.stack(velocity, 1), duration, seconds=perf_counter() - begin
-    )
+    return Motions(np.stack(path, 1), np.stack(velocity, 1), duration)

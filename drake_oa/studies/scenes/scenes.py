@@ -14,9 +14,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
+from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.rollout import Scene
 
 DURATION = 3.0
 """Demonstrated duration T [s]."""
@@ -93,29 +92,6 @@ def make_scenes(
     )
 
 
-def posed_scenes(scenes: Scenes, clearance: FloatArray | float) -> list[Scene]:
-    """Returns the scenes as roll-outs take them: at rest at the start, L = W.
-
-    Args:
-        scenes: N scenes.
-        clearance: () or (N,) requested from every obstacle [m].
-    """
-    requested = np.broadcast_to(clearance, (len(scenes),))
-    seen = zip(scenes.center, scenes.R, scenes.semi_axes, strict=True)
-    return [
-        Scene(
-            p_WE=np.zeros(3),
-            z_W=np.zeros(3),
-            p_WG=scenes.goal[row],
-            R_WL=np.eye(3),
-            baseline=float(scenes.baseline[row]),
-            ellipsoids=EllipsoidSet(0.0, p[None], R[None], a[None], np.zeros((1, 3)), np.arange(1)),
-            clearance=requested[row : row + 1].copy(),
-        )
-        for row, (p, R, a) in enumerate(seen)
-    ]
-
-
 def obstacle_distance(scenes: Scenes, points: FloatArray) -> FloatArray:
     """Computes signed distances (N,) of a point (N, 3) in each scene to its obstacle [m]."""
     return signed_distance(points, scenes.center, scenes.R, scenes.semi_axes)
@@ -153,11 +129,8 @@ class Motions(NamedTuple):
         path: (N, S + 1, 3) positions [m].
         velocity: (N, S + 1, 3) velocities dp/dt at those instants [m/s].
         duration: (N,) tau T, the end of the scaled duration [s].
-        seconds: computing time of the whole batch [s], regulation included,
-            compilation excluded.
     """
 
     path: FloatArray
     velocity: FloatArray
     duration: FloatArray
-    seconds: float

@@ -24,7 +24,7 @@ def test_clearance_and_length_are_those_of_dense_sampling() -> None:
         rng.uniform(2.0, 4.0, 6),
     )
     speed = 25.0 / duration[:, None, None] * np.gradient(path, axis=1)
-    judged = judge(scenes, Motions(path, speed, duration, 0.0))
+    judged = judge(scenes, Motions(path, speed, duration))
     for n in range(6):
         t = np.linspace(0.0, duration[n], 100_001)
         p = CubicHermiteSpline(t[::4000], path[n], speed[n])(t)
@@ -38,7 +38,7 @@ def uniform_motion(steps: int, start: Array, end: Array, duration: float = 2.0) 
     """One straight motion of constant velocity."""
     s = np.linspace(0.0, 1.0, steps + 1)[:, None]
     velocity = np.tile((end - start) / duration, (1, steps + 1, 1))
-    return Motions((start + s * (end - start))[None], velocity, np.array([duration]), 0.0)
+    return Motions((start + s * (end - start))[None], velocity, np.array([duration]))
 
 
 def test_the_feasible_clearance_is_bounded_by_the_ends() -> None:
