@@ -96,7 +96,7 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(name, placed_around(MIDDLE, *np.radians(place), _SEEN_FROM))
+        xtion(name, placed_around(MIDDLE, *np.radians(place), away=_SEEN_FROM))
         for name, place in places.items()
     ]
     scenario.perception = replace(
