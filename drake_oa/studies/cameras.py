@@ -96,8 +96,8 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(name, placed_around(MIDDLE, *np.radians(place), away=_SEEN_FROM))
-        for name, place in places.items()
+        xtion(name, placed_around(MIDDLE, azimuth, elevation, _SEEN_FROM))
+        for name, (azimuth, elevation) in zip(places, np.radians([*places.values()]), strict=True)
     ]
     scenario.perception = replace(
         source,
