@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from drake_oa.app.scenarios import Positive, build_errors
-from drake_oa.common.files import check_outputs, check_plot_file, replace_text
+from drake_oa.common.files import check_outputs, replace_text
 
 # Drake and matplotlib are imported where they are used: `--help` answers at once.
 
@@ -90,14 +90,13 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
 
     Args:
         log: a log that `drake-oa run` wrote.
-        out: the figure, .png, .svg or .pdf (default: LOG with .png in place of .npz).
+        out: the figure, .png, .svg, .pdf or another format of Matplotlib (default: LOG with .png in place of .npz).
     """
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import plot_run
     from drake_oa.runs.replay import choose_motion, logged_scenario
 
     out = out or log.with_suffix(".png")
-    check_plot_file("--out", out)
     logs = load_logs(log)
     chosen = choose_motion(log, logs, None)
     logs = {name: of for name, of in logs.items() if len(of.t)}

@@ -29,8 +29,6 @@ _SOURCES = {
 _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
 """Parts of drake_oa that no simulated motion depends on, or that are packages of `_SOURCES`."""
 
-PLOT_FORMATS = (".pdf", ".png", ".svg")
-"""Suffixes of the files of figures."""
 _PLOT_STYLE: tuple[Any, ...] = ("tableau-colorblind10", {"axes.grid": True, "legend.fontsize": 7})
 """Matplotlib styles of all figures; color-blind readers can distinguish the colors."""
 
@@ -163,12 +161,6 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         except Exception as error:
             # Damage shows in the archive, in its decompression, or in the headers of arrays.
             raise ValueError(f"{path} cannot be read as .npz: {error}") from None
-
-
-def check_plot_file(option: str, path: Path | None) -> None:
-    """Raises ValueError for a suffix that no figure can be written in, naming the option."""
-    if path is not None and path.suffix not in PLOT_FORMATS:
-        raise ValueError(f"{option} must end in {', '.join(PLOT_FORMATS)}, not {path.name!r}")
 
 
 @contextlib.contextmanager

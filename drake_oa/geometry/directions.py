@@ -22,12 +22,6 @@ def sphere_points(count: int) -> FloatArray:
     return np.concatenate([np.eye(3), -np.eye(3), spiral])
 
 
-def _directions() -> FloatArray:
-    """(26, 3) unit vectors to the faces, edges and corners of a cube."""
-    grid = lattice(*[[-1.0, 0.0, 1.0]] * 3)
-    grid = grid[np.any(grid != 0.0, axis=1)]
-    return np.asarray(grid / np.linalg.norm(grid, axis=1, keepdims=True))
-
-
-DIRECTIONS = _directions()
+_GRID = np.delete(lattice(*[[-1.0, 0.0, 1.0]] * 3), 13, axis=0)
+DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
 """(26, 3) unit vectors to the faces, edges and corners of a cube."""
