@@ -90,7 +90,7 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
 
     Args:
         log: a log that `drake-oa run` wrote.
-        out: the figure, .png, .svg, .pdf or another format of Matplotlib (default: LOG with .png in place of .npz).
+        out: the figure, in a format of Matplotlib (default: LOG with .png in place of .npz).
     """
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import plot_run
