@@ -7,12 +7,10 @@ import numpy as np
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
-from drake_oa.perception.config import CameraSource
-from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
+from drake_oa.scenario.faults import Push, TorqueSaturation
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.scenario.sources import perception_period
-from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
+from drake_oa.world.faults import ExternalPush, WeakActuators
 from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
 
@@ -27,33 +25,7 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """
     if cell is None:
         return
-    source, plant = scenario.perception, cell.plant
-    cameras = source if isinstance(source, CameraSource) and cell.cameras else None
-    for name in cameras.names if cameras else ():
-        dropouts = [
-            fault
-            for fault in scenario.faults
-            if isinstance(fault, CameraDropout) and fault.camera in ("", name)
-        ]
-        if not dropouts or cameras is None:
-            continue
-        states = plant.num_multibody_states(cell.robot)
-        faults = CameraFaults(
-            dropouts,
-            cell.cameras[name].intrinsics,
-            num_states=states,
-            period=perception_period(scenario),
-        )
-        own = ("depth_image", "image_stamp")
-        names: dict[str, str | None] = {port: cameras.signal(port, name) for port in own}
-        names["robot_state"] = cameras.signal("robot_state_at_image", name)
-        wires.interpose(
-            [cameras.signal(port, name) for port in ("depth_image", "robot_state_at_image")],
-            cameras.signal("camera_faults", name),
-            faults,
-            reads=names,
-            offers=names,
-        )
+    plant = cell.plant
     weak = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
     if weak:
         actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(cell.robot))
@@ -96,9 +68,6 @@ def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, Obst
             name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
             body = station.plant.GetBodyByName("body", station.plant.GetModelInstanceByName(name))
             movers[name] = ObstacleMover(
-                np.array(obstacle.waypoints, dtype=float).reshape(-1, 4),
-                mass=body.default_mass(),
-                step=scenario.plant_step,
-                present=obstacle.present,
+                obstacle, mass=body.default_mass(), step=scenario.plant_step
             )
     return movers

@@ -16,11 +16,11 @@ from pydrake.systems.primitives import (
 )
 
 from drake_oa.common.compiled import kernel_arrays
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.station import Cell, make_posture_guide
+from drake_oa.diagrams.station import Cell
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, minimum_jerk_orientation
@@ -34,7 +34,13 @@ from drake_oa.robot.plant import make_robot_plant
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import JointMargins, Ring
 from drake_oa.scenario.demonstration import demonstrated_path, primitive_constants
-from drake_oa.scenario.end_poses import end_rotations, start_positions, tool_orientation
+from drake_oa.scenario.end_poses import (
+    ToolOrientation,
+    end_rotations,
+    posture_guide,
+    start_positions,
+    tool_orientation,
+)
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
@@ -55,14 +61,16 @@ def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.add("dmp_integrator", DmpIntegrator(make_dmp(scenario), start, config=policy))
     wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
     wires.export("desired_position", "phase", "policy_state")
-    orientation = None if cell is None else make_orientation_integrator(scenario)
-    if orientation is None and cell is not None and "demonstration" in wires:
+    held = None if cell is None else tool_orientation(scenario)
+    if held is None and cell is not None and "demonstration" in wires:
         # A path in the joints turns the tool, which stays as at the start until then.
         R_WE = end_rotations(scenario)[0].matrix()
-        kept = minimum_jerk_orientation(alpha_k=policy.alpha_k)
-        orientation = OrientationIntegrator(kept, R_WE, R_WE, period=policy.period)
-    if orientation is not None:
-        wires.add("orientation_integrator", orientation)
+        held = ToolOrientation(minimum_jerk_orientation(alpha_k=policy.alpha_k), R_WE, R_WE)
+    if held is not None:
+        integrator = OrientationIntegrator(
+            held.primitive, held.R_WS, held.R_WG, period=policy.period
+        )
+        wires.add("orientation_integrator", integrator)
         wires.log("desired_orientation", "orientation_error")
 
 
@@ -76,24 +84,8 @@ def make_dmp(scenario: Scenario) -> Dmp:
     if task.demonstration:
         return demonstrated_path(scenario)
     path, t = minimum_jerk(task.start, task.goal, duration=task.duration)
-    try:
+    with field_errors("policy", ValueError):
         return imitate(path, t, **primitive_constants(scenario.policy))
-    except ValueError as error:
-        raise ScenarioError(f"policy: {error}") from None
-
-
-def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | None:
-    """Makes the integrator of the orientation; None: the tool keeps `robot.rpy_WE`.
-
-    Raises:
-        ScenarioError: naming the field that does not fit.
-    """
-    held = tool_orientation(scenario)
-    if held is None:
-        return None
-    return OrientationIntegrator(
-        held.primitive, held.R_WS, held.R_WG, period=scenario.policy.period
-    )
 
 
 _logger = logging.getLogger("drake_oa")
@@ -194,7 +186,8 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
         )
     _tell_of_bare_links(cell)
     chain, q_rest = cell.chain, cell.q_start[cell.chain.q_index]
-    guide = make_posture_guide(scenario, q_rest)
+    q_goal = None if task.q_goal is None else np.asarray(task.q_goal, dtype=float)
+    q_end = q_rest if q_goal is None else q_goal
     search = MotionSearch(
         make_dmp(scenario),
         task.clearance,
@@ -203,9 +196,9 @@ def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> Non
         parameters=regulation,
         policy=policy,
         orientation=orientation_of_motion(scenario),
-        posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
+        posture=lambda s: posture_guide(s, q_rest, q_end),
         overshoot=cell.spheres.overshoot,
-        q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
+        q_goal=q_goal,
     )
     verifier = MotionVerifier(
         search,
@@ -268,11 +261,9 @@ def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
         offers = {"coupling_parameters": "proposed_parameters"}
     else:
         name, file = "weights", regulation.weights
-    try:
+    with field_errors(f"regulation.{name}", OSError, ValueError):
         path = package_file(file)
         weights = load_chain(path)
         check_action_level(weights, path)
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"regulation.{name}: {error}") from None
     chain = RegressorChain(weights, scenario.task.clearance)
     wires.add("regressor_chain", chain, offers=offers)

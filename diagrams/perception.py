@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.primitives import MatrixGain
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.wires import Wires
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor, GivenEllipsoidSource
@@ -39,18 +37,17 @@ from drake_oa.scenario.scenario import Scenario, allow_perception
 from drake_oa.scenario.sources import (
     camera_configs,
     given_ellipsoids,
-    noise_seed,
     perception_period,
     table_plane,
 )
-from drake_oa.world.depth_noise import DepthNoise
 
 PIXEL_CENTER = 0.5
 """Where Drake's VTK renderer samples the first pixel: at its centre [pixel]."""
 
 
-AddSource = Callable[[Wires, Any, Scenario, Cell | None], None]
-"""Adds what makes obstacles of a scenario's block: wires, block, scenario, station."""
+AddSource = Callable[..., None]
+"""Adds the source of obstacles of a scenario's block: wires, block, scenario, and the station,
+which is None without a robot."""
 
 SOURCES: dict[type, AddSource] = {}
 """Block of `perception` -> what adds its systems; see `register_source`."""
@@ -86,10 +83,7 @@ def _add_given(
     wires.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
 
 
-def _add_ground_truth(
-    wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell | None
-) -> None:
-    cell = _of_robot(source, cell)
+def _add_ground_truth(wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell) -> None:
     plant, inspector = cell.plant, cell.scene_graph.model_inspector()
     system = GroundTruthPerception(
         plant,
@@ -125,21 +119,17 @@ def _add_ground_truth(
 
 
 def _add_recorded_clouds(
-    wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell | None
+    wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell
 ) -> None:
-    cell = _of_robot(source, cell)
     X_WC = _camera_pose(source)
-    try:
+    with field_errors("perception.folder", OSError, ValueError):
         perception = RecordedPerception(
             source.folder,
             X_WC=X_WC,
             config=_segmentation(source, scenario),
             robot=cell.robot_shapes,
             period=source.period,
-            loop=source.loop,
         )
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"perception.folder: {error}") from None
     if X_WC is None and perception.files_without_pose:
         # By the table alone the scene would lie somewhere else than the robot.
         raise ScenarioError(
@@ -150,10 +140,7 @@ def _add_recorded_clouds(
     wires.add("perception", perception)
 
 
-def _add_depth_camera(
-    wires: Wires, source: CameraSource, scenario: Scenario, cell: Cell | None
-) -> None:
-    cell = _of_robot(source, cell)
+def _add_depth_camera(wires: Wires, source: CameraSource, scenario: Scenario, cell: Cell) -> None:
     cameras = {name: cell.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
     live = source if isinstance(source, LcmCamera) else None
@@ -163,30 +150,17 @@ def _add_depth_camera(
         for joint in plant.GetJointIndices(cell.robot)
         if plant.get_joint(joint).num_positions()
     ]
-    # The self filter takes the robot as it was when the images were taken.
-    wires.otherwise("robot_state_at_image", "robot_state")
-    for signal in map(partial(source.signal, ""), source.names) if live else [""]:
-        if first.image_time is not None:
-            wires.add(
-                f"robot_at_image{signal}",
-                MatrixGain(plant.MakeStateSelectorMatrix(joints)),
-                reads={"u0": f"plant_state_at_image{signal}"},
-                offers={"y0": f"robot_state_at_image{signal}"},
-            )
     reads: dict[str, str | None] = {}
-    for name, camera in cameras.items():
+    for name in cameras:
+        # The self filter takes the robot as it was when the image was taken.
         at_image = source.signal("robot_state_at_image", name)
-        if at_image != "robot_state_at_image":
-            wires.otherwise(at_image, "robot_state_at_image")
+        wires.add(
+            source.signal("robot_at_image", name),
+            MatrixGain(plant.MakeStateSelectorMatrix(joints)),
+            reads={"u0": source.signal("plant_state_at_image", name)},
+            offers={"y0": at_image},
+        )
         reads[source.signal("robot_state", name)] = at_image
-        # Images that come late are made with their noise.
-        if source.noise is not None and camera.delay == 0.0:
-            noise = DepthNoise(
-                camera.intrinsics, parameters=source.noise, seed=noise_seed(scenario, name)
-            )
-            wires.interpose(
-                source.signal("depth_image", name), source.signal("depth_noise", name), noise
-            )
     configs = camera_configs(scenario, source)
     intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
     perception = DepthPerception(
@@ -232,13 +206,6 @@ def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
         period=perception_period(scenario), cameras=cameras, table=table_plane(scenario)
     )
     wires.add("solids", solids)
-
-
-def _of_robot(source: object, cell: Cell | None) -> Cell:
-    """Returns the station, which a source requires."""
-    if cell is None:
-        raise ScenarioError(f"perception: !{type(source).__name__} needs a robot")
-    return cell
 
 
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:

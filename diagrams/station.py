@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import field_errors
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.geometry.solids import RobotSolids, robot_solids
-from drake_oa.perception.config import CameraSource, LcmCamera
+from drake_oa.perception.config import CameraSource
 from drake_oa.robot.arm import Chain, make_chain
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
-from drake_oa.scenario.end_poses import posture_guide, start_positions
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.live_camera import Outside
 from drake_oa.world.station import Station, make_station
@@ -62,9 +59,8 @@ def add_station(
     """Adds plant, scene graph and, where perception looks through them, the cameras.
 
     Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
-    camera_pose and, where images come late, image_stamp and plant_state_at_image; of several
-    cameras each of them with _NAME behind it, but for plant_state_at_image, which is the same of
-    simulated ones.
+    camera_pose, image_stamp and plant_state_at_image; of several cameras each of them with _NAME
+    behind it.
 
     Args:
         wires: that are added to.
@@ -96,13 +92,8 @@ def add_station(
             camera = station.cameras[name]
             wires.offer(source.signal("depth_image", name), camera.depth_image)
             wires.offer(source.signal("camera_pose", name), camera.pose)
-            if camera.image_time is not None and camera.plant_state is not None:
-                wires.offer(source.signal("image_stamp", name), camera.image_time)
-                at_image = "plant_state_at_image"
-                if isinstance(source, LcmCamera):
-                    at_image = source.signal(at_image, name)
-                if at_image not in wires:
-                    wires.offer(at_image, camera.plant_state)
+            wires.offer(source.signal("image_stamp", name), camera.image_time)
+            wires.offer(source.signal("plant_state_at_image", name), camera.plant_state)
     return Cell(**vars(station), scenario=scenario, robot_plant=robot_plant, q_start=q_start)
 
 
@@ -122,25 +113,7 @@ def covered_arm(robot: Robot) -> ArmSpheres:
     robot_plant = make_robot_plant(robot)
     key = (repr(robot), robot_plant)
     if key not in _COVERED:
-        try:
+        with field_errors("robot", ValueError):
             q = home_positions(robot)
             _COVERED[key] = make_arm_spheres(robot_plant, q, tool_links(robot), robot.spheres)
-        except ValueError as error:
-            raise ScenarioError(f"robot: {error}") from None
     return _COVERED[key]
-
-
-def make_posture_guide(
-    scenario: Scenario, q_start: FloatArray
-) -> Callable[[FloatArray], FloatArray] | None:
-    """Makes the function of normalised times (T,) that computes (T, n) nominal postures.
-
-    Args:
-        scenario: with a robot.
-        q_start: (n,) positions of the arm at the start [rad].
-
-    Returns:
-        None where the task does not give the joints at the goal: the posture of the start.
-    """
-    q_goal = scenario.task.q_goal
-    return None if q_goal is None else lambda s: posture_guide(s, q_start, np.asarray(q_goal))

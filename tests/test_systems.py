@@ -136,9 +136,6 @@ def diagrams(recording_folder: Path, straight_log: Any) -> dict[str, Diagram]:
     built = {}
     for name, (shipped, *overrides) in OVERRIDES.items():
         scenario = load_scenario(shipped, overrides + [recorded] * (name == "recorded"))
-        if name == "faults":
-            # Images that come at once get their noise by a system of its own.
-            scenario.cameras[0].output_delay = 0.0
         built[name] = build_avoidance(scenario, meshcat=meshcat if name == "point" else None)
     built["replay"] = build_replay(load_scenario("free_space"), straight_log(), meshcat)
     return built

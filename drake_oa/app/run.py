@@ -127,7 +127,7 @@ def run(
       --set task.clearance=0.1
       --set 'task.goal=[0.5, 0.4, 0.35]'
       --set 'perception=!GroundTruth {}'
-      --set 'perception=!RecordedClouds {folder: /data/clouds, loop: true}'
+      --set 'perception=!RecordedClouds {folder: /data/clouds}'
 
     Args:
         scenario: a shipped name (see `drake-oa scenarios`) or a file.

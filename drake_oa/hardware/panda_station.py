@@ -77,9 +77,8 @@ class _ImageSender:
     def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, stands: bool) -> None:
         """Sends the latest image."""
         camera, context = self._camera, self._system.GetMyContextFromRoot(root)
-        image, age = camera.depth_image.Eval(context), 0.0
-        if camera.image_time is not None:
-            age = root.get_time() - camera.image_time.Eval(context)[0]
+        image = camera.depth_image.Eval(context)
+        age = root.get_time() - camera.image_time.Eval(context)[0]
         self._count += not stands
         self._sent = now
         message = pack_depth(

@@ -153,18 +153,19 @@ def _of_csv(path: Path) -> dict[str, FloatArray]:
     with path.open(encoding="utf-8-sig") as file:
         header = file.readline(1000).strip()
         names = [name.strip() for name in header.split(",")]
-        for columns in ("x y z", "t x y z", "x y z qw qx qy qz", "t x y z qw qx qy qz"):
-            if sorted(names) == sorted(columns.split()):
-                break
-        else:
+        known = ("x y z", "t x y z", "x y z qw qx qy qz", "t x y z qw qx qy qz")
+        if sorted(names) not in [sorted(columns.split()) for columns in known]:
             raise ValueError(f"its first line is {header[:80]!r}")
         table = np.loadtxt(islice(file, MOST_SAMPLES + 1), delimiter=",", ndmin=2)
     column = dict(zip(names, table.T, strict=True))
-    found = {"path": np.stack([column[name] for name in "xyz"], axis=1)}
+    groups = {"path": tuple("xyz"), "quaternion": _TURN}
+    found = {
+        field: np.stack([column[name] for name in group], axis=1)
+        for field, group in groups.items()
+        if group[0] in column
+    }
     if "t" in column:
         found["t"] = column["t"]
-    if _TURN[0] in column:
-        found["quaternion"] = np.stack([column[name] for name in _TURN], axis=1)
     return found
 
 

@@ -168,10 +168,9 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
         files = block.get(field)
         if field == "demonstration" and isinstance(files, str):
             files = [files] if files else []
-        if isinstance(files, list):
-            block[field] = [_absolute(file, base) for file in files]
-        elif field in block:
-            block[field] = _absolute(files, base)
+        if field in block:
+            several = [_absolute(file, base) for file in files] if isinstance(files, list) else None
+            block[field] = _absolute(files, base) if several is None else several
     directives = data.get("directives")
     for directive in directives if isinstance(directives, list) else ():
         for block in directive.values() if isinstance(directive, dict) else ():

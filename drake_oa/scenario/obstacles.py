@@ -17,6 +17,9 @@ OBSTACLE_PREFIX = "obstacle"
 
 
 _FARTHEST = 10.0
+ABSENT_HEIGHT = 50.0
+"""Height above its place of an obstacle that is absent [m]: out of any camera's sight."""
+_ROUNDING = 1e-9  # of a time [s]
 
 
 def _check_course(waypoints: list[list[float]]) -> list[list[float]]:
@@ -81,9 +84,17 @@ class Obstacle:
         return max([0.0, *(waypoint[0] for waypoint in self.waypoints), *self.present])
 
     def offset_at(self, time: float) -> FloatArray:
-        """(3,) how far from `translation` it is at a time [s], in the world [m]."""
-        course = np.array(self.waypoints, dtype=float).reshape(-1, 4)
-        return offset_at(course, time, self.present)
+        """Returns the offset (3,) from `translation` at a time [s], in the world [m].
+
+        It is straight and at constant speed between waypoints, at rest outside, and
+        `ABSENT_HEIGHT` higher while the obstacle is absent.
+        """
+        times, *axes = np.array(self.waypoints or [[0.0] * 4], dtype=float).T
+        offset = np.array([np.interp(time, times, axis) for axis in axes])
+        begin, end = [*(self.present or [-math.inf]), math.inf][:2]
+        if not begin <= time + _ROUNDING < end:
+            offset[2] += ABSENT_HEIGHT
+        return offset
 
 
 def last_change(obstacles: Iterable[Obstacle]) -> float:
@@ -97,38 +108,3 @@ def obstacle_problems(obstacles: Sequence[Obstacle]) -> Iterator[str]:
     for row, name in enumerate(names):
         if name in names[:row]:
             yield f"obstacles[{row}].name: two obstacles are named '{name}'"
-
-
-ABSENT_HEIGHT = 50.0
-"""Height above its place of an obstacle that is absent [m]: out of any camera's sight."""
-
-
-_ROUNDING = 1e-9  # of a time [s]
-
-
-def is_present(present: Sequence[float], time: float) -> bool:
-    """Whether an obstacle is there at a time [s]: from <= time < until."""
-    if not present:
-        return True
-    after = present[1] if len(present) > 1 else math.inf
-    return present[0] <= time + _ROUNDING < after
-
-
-def offset_at(waypoints: FloatArray, time: float, present: Sequence[float] = ()) -> FloatArray:
-    """Interpolates a course: straight and at constant speed between waypoints, at rest outside.
-
-    Args:
-        waypoints: (N, 4) rows t, x, y, z with increasing t [s, m]; (0, 4): it stays.
-        time: when [s].
-        present: [from] or [from, until] [s]; at other times it is `ABSENT_HEIGHT` higher.
-
-    Returns:
-        (3,) offset from where the obstacle was put, in the world [m].
-    """
-    offset = np.zeros(3)
-    if len(waypoints):
-        times, *axes = waypoints.T
-        offset = np.array([np.interp(time, times, axis) for axis in axes])
-    if not is_present(present, time):
-        offset[2] += ABSENT_HEIGHT
-    return offset

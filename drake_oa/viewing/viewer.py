@@ -48,13 +48,6 @@ def start_viewer(*, browser: bool) -> Meshcat:
         raise ValueError(f"viewer: {str(error).rstrip('.')}; close another viewer") from None
 
 
-def floor_frame(X_WB: RigidTransform, floor: float) -> RigidTransform:
-    """Returns X_WF of a frame of the base's heading, below or above it at height `floor` [m]."""
-    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
-    R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
-    return RigidTransform(R_WF, [x, y, floor])
-
-
 def looking_pose(
     X_WF: RigidTransform, p_FC: ArrayLike = _EYE_F, p_FT: ArrayLike = _TARGET_F
 ) -> RigidTransform:
@@ -80,9 +73,11 @@ def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
     Args:
         meshcat: the viewer.
         X_WB: pose of the robot's base.
-        floor: height of the floor's frame F, see `floor_frame` [m].
+        floor: height of the floor's frame F, which has the base's heading [m].
     """
-    X_WF = floor_frame(X_WB, floor)
+    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
+    R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
+    X_WF = RigidTransform(R_WF, [x, y, floor])
     meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
     meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
     for path in ("/Grid", "/Axes"):

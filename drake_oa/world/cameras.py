@@ -46,19 +46,19 @@ class Camera:
 
     Attributes:
         intrinsics: of its image.
-        depth_image: port of ImageDepth32F [m]; late images come with the camera's noise.
+        depth_image: port of ImageDepth32F [m], with the camera's noise.
         pose: port of RigidTransform X_WC.
         delay: how long after it was taken an image comes [s]; 0: it shows the present.
-        image_time: port (1,) of the time at which the image was taken [s]; None: the present.
-        plant_state: port (n,) of the plant's state then; None likewise.
+        image_time: port (1,) of the time at which the image was taken [s].
+        plant_state: port (n,) of the plant's state then.
     """
 
     intrinsics: CameraInfo
     depth_image: OutputPort
     pose: OutputPort
-    delay: float = 0.0
-    image_time: OutputPort | None = None
-    plant_state: OutputPort | None = None
+    delay: float
+    image_time: OutputPort
+    plant_state: OutputPort
 
 
 class TimedCamera(LeafSystem):
@@ -154,53 +154,39 @@ def depth_intrinsics(config: CameraConfig) -> CameraInfo:
     return config.MakeCameras()[1].core().intrinsics()
 
 
-def add_camera_world(
-    builder: DiagramBuilder, scenario: Scenario
-) -> tuple[MultibodyPlant, SceneGraph, MultibodyPositionToGeometryPose]:
-    """Adds a scene graph that is posed by the state of a plant, and no plant.
+def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig) -> RgbdSensor:
+    """Adds one of Drake's configured cameras in a scene graph of its own, without a plant.
 
-    Returns:
-        The plant that the world was read by, which is not in the builder; the scene graph; and
-        the system whose input is the state [q, v] of such a plant.
+    Exports the input of the scene graph: the state [q, v] of a scenario's plant.
+
+    Raises:
+        ScenarioError: if the camera does not fit the world.
     """
     shown = MultibodyPlant(time_step=scenario.plant_step)
     scene_graph = builder.AddNamedSystem("camera_scene_graph", SceneGraph())
-    shown.RegisterAsSourceForSceneGraph(scene_graph)
+    source = shown.RegisterAsSourceForSceneGraph(scene_graph)
     add_world(shown, scenario)
     shown.Finalize()
     with field_errors("directives", OSError, ValueError):
-        give_normals(scene_graph, shown.get_source_id())
+        give_normals(scene_graph, source)
     poses = builder.AddNamedSystem(
         "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
     )
-    builder.Connect(
-        poses.get_output_port(), scene_graph.get_source_pose_port(shown.get_source_id())
-    )
-    return shown, scene_graph, poses
-
-
-def add_camera(
-    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig
-) -> RgbdSensor:
-    """Adds one of Drake's configured cameras, without any image publisher."""
+    builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(source))
+    builder.ExportInput(poses.get_input_port(), "state")
     # Drake would render late images in a thread of its own, in which its engines do not work.
     config = copy.copy(config)
     config.output_delay = 0.0
-    known = {system.get_name() for system in builder.GetSystems()}
     with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         # A null message queue: otherwise a publisher is added that renders each frame once more.
         ApplyCameraConfig(
             config=config,
             builder=builder,
-            plant=plant,
+            plant=shown,
             scene_graph=scene_graph,
             lcm=DrakeLcm("memq://null"),
         )
-    (sensor,) = (
-        system
-        for system in builder.GetSystems()
-        if system.get_name() not in known and isinstance(system, RgbdSensor)
-    )
+    (sensor,) = (system for system in builder.GetSystems() if isinstance(system, RgbdSensor))
     return sensor
 
 

@@ -15,21 +15,52 @@ image over a plane and proportional to the disparity.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import Context, LeafSystem
-from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 from scipy.ndimage import uniform_filter
 
-from drake_oa.common.ports import AbstractInput
-from drake_oa.geometry.pinhole import pinhole
-from drake_oa.perception.config import CameraNoise
-
+_AXIAL_OFFSET = 0.0012
+"""Standard deviation of the depth at `_AXIAL_DEPTH` and normal incidence (Nguyen et al.) [m]."""
+_AXIAL_GROWTH = 0.0019
+"""Quadratic growth of the standard deviation with the depth (Nguyen et al.) [1/m]."""
+_AXIAL_DEPTH = 0.4
+"""Depth of minimum noise (Nguyen et al.) [m]."""
+_AXIAL_ANGLE = 0.0001
+"""Growth of the standard deviation with the angle of incidence (Nguyen et al.) [m^1.5]."""
+_LATERAL = 0.8
+"""Standard deviation of the position of a depth edge in the image (Nguyen et al., at normal
+incidence; its growth with the angle, below 0.1 up to 65 deg, is neglected) [pixel]. It acts on
+edges only; on a plane it is part of the deviation of depth."""
+_BASELINE = 0.075
+"""Distance from the camera to the projector on its right (Khoshelham and Oude Elberink) [m]."""
+_SUBPIXELS = 8.0
+"""Disparity steps of one pixel (Khoshelham and Oude Elberink) [1/pixel]. A step is
+z^2 / (8 f baseline) of depth, 2.9 mm at 1 m with f = 577 pixels."""
+_UNIT = 0.001
+"""Resolution of the depth values of the driver (OpenNI) [m]."""
+_NEAR = 0.5
+"""Depth below which pixels are missing, that of the closest points of the real scans [m]."""
+_FAR = 5.0
+"""Depth above which pixels are missing (Khoshelham and Oude Elberink) [m]."""
+_GRAZING_START = math.radians(70.0)
+"""Angle of incidence above which some pixels are missing [rad]."""
+_GRAZING_END = math.radians(80.0)
+"""Angle of incidence above which all pixels are missing (Nguyen et al. end at 80 deg) [rad]."""
+_EDGE_JUMP = 0.02
+"""Relative difference in depth of neighboring pixels at an edge; that of a plane at 85 deg [1]."""
+_EDGE_DROPOUT = 0.2
+"""Fraction of the pixels at an edge that are missing, in patches, as in the real scans [1]."""
+_FLYING = 0.1
+"""Fraction of the pixels at an edge with a depth between both, as in the real scans [1]."""
+_SMOOTH = 3, 5
+"""Correlation lengths of the depth noise along columns and rows [pixel]. The residuals of the real
+scans, after subtraction of their mean over 21 x 21 pixels, are correlated along a row by 0.72 at
+one pixel, 0.38 at four and 0.08 at eight; along a column by 0.57 at one, 0.12 at three and -0.02 at
+four."""
 _PATCH = 4
 """Side of the patches of pixels whose edges move, and are missing, together [pixel]."""
 _BAND = 2
@@ -43,10 +74,14 @@ def add_depth_noise(
     time: float,
     *,
     K: Iterable[float],
-    parameters: CameraNoise | None = None,
     seed: int = 0,
 ) -> _Image:
     """Returns the depth image that a structured-light camera would have measured.
+
+    The standard deviation of the depth z at angle of incidence theta (measured up to 80 deg) is
+
+        _AXIAL_OFFSET + _AXIAL_GROWTH (z - _AXIAL_DEPTH)^2
+        + _AXIAL_ANGLE / sqrt(z) (theta / (pi/2 - theta))^2
 
     The result depends on the arguments only: the same seed, time and image have the same
     noise; other times have independent noise.
@@ -56,26 +91,23 @@ def add_depth_noise(
             NaN missing.
         time: time of the image, counted in whole microseconds [s].
         K: (4,) fx, fy, cx, cy [pixel].
-        parameters: of the camera; None for the defaults.
         seed: integer >= 0.
 
     Returns:
         (H, W) measured depth [m]; NaN is missing.
     """
-    p = parameters or CameraNoise()
     rng = np.random.default_rng([seed, max(round(1e6 * time), 0)])
     fx, fy, cx, cy = map(float, K)
     depth = np.asarray(depth, dtype=np.float32)
     row, column = (np.arange(count, dtype=np.float32) for count in depth.shape)
     row = row[:, None]
-    # Pixels closer than `near` are missing, too, but still cast a shadow.
-    w = np.where(depth <= p.far, 1.0 / np.maximum(depth, p.near), 0.0).astype(np.float32)
-    valid = (depth >= p.near) & (depth <= p.far)
-    if p.shadows:
-        # From the right, points are further and further left in the image of the projector on
-        # the right; otherwise a nearer surface intercepts its light.
-        position = column - fx * p.baseline * w
-        valid &= position <= np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
+    # Pixels closer than `_NEAR` are missing, too, but still cast a shadow.
+    w = np.where(depth <= _FAR, 1.0 / np.maximum(depth, _NEAR), 0.0).astype(np.float32)
+    valid = (depth >= _NEAR) & (depth <= _FAR)
+    # From the right, points are further and further left in the image of the projector on
+    # the right; otherwise a nearer surface intercepts its light.
+    position = column - fx * _BASELINE * w
+    valid &= position <= np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
     (slope_x, jump_x), (slope_y, jump_y) = _differences(w, 1), _differences(w, 0)
     jump = np.where(np.abs(jump_x) > np.abs(jump_y), jump_x, jump_y)
     x, y = (column - cx) / fx, (row - cy) / fy
@@ -83,17 +115,17 @@ def add_depth_noise(
     length = sum(part * part for part in normal) * (1.0 + x * x + y * y)
     theta = np.arccos(np.clip(w / np.sqrt(length + 1e-20), 0.02, 1.0))
     # Pixels of grazing incidence are lost in squares of two by two.
-    lost = _patches(rng.random, depth.shape, 2) * (p.grazing_end - p.grazing_start)
-    valid &= (theta <= p.grazing_start) | (theta < p.grazing_start + lost)
+    lost = _patches(rng.random, depth.shape, 2) * (_GRAZING_END - _GRAZING_START)
+    valid &= (theta <= _GRAZING_START) | (theta < _GRAZING_START + lost)
 
-    at_edge = (np.abs(jump) > p.edge_jump * w) & valid
-    valid &= ~(at_edge & (_patches(rng.random, depth.shape, _PATCH) < p.edge_dropout))
-    flying = np.flatnonzero(at_edge & (w + jump > 1.0 / p.far))
-    flying = flying[rng.random(len(flying)) < p.flying]
+    at_edge = (np.abs(jump) > _EDGE_JUMP * w) & valid
+    valid &= ~(at_edge & (_patches(rng.random, depth.shape, _PATCH) < _EDGE_DROPOUT))
+    flying = np.flatnonzero(at_edge & (w + jump > 1.0 / _FAR))
+    flying = flying[rng.random(len(flying)) < _FLYING]
     w.flat[flying] += rng.random(len(flying), dtype=np.float32) * jump.flat[flying]
     down, across = (
         np.clip(
-            np.rint(p.lateral * _patches(rng.standard_normal, depth.shape, _PATCH)), -_BAND, _BAND
+            np.rint(_LATERAL * _patches(rng.standard_normal, depth.shape, _PATCH)), -_BAND, _BAND
         )
         for _ in range(2)
     )
@@ -101,20 +133,19 @@ def add_depth_noise(
     c = np.clip(column + across, 0, depth.shape[1] - 1)
     moved = (r * depth.shape[1] + c).astype(np.int32)
     there, valid = w.ravel()[moved], valid.ravel()[moved]
-    w = np.where(np.abs(there - w) > p.edge_jump * np.maximum(w, there), there, w)
+    w = np.where(np.abs(there - w) > _EDGE_JUMP * np.maximum(w, there), there, w)
 
-    z = 1.0 / np.maximum(w, 1.0 / p.far)
-    sigma = p.axial_offset + p.axial_growth * (z - p.axial_depth) ** 2
-    sigma += p.axial_angle / np.sqrt(z) * (theta / (0.5 * np.pi - theta)) ** 2
+    z = 1.0 / np.maximum(w, 1.0 / _FAR)
+    sigma = _AXIAL_OFFSET + _AXIAL_GROWTH * (z - _AXIAL_DEPTH) ** 2
+    sigma += _AXIAL_ANGLE / np.sqrt(z) * (theta / (0.5 * np.pi - theta)) ** 2
     # The published deviation is that of measured depths, rounding included.
-    step = 1.0 / (p.subpixels * fx * p.baseline)
-    rounding = ((step * z * z) ** 2 + p.unit**2) / 12.0
-    smooth = p.correlation_v, p.correlation_u
+    step = 1.0 / (_SUBPIXELS * fx * _BASELINE)
+    rounding = ((step * z * z) ** 2 + _UNIT**2) / 12.0
     g = rng.standard_normal(depth.shape, dtype=np.float32)
-    g = uniform_filter(g, smooth, mode="wrap") * float(np.sqrt(np.prod(smooth)))
+    g = uniform_filter(g, _SMOOTH, mode="wrap") * float(np.sqrt(np.prod(_SMOOTH)))
     z = np.maximum(z + g * np.sqrt(np.maximum(sigma**2 - rounding, 0.0)), 0.5 * z)
     levels = np.maximum(np.rint(1.0 / (step * z)), 1.0)
-    measured = np.rint(1.0 / (step * p.unit * levels)) * p.unit
+    measured = np.rint(1.0 / (step * _UNIT * levels)) * _UNIT
     return np.where(valid, measured, np.nan).astype(np.float32)
 
 
@@ -135,57 +166,3 @@ def _patches(draw: Any, shape: tuple[int, ...], size: int) -> _Image:
     count = [side // size + 1 for side in shape]
     drawn = draw(count, dtype=np.float32).repeat(size, axis=0).repeat(size, axis=1)
     return np.asarray(drawn[: shape[0], : shape[1]])
-
-
-class DepthNoise(LeafSystem):
-    """Noise of a structured-light camera on a rendered depth image.
-
-    .. pydrake_system::
-
-      name: DepthNoise
-      input_ports:
-      - depth_image
-      output_ports:
-      - depth_image
-
-    Input port `depth_image`: ImageDepth32F, true depth along the optical axis [m]; 0 is
-    too near, inf too far, NaN missing.
-
-    Output port `depth_image`: ImageDepth32F, measured depth [m]; NaN is missing, for
-    whatever reason.
-
-    The model, its parameters and their sources are
-    `drake_oa.perception.config.CameraNoise`. The system has no state: the noise is a function of
-    the seed, the Context's time in whole microseconds, and the image. The output is computed on
-    demand, so that the camera renders as often as without this system.
-    """
-
-    def __init__(
-        self,
-        camera: CameraInfo,
-        *,
-        parameters: CameraNoise | None = None,
-        seed: int = 0,
-    ) -> None:
-        """Declares the ports.
-
-        Args:
-            camera: the depth camera's intrinsics.
-            parameters: of the noise; None for the defaults.
-            seed: of the noise.
-        """
-        super().__init__()
-        self._noise = partial(add_depth_noise, K=pinhole(camera), parameters=parameters, seed=seed)
-        self._image_port = AbstractInput(self, "depth_image", ImageDepth32F)
-        self.DeclareAbstractOutputPort(
-            "depth_image",
-            lambda: Value(ImageDepth32F()),
-            self._calc_image,
-            prerequisites_of_calc={self._image_port.ticket(), self.time_ticket()},
-        )
-
-    def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        image: Any = self._image_port.read(context)
-        measured: Any = output.get_mutable_value()
-        measured.resize(image.width(), image.height())
-        measured.mutable_data[:, :, 0] = self._noise(image.data[:, :, 0], context.get_time())

@@ -12,7 +12,7 @@ import itertools
 import threading
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -29,8 +29,10 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import valid_period
+from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.cameras import TimedCamera, add_camera, add_camera_world
+from drake_oa.world.cameras import TimedCamera, add_camera
+from drake_oa.world.faults import lasts
 
 _T = TypeVar("_T")
 
@@ -57,9 +59,7 @@ class _CameraWorld:
 
     def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
         builder = DiagramBuilder()
-        self._shown, scene_graph, poses = add_camera_world(builder, scenario)
-        builder.ExportInput(poses.get_input_port(), "state")
-        self._sensor = add_camera(builder, self._shown, scene_graph, config)
+        self._sensor = add_camera(builder, scenario, config)
         # Advancing a diagram does not hold Python's lock, evaluating a port would.
         image = ImageDepth32F(config.width, config.height)
         puller = builder.AddNamedSystem("puller", ZeroOrderHold(1.0, Value(image)))
@@ -106,14 +106,16 @@ class BackgroundCamera:
         self._scenario, self._config, self._noise = scenario, config, noise
         self._images: OrderedDict[tuple[bytes, float], Future[Rendered]] = OrderedDict()
         self._name = str(next(_numbers))
-        self._build()
+        _submit(self._world).result()
         # The engine must end in its own thread as well.
         weakref.finalize(self, _end, self._name).atexit = False
 
-    def _build(self) -> None:
-        name, scenario, config = self._name, self._scenario, self._config
-        _submit(lambda: vars(_worlds).update({name: _CameraWorld(scenario, config)})).result()
-        self._is_built = True
+    def _world(self) -> _CameraWorld:
+        """Returns the world in the thread that renders; after a release it is made again."""
+        worlds: dict[str, _CameraWorld] = vars(_worlds)
+        if self._name not in worlds:
+            worlds[self._name] = _CameraWorld(self._scenario, self._config)
+        return worlds[self._name]
 
     def release(self) -> None:
         """Ends the engine and forgets the images; asked again, the camera begins again.
@@ -121,7 +123,6 @@ class BackgroundCamera:
         A diagram of Python systems is never collected, and would keep them for ever.
         """
         _end(self._name)
-        self._is_built = False
         self._images.clear()
 
     def ask(self, state: FloatArray, time: float) -> Future[Rendered]:
@@ -133,12 +134,10 @@ class BackgroundCamera:
         """
         key = (np.ascontiguousarray(state).tobytes(), float(time))
         if key not in self._images:
-            if not self._is_built:
-                self._build()
-            name, noise, asked = self._name, self._noise, np.array(state)
+            noise, asked = self._noise, np.array(state)
 
             def measure() -> Rendered:
-                image = vars(_worlds)[name].render(asked)
+                image = self._world().render(asked)
                 return image._replace(depth=noise(image.depth, time)) if noise else image
 
             self._images[key] = _submit(measure)
@@ -186,7 +185,7 @@ class _Taken(Frozen):
 
 
 class LateCamera(TimedCamera):
-    """Takes a depth image every period, and hands it out some time after.
+    """Takes a depth image every period, and outputs it some time after, or images of the present.
 
     .. pydrake_system::
 
@@ -209,6 +208,8 @@ class LateCamera(TimedCamera):
     The first image is there at once: a camera runs before the robot does. The Context holds
     times and states; the image is a function of them, rendered in the background from when it
     is taken on, with its noise, and waited for where it is asked for before it is ready.
+    During a dropout no image is taken: the last one before it stays, all NaN with the time -inf
+    while there was none.
     """
 
     def __init__(
@@ -219,6 +220,7 @@ class LateCamera(TimedCamera):
         num_states: int,
         period: float,
         delay: float,
+        dropouts: Sequence[CameraDropout] = (),
     ) -> None:
         """Declares ports, state and events.
 
@@ -227,16 +229,17 @@ class LateCamera(TimedCamera):
             intrinsics: of its image.
             num_states: size n of the plant's state.
             period: time between images [s].
-            delay: time from taking an image to its coming [s].
+            delay: time from taking an image to its coming [s]; 0: each image is of the present.
+            dropouts: when no image is taken.
 
         Raises:
-            ValueError: unless 0 < delay < period.
+            ValueError: unless 0 <= delay < period.
         """
         super().__init__(intrinsics, num_states, _Taken())
         period = valid_period(period)
-        if not 0.0 < delay < period:
+        if not 0.0 <= delay < period:
             raise ValueError(f"delay must be between 0 and the period {period} s, not {delay}")
-        self._camera, self._delay = camera, delay
+        self._camera, self._delay, self._dropouts = camera, delay, tuple(dropouts)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._take)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._take)
 
@@ -246,14 +249,18 @@ class LateCamera(TimedCamera):
 
     def ready(self, context: Context) -> bool:
         """Whether the image that it hands out now is rendered, so that nobody waits for it."""
-        time, state = self.moment(context)
-        return self._camera.ask(state, time).done()
+        return self._asked(context).done()
 
     def _read(self, context: Context) -> _Taken:
         taken: _Taken = context.get_abstract_state(self._kept).get_value()
         return taken
 
+    def _is_out(self, context: Context) -> bool:
+        return any(lasts(fault, context) for fault in self._dropouts)
+
     def _take(self, context: Context, state: State) -> None:
+        if self._is_out(context):
+            return
         before = self._read(context)
         x = np.array(self._state_port.Eval(context))
         self._camera.ask(x, context.get_time())
@@ -261,22 +268,23 @@ class LateCamera(TimedCamera):
         state.get_mutable_abstract_state(self._kept).set_value(after)
 
     def moment(self, context: Context) -> tuple[float, FloatArray]:
-        """Time and state of the image that has come last."""
-        taken, now = self._read(context), context.get_time()
-        if not taken.stamp:
-            return now, self._state_port.Eval(context)
+        """Time and state of the image that has come last; -inf: none has come."""
+        taken, now, is_out = self._read(context), context.get_time(), self._is_out(context)
+        if not taken.stamp or (self._delay == 0.0 and not is_out):
+            return -np.inf if is_out else now, self._state_port.Eval(context)
         arrived = taken.stamp[-1] + self._delay <= now + 1e-9 or len(taken.stamp) == 1
         row = -1 if arrived else 0
         return taken.stamp[row], taken.state[row]
 
-    def image(self, context: Context) -> NDArray[np.float32]:
-        """The image that has come last, when it is rendered."""
-        return self._rendered(context).depth
+    def image(self, context: Context) -> NDArray[np.float32] | float:
+        """The image that has come last, when it is rendered; NaN: none has come."""
+        has_come = self.moment(context)[0] >= 0.0
+        return self._asked(context).result().depth if has_come else np.nan
 
     def pose(self, context: Context) -> RigidTransform:
         """X_WC when it was taken."""
-        return self._rendered(context).X_WC
+        return self._asked(context).result().X_WC
 
-    def _rendered(self, context: Context) -> Rendered:
+    def _asked(self, context: Context) -> Future[Rendered]:
         time, state = self.moment(context)
-        return self._camera.ask(state, time).result()
+        return self._camera.ask(state, max(time, 0.0))

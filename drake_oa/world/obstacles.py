@@ -25,30 +25,8 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import pose, shape_geometry
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, offset_at
-
-
-def drive_force(
-    offset: FloatArray, velocity: FloatArray, target: FloatArray, mass: float, step: float
-) -> FloatArray:
-    """The force that brings a free mass to a target in one step.
-
-    The plant steps v+ = v + step f / m, then x+ = x + step v+; hence
-    f = m ((target - x) / step - v) / step.
-
-    Args:
-        offset: (3,) x [m].
-        velocity: (3,) v [m/s].
-        target: (3,) where it is to be a step later [m].
-        mass: m [kg].
-        step: [s].
-
-    Returns:
-        (3,) f [N].
-    """
-    return mass * ((target - offset) / step - velocity) / step
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 
 
 def hang_on_slides(
@@ -152,29 +130,21 @@ class ObstacleMover(LeafSystem):
     - force: (3,) on its slides [N], with which it is on its course a step of the plant later.
     """
 
-    def __init__(
-        self,
-        waypoints: FloatArray,
-        *,
-        mass: float,
-        step: float,
-        present: Sequence[float] = (),
-    ) -> None:
+    def __init__(self, obstacle: Obstacle, *, mass: float, step: float) -> None:
         """Declares the ports.
 
         Args:
-            waypoints: (N, 4) rows t, x, y, z with increasing t [s, m].
+            obstacle: that is driven.
             mass: of the obstacle [kg].
             step: of the plant [s].
-            present: [from] or [from, until], when it is there [s]; empty: always.
         """
         super().__init__()
-        self._waypoints, self._mass, self._step = waypoints, mass, step
-        self._present = tuple(present)
+        self._obstacle, self._mass, self._step = obstacle, mass, step
         self._state = self.DeclareVectorInputPort("obstacle_state", 6)
         self.DeclareVectorOutputPort("force", 3, self._calc_force)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        x = self._state.Eval(context)
-        target = offset_at(self._waypoints, context.get_time() + self._step, self._present)
-        output.SetFromVector(drive_force(x[:3], x[3:], target, self._mass, self._step))
+        # A step is v+ = v + step f / m, then x+ = x + step v+.
+        x, step = self._state.Eval(context), self._step
+        target = self._obstacle.offset_at(context.get_time() + step)
+        output.SetFromVector(self._mass * ((target - x[:3]) / step - x[3:]) / step)

@@ -30,8 +30,6 @@ from drake_oa.scenario.sources import camera_configs, noise_seed
 from drake_oa.world.cameras import (
     Camera,
     TimedCamera,
-    add_camera,
-    add_camera_world,
     depth_intrinsics,
 )
 from drake_oa.world.depth_messages import LcmFrames
@@ -51,10 +49,9 @@ def add_cameras(
     """Adds the cameras of a scenario, by name.
 
     Args:
-        builder: receives camera_world, camera_scene_graph and rgbd_sensor_<name>; late_<name>
-            in their place for a camera with `output_delay`. Where perception sees by cameras
+        builder: receives late_<name> of simulated cameras. Where perception sees by cameras
             outside the simulation, live_<name> of these, and nothing that renders.
-        scenario: with cameras. Where it has a `CameraDropout`, no camera is late.
+        scenario: with cameras.
         plant: the simulated one, in the builder, finalized.
         outside: what cameras outside the simulation go by; None: `Outside()`.
 
@@ -67,30 +64,20 @@ def add_cameras(
             config.name: _live_camera(builder, source, plant, config, outside)
             for config in camera_configs(scenario, source)
         }
-    on_time = any(isinstance(fault, CameraDropout) for fault in scenario.faults)
-    present = [c for c in scenario.cameras if on_time or c.output_delay == 0.0]
-    cameras = {
-        config.name: _late_camera(builder, scenario, plant, config)
+    return {
+        config.name: _simulated_camera(builder, scenario, plant, config)
         for config in scenario.cameras
-        if config not in present
     }
-    if not present:
-        return cameras
-    shown, scene_graph, poses = add_camera_world(builder, scenario)
-    builder.Connect(plant.get_state_output_port(), poses.get_input_port())
-    for config in present:
-        sensor = add_camera(builder, shown, scene_graph, config)
-        cameras[config.name] = Camera(
-            sensor.default_depth_render_camera().core().intrinsics(),
-            sensor.depth_image_32F_output_port(),
-            sensor.body_pose_in_world_output_port(),
-        )
-    return cameras
 
 
-def _late_camera(
+def _simulated_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
+    dropouts = [
+        fault
+        for fault in scenario.faults
+        if isinstance(fault, CameraDropout) and fault.camera in ("", config.name)
+    ]
     with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         intrinsics = depth_intrinsics(config)
         system = LateCamera(
@@ -99,6 +86,7 @@ def _late_camera(
             num_states=plant.num_multibody_states(),
             period=1.0 / config.fps,
             delay=config.output_delay,
+            dropouts=dropouts,
         )
     builder.AddNamedSystem(f"late_{config.name}", system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
@@ -142,7 +130,7 @@ def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> 
     if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
         return None
     seed = noise_seed(scenario, config.name)
-    return partial(add_depth_noise, K=pinhole(intrinsics), parameters=source.noise, seed=seed)
+    return partial(add_depth_noise, K=pinhole(intrinsics), seed=seed)
 
 
 @dataclass(frozen=True)

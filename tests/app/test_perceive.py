@@ -91,8 +91,12 @@ def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth,
     files = [str(tmp_path / f"{name}.npz") for name in ("broken", "none", "empty", "scan")]
     assert main(["perceive", *files, "--json", str(results), "--tool", "none"]) == 2
     errors = capsys.readouterr().err
-    assert all(text in errors for text in ("broken.npz", "none.npz", "no valid pixel"))
+    assert all(text in errors for text in ("broken.npz", "none.npz", "hardly any depth"))
     *unusable, empty, scan = json.loads(results.read_text())["files"]
     assert all("error" in frame for frame in unusable)
-    assert (empty["plane"], empty["clusters"], empty["note"]) == (None, [], "no valid pixel")
+    assert (empty["plane"], empty["clusters"], empty["note"]) == (
+        None,
+        [],
+        "hardly any depth is measured",
+    )
     assert len(scan["clusters"]) == 2

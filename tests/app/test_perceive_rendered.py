@@ -15,14 +15,12 @@ import pytest
 from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
-from drake_oa.perception.config import CameraNoise
 from drake_oa.perception.segmentation import Segmentation, segment_depth
 from drake_oa.world.depth_noise import add_depth_noise
 from tests.reference.depth_images import look_at, rays_of
 
 SIZE = (480, 640)
 K = np.array([525.0, 525.0, 319.5, 239.5])
-NOISE = CameraNoise(grazing_start=np.deg2rad(80.0), grazing_end=np.deg2rad(82.0))
 TABLE, FLOOR, WALL, FIRST = 1, 2, 3, 20
 RAYS = rays_of(np.eye(4), K, SIZE)
 
@@ -106,7 +104,7 @@ def make_scene(kind: str, seed: int) -> Scene:
     hit = caster.cast_rays(np.concatenate([origin, rays], axis=-1).astype(np.float32))
     exact = hit["t_hit"].numpy().astype(float)
     label = names[np.minimum(hit["geometry_ids"].numpy(), len(meshes))]
-    depth = add_depth_noise(exact, 0.0, K=K, parameters=NOISE, seed=int(rng.integers(2**31)))
+    depth = add_depth_noise(exact, 0.0, K=K, seed=int(rng.integers(2**31)))
     if given["cropped"]:
         depth = np.where((label != TABLE) & (label < FIRST), np.nan, depth)
     return Scene(depth.astype(np.float32), exact, label, X_WC)

@@ -54,7 +54,6 @@ from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.simulation import AT_GOAL
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.loading import parse_scenario
-from drake_oa.scenario.obstacles import offset_at
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.studies.panda import differential_ik, evaluation
 from drake_oa.studies.panda.differential_ik import ANGULAR_LIMIT, GAIN, SPEED_SHARE
@@ -133,8 +132,8 @@ class Shapes:
         """Computes (K, 3) positions [m] and velocities [m/s] at a time [s]."""
         offsets, velocities = [], []
         for item in self.obstacles:
-            course = np.array(item.waypoints, dtype=float).reshape(-1, 4)
-            step = offset_at(course, time + _STEP) - offset_at(course, time)
+            course = replace(item, present=[])
+            step = course.offset_at(time + _STEP) - course.offset_at(time)
             offsets.append(item.offset_at(time))
             velocities.append(step / _STEP)
         return self.p_WG + offsets, np.array(velocities)

@@ -11,7 +11,7 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams.motion import make_dmp, make_orientation_integrator
+from drake_oa.diagrams.motion import make_dmp
 from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import tool_link_corners
@@ -56,7 +56,6 @@ def test_the_orientation_stays_where_nothing_else_is_asked_for(tmp_path: Path) -
     for plain in (scenario(), scenario(shown(tmp_path))):
         assert demonstrated_orientation(plain) is None
         assert tool_orientation(plain) is None
-        assert make_orientation_integrator(plain) is None
         assert held_robots(plain) == [plain.robot]
     assert held_robots(load_scenario("free_space")) == []
 

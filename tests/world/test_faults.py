@@ -1,63 +1,11 @@
 """Faults of a scenario: its blocks, and the systems that bring them into a diagram."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
-from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
-from tests.builders import depth_image
-
-PERIOD = 0.1
-CAMERA = CameraInfo(8, 6, np.deg2rad(60.0))
-
-
-def arrivals(*faults: CameraDropout, end: float = 1.05) -> np.ndarray:
-    """Rows (stamp, depth, position) at each frame of a camera that shows the time."""
-    system = CameraFaults(faults, CAMERA, num_states=2, period=PERIOD)
-    simulator = Simulator(system)
-    context = simulator.get_mutable_context()
-    rows = []
-    for t in np.arange(0.0, end, PERIOD):
-        image = depth_image(np.full((6, 8), t))
-        system.GetInputPort("depth_image").FixValue(context, image)
-        system.GetInputPort("robot_state").FixValue(context, [t, 0.0])
-        if t == 0.0:
-            simulator.Initialize()
-        else:
-            simulator.AdvanceTo(t)
-            simulator.AdvancePendingEvents()
-        depth: Any = system.GetOutputPort("depth_image").Eval(context)
-        stamp, x = (
-            system.GetOutputPort(name).Eval(context) for name in ("image_stamp", "robot_state")
-        )
-        rows.append((stamp[0], depth.data[3, 4, 0], x[0]))
-    return np.array(rows)
-
-
-@pytest.mark.parametrize(
-    ("faults", "frames"),
-    [
-        ([CameraDropout(0.3, 0.2), CameraDropout(0.5, 0.2)], [0, 1, 2, 2, 2, 2, 2, 7, 8, 9, 10]),
-        ([CameraDropout(0.31, 0.05)], [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]),
-    ],
-)
-def test_image_stamp_and_robot_state_are_those_of_the_last_frame(
-    faults: list[CameraDropout], frames: list[int]
-) -> None:
-    expected = np.array(frames) * PERIOD
-    np.testing.assert_allclose(arrivals(*faults), np.tile(expected[:, None], 3), atol=1e-6)
-
-
-def test_a_camera_that_is_dead_from_the_start_shows_nothing() -> None:
-    stamp, depth, _ = arrivals(CameraDropout(0.0, 0.25))[:3].T
-    assert (stamp == -np.inf).all()
-    assert np.isnan(depth).all()
-
+from drake_oa.scenario.faults import Push, TorqueSaturation
+from drake_oa.world.faults import ExternalPush, WeakActuators
 
 PUSH = Push(start=1.0, duration=0.2, force=[1.0, -2.0, 3.0], torque=[0.1, 0.2, 0.3])
 

@@ -10,9 +10,10 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.systems.sensors import CameraInfo
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.cameras import add_camera, add_camera_world
+from drake_oa.world.cameras import add_camera
 from drake_oa.world.depth_noise import add_depth_noise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 
@@ -32,12 +33,20 @@ def camera(scenario: Scenario) -> BackgroundCamera:
     return BackgroundCamera(scenario, scenario.cameras[0])
 
 
-@pytest.fixture
-def moving(scenario: Scenario, camera: BackgroundCamera) -> Diagram:
-    """A late camera; the first joint turns by 1 rad/s."""
+def moving(
+    scenario: Scenario, camera: BackgroundCamera, delay: float, *dropouts: CameraDropout
+) -> Diagram:
+    """A camera; the first joint turns by 1 rad/s."""
     builder = DiagramBuilder()
     _, depth = scenario.cameras[0].MakeCameras()
-    late = LateCamera(camera, depth.core().intrinsics(), num_states=18, period=PERIOD, delay=DELAY)
+    late = LateCamera(
+        camera,
+        depth.core().intrinsics(),
+        num_states=18,
+        period=PERIOD,
+        delay=delay,
+        dropouts=dropouts,
+    )
     builder.AddNamedSystem("late", late)
     ends = np.zeros((18, 2))
     ends[:9] = READY[:, None]
@@ -58,30 +67,64 @@ def outputs(diagram: Diagram, root: Context) -> tuple[float, np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize(
-    ("time", "taken"), [(0.0, 0.0), (0.17, 0.0), (0.19, 0.1), (0.27, 0.1), (0.3, 0.2)]
+    ("time", "taken", "delay"),
+    [
+        (0.0, 0.0, DELAY),
+        (0.17, 0.0, DELAY),
+        (0.19, 0.1, DELAY),
+        (0.27, 0.1, DELAY),
+        (0.3, 0.2, DELAY),
+        (0.17, 0.17, 0.0),
+    ],
 )
 def test_an_image_comes_after_the_delay_and_the_first_at_once(
-    moving: Diagram, time: float, taken: float
+    scenario: Scenario, camera: BackgroundCamera, time: float, taken: float, delay: float
 ) -> None:
-    simulator = Simulator(moving)
+    diagram = moving(scenario, camera, delay)
+    simulator = Simulator(diagram)
     simulator.Initialize()
     simulator.AdvanceTo(time)
-    stamp, state, image = outputs(moving, simulator.get_context())
+    stamp, state, image = outputs(diagram, simulator.get_context())
     assert stamp == pytest.approx(taken)
     assert state[0] == pytest.approx(READY[0] + taken)
     assert np.isfinite(image).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("delay", "times"), [(0.0, [0.15, 0.2, 0.2, 0.2, 0.55]), (0.05, [0.1, 0.2, 0.2, 0.2, 0.5])]
+)
+def test_during_a_dropout_the_last_image_before_it_stays(
+    scenario: Scenario, camera: BackgroundCamera, delay: float, times: list[float]
+) -> None:
+    dropouts = CameraDropout(0.25, 0.15), CameraDropout(0.4, 0.05)
+    diagram = moving(scenario, camera, delay, *dropouts)
+    simulator = Simulator(diagram)
+    for time, taken in zip((0.15, 0.25, 0.35, 0.44, 0.55), times, strict=True):
+        simulator.AdvanceTo(time)
+        stamp, state, _ = outputs(diagram, simulator.get_context())
+        assert (stamp, state[0] - READY[0]) == (pytest.approx(taken), pytest.approx(taken))
+
+
+def test_a_camera_that_is_dead_from_the_start_shows_nothing(
+    scenario: Scenario, camera: BackgroundCamera
+) -> None:
+    diagram = moving(scenario, camera, DELAY, CameraDropout(0.0, 0.25))
+    simulator = Simulator(diagram)
+    for time, is_dead in ((0.2, True), (0.35, False)):
+        simulator.AdvanceTo(time)
+        stamp, _, image = outputs(diagram, simulator.get_context())
+        assert (stamp == -np.inf) == is_dead == np.isnan(image).all()
 
 
 def test_it_shows_what_a_sensor_of_the_present_shows(
     scenario: Scenario, camera: BackgroundCamera
 ) -> None:
     builder = DiagramBuilder()
-    shown, scene_graph, poses = add_camera_world(builder, scenario)
-    sensor = add_camera(builder, shown, scene_graph, scenario.cameras[0])
+    sensor = add_camera(builder, scenario, scenario.cameras[0])
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     state = np.concatenate([READY, np.zeros(9)])
-    poses.get_input_port().FixValue(poses.GetMyMutableContextFromRoot(root), state)
+    diagram.get_input_port().FixValue(root, state)
     image = sensor.depth_image_32F_output_port().Eval(sensor.GetMyContextFromRoot(root))
     X_WC = sensor.body_pose_in_world_output_port().Eval(sensor.GetMyContextFromRoot(root))
     rendered = camera.ask(state, 0.0).result()

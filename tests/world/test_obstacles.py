@@ -15,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.shapes import Sphere
 from drake_oa.scenario.loading import parse_scenario
-from drake_oa.scenario.obstacles import ABSENT_HEIGHT, Obstacle, offset_at
+from drake_oa.scenario.obstacles import ABSENT_HEIGHT, Obstacle
 from drake_oa.world.obstacles import ObstacleMover, add_obstacle
 from drake_oa.world.station import make_station
 
@@ -81,14 +81,15 @@ def test_fields_that_do_not_agree_are_refused(field: str, message: str) -> None:
 
 
 def test_a_course_is_straight_between_waypoints_and_rests_outside() -> None:
-    course = np.array([[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]])
+    course = [[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]]
+    ball = Obstacle(name="ball", shapes=[Sphere()], waypoints=course)
     for time, offset in (
         (0.0, [0.0, 0.0, 1.0]),
         (1.5, [0.5, -1.0, 1.0]),
         (3.0, [1.0, 0.0, 1.0]),
         (9.0, [1.0, 2.0, 1.0]),
     ):
-        np.testing.assert_allclose(offset_at(course, time), offset)
+        np.testing.assert_allclose(ball.offset_at(time), offset)
 
 
 def test_obstacles_pass_through_one_another_and_the_table():
@@ -143,8 +144,7 @@ def played(
     plant.set_gravity_enabled(blocks, floor)
     plant.Finalize()
     body = plant.GetBodyByName("body", instance)
-    course, mass = np.array(obstacle.waypoints).reshape(-1, 4), body.default_mass()
-    mover = builder.AddSystem(ObstacleMover(course, mass=mass, step=STEP, present=obstacle.present))
+    mover = builder.AddSystem(ObstacleMover(obstacle, mass=body.default_mass(), step=STEP))
     builder.Connect(plant.get_state_output_port(instance), mover.get_input_port())
     builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
     simulator = Simulator(builder.Build())
@@ -165,9 +165,8 @@ def played(
 def test_an_obstacle_keeps_its_course_and_pushes_what_is_in_its_way() -> None:
     # The block is on the second leg, 0.2 m before its end.
     places, moved = played(BALL, 0.6, np.array([0.5, 0.1, 0.3]))
-    course = np.array(BALL.waypoints)
     errors = {
-        time: np.linalg.norm(place - BALL.translation - offset_at(course, time))
+        time: np.linalg.norm(place - BALL.translation - BALL.offset_at(time))
         for time, place in places.items()
     }
     assert max(error for time, error in errors.items() if time < 0.3) < 1e-9
