@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,68 +37,56 @@ class ViewVolume(NamedTuple):
     far: float
 
 
-class NearSpace:
-    """Space near an arm in T configurations, as points of a grid, and the arm as S spheres.
+def unseen_share(
+    p_WS: FloatArray, radius: FloatArray, table_height: float | None, views: Sequence[ViewVolume]
+) -> float:
+    """Computes the share of the space near an arm that none of some cameras sees.
 
-    Attributes:
-        places: of each configuration the centers (S, 3) of the spheres, and the points (N, 3) [m].
+    The space has the points within `REACH` of the arm, above the table and below `HEIGHT`. A camera
+    does not see a point outside its image or its range of depths, nor one that the arm hides.
+
+    Args:
+        p_WS: (T, S, 3) centers of the arm's spheres in T configurations [m].
+        radius: (S,) radii of the spheres [m].
+        table_height: height of the table in the world [m]; None: there is none.
+        views: of the cameras.
+
+    Returns:
+        Mean over the configurations, in [0, 1]: 1 without a camera.
     """
+    shares = []
+    for centers in p_WS:
+        points = _points_near(centers, radius, table_height)
+        seen = np.zeros(len(points), dtype=bool)
+        for view in views:
+            seen |= _sees(view, points, centers, radius)
+        shares.append(np.mean(~seen))
+    return float(np.mean(shares))
 
-    def __init__(self, p_WS: FloatArray, radius: FloatArray, table_height: float | None) -> None:
-        """Finds the points within `REACH` of the arm, above the table and below `HEIGHT`.
 
-        Args:
-            p_WS: (T, S, 3) centers of the spheres [m].
-            radius: (S,) radii of the spheres [m].
-            table_height: height of the table in the world [m]; None: there is none.
-        """
-        self._radius = radius
-        self.places = [(centers, self._points_near(centers, table_height)) for centers in p_WS]
+def _points_near(p_WS: FloatArray, radius: FloatArray, table_height: float | None) -> FloatArray:
+    """Lists the points (N, 3) of a grid near spheres p_WS (S, 3) [m]."""
+    low = (p_WS - radius[:, None]).min(axis=0) - REACH
+    high = (p_WS + radius[:, None]).max(axis=0) + REACH
+    if table_height is not None:
+        low[2], high[2] = max(low[2], table_height), min(high[2], table_height + HEIGHT)
+    axes = [np.arange(a + 0.5 * _PITCH, b, _PITCH) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = (cdist(grid, p_WS) - radius).min(axis=1)
+    return grid[(distance > 0.0) & (distance < REACH)]
 
-    @property
-    def middle(self) -> FloatArray:
-        """Mean (3,) of the points of all configurations [m]."""
-        return np.asarray(np.concatenate([points for _, points in self.places]).mean(axis=0))
 
-    def _points_near(self, p_WS: FloatArray, table_height: float | None) -> FloatArray:
-        low = (p_WS - self._radius[:, None]).min(axis=0) - REACH
-        high = (p_WS + self._radius[:, None]).max(axis=0) + REACH
-        if table_height is not None:
-            low[2], high[2] = max(low[2], table_height), min(high[2], table_height + HEIGHT)
-        axes = [np.arange(a + 0.5 * _PITCH, b, _PITCH) for a, b in zip(low, high, strict=True)]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        distance = (cdist(grid, p_WS) - self._radius).min(axis=1)
-        return grid[(distance > 0.0) & (distance < REACH)]
-
-    def unseen_share(self, views: Iterable[ViewVolume]) -> float:
-        """Computes the share of the space that none of some cameras sees.
-
-        A camera does not see a point outside its image or its range of depths, nor one that the arm
-        hides.
-
-        Returns:
-            Mean over the configurations, in [0, 1]: 1 without a camera, 0 without a point.
-        """
-        views = list(views)
-        shares = []
-        for p_WS, points in self.places:
-            seen = np.zeros(len(points), dtype=bool)
-            for view in views:
-                seen |= self._sees(view, points, p_WS)
-            shares.append(np.count_nonzero(~seen) / max(len(points), 1))
-        return float(np.mean(shares))
-
-    def _sees(self, view: ViewVolume, points: FloatArray, p_WS: FloatArray) -> BoolArray:
-        """Computes for (N,) points whether a camera sees them past the spheres p_WS (S, 3)."""
-        R_WC, p_WC = view.X_WC[:3, :3], view.X_WC[:3, 3]
-        p_CQ = (points - p_WC) @ R_WC
-        seen = pixel_at(p_CQ, view.shape, view.K) >= 0
-        seen &= (p_CQ[:, 2] >= view.near) & (p_CQ[:, 2] <= view.far)
-        # Distance of each sphere's center from the ray between camera and point.
-        ray, sphere = points[seen] - p_WC, p_WS - p_WC
-        along = ray @ sphere.T
-        squared = (ray**2).sum(axis=1)[:, None]
-        share = np.clip(along / squared, 0.0, 1.0)
-        apart = (sphere**2).sum(axis=1) - share * (2.0 * along - share * squared)
-        seen[seen] = (apart >= self._radius**2).all(axis=1)
-        return seen
+def _sees(view: ViewVolume, points: FloatArray, p_WS: FloatArray, radius: FloatArray) -> BoolArray:
+    """Computes for points (N, 3) whether a camera sees them past spheres p_WS (S, 3)."""
+    R_WC, p_WC = view.X_WC[:3, :3], view.X_WC[:3, 3]
+    p_CQ = (points - p_WC) @ R_WC
+    seen = pixel_at(p_CQ, view.shape, view.K) >= 0
+    seen &= (p_CQ[:, 2] >= view.near) & (p_CQ[:, 2] <= view.far)
+    # Distance of each sphere's center from the ray between camera and point.
+    ray, sphere = points[seen] - p_WC, p_WS - p_WC
+    along = ray @ sphere.T
+    squared = (ray**2).sum(axis=1)[:, None]
+    share = np.clip(along / squared, 0.0, 1.0)
+    apart = (sphere**2).sum(axis=1) - share * (2.0 * along - share * squared)
+    seen[seen] = (apart >= radius**2).all(axis=1)
+    return seen

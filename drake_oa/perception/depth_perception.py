@@ -244,67 +244,49 @@ class DepthPerception(LeafSystem):
         )
 
     def _update(self, context: Context, state: State) -> None:
-        time = context.get_time()
-        previous = self._state.read(context)
-        told = previous.told if len(previous.told) else np.full(len(self._ports), -np.inf)
-        stamps = [self._stamp(port, context, time) for port in self._ports]
-        newest = max(stamps)
-        shown = [
-            row
-            for row, (port, stamp) in enumerate(zip(self._ports, stamps, strict=True))
-            if stamp >= newest - max(_SAME_TIME, self._together)
-            and (stamp > told[row] or not port.stamp.HasValue(context))
-        ]
-        if not any(stamps[row] >= newest - _SAME_TIME for row in shown):
-            note = _NO_NEW_IMAGE if self._overdue(newest, time) else previous.obstacles.note
+        time, previous = context.get_time(), self._state.read(context)
+        count = len(self._ports)
+        told = np.array(previous.told) if len(previous.told) else np.full(count, -np.inf)
+        stamps = np.array([self._stamp(port, context) for port in self._ports])
+        newest = stamps.max()
+        overdue = (self._unsaid == 0.0) | (time - stamps > self._unsaid)
+        is_new = (stamps > told) & (stamps >= newest - max(_SAME_TIME, self._together))
+        if not (is_new & (stamps >= newest - _SAME_TIME)).any():
+            note = _NO_NEW_IMAGE if overdue.all() else previous.obstacles.note
             self._write(context, state, replace(previous, told=told), note)
             return
+        shown = np.flatnonzero(is_new).tolist()
         robot = self._posed_robot([self._ports[row] for row in shown], context)
         frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
         blind = {shown[number]: why for number, why in frame.blind.items()}
-        missing = blind | {row: _NO_NEW_IMAGE for row in range(len(stamps)) if row not in shown}
-        memory = fuse(
-            previous,
-            frame,
-            newest,
-            self._config,
-            robot,
-            complete=not missing,
-        )
-        seeing = [row for row in range(len(stamps)) if row not in missing]
-        told = np.array(told)
-        told[seeing] = np.array(stamps)[seeing]
-        memory = replace(memory, told=told)
-        note = memory.obstacles.note
-        if frame.usable and missing:
-            why = [
-                f"{self._names[row]}: {missing[row]}"
-                for row in sorted(missing)
-                if row in blind or self._overdue(stamps[row], time)
-            ]
-            note = "; ".join([*why, *filter(None, [note])])
-            memory = replace(memory, obstacles=as_of(memory.obstacles, float(told.min())))
+        missing = {row: _NO_NEW_IMAGE for row in range(count) if row not in shown} | blind
+        memory = fuse(previous, frame, newest, self._config, robot, complete=not missing)
+        seeing = [row for row in range(count) if row not in missing]
+        told[seeing] = stamps[seeing]
+        notes = [memory.obstacles.note]
         if frame.usable:
+            notes = [
+                f"{self._names[row]}: {why}"
+                for row, why in sorted(missing.items())
+                if row in blind or overdue[row]
+            ]
             seen = dict(zip(seeing, frame.views, strict=True))
-            views = tuple(seen.get(row) for row in range(len(stamps)))
+            views = tuple(map(seen.get, range(count)))
             free_space = FreeSpace(views, newest, *self._range)
             state.get_mutable_abstract_state(self._free_space).set_value(free_space)
-            memory = replace(memory, cloud_W=frame.points_W)
-        self._write(context, state, memory, note)
+            obstacles = as_of(memory.obstacles, told.min()) if missing else memory.obstacles
+            memory = replace(memory, obstacles=obstacles, cloud_W=frame.points_W)
+        self._write(context, state, replace(memory, told=told), "; ".join(notes))
 
     def _write(self, context: Context, state: State, memory: ObstacleMemory, note: str) -> None:
         before = self._state.read(context).obstacles.note
         log_change(self, before, note, context.get_time())
-        if note != memory.obstacles.note:
-            memory = replace(memory, obstacles=replace(memory.obstacles, note=note))
-        self._state.write(state, memory)
+        obstacles = replace(memory.obstacles, note=note)
+        self._state.write(state, replace(memory, obstacles=obstacles))
 
-    def _overdue(self, stamp: float, time: float) -> bool:
-        """Whether it is to be said that there is no image after the last one."""
-        return self._unsaid == 0.0 or time - stamp > self._unsaid
-
-    def _stamp(self, port: _Ports, context: Context, time: float) -> float:
-        return float(port.stamp.Eval(context)[0]) if port.stamp.HasValue(context) else time
+    def _stamp(self, port: _Ports, context: Context) -> float:
+        has_stamp = port.stamp.HasValue(context)
+        return float(port.stamp.Eval(context)[0]) if has_stamp else context.get_time()
 
     def _view(self, row: int, context: Context) -> View:
         port, (K, size) = self._ports[row], self._cameras[row]

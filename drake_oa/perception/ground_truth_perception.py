@@ -16,6 +16,8 @@ from drake_oa.geometry.solids import read_solid, surface_points
 from drake_oa.perception.depth_perception import PerceptionState
 from drake_oa.perception.tracking import ObstacleMemory
 
+_SAMPLES = 300
+"""Approximate number of points of each geometry."""
 _AT_REST = 1e-3
 """A slower obstacle is taken to rest [m/s]: contact lets a standing one tremble."""
 
@@ -53,7 +55,6 @@ class GroundTruthPerception(LeafSystem):
         obstacles: Sequence[ModelInstanceIndex],
         *,
         table: TablePlane | None = None,
-        points_per_geometry: int = 300,
         period: float = 1.0 / 15.0,
     ) -> None:
         """Samples the obstacles' surfaces, and declares ports, state and events.
@@ -63,7 +64,6 @@ class GroundTruthPerception(LeafSystem):
             inspector: of its scene graph.
             obstacles: one model instance an obstacle.
             table: the supporting plane handed on; None for no table.
-            points_per_geometry: about how many points sample each geometry, >= 30.
             period: time between updates [s].
 
         Raises:
@@ -73,8 +73,7 @@ class GroundTruthPerception(LeafSystem):
         super().__init__()
         self._table = table
         self._samples = tuple(
-            _body_fixed_samples(plant, inspector, instance, points_per_geometry)
-            for instance in obstacles
+            _body_fixed_samples(plant, inspector, instance) for instance in obstacles
         )
         period = valid_period(period)
         self._query_port = AbstractInput(self, "query_object", QueryObject)
@@ -85,10 +84,8 @@ class GroundTruthPerception(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         query = self._query_port.read(context)
         time, before = context.get_time(), self._state.read(context).obstacles
-        dt, earlier = (
-            time - before.stamp,
-            dict(zip(before.ids.tolist(), before.clouds_W, strict=True)),
-        )
+        dt = time - before.stamp
+        earlier = dict(zip(before.ids.tolist(), before.clouds_W, strict=True))
         clouds, ids, velocities = [], [], []
         for name, parts in enumerate(self._samples):
             placed = []
@@ -119,14 +116,13 @@ def _body_fixed_samples(
     plant: MultibodyPlant,
     inspector: SceneGraphInspector,
     instance: ModelInstanceIndex,
-    count: int,
 ) -> tuple[tuple[FrameId, FloatArray], ...]:
     parts = []
     for index in plant.GetBodyIndices(instance):
         geometries = plant.GetCollisionGeometriesForBody(plant.get_body(index))
         if geometries:
             solids = [read_solid(inspector, geometry) for geometry in geometries]
-            points = [solid.placed(surface_points(solid, count)) for solid in solids]
+            points = [solid.placed(surface_points(solid, _SAMPLES)) for solid in solids]
             frame = plant.GetBodyFrameIdOrThrow(index)
             parts.append((frame, np.concatenate(points)))
     if not parts:

@@ -18,7 +18,7 @@ from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import PerceptionState, log_change
 from drake_oa.perception.recordings import RecordedFrame, read_recording
 from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
-from drake_oa.perception.tracking import ObstacleMemory, fuse
+from drake_oa.perception.tracking import fuse
 
 
 class RecordedPerception(LeafSystem):
@@ -39,15 +39,13 @@ class RecordedPerception(LeafSystem):
     The first frame is due at time 0, each other one as long after it as it was
     recorded; the newest frame due is looked up at initialization and then every
     `period`. A held frame keeps its stamp. When the recording has ended the scene is
-    taken to stay as it was seen last, stamped again, or the recording starts again
-    (`loop`), one period after its end.
+    taken to stay as it was seen last, stamped again.
 
     The camera's pose is taken from the frame's file, else from `X_WC`; where
     neither knows it, the table defines the world: z along its normal, the origin
     where the optical axis meets it, x along the camera's x axis. Files are
     described in `drake_oa.perception.recordings`. Obstacles are followed as `DepthPerception` does;
-    a cloud is taken to show everything, so that nothing is hidden in it. What was seen before
-    a loop starts again is forgotten.
+    a cloud is taken to show everything, so that nothing is hidden in it.
     """
 
     def __init__(
@@ -58,7 +56,6 @@ class RecordedPerception(LeafSystem):
         config: SegmentationConfig | None = None,
         robot: RobotSolids | None = None,
         period: float = 1.0 / 15.0,
-        loop: bool = False,
     ) -> None:
         """Reads the folder, and declares ports, state and events.
 
@@ -70,7 +67,6 @@ class RecordedPerception(LeafSystem):
             robot: from `robot_solids`: takes itself out of frames that
                 know its `robot_state`; None: they show no robot.
             period: time between updates, and between files without stamp [s].
-            loop: whether the recording starts again when it has ended.
 
         Raises:
             FileNotFoundError: if the folder does not exist or is empty.
@@ -84,7 +80,6 @@ class RecordedPerception(LeafSystem):
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
         self._robot = robot
-        self._loop = loop
         self._state = PerceptionState(self)
         # Counts the frames due so far; -1 before the first.
         self._played = self.DeclareAbstractState(Value(-1))
@@ -97,45 +92,31 @@ class RecordedPerception(LeafSystem):
         return tuple(frame.path for frame in self._frames if frame.X_WC is None)
 
     def _update(self, context: Context, state: State) -> None:
-        due, stamp = self._due(context.get_time())
+        # Update times are sums of the period: allow for their rounding.
+        due = int(np.searchsorted(self._start, context.get_time() + 1e-9, side="right")) - 1
         played: Any = state.get_mutable_abstract_state(int(self._played))
         previous = self._state.read(context)
         before = previous.obstacles
         if due == played.get_value():
-            if due == len(self._frames) - 1 and not self._loop and not before.note:
+            if due == len(self._frames) - 1 and not before.note:
                 # Nothing is known of motion after the last frame.
                 at_rest = np.zeros_like(before.v_WO)
                 same = replace(before, stamp=context.get_time(), v_WO=at_rest)
                 self._state.write(state, replace(previous, obstacles=same))
             return
         played.set_value(due)
-        recorded = self._frames[due % len(self._frames)]
+        recorded = self._frames[due]
         robot = None
         if self._robot is not None and recorded.robot_state is not None:
             robot = self._robot.posed([recorded.robot_state])
         frame = segment_frame(recorded, self._X_WC, self._config, robot)
         if not frame.usable:
             frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
-        if due > 0 and due % len(self._frames) == 0:
-            # The scene starts again: what was seen at its end is no longer there.
-            previous = ObstacleMemory(next_id=previous.next_id)
-        memory = fuse(previous, frame, stamp, self._config, robot)
+        memory = fuse(previous, frame, self._start[due], self._config, robot)
         log_change(self, before.note, memory.obstacles.note, context.get_time())
         if frame.usable:
             memory = replace(memory, cloud_W=frame.points_W)
         self._state.write(state, memory)
-
-    def _due(self, time: float) -> tuple[int, float]:
-        """Number (counting on through loops) and due time [s] of the newest frame."""
-        # Update times are sums of the period: allow for their rounding.
-        time += 1e-9
-        rounds, begin = 0, 0.0
-        if self._loop:
-            length = self._start[-1] + self._period
-            rounds = int(time // length)
-            begin = rounds * length
-        index = int(np.searchsorted(self._start, time - begin, side="right")) - 1
-        return rounds * len(self._frames) + index, begin + float(self._start[index])
 
 
 def segment_frame(

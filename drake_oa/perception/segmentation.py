@@ -53,9 +53,19 @@ _BRIDGES = 16
 """Number of the shortest connections between two clusters that are tested."""
 _BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
 """Tested places along a connection, as fractions of its length [1]."""
+_MIN_HEIGHT = 0.004
+"""Minimum height of an obstacle's points above the table at zero depth [m]."""
+_OVERHANG = 0.15
+"""Maximum distance that an obstacle above the table may extend beyond its edge [m]."""
+_OVER_TABLE = 0.15
+"""Minimum fraction of an overhanging cluster that is above the table [1]."""
+_MIN_OCCUPANCY = 2
+"""Minimum number of points in an occupied voxel [1]."""
+_STRIDE = 4
+"""Row and column stride of the pixels used to fit the table [pixel]."""
 _CLOUD_SAMPLES = 20_000
 """Approximate number of points of a cloud used to fit the table."""
-_NO_TABLE = "no supporting plane found"
+_NO_TABLE, _NO_DEPTH = "no supporting plane found", "hardly any depth is measured"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +75,8 @@ class Segmentation:
     Attributes:
         clouds_W: one (N_i, 3) array an obstacle: the mean point of each voxel, in
             the world frame [m]; the largest cluster first.
-        pixels: for each cluster the flat indices (row-major) of its pixels, those of a further
-            image counted on from the one before, or of its input points when the frame was a
-            cloud.
+        labels: for each usable image, or for the cloud, the row (N,) of the cluster of each pixel
+            (row-major) or point; -1: none.
         table: the supporting plane in the world frame, or None.
         points_W: (N, 3) every single point above the table (without one, all), including the
             robot's, in the world frame [m]: for viewing.
@@ -82,7 +91,7 @@ class Segmentation:
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
-    pixels: tuple[IntArray, ...] = ()
+    labels: tuple[NDArray[np.int16], ...] = ()
     table: TablePlane | None = None
     points_W: FloatArray = zeros(0, 3)
     plane_rms: float = np.nan
@@ -92,11 +101,11 @@ class Segmentation:
     views: tuple[View, ...] = ()
     blind: dict[int, str] = field(default_factory=dict)
 
-    def pixels_in(self, image: int) -> tuple[IntArray, ...]:
-        """Pixels of each cluster in one of `views`, ascending, counted in that image."""
-        begin = sum(view.z.size for view in self.views[:image])
-        ends = begin, begin + self.views[image].z.size
-        return tuple(part[slice(*np.searchsorted(part, ends))] - begin for part in self.pixels)
+    @property
+    def pixels(self) -> tuple[IntArray, ...]:
+        """Flat indices of the pixels or points of each cluster, counted on through the images."""
+        label = np.concatenate([np.zeros(0), *self.labels])
+        return tuple(np.flatnonzero(label == row) for row in range(len(self.clouds_W)))
 
 
 class _Frame(NamedTuple):
@@ -142,7 +151,8 @@ class _Part(NamedTuple):
 
     Attributes:
         p_WQ: (N, 3) points [m].
-        number: (N,) their ascending indices in the frame.
+        number: (N,) their indices in the frame.
+        size: number of pixels or points of the frame.
         is_higher: (N,) whether each is higher than noise and bend of the camera.
         extent_W: (E, 3) points that span the table in this frame [m].
         view: the image; None: a cloud.
@@ -150,6 +160,7 @@ class _Part(NamedTuple):
 
     p_WQ: FloatArray
     number: IntArray
+    size: int
     is_higher: BoolArray
     extent_W: FloatArray
     view: View | None
@@ -208,9 +219,8 @@ def segment_views(
     config = config or SegmentationConfig()
     frames = []
     for depth, K, X_WC in views:
-        z = np.require(depth, np.float32, ["C", "W"])
-        pose = None if X_WC is None else np.require(X_WC, np.float64, ["C", "W"])
-        view = View(z, np.require(K, np.float64, ["C", "W"]), np.eye(4) if pose is None else pose)
+        z, pose = np.asarray(depth, dtype=np.float32), None if X_WC is None else np.asarray(X_WC)
+        view = View(z, np.asarray(K, dtype=float), np.eye(4) if pose is None else pose)
         ray = pixel_rays(z.shape, *view.K.tolist())
         frames.append(_Frame(ray, z.ravel(), (config.near, config.far), pose, view))
     return _segment(frames, config, robot)
@@ -246,10 +256,12 @@ def _segment(
     supports: list[_Support | None] = []
     blind = {}
     for number, frame in enumerate(frames):
-        support, note = _supported(frame, config) if config.table else (None, _visibility(frame))
+        # Infinite depth counts as visible, missing depth does not.
+        is_seen = np.count_nonzero(frame.depth > 0.0) >= max(1.0, LEAST_SHARE * frame.depth.size)
+        support = _supported(frame, config) if config.table and is_seen else None
         supports.append(support)
-        if note:
-            blind[number] = note
+        if not is_seen or (config.table and support is None):
+            blind[number] = _NO_TABLE if is_seen else _NO_DEPTH
     found = [support for support in supports if support is not None]
     # The table of the image that shows most of it also holds for images without one.
     largest = max(found, key=lambda support: np.count_nonzero(support.fit.inliers), default=None)
@@ -272,13 +284,6 @@ def _segment(
     )
 
 
-def _visibility(frame: _Frame) -> str:
-    """Reason why a frame without a table is not usable, or nothing."""
-    # Infinite depth counts as visible, missing depth does not.
-    is_seen = np.count_nonzero(frame.depth > 0.0) >= max(1.0, LEAST_SHARE * frame.depth.size)
-    return "" if is_seen else "hardly any pixel has a depth"
-
-
 def _pose(frame: _Frame, support: _Support | None) -> FloatArray:
     if support is not None:
         return support.X_WC
@@ -287,28 +292,26 @@ def _pose(frame: _Frame, support: _Support | None) -> FloatArray:
     return frame.X_WC
 
 
-def _supported(frame: _Frame, config: SegmentationConfig) -> tuple[_Support | None, str]:
-    """Finds the table in a frame; without one, returns the reason."""
+def _supported(frame: _Frame, config: SegmentationConfig) -> _Support | None:
+    """Finds the table in a frame."""
     grid = np.arange(frame.depth.size)
     if frame.view is None:
         grid = grid[:: max(1, grid.size // _CLOUD_SAMPLES)]
     else:
-        grid = grid.reshape(frame.view.z.shape)[:: config.stride, :: config.stride]
+        grid = grid.reshape(frame.view.z.shape)[::_STRIDE, ::_STRIDE]
     pixel = np.flatnonzero(frame.is_valid(grid.ravel()))
-    if not len(pixel):
-        return None, "no valid pixel" if frame.view else "no valid point"
     index = grid.ravel()[pixel]
     points = frame.points(index)
     fit = find_table(points, frame.depth[index].astype(float), frame.X_WC, config.table_height)
     if fit is None:
-        return None, _NO_TABLE
+        return None
     extent = points[fit.inliers]
     if frame.view is not None:
         extent = table_extent(fit, points, pixel, grid)
     X_WC = _pose_from_plane(fit) if frame.X_WC is None else frame.X_WC
     normal_W = X_WC[:3, :3] @ fit.normal
     table = TablePlane(normal_W, float(fit.offset + normal_W @ X_WC[:3, 3]))
-    return _Support(fit, extent, X_WC, table), ""
+    return _Support(fit, extent, X_WC, table)
 
 
 def _above(
@@ -330,7 +333,7 @@ def _above(
     noise = np.float32(_DEVIATIONS * DEPTH_NOISE * abs(offset))
     slope = frame.ray @ normal.astype(np.float32)
     slope -= noise
-    low, high = offset + config.min_height, offset + config.max_height
+    low, high = offset + _MIN_HEIGHT, offset + config.max_height
     if table is None:
         number = np.arange(depth.size)
         is_used = frame.is_valid(number)
@@ -344,7 +347,7 @@ def _above(
     is_higher = z * slope[number] > low + bend
     p_WQ = frame.points(number) @ X_WC[:3, :3].T + X_WC[:3, 3]
     view = None if frame.view is None else frame.view._replace(X_WC=X_WC)
-    return _Part(p_WQ, number, is_higher, extent_W, view)
+    return _Part(p_WQ, number, depth.size, is_higher, extent_W, view)
 
 
 def _cluster(
@@ -356,10 +359,8 @@ def _cluster(
     """Clusters the points of all frames above the table."""
     views = tuple(part.view for part in parts if part.view is not None)
     p_WQ = np.concatenate([part.p_WQ for part in parts])
-    if not len(p_WQ):
-        return Segmentation(table=table, views=views)
     means, voxel_of, count = voxel_means(p_WQ, config.voxel)
-    is_kept = count >= config.min_occupancy
+    is_kept = count >= _MIN_OCCUPANCY
     if robot is not None:
         margin = config.robot_margin
         distance = least_distances(robot, means[is_kept], 0.0, margin, margin)
@@ -382,18 +383,23 @@ def _cluster(
     row = np.full(len(sizes) + 1, -1)
     row[chosen] = np.arange(len(chosen))
     label = row[label]
-    begin = np.cumsum([0, *(view.z.size for view in views)])
-    number = np.concatenate([part.number + at for part, at in zip(parts, begin, strict=False)])
-    of_point = label[voxel_of].astype(np.int16)
-    order = np.argsort(of_point, kind="stable")
-    ends = np.searchsorted(of_point[order], np.arange(len(chosen) + 1))
     return Segmentation(
         tuple(means[label == cluster] for cluster in range(len(chosen))),
-        tuple(np.split(number[order], ends)[1:-1]),
+        tuple(_labels(parts, label[voxel_of])),
         table,
         p_WQ,
         views=views,
     )
+
+
+def _labels(parts: Sequence[_Part], of_point: IntArray) -> list[NDArray[np.int16]]:
+    """Lists the clusters of all pixels of each frame, -1: none, by those of all points used."""
+    labels, ends = [], np.cumsum([len(part.number) for part in parts])[:-1]
+    for part, own in zip(parts, np.split(of_point, ends), strict=True):
+        label = np.full(part.size, -1, dtype=np.int16)
+        label[part.number] = own
+        labels.append(label)
+    return labels
 
 
 def _on_table(points: FloatArray, outside: FloatArray, config: SegmentationConfig) -> BoolArray:
@@ -405,16 +411,16 @@ def _on_table(points: FloatArray, outside: FloatArray, config: SegmentationConfi
     Args:
         points: (N, 3) [m].
         outside: (N,) their distances beyond the table [m].
-        config: `table_margin`, `overhang`, `cluster_tolerance` and `over_table` are used.
+        config: `table_margin`, `cluster_tolerance` and `voxel` are used.
     """
-    beyond = config.table_margin + config.overhang
+    beyond = config.table_margin + _OVERHANG
     inside, near = outside <= config.table_margin, outside <= beyond
     if (inside == near).all():
         return inside
     label = connected_clusters(points[near], config.cluster_tolerance)
     continues = np.bincount(label, outside[near] > beyond - 2.0 * config.voxel) > 0.0
     share = np.bincount(label, inside[near]) / np.bincount(label)
-    overhangs = share >= np.where(continues, 0.5, config.over_table)
+    overhangs = share >= np.where(continues, 0.5, _OVER_TABLE)
     inside[near] |= overhangs[label]
     return inside
 
@@ -438,14 +444,9 @@ def _merged(
         parts: the frames.
         config: `voxel` and `min_cluster_voxels` are used; smaller clusters are not merged.
     """
-    images, begin = [], 0
-    for part in parts:
-        end = begin + len(part.number)
-        if part.view is not None:
-            owner = np.full(part.view.z.size, -1, dtype=np.int16)
-            owner[part.number] = label[voxel_of[begin:end]]
-            images.append((part.view, owner))
-        begin = end
+    labels = _labels(parts, label[voxel_of])
+    pairs = zip(parts, labels, strict=True)
+    images = [(part.view, owner) for part, owner in pairs if part.view is not None]
     if not images:
         return label
     sizes = np.bincount(label + 1, minlength=1)[1:]

@@ -81,17 +81,15 @@ class _Samples(NamedTuple):
     tolerance: FloatArray
     up: FloatArray
     max_tilt: float
-    is_below_origin: bool
 
     @property
     def needed(self) -> int:
         """Minimum number of points of a plane."""
         return max(20, int(LEAST_SHARE * len(self.points)))
 
-    def accepts(self, normal: FloatArray, offset: float) -> bool:
-        """Checks the tilt of a plane, and its side."""
-        is_upright = normal @ self.up >= math.cos(self.max_tilt)
-        return bool(is_upright and not (self.is_below_origin and offset >= 0.0))
+    def accepts(self, normal: FloatArray) -> bool:
+        """Checks the tilt of a plane."""
+        return bool(normal @ self.up >= math.cos(self.max_tilt))
 
 
 def find_table(
@@ -106,7 +104,7 @@ def find_table(
     Args:
         points: (N, 3) points in the frame of the camera [m].
         distance: (N,) their distances from the camera [m].
-        X_WC: (4, 4) pose of the camera; None: unknown, with the table below the camera.
+        X_WC: (4, 4) pose of the camera; None: unknown.
         table_height: height of the table in the world [m]; None: unknown.
 
     Returns:
@@ -116,7 +114,7 @@ def find_table(
     if X_WC is not None:
         up, max_tilt = X_WC[2, :3], _PLANE_TILT
     tolerance = _PLANE_TOLERANCE + DEPTH_NOISE * distance**2
-    samples = _Samples(points, tolerance, up, max_tilt, X_WC is None)
+    samples = _Samples(points, tolerance, up, max_tilt)
     if X_WC is not None and table_height is not None:
         height = points @ up - (table_height - X_WC[2, 3])
         is_near = np.abs(height) < HEIGHT_TOLERANCE
@@ -145,7 +143,7 @@ def _searched(samples: _Samples) -> tuple[FloatArray, float] | None:
             break
         (*normal, d), inliers = cloud.segment_plane(_BIN, 3, 300, probability=1.0)
         sign = 1.0 if normal @ samples.up >= 0.0 else -1.0
-        if samples.accepts(sign * np.array(normal), -sign * d):
+        if samples.accepts(sign * np.array(normal)):
             return sign * np.array(normal), -sign * d
         cloud = cloud.select_by_index(inliers, invert=True)
     return None
@@ -207,7 +205,7 @@ def _refined(
     inliers = np.abs(height) < samples.tolerance
     if allowed is not None:
         inliers &= allowed
-    if np.count_nonzero(inliers) < samples.needed or not samples.accepts(normal, offset):
+    if np.count_nonzero(inliers) < samples.needed or not samples.accepts(normal):
         return None
     return PlaneFit(normal, offset, float(np.sqrt(np.mean(height[inliers] ** 2))), inliers)
 
@@ -227,16 +225,14 @@ def table_extent(fit: PlaneFit, points: FloatArray, pixel: IntArray, grid: IntAr
     sample = np.full_like(grid, -1)
     sample.ravel()[pixel[fit.inliers]] = np.flatnonzero(fit.inliers)
     opened = ndimage.binary_opening(sample >= 0, np.ones((3, 3)))
-    row = np.flatnonzero(opened.any(axis=1))
-    left, right = opened[row].argmax(axis=1), grid.shape[1] - 1 - opened[row, ::-1].argmax(axis=1)
-    ends, row = np.concatenate([left, right]), np.tile(row, 2)
-    span = points[sample[row, ends]]
+    row, column = np.nonzero(opened & ~ndimage.binary_erosion(opened))
+    span = points[sample[row, column]]
+    rows, columns = np.divmod(pixel, grid.shape[1])
     # Not beyond the upper border: those parts are farther away than their feet.
-    columns = pixel % grid.shape[1]
     borders = (
-        (row >= pixel[-1] // grid.shape[1] - _BORDER, [0.0, 1.0, 0.0]),
-        (ends <= columns.min() + _BORDER, [-1.0, 0.0, 0.0]),
-        (ends >= columns.max() - _BORDER, [1.0, 0.0, 0.0]),
+        (row >= rows.max() - _BORDER, [0.0, 1.0, 0.0]),
+        (column <= columns.min() + _BORDER, [-1.0, 0.0, 0.0]),
+        (column >= columns.max() - _BORDER, [1.0, 0.0, 0.0]),
     )
     parts = [span]
     for is_border, axis in borders:

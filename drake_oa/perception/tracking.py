@@ -24,7 +24,6 @@ obstacle) the evidence only decays.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
@@ -96,8 +95,6 @@ _CORRECTION = 0.003
 """Correction of a position above which the frame is compared again [m]."""
 _FOUND_AGAIN = 0.9
 """Least ratio of points seen at the measured place to those at the expected one."""
-_MENTIONED_AFTER = 0.3
-"""Time out of sight after which a moving obstacle is mentioned in the note [s]."""
 _SPLIT_FRAMES = 3
 """Frames in a row after which separate parts become two obstacles."""
 _TABLE_SHIFT = 0.003
@@ -138,22 +135,16 @@ class Points(Frozen):
         return len(self.owner)
 
 
-@dataclass(frozen=True, eq=False)
-class HeldCloud(Frozen):
+class HeldCloud(NamedTuple):
     """The cloud of an obstacle as it was handed on last.
 
     Attributes:
         p_OQ: (N, 3) in the obstacle's frame O [m].
         p_WQ: (N, 3) in the world [m].
-        shift_W: (3,) from the one to the other [m].
-        reach: (D,) how far it reaches in the `DIRECTIONS`, in O
-        [m].
     """
 
-    p_OQ: FloatArray = zeros(0, 3)
-    p_WQ: FloatArray = zeros(0, 3)
-    shift_W: FloatArray = zeros(3)
-    reach: FloatArray = zeros(0)
+    p_OQ: FloatArray
+    p_WQ: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,12 +306,7 @@ def fuse(
 
     Returns:
         What is remembered after the frame; its `obstacles` are to be handed on.
-
-    Raises:
-        ValueError: for a stamp that is not finite.
     """
-    if not math.isfinite(stamp):
-        raise ValueError(f"the stamp of a frame must be finite [s], not {stamp}")
     if not frame.usable:
         return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
     if stamp == previous.taken:
@@ -365,7 +351,7 @@ class _Step:
         complete: bool,
     ) -> None:
         self.previous, self.frame, self.complete, self.stamp = previous, frame, complete, stamp
-        self.config, self.robot, self.first = config, robot, previous.taken == -math.inf
+        self.config, self.robot, self.first = config, robot, previous.taken == -np.inf
         self.dt = 0.0 if self.first else stamp - previous.taken
         self.tracks, self.points = previous.tracks, previous.points
         lengths = [len(cloud) for cloud in frame.clouds_W]
@@ -377,12 +363,17 @@ class _Step:
         """The memory after the frame."""
         self.tracks = predicted_tracks(self.tracks, self.dt)
         look = self._look()
-        clusters, known = len(self.frame.clouds_W), len(self.tracks)
         association = associate(
-            self.seen, self.cluster, clusters, look.nearest, look.p_WQ, self.points.owner, known
+            self.seen,
+            self.cluster,
+            len(self.frame.clouds_W),
+            look.nearest,
+            look.p_WQ,
+            self.points.owner,
+            len(self.tracks),
         )
-        self._append_new(association)
-        shift = self.tracks.shift_W
+        new = [self.frame.clouds_W[c].mean(axis=0) for c in association.new]
+        self._append(new_tracks(np.reshape(new, (-1, 3))))
         behind = self._behind_itself(association, look)
         self._doubt(look, behind)
         # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
@@ -392,26 +383,23 @@ class _Step:
         hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
         expected = self.tracks
         self._measure(association, look.p_WQ, hidden)
-        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > _CORRECTION:
+        if np.abs(self.tracks.shift_W - expected.shift_W).max(initial=0.0) > _CORRECTION:
             look = self._moved_back(expected, look)
             behind = self._behind_itself(association, look)
-        split = self._weigh(association, look, behind)
+        self._split(association, look)
+        self._weigh(association, look, behind)
         self._remember(association, look)
-        self._split(split)
-        self._merge(association, known)
+        self._merge(association)
         self._forget()
         return self._handed_on()
 
     def _look(self) -> _Look:
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
         nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, _MATCH_RADIUS)
-        views = self.frame.views
-        if not views:
-            # A cloud is taken to show every point.
-            none = np.zeros((0, len(p_WQ)), dtype=np.int64)
-            shows = np.full(len(p_WQ), AT)
-            return _Look(p_WQ, nearest, from_seen, distance, shows, none, none)
-        each, pixel = np.stack([shown(p_WQ, view, DEPTH_MARGIN) for view in views], axis=1)
+        # A cloud is taken to show every point.
+        everything = np.full(len(p_WQ), AT), np.full(len(p_WQ), -1)
+        looks = [shown(p_WQ, view, DEPTH_MARGIN) for view in self.frame.views]
+        each, pixel = np.stack(looks or [everything], axis=1)
         shows = each[_SAYS[each].argmax(axis=0), np.arange(len(p_WQ))]
         if self.robot is not None:
             # Only what seems to be gone needs the robot's excuse.
@@ -456,17 +444,12 @@ class _Step:
         They are so in each image that shows their place; another one may have seen them
         from behind.
         """
-        if not self.complete:
+        if not self.complete or not self.frame.views:
             return np.zeros(len(self.points), dtype=bool)
-        before = np.zeros(look.each.shape, dtype=bool)
-        for image, view in enumerate(self.frame.views):
-            row_at = np.full(view.z.size, -1)
-            for row, surface in zip(
-                association.cluster_row, self.frame.pixels_in(image), strict=True
-            ):
-                row_at[surface] = row
-            is_own = row_at[look.pixel[image]] == self.points.owner
-            before[image] = (look.each[image] == HIDDEN) & is_own
+        rows = np.append(association.cluster_row, -1)
+        pairs = zip(self.frame.labels, look.pixel, strict=True)
+        shown_row = np.stack([rows[label[pixel]] for label, pixel in pairs])
+        before = (look.each == HIDDEN) & (shown_row == self.points.owner)
         return np.asarray(before.any(axis=0) & (before | (look.pixel < 0)).all(axis=0))
 
     def _doubt(self, look: _Look, behind: BoolArray) -> None:
@@ -482,15 +465,6 @@ class _Step:
         share = missed / np.maximum(total, np.maximum(least, 1.0))
         left = _FADING * self.tracks.doubt
         self.tracks = replace(self.tracks, doubt=np.maximum(share, left))
-
-    def _append_new(self, association: Association) -> None:
-        count = len(association.new)
-        if not count:
-            return
-        p_W = np.stack([self.frame.clouds_W[c].mean(axis=0) for c in association.new])
-        ids = self.next_id + np.arange(count)
-        self.next_id += count
-        self.tracks = appended(self.tracks, new_tracks(ids, p_W))
 
     def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
         tracks = self.tracks
@@ -517,13 +491,9 @@ class _Step:
         )
         self.tracks = measured_tracks(tracks, seen, deviation, v_W, spread, self.dt)
 
-    def _weigh(
-        self, association: Association, look: _Look, behind: BoolArray
-    ) -> list[tuple[int, IntArray, FloatArray]]:
-        """Weighs the remembered points; returns the parts of obstacles that are apart."""
-        points = self.points
-        shows = look.shows
-        parts = self._parts(association, look.p_WQ, (shows != AT) & (shows != FREE))
+    def _weigh(self, association: Association, look: _Look, behind: BoolArray) -> None:
+        """Weighs the remembered points, and drops those without evidence."""
+        points, shows = self.points, look.shows
         hit = look.distance < np.where(points.confirmed, SUPPORT_RADIUS, SAME_RADIUS)
         is_found = np.isin(points.owner, association.point_row)
         gone = (shows == FREE) | ((shows == AT) & ~is_found)
@@ -538,7 +508,6 @@ class _Step:
         # `remember` still asks for these points by their places here.
         self._kept = np.where(left, np.cumsum(left) - 1, -1)
         self.points = taken(replace(points, evidence=evidence, confirmed=confirmed), left)
-        return parts
 
     def _remember(self, association: Association, look: _Look) -> None:
         """Moves remembered points to what was seen of them, and adds what is new."""
@@ -568,90 +537,68 @@ class _Step:
         added = Points(local[new], row[new], ones, ones, solid[row[new]])
         self.points = appended(self.points, added)
 
-    def _parts(
-        self, association: Association, p_WQ: FloatArray, unseen: BoolArray
-    ) -> list[tuple[int, IntArray, FloatArray]]:
-        """Obstacles seen in several parts that nothing hidden connects.
+    def _split(self, association: Association, look: _Look) -> None:
+        """Makes obstacles of the smaller parts of those that are seen in parts for long.
 
-        Returns:
-            Row, the clusters of the smaller parts, and all points seen of the obstacle.
+        Parts that remembered points connect which the frame does not show are one obstacle.
         """
-        count = np.bincount(association.cluster_row, minlength=len(self.tracks))
-        apart = np.zeros(len(self.tracks), dtype=np.int64)
-        parts = []
-        for row in np.flatnonzero(count > 1):
-            clusters = np.flatnonzero((association.cluster_row == row) & ~association.mixed)
-            if len(clusters) < 2:
+        tracks, points = self.tracks, self.points
+        unseen = (look.shows != AT) & (look.shows != FREE)
+        rows = np.where(association.mixed, -1, association.cluster_row)
+        owner, sides, area = np.array(points.owner), np.array(tracks.sides), np.array(tracks.area)
+        apart = np.zeros(len(tracks), dtype=np.int64)
+        origin: list[int] = []
+        for row in np.flatnonzero(np.bincount(rows + 1)[1:] > 1):
+            seen = np.flatnonzero(np.isin(self.cluster, np.flatnonzero(rows == row)))
+            mine = np.flatnonzero(points.owner == row)
+            hidden = look.p_WQ[mine[unseen[mine]]]
+            joined = np.concatenate([self.seen[seen], hidden])
+            groups = np.concatenate([self.cluster[seen], -1 - np.arange(len(hidden))])
+            label = connected_clusters(joined, self.config.cluster_tolerance, groups)[: len(seen)]
+            # The first part has the largest cluster.
+            apart[row] = tracks.apart[row] + 1 if label.any() else 0
+            if apart[row] < _SPLIT_FRAMES:
                 continue
-            mine = np.isin(self.cluster, clusters)
-            hidden = p_WQ[unseen & (self.points.owner == row)]
-            groups = np.concatenate(
-                [self.cluster[mine], len(self.frame.clouds_W) + np.arange(len(hidden))]
-            )
-            joined = np.concatenate([self.seen[mine], hidden])
-            label = connected_clusters(joined, self.config.cluster_tolerance, groups)
-            label = label[: int(mine.sum())]
-            largest = np.bincount(label).argmax()
-            if (label == largest).all():
-                continue
-            apart[row] = self.tracks.apart[row] + 1
-            if apart[row] >= _SPLIT_FRAMES:
-                parts.append((int(row), np.where(label == largest, -1, label), self.seen[mine]))
-        self.tracks = replace(self.tracks, apart=apart)
-        return parts
+            sides[row], area[row], apart[row] = np.nan, 0.0, 0
+            nearest, _, _ = mutual_nearest(look.p_WQ[mine], self.seen[seen], UNSEEN_GAP)
+            part = np.append(label, 0)[nearest]
+            for number in np.unique(label[label > 0]):
+                new = len(tracks) + len(origin)
+                owner[mine[part == number]] = association.point_row[seen[label == number]] = new
+                origin.append(int(row))
+        self.points = replace(points, owner=owner)
+        self.tracks = replace(tracks, sides=sides, area=area, apart=apart)
+        self._append(taken(self.tracks, np.array(origin, dtype=np.int64)))
 
-    def _split(self, parts: list[tuple[int, IntArray, FloatArray]]) -> None:
-        """Makes the smaller parts obstacles of their own."""
-        for row, label, seen in parts:
-            mine = np.flatnonzero(self.points.owner == row)
-            p_WQ = self.points.p_OQ[mine] + self.tracks.shift_W[row]
-            nearest, _, _ = mutual_nearest(p_WQ, seen, UNSEEN_GAP)
-            part = np.append(label, -1)[nearest]
-            for name in np.unique(part[part >= 0]):
-                new = len(self.tracks)
-                one = replace(
-                    taken(self.tracks, np.array([row])),
-                    ids=np.array([self.next_id]),
-                    sides=np.full((1, 3, 2), np.nan),
-                    area=np.zeros(1),
-                )
-                self.next_id += 1
-                self.tracks = appended(self.tracks, one)
-                owner = np.array(self.points.owner)
-                owner[mine[part == name]] = new
-                self.points = replace(self.points, owner=owner)
-            sides, area = np.array(self.tracks.sides), np.array(self.tracks.area)
-            sides[row], area[row] = np.nan, 0.0
-            apart = np.where(np.arange(len(self.tracks)) >= row, 0, self.tracks.apart)
-            self.tracks = replace(self.tracks, sides=sides, area=area, apart=apart)
+    def _append(self, tracks: Tracks) -> None:
+        """Adds obstacles under new names."""
+        ids = self.next_id + np.arange(len(tracks))
+        self.next_id += len(tracks)
+        self.tracks = appended(self.tracks, replace(tracks, ids=ids))
 
-    def _merge(self, association: Association, known: int) -> None:
+    def _merge(self, association: Association) -> None:
         """Joins obstacles that are one cluster and move alike for long."""
         tracks = self.tracks
-        partner = np.full(len(tracks), -1, dtype=np.int64)
-        partner[:known] = association.partner
+        rows = np.flatnonzero(association.partner >= 0)
+        into = association.partner[rows]
         v_W = np.where(tracks.moving[:, None], tracks.v_W, 0.0)
-        alike = np.linalg.norm(v_W - v_W[partner], axis=1) < _ALIKE
-        together = np.where((partner >= 0) & alike, tracks.together + self.dt, 0.0)
-        self.tracks = replace(tracks, together=together)
-        joined = together >= _MERGE_TIME
-        for row in np.flatnonzero(joined):
-            into = int(partner[row])
-            p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
-            mine = owner == row
-            p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
-            owner[mine] = into
-            self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
-            sides = np.array(self.tracks.sides)
-            sides[into] = np.nan
-            self.tracks = replace(self.tracks, sides=sides)
+        alike = np.linalg.norm(v_W[rows] - v_W[into], axis=1) < _ALIKE
+        together = np.zeros(len(tracks))
+        together[rows] = np.where(alike, tracks.together[rows] + self.dt, 0.0)
+        sides = np.array(tracks.sides)
+        p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
+        for row, other in zip(rows, into, strict=True):
+            if together[row] >= _MERGE_TIME:
+                mine = owner == row
+                p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[other]
+                owner[mine], sides[other] = other, np.nan
+        self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
+        self.tracks = replace(tracks, sides=sides, together=together)
 
     def _forget(self) -> None:
         """Lets go of obstacles of which too little is left."""
         count = np.bincount(self.points.owner, minlength=len(self.tracks))
         left = count >= self._fewest()
-        if left.all():
-            return
         row = np.cumsum(left) - 1
         points = taken(self.points, left[self.points.owner])
         self.points = replace(points, owner=row[points.owner])
@@ -666,19 +613,12 @@ class _Step:
         listed = confirmed >= self._fewest()
         held = held_clouds(tracks.ids, tracks.shift_W, points, listed, self.previous.held)
         moving = tracks.moving & (np.linalg.norm(tracks.v_W, axis=1) > 0.0)
-        late = np.flatnonzero(listed & moving & (tracks.unseen > _MENTIONED_AFTER))
-        note = "; ".join(
-            f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s "
-            "at its last velocity"
-            for row in late
-        )
         obstacles = ObstacleClouds(
             self.stamp,
             tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
             tracks.ids[listed],
             held_table(self.previous.obstacles.table, self.frame.table),
-            note,
-            np.where(moving[:, None], tracks.v_W, 0.0)[listed],
+            v_WO=np.where(moving[:, None], tracks.v_W, 0.0)[listed],
         )
         return ObstacleMemory(
             obstacles,
@@ -699,7 +639,9 @@ def held_clouds(
     listed: BoolArray,
     previous: dict[int, HeldCloud],
 ) -> dict[int, HeldCloud]:
-    """The clouds to hand on, by name.
+    """Selects the clouds to hand on, by name.
+
+    The cloud of an obstacle stays while the present one differs from it by no more than noise.
 
     Args:
         ids: (M,) names of the obstacles.
@@ -712,28 +654,21 @@ def held_clouds(
     held = {}
     for row in np.flatnonzero(listed):
         name, p_OQ = int(ids[row]), points.p_OQ[owner == row]
-        reach = (DIRECTIONS @ p_OQ.T).max(axis=1)
         old = previous.get(name)
-        if old is None or not _reaches_as_before(old, reach, len(p_OQ)):
-            held[name] = _cloud(p_OQ, shift_W[row], reach)
-        elif (shift_W[row] != old.shift_W).any():
-            held[name] = _cloud(old.p_OQ, shift_W[row], old.reach)
-        else:
-            held[name] = old
+        if old is not None:
+            reach, before = ((DIRECTIONS @ cloud.T).max(axis=1) for cloud in (p_OQ, old.p_OQ))
+            more, size = reach - before, len(old.p_OQ)
+            if (
+                (more <= _GROWN).all()
+                and (more >= -_SHRUNK).all()
+                and abs(len(p_OQ) - size) <= _CHANGED_SHARE * size
+            ):
+                p_OQ = old.p_OQ
+        p_WQ = p_OQ + shift_W[row]
+        p_WQ.flags.writeable = False
+        is_held = old is not None and np.array_equal(p_WQ, old.p_WQ)
+        held[name] = previous[name] if is_held else HeldCloud(p_OQ, p_WQ)
     return held
-
-
-def _cloud(p_OQ: FloatArray, shift_W: FloatArray, reach: FloatArray) -> HeldCloud:
-    p_WQ = p_OQ + shift_W
-    p_WQ.flags.writeable = False
-    return HeldCloud(p_OQ, p_WQ, np.array(shift_W), np.array(reach))
-
-
-def _reaches_as_before(old: HeldCloud, reach: FloatArray, count: int) -> bool:
-    """Whether `count` points that reach so far (D,) differ from a cloud by no more than noise."""
-    more, size = reach - old.reach, len(old.p_OQ)
-    same = ((more <= _GROWN) & (more >= -_SHRUNK)).all()
-    return bool(same) and abs(count - size) <= _CHANGED_SHARE * size
 
 
 def held_table(previous: TablePlane | None, seen: TablePlane | None) -> TablePlane | None:

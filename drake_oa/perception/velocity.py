@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
-from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.pinhole import View, pixel_at, pixel_rays
 from drake_oa.perception.segmentation import Segmentation
 
 SIDE_DEVIATION = 0.0015
@@ -135,21 +135,19 @@ class Tracks(Frozen):
         """(M, 3) velocities [m/s]."""
         return self.state[..., 1]
 
-    @property
-    def unseen(self) -> FloatArray:
-        """(M,) time since an obstacle was measured along any axis [s]."""
-        return np.asarray(self.blind.min(axis=1))
 
-
-def new_tracks(ids: IntArray, p_W: FloatArray) -> Tracks:
-    """Makes obstacles (M,) at p_W (M, 3) [m] that are seen first: at rest, of unknown sides."""
+def new_tracks(p_W: FloatArray) -> Tracks:
+    """Makes obstacles at p_W (M, 3) [m] that are seen first: at rest, without a name and sides."""
     parts = {
-        name: np.zeros((len(ids), *part.shape[1:]), dtype=part.dtype)
+        name: np.zeros((len(p_W), *part.shape[1:]), dtype=part.dtype)
         for name, part in vars(Tracks()).items()
     }
-    parts |= {"ids": ids, "p_shift_W": p_W, "sides": np.full((len(ids), 3, 2), np.nan)}
-    parts["state"][..., 0], parts["covariance"][:] = p_W, _FIRST_COVARIANCE
-    return Tracks(**parts)
+    parts["state"][..., 0], parts["covariance"][:], parts["sides"][:] = (
+        p_W,
+        _FIRST_COVARIANCE,
+        np.nan,
+    )
+    return Tracks(**parts | {"p_shift_W": p_W})
 
 
 _FIRST_COVARIANCE = np.diag([SIDE_DEVIATION**2, INITIAL_SPEED**2])
@@ -189,7 +187,7 @@ def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
     all do after a gap of `LONGEST_GAP`.
     """
     gap = dt > LONGEST_GAP
-    moving = tracks.moving & (tracks.unseen + dt <= COAST_TIME) & (not gap)
+    moving = tracks.moving & (tracks.blind.min(axis=1) + dt <= COAST_TIME) & (not gap)
     lost = (tracks.moving & ~moving) | gap
     P = np.where(lost[:, None, None, None], _FIRST_COVARIANCE, tracks.covariance)
     # Where it does not move significantly, noise must not carry it away while hidden.
@@ -456,125 +454,91 @@ _STEPS = np.arange(1, 24)
 """Steps along which the surroundings of an obstacle's side are looked at [pixel]."""
 _EMPTY = 12
 """Number of pixels without depth in a row that show that nothing is beside an obstacle."""
+_ACROSS = 0.3
+"""Minimum sine of the angle between a side's axis and the line of sight."""
+_FARTHEST = 100.0
+"""Depth of pixels that show a background too far to be measured [m]."""
 
 
 def surfaces(
-    pixels: Sequence[IntArray], cluster_row: IntArray, view: View
-) -> tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
+    label: NDArray[np.int16], rows: IntArray, view: View
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """Samples the surfaces of obstacles in an image.
 
     Args:
-        pixels: of each of C clusters.
-        cluster_row: (C,) obstacle of each, -1: not asked for.
+        label: (H W,) cluster of each pixel, -1: none.
+        rows: (C + 1,) obstacle of each cluster, -1: not asked for, and -1 at last.
         view: the depth image.
 
     Returns:
         The points (S, 3) in the world frame [m]; the area (S,) that a pixel covers at
-        each of them [m^2]; their pixels (S,) and obstacles (S,); for how many pixels
-        each stands (S,).
+        each of them [m^2]; their obstacles (S,); for how many pixels each stands (S,).
     """
     z, K, X_WC = view
-    steps = [max(1, len(part) // _PIXELS) for part in pixels]
-    some = [part[::step] for part, step in zip(pixels, steps, strict=True)]
-    lengths = [len(part) for part in some]
-    owner, weight = (np.repeat(each, lengths) for each in (cluster_row, steps))
-    asked = owner >= 0
-    pixel = np.concatenate([np.zeros(0, dtype=np.int64), *some])[asked]
-    row, column = np.divmod(pixel, z.shape[1])
-    depth = z[row, column]
-    x = (column - K[2]) * (depth / K[0])
-    y = (row - K[3]) * (depth / K[1])
-    points = sum(part[:, None] * X_WC[:3, k] for k, part in enumerate((x, y, depth.astype(float))))
-    return points + X_WC[:3, 3], depth * depth / (K[0] * K[1]), pixel, owner[asked], weight[asked]
-
-
-def tail_places(
-    points: FloatArray, area: FloatArray, row: IntArray, tail: FloatArray
-) -> FloatArray:
-    """Where the obstacles' sides are: beyond it lies a given area of what is seen of them.
-
-    Args:
-        points: (P, 3) [m].
-        area: (P,) that each stands for [m^2].
-        row: (P,) obstacle of each.
-        tail: (M,) that area [m^2].
-
-    Returns:
-        (M, 3, 2) lowest and highest place along each axis [m]; NaN for an obstacle of
-        which nothing is seen.
-    """
-    sides = np.full((len(tail), 3, 2), np.nan)
-    for m in np.unique(row):
-        mine = row == m
-        order = points[mine].argsort(axis=0)
-        along = np.take_along_axis(points[mine], order, axis=0)
-        size = area[mine][order]
-        for k in range(3):
-            sides[m, k, 0] = np.interp(tail[m], size[:, k].cumsum(), along[:, k])
-            sides[m, k, 1] = np.interp(tail[m], size[::-1, k].cumsum(), along[::-1, k])
-    return sides
+    pixel = np.flatnonzero(label >= 0)
+    row = rows[label[pixel]]
+    step = np.maximum(np.bincount(row + 1) // _PIXELS, 1)[row + 1]
+    is_used = (row >= 0) & (np.arange(len(row)) % step == 0)
+    pixel = pixel[is_used]
+    depth = z.ravel()[pixel].astype(float)
+    p_CQ = pixel_rays(z.shape, *K.tolist())[pixel] * depth[:, None]
+    points = p_CQ @ X_WC[:3, :3].T + X_WC[:3, 3]
+    return points, depth * depth / (K[0] * K[1]), row[is_used], step[is_used]
 
 
 def open_sides(
     points: FloatArray,
-    pixel: IntArray,
     row: IntArray,
     sides: FloatArray,
+    label: NDArray[np.int16],
+    rows: IntArray,
     view: View,
-    owner: NDArray[np.int16],
-    plane: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Counts the pixels at the sides of obstacles with free space beyond them.
+    table: TablePlane,
+) -> FloatArray:
+    """Counts the points at the sides of obstacles with free space beyond them.
 
-    From each pixel of a side the image is followed outward until it shows something
+    From each point of a side the image is followed outward until it shows something
     else: what lies behind shows where the obstacle ends; what lies before it, what stands
     beside it (the robot, another obstacle), or the image's border, does not. Where nothing
     at all is shown for long, the background is too far away to be measured. The obstacle itself
     shows its end too, where it lies behind what it would have beyond the side.
 
     Args:
-        points: (P, 3) in the world frame [m].
-        pixel: (P,) their pixels (flat indices).
-        row: (P,) obstacle of each.
-        sides: (M, 3, 2) from `tail_places` [m].
-        view: the depth image.
-        owner: (H W,) int16 obstacle that each pixel shows, -1: none.
-        plane: (4,) the table's normal and offset in the world.
+        points: (S, 3) in the world frame [m].
+        row: (S,) obstacle of each.
+        sides: (M, 3, 2) lowest and highest place of each obstacle along each axis [m].
+        label, rows, view: as of `surfaces`.
+        table: in the world.
 
     Returns:
-        (M, 3, 2) how many do, and of how many.
+        (2, M, 3, 2) how many do, and of how many.
     """
     z, K, X_WC = view
     low, high = np.moveaxis(sides[row], 2, 0)
     i, k, side = np.nonzero(np.stack([points <= low, points >= high], axis=2))
-    v0, u0 = np.divmod(pixel[i], z.shape[1])
-    depth = z[v0, u0].astype(float)[:, None]
-    # The axis outward in the camera's frame, and its image.
-    outward = (2 * side - 1)[:, None] * X_WC[k, :3]
-    x, y = (u0 - K[2]) / K[0], (v0 - K[3]) / K[1]
-    du, dv = K[0] * (outward[:, 0] - x * outward[:, 2]), K[1] * (outward[:, 1] - y * outward[:, 2])
-    length = np.maximum(np.hypot(du, dv), 1e-9)
-    u = np.rint(u0[:, None] + _STEPS * (du / length)[:, None]).astype(int)
-    v = np.rint(v0[:, None] + _STEPS * (dv / length)[:, None]).astype(int)
-    inside = (u >= 0) & (u < z.shape[1]) & (v >= 0) & (v < z.shape[0])
-    at = np.where(inside, v * z.shape[1] + u, 0)
-    other, mine = z.ravel()[at].astype(float), owner[at] == row[i, None]
-    told = inside & (other > 0.0)
-    # By how much nearer the obstacle would be if it went on beyond the side.
-    nearer = _STEPS * (-outward[:, 2] / length)[:, None] * depth
-    end = np.where(mine, depth - nearer + _BEHIND * depth**2, depth + DEPTH_MARGIN)
-    last = np.maximum.accumulate(np.where(told, _STEPS, 0), axis=1)
-    free = np.where(told, other > end, inside & (_STEPS - last >= _EMPTY))
-    normal = plane[:3] @ X_WC[:3, :3]
-    ray = normal[0] * (u - K[2]) / K[0] + normal[1] * (v - K[3]) / K[1] + normal[2]
-    height = other * ray + plane[:3] @ X_WC[:3, 3] - plane[3]
-    before = (other < depth - DEPTH_MARGIN) | (height > DEPTH_MARGIN)
-    first = (free | ~inside | (told & ~mine & before)).argmax(axis=1)
+    outward = (2 * side - 1)[:, None] * np.eye(3)[k]
+    sight = points[i] - X_WC[:3, 3]
+    across = np.linalg.norm(np.cross(outward, sight), axis=1) / np.linalg.norm(sight, axis=1)
+    depth = (sight @ X_WC[:3, 2])[:, None]
+    length = _STEPS * depth / (K[0] * np.maximum(across, _ACROSS)[:, None])
+    # Where the obstacle would be if it went on beyond the side, from the camera.
+    beyond = sight[:, None] + length[..., None] * outward[:, None]
+    p_CQ = beyond @ X_WC[:3, :3]
+    pixel = pixel_at(p_CQ, z.shape, K)
+    is_inside, is_own = pixel >= 0, rows[label[pixel]] == row[i, None]
+    other = np.minimum(z.ravel()[pixel], _FARTHEST)
+    is_told = is_inside & (other > 0.0)
+    end = np.where(is_own, p_CQ[..., 2] + _BEHIND * depth**2, depth + DEPTH_MARGIN)
+    last = np.maximum.accumulate(np.where(is_told, _STEPS, 0), axis=1)
+    is_free = np.where(is_told, other > end, is_inside & (_STEPS - last >= _EMPTY))
+    height = table.height(X_WC[:3, 3]) + other / p_CQ[..., 2] * (beyond @ table.normal_W)
+    is_before = (other < depth - DEPTH_MARGIN) | (height > DEPTH_MARGIN)
+    first = (is_free | ~is_inside | (is_told & ~is_own & is_before)).argmax(axis=1)
     # Along the line of sight nothing beside it tells.
-    ends = free[np.arange(len(i)), first] | (length < 0.3 * K[0])
-    key, size = np.ravel_multi_index((row[i], k, side), sides.shape), sides.size
-    counts = [np.bincount(each, minlength=size).reshape(sides.shape) for each in (key[ends], key)]
-    return counts[0].astype(float), counts[1].astype(float)
+    ends = is_free[np.arange(len(i)), first] | (across < _ACROSS)
+    key = np.ravel_multi_index((row[i], k, side), sides.shape)
+    counts = [np.bincount(key, weight, sides.size) for weight in (ends, np.ones(len(i)))]
+    return np.reshape(counts, (2, *sides.shape))
 
 
 _PIXELS = 800  # about how many pixels of a cluster are looked at
@@ -630,39 +594,43 @@ def seen_sides(
         known_area: (M,) largest area seen of each obstacle before [m^2].
         voxel: edge of a voxel, for clouds [m].
     """
-    count = len(known_area)
-    images = [frame.pixels_in(row) for row in range(len(frame.views))]
+    count, rows = len(known_area), np.append(cluster_row, -1)
     parts = [
-        surfaces(image, cluster_row, view) for image, view in zip(images, frame.views, strict=True)
+        surfaces(label, rows, view) for label, view in zip(frame.labels, frame.views, strict=False)
     ]
     if parts:
-        points, area, _, row, weight = (
-            np.concatenate(column) for column in zip(*parts, strict=True)
-        )
+        points, area, row, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
     else:
         row = np.repeat(cluster_row, [len(cloud) for cloud in frame.clouds_W])
         points = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])[row >= 0]
         row = row[row >= 0]
         area, weight = np.full(len(points), voxel**2), np.ones(len(points))
     number = np.bincount(row, minlength=count)
-    grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
+    grain = np.sqrt(np.bincount(row, area, minlength=count) / np.maximum(number, 1))
     area = area * weight
-    seen = np.bincount(row, weights=area, minlength=count)
-    tail = _SIDE_TAIL * np.maximum(seen, known_area)
-    place = tail_places(points, area, row, tail)
+    seen = np.asarray(np.bincount(row, area, minlength=count), dtype=float)
+    place = np.full((count, 3, 2), np.nan)
+    for m in np.unique(row):
+        mine, tail = row == m, min(_SIDE_TAIL * max(seen[m], known_area[m]) / seen[m], 1.0)
+        place[m] = np.quantile(
+            points[mine],
+            [tail, 1.0 - tail],
+            axis=0,
+            weights=area[mine],
+            method="inverted_cdf",
+        ).T
     ends = np.isfinite(place)
     if parts:
         table = frame.table or TablePlane(offset=-np.inf)
-        plane = np.append(table.normal_W, table.offset)
-        free, asked = np.zeros(place.shape), np.zeros(place.shape)
-        for part, image, view in zip(parts, images, frame.views, strict=True):
-            owner = np.full(view.z.size, -1, dtype=np.int16)
-            for row, pixels in zip(cluster_row, image, strict=True):
-                owner[pixels] = row
-            found = open_sides(part[0], *part[2:4], place, view, owner, plane)
-            free, asked = free + found[0], asked + found[1]
+        free, asked = np.sum(
+            [
+                open_sides(part[0], part[2], place, label, rows, view, table)
+                for part, label, view in zip(parts, frame.labels, frame.views, strict=True)
+            ],
+            axis=0,
+        )
         ends = free / np.maximum(asked, 1.0) >= _OPEN_SHARE
-    return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
+    return SeenSides(place, ends, seen, grain)
 
 
 def measured_position(

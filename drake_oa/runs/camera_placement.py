@@ -10,7 +10,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraSource
-from drake_oa.perception.coverage import REACH, NearSpace, ViewVolume
+from drake_oa.perception.coverage import REACH, ViewVolume, unseen_share
 from drake_oa.robot.arm import make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.robot.spheres import sphere_centers
@@ -24,15 +24,19 @@ _CONFIGURATIONS = 5
 """Number of configurations between start and goal."""
 
 
-def near_space(scenario: Scenario) -> NearSpace:
-    """Computes the space near the arm at the start and along the pre-planned motion."""
+def unseen_near(scenario: Scenario, source: CameraSource) -> float:
+    """Computes the share that the cameras of perception do not see of the space near the arm.
+
+    The arm is at the start, and along the pre-planned motion.
+    """
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
     q_start, q_goal = end_positions(scenario)
     chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_start, spheres)
     s = np.linspace(0.0, 1.0, _CONFIGURATIONS)
     q = posture_guide(s, q_start[chain.q_index], q_goal[chain.q_index])
-    return NearSpace(sphere_centers(chain, spheres, q), spheres.radius, scenario.table_height)
+    p_WS, views = sphere_centers(chain, spheres, q), view_volumes(scenario, source)
+    return unseen_share(p_WS, spheres.radius, scenario.table_height, views)
 
 
 def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
@@ -65,5 +69,5 @@ def view_note(scenario: Scenario) -> str:
     source = scenario.perception
     if not isinstance(source, CameraSource):
         return ""
-    share = near_space(scenario).unseen_share(view_volumes(scenario, source))
+    share = unseen_near(scenario, source)
     return f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unseen"

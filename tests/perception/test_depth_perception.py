@@ -67,7 +67,7 @@ def test_a_blind_frame_keeps_the_last_obstacles_with_their_stamp(caplog):
         after = update(system, context)
         context.SetTime(3.0)
         update(system, context)
-    assert (after.stamp, after.note) == (1.0, "no valid pixel")
+    assert (after.stamp, after.note) == (1.0, "hardly any depth is measured")
     np.testing.assert_array_equal(after.clouds_W[0], before.clouds_W[0])
     assert len(caplog.records) == 1  # once, not every frame
     give(system, context, image=good)
@@ -82,7 +82,7 @@ def test_before_any_good_frame_there_is_nothing_and_a_reason():
     assert len(system.GetOutputPort("obstacles_W").Eval(context)) == 0
     obstacles = update(system, context)
     assert (len(obstacles), obstacles.stamp) == (0, -np.inf)
-    assert obstacles.note == "no valid pixel"
+    assert obstacles.note == "hardly any depth is measured"
 
 
 def test_an_image_of_another_size_is_refused():
@@ -132,7 +132,7 @@ def test_a_blind_or_late_image_of_one_camera_is_left_out():
     give(system, context, "right", 0.1, np.full((240, 320), np.nan))
     give(system, context, "left", 0.1)
     blind = update(system, context)
-    assert (blind.stamp, blind.note) == (0.0, "right: no valid pixel")
+    assert (blind.stamp, blind.note) == (0.0, "right: hardly any depth is measured")
     # Late ones, as of a driver that has fallen behind, are of another instant.
     give(system, context, "left", 0.3)
     give(system, context, "right", 0.2, table_with_block())

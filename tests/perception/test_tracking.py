@@ -201,7 +201,7 @@ def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
     # At 2.8 m a step of the depth is as far as the obstacle goes in a frame.
     poses, K = [look_at([2.6, 0.4, 1.2], [0.0, 0.0, 0.2])], [580.0, 580.0, 159.5, 119.5]
     memory = ObstacleMemory()
-    for k in range(36):
+    for k in range(33):
         p_WO = np.array([-0.2 + 0.6 * FRAME * max(k - 12, 0), 0.0, 0.3])
         boxes = [box(p_WO, [0.2] * 3)]
         memory = play(boxes, memory=memory, start=k * FRAME, noise=True, K=K, poses=poses)
@@ -214,7 +214,7 @@ def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
 
 def test_a_moving_obstacle_keeps_its_id_behind_the_arm_and_is_not_carried_away():
     drawn, robot = arm([0.6, -0.02, 0.35], [0.05, 0.08, 0.6])
-    memory, notes = ObstacleMemory(), []
+    memory = ObstacleMemory()
     for k in range(45):
         p_WO = np.array([0.15, -0.4 + 0.4 * k * FRAME, 0.06])
         seen = [box(p_WO, [0.1, 0.1, 0.12]), drawn]
@@ -227,10 +227,7 @@ def test_a_moving_obstacle_keeps_its_id_behind_the_arm_and_is_not_carried_away()
     drawn, robot = arm([0.6, 0.25, 0.35], [0.05, 0.5, 0.6])
     for k in range(45, 75):
         memory = play([drawn], memory=memory, start=k * FRAME, robot=robot)
-        notes.append(memory.obstacles.note)
-    assert any("obstacle 0 has moved on unseen for 0.3" in note for note in notes)
     assert not memory.obstacles.v_WO.any()
-    assert notes[-1] == ""
     assert middle(memory.obstacles.clouds_W[0])[1] < p_WO[1] + 0.3
 
 
