@@ -611,14 +611,13 @@ def seen_sides(
     seen = np.asarray(np.bincount(row, area, minlength=count), dtype=float)
     place = np.full((count, 3, 2), np.nan)
     for m in np.unique(row):
-        mine, tail = row == m, min(_SIDE_TAIL * max(seen[m], known_area[m]) / seen[m], 1.0)
-        place[m] = np.quantile(
-            points[mine],
-            [tail, 1.0 - tail],
-            axis=0,
-            weights=area[mine],
-            method="inverted_cdf",
-        ).T
+        mine, tail = row == m, _SIDE_TAIL * max(seen[m], known_area[m])
+        for k, along in enumerate(points[mine].T):
+            order = along.argsort()
+            size = area[mine][order]
+            # Beyond each side lies an area of `tail`.
+            place[m, k, 0] = np.interp(tail, size.cumsum(), along[order])
+            place[m, k, 1] = np.interp(tail, size[::-1].cumsum(), along[order[::-1]])
     ends = np.isfinite(place)
     if parts:
         table = frame.table or TablePlane(offset=-np.inf)
