@@ -162,13 +162,13 @@ class MotionGuard(LeafSystem):
       - torque_saturation (optional)
       output_ports:
       - desired_joint_state
+      - path_state
+      - tracking_error
+      - orientation_error
       - desired_joint_acceleration
       - speed_scale
       - evasion
       - decision
-      - path_state
-      - tracking_error
-      - orientation_error
       - guard_action
       - guard_contact
       - guard_claim
