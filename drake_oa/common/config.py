@@ -260,6 +260,10 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
         return f"{place}: tag {tag} is not one of {tags}{did_you_mean(tag, tags.split(', '))}"
     if error["type"] == "value_error":
         return f"{place}: {context['error']}{unit}"
+    if error["type"] == "missing":
+        return f"{place}: is missing"
+    if error["type"] in ("dataclass_type", "dict_type"):
+        return f"{place}: expected a block of field: value, not {given!r}"
     return f"{place}: {error['msg'].removeprefix('Input ')}{unit}, not {given!r}"
 
 
