@@ -167,7 +167,7 @@ def run(
                 complain(str(error))
                 return FAILED
         else:
-            _simulate_both(this)
+            _simulate_both(this, log_file)
         status = _report(this, json, log_file)
     if isinstance(this.failure, KeyboardInterrupt):
         complain(str(this.failure) or "interrupted")
@@ -278,9 +278,10 @@ def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Pa
             file.unlink()
 
 
-def _simulate_both(this: _Run) -> None:
+def _simulate_both(this: _Run, log_file: Path | None) -> None:
     """Simulates both motions; ends after one that is cut short."""
     from drake_oa.diagrams.avoidance import build_avoidance
+    from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
 
@@ -292,6 +293,10 @@ def _simulate_both(this: _Run) -> None:
     panel = _open_panel(this)
     run_motion = partial(simulate, this.scenario, duration=this.duration)
     _add_motion(this, "preplanned", partial(run_motion, modulated=False))
+    if log_file is not None:
+        # Nothing is lost by what comes next; `_report` tells of a file that cannot be written.
+        with contextlib.suppress(OSError):
+            save_logs(log_file, this.logs)
     if this.failure is None:
         _add_motion(this, "modulated", partial(run_motion, modulated=True, diagram=built), panel)
 

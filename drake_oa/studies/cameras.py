@@ -25,10 +25,10 @@ from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import Solids, least_distances, shape_solids, solids_of
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
+from drake_oa.runs.camera_placement import placed_around
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.viewing.viewer import looking_pose
 
 MIDDLE = np.array([0.4, 0.0, 0.3])
 """Point that the cameras of `seen_from` look at [m]."""
@@ -50,22 +50,6 @@ ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
 APART = 0.15
 """Minimum distance of a camera, and of its first 0.8 m of sight to the middle, to obstacles [m]."""
 _NEAREST = 0.8
-
-
-def placed_around(
-    middle: FloatArray, azimuth: float, elevation: float, away: float
-) -> RigidTransform:
-    """Computes the pose X_WC of a camera that looks at a point from a distance, x axis level.
-
-    Args:
-        middle: (3,) the point in the world [m].
-        azimuth: angle of the way to the camera about the vertical, from the world's x axis [rad].
-        elevation: angle of that way above the horizontal [rad].
-        away: its length [m].
-    """
-    level = math.cos(elevation)
-    way = [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
-    return looking_pose(RigidTransform(), middle + away * np.array(way), middle)
 
 
 def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:

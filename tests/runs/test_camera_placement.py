@@ -1,20 +1,31 @@
-"""Unseen share of scenarios."""
+"""Unseen share of scenarios, and the places that are suggested."""
+
+import re
 
 import pytest
 
-from drake_oa.runs.camera_placement import view_note
-from drake_oa.scenario.loading import load_scenario
+from drake_oa.runs.camera_placement import LARGE_SHARE, unseen_near, view_note
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 
 
-@pytest.mark.parametrize(
-    ("name", "overrides", "begin"),
-    [
-        ("moving_obstacle", [], "cameras: 1"),
-        ("tabletop_box", [], "cameras: "),
-        ("tabletop_box", ["perception=!GroundTruth {}"], ""),
-    ],
-)
-def test_the_unseen_share_of_the_space_near_the_arm_is_told(name, overrides, begin):
-    note = view_note(load_scenario(name, overrides))
-    assert note.startswith(begin)
-    assert note.endswith("% of the space within 0.4 m of the arm is unseen" if begin else "")
+def test_the_cameras_of_a_moving_scenario_see_most_of_the_space():
+    note = view_note(load_scenario("moving_obstacle"))
+    assert re.fullmatch(r"cameras: 1\d% of the space within 0.4 m of the arm is unseen", note)
+
+
+def test_nothing_is_said_without_cameras():
+    assert view_note(load_scenario("tabletop_box", ["perception=!GroundTruth {}"])) == ""
+
+
+def test_a_suggested_place_leaves_as_much_as_it_says():
+    scenario = load_scenario("tabletop_box")
+    note = view_note(scenario)
+    before, after = (int(share) / 100 for share in re.findall(r"(\d+)%", note))
+    assert before == pytest.approx(unseen_near(scenario, scenario.perception), abs=0.005)
+    assert after < LARGE_SHARE < before
+    pose = re.search(r"X_PB: (\{.*\}) and segmentation", note)
+    assert pose is not None
+    text = scenario_text(scenario).replace("far: 2.5", "far: 3.5")
+    begin, end = text.index("  X_PB:"), text.index("  background:")
+    moved = parse_scenario(f"{text[:begin]}  X_PB: {pose[1]}\n{text[end:]}")
+    assert unseen_near(moved, moved.perception) == pytest.approx(after, abs=0.01)
