@@ -80,8 +80,12 @@ def _simulated_camera(
     ]
     with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         intrinsics = depth_intrinsics(config)
+        noise = _noise(scenario, config, intrinsics)
+    # Its errors name the fields themselves.
+    rendering = BackgroundCamera(scenario, config, noise)
+    with field_errors(f"cameras: camera '{config.name}'", ValueError):
         system = LateCamera(
-            BackgroundCamera(scenario, config, _noise(scenario, config, intrinsics)),
+            rendering,
             intrinsics,
             num_states=plant.num_multibody_states(),
             period=1.0 / config.fps,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
+import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,8 +52,12 @@ def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
                 folder = tempfile.mkdtemp(dir=made.parent)
                 for row, piece in enumerate(pieces):
                     open3d.io.write_triangle_mesh(f"{folder}/{row:03d}.obj", piece)
-            with contextlib.suppress(FileExistsError):
-                Path(folder).rename(made)
+                try:
+                    Path(folder).rename(made)
+                except OSError:
+                    if not made.is_dir():
+                        raise
+                    shutil.rmtree(folder)
     except OSError as error:
         raise ValueError(f"{error}; XDG_CACHE_HOME names another folder for meshes") from None
     return sorted(made.glob("*.obj"))
