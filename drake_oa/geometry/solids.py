@@ -381,6 +381,12 @@ class SolidScene(Frozen):
         return replace(self, solids=self.solids.chosen(rows), labels=labels)
 
     @property
+    def is_finite(self) -> bool:
+        """Whether all places and velocities are; the radius of a half-space is not."""
+        solids = self.solids
+        return bool(np.isfinite(solids.X_WO).all() and np.isfinite(solids.ball[:, 4:]).all())
+
+    @property
     def moves(self) -> bool:
         """Whether any of them does."""
         return bool(self.solids.moving.any())

@@ -71,7 +71,7 @@ _COSTS = Thinking()
 """Cost of the work of a search; the decision does not depend on a scenario's `thinking`."""
 MISSED = 2e-3
 """Largest error of the tool's pose with which the arm follows a path [m, rad]."""
-ASTRAY = 0.1
+ASTRAY = 0.02
 """Distance from the goal beyond which the end of a motion is no arrival, in baselines."""
 BAD = 10.0
 """Additional cost of a motion that does not achieve the clearance or does not arrive."""

@@ -324,6 +324,10 @@ class MotionGuard(LeafSystem):
             x[self._size + self._index] = state.path[self._n :]
         return x
 
+    def _scene(self, context: Context) -> SolidScene:
+        scene = self._solids.read(context)
+        return scene if scene.is_finite else SolidScene(note="the solids are not finite")
+
     def _arm_state(self, context: Context) -> tuple[FloatArray, FloatArray]:
         """Returns positions and velocities of the arm's joints, (n,) each."""
         x = self._robot.Eval(context)
@@ -362,7 +366,7 @@ class MotionGuard(LeafSystem):
         if before.thoughts.made(time) is not None:
             before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
         before = self._reacted(before, q, v, time)
-        scene = self._solids.read(context)
+        scene = self._scene(context)
         before = self._supervised(context, before, scene, time)
         if time > before.expires and not before.decision.follows:
             before = self._braked(before, before.x)
@@ -495,7 +499,7 @@ class MotionGuard(LeafSystem):
         held = state.get_mutable_abstract_state(self._state)
         before: GuardState = held.get_value()
         time = context.get_time()
-        scene = self._solids.read(context)
+        scene = self._scene(context)
         if before.thoughts.pending is not None or -math.inf in (scene.stamp, before.end):
             return EventStatus.DidNothing()
         sight = self._sight(context, before, scene, time)
