@@ -127,7 +127,7 @@ def test_a_wheel_with_compiled_kernels_compiles_nothing(tmp_path: Path) -> None:
         env=os.environ | {"NUMBA_DEBUG_CACHE": "1", "PYTHONPATH": ""},
     )
     loaded = [line for line in answer.stdout.splitlines() if "data loaded from" in line]
-    assert loaded
+    assert len(loaded) > 15
     assert all(str(packages) in line for line in loaded)
     assert "data saved to" not in answer.stdout
     assert "compiling" not in answer.stderr

@@ -232,7 +232,7 @@ def plain_data(value: Any) -> Any:
 
 def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
     """One line on an error: the full name of the field, the problem and the valid values."""
-    place, block, unit = where, _block(kind), ""
+    place, block, unit, limits = where, _block(kind), "", list[str]()
     for part in error["loc"]:
         if isinstance(part, int):
             place += f"[{part}]"
@@ -244,7 +244,7 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
         if part in (fields := getattr(block, "__pydantic_fields__", {})):
             bracket = re.search(r" \[[^\]]+\]", _description(block, part).split("\n\n")[0])
             kind, unit = fields[part].annotation, bracket[0] if bracket else ""
-            block = _block(kind)
+            block, limits = _block(kind), _limits(fields[part].metadata)
     context, given = error.get("ctx", {}), error["input"]
     if error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         if error["loc"][-1] == "_tag":
@@ -260,11 +260,25 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
         return f"{place}: tag {tag} is not one of {tags}{did_you_mean(tag, tags.split(', '))}"
     if error["type"] == "value_error":
         return f"{place}: {context['error']}{unit}"
+    if error["type"].startswith(("greater", "less")) and limits:
+        return f"{place}: must be {' and '.join(limits)}{unit}, not {given!r}"
     if error["type"] == "missing":
         return f"{place}: is missing"
     if error["type"] in ("dataclass_type", "dict_type"):
         return f"{place}: expected a block of field: value, not {given!r}"
-    return f"{place}: {error['msg'].removeprefix('Input ')}{unit}, not {given!r}"
+    message = re.sub(r"List (.*) items? after.*", r"\1 values", error["msg"])
+    return f"{place}: {message.removeprefix('Input ')}{unit}, not {given!r}"
+
+
+def _limits(metadata: Iterable[Any]) -> list[str]:
+    """Returns the limits in the metadata of a field of one number, as text."""
+    signs = {"gt": ">", "ge": ">=", "le": "<="}
+    return [
+        f"{sign} {getattr(item, name):g}"
+        for item in metadata
+        for name, sign in signs.items()
+        if hasattr(item, name)
+    ]
 
 
 def _block(kind: Any, tag: str = "") -> Any:

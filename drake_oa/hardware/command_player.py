@@ -66,7 +66,7 @@ _PATIENCE = 0.3
 _RESTART_TOLERANCE = 0.03
 """Maximum distance of a joint from its command when the motion resumes from rest [rad]."""
 _ASTRAY, _ASTRAY_TIME = 0.1, 0.2
-"""Distance of a joint from all its commands of so long that stops the run [rad, s]."""
+"""Distance of a joint from all commands of a period that stops the run [rad], and period [s]."""
 EXPIRY = 0.1
 """Time for which the arm follows a command, and maximum difference of its stamp from the wall clock
 [s]. The vendor's driver has the same."""

@@ -32,8 +32,9 @@ class Verified:
     """Motions verified by whole-arm roll-outs among the obstacles' shapes."""
 
     chain: str | None = "package://drake_oa/weights/paper_chain_running.safetensors"
-    """Weights of the paper's regressor chain, whose rows together are one candidate motion: a
-    package:// URL, or a file relative to the scenario; null: no such motion."""
+    """Weights of the paper's regressor chain, whose rows together are one candidate motion,
+    and each alone a first candidate of the search: a package:// URL, or a file relative to the
+    scenario; null: no such motions."""
     candidates: int = Field(default=32, ge=8, le=4096)
     """Number of motions rolled out in each iteration of the search [1]. Raising it searches more
     widely."""

@@ -38,16 +38,7 @@ _CONFIGURATIONS = 5
 """Number of configurations between start and goal."""
 
 
-def unseen_near(scenario: Scenario, source: CameraSource) -> float:
-    """Computes the share that the cameras of perception do not see of the space near the arm.
-
-    The arm is at the start, and along the pre-planned motion.
-    """
-    views = view_volumes(scenario, source)
-    return unseen_share(*_spheres_along(scenario), scenario.table_height, views)
-
-
-def _spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+def spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     """Computes centers (T, S, 3) and radii (S,) of the arm along the pre-planned motion [m]."""
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
@@ -110,7 +101,7 @@ def view_note(scenario: Scenario) -> str:
     source = scenario.perception
     if not isinstance(source, CameraSource):
         return ""
-    p_WS, radius = _spheres_along(scenario)
+    p_WS, radius = spheres_along(scenario)
     share_of = partial(unseen_share, p_WS, radius, scenario.table_height)
     share = share_of(view_volumes(scenario, source))
     note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unseen"

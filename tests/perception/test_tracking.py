@@ -201,7 +201,7 @@ def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
     # At 2.8 m a step of the depth is as far as the obstacle goes in a frame.
     poses, K = [look_at([2.6, 0.4, 1.2], [0.0, 0.0, 0.2])], [580.0, 580.0, 159.5, 119.5]
     memory = ObstacleMemory()
-    for k in range(33):
+    for k in range(36):
         p_WO = np.array([-0.2 + 0.6 * FRAME * max(k - 12, 0), 0.0, 0.3])
         boxes = [box(p_WO, [0.2] * 3)]
         memory = play(boxes, memory=memory, start=k * FRAME, noise=True, K=K, poses=poses)

@@ -4,8 +4,9 @@ import re
 
 import pytest
 
-from drake_oa.runs.camera_placement import LARGE_SHARE, unseen_near, view_note
+from drake_oa.runs.camera_placement import LARGE_SHARE, view_note
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from tests.builders import unseen_near
 
 
 def test_the_cameras_of_a_moving_scenario_see_most_of_the_space():
@@ -21,11 +22,11 @@ def test_a_suggested_place_leaves_as_much_as_it_says():
     scenario = load_scenario("tabletop_box")
     note = view_note(scenario)
     before, after = (int(share) / 100 for share in re.findall(r"(\d+)%", note))
-    assert before == pytest.approx(unseen_near(scenario, scenario.perception), abs=0.005)
+    assert before == pytest.approx(unseen_near(scenario), abs=0.005)
     assert after < LARGE_SHARE < before
     pose = re.search(r"X_PB: (\{.*\}) and segmentation", note)
     assert pose is not None
     text = scenario_text(scenario).replace("far: 2.5", "far: 3.5")
     begin, end = text.index("  X_PB:"), text.index("  background:")
     moved = parse_scenario(f"{text[:begin]}  X_PB: {pose[1]}\n{text[end:]}")
-    assert unseen_near(moved, moved.perception) == pytest.approx(after, abs=0.01)
+    assert unseen_near(moved) == pytest.approx(after, abs=0.01)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drake_oa.perception.config import GroundTruth
-from drake_oa.runs.camera_placement import unseen_near
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.studies.panda.scene_arm import scene_arm
@@ -17,6 +16,7 @@ from drake_oa.studies.panda.scene_parts import (
     footprint_radius,
 )
 from drake_oa.studies.panda.scenes import KINDS, MOVING_KINDS, draw_panda_scene
+from tests.builders import unseen_near
 
 DIGESTS = """
 tabletop 05833eed moving 8c8163c2 elbow 3ca6ac0d clutter6 b031fd7f moving_hard a557fa02
@@ -52,7 +52,7 @@ def test_cameras_of_moving_scenes_see_most_of_the_space_near_the_arm(scenes, kin
     # The goals of DRPBench's levels are in places that one camera sees less well.
     by_one = 0.2 if kind.startswith("drp") else 0.15
     for scene, most in ((scenes[kind], by_one), (two, 0.01)):
-        assert unseen_near(scene, scene.perception) < most
+        assert unseen_near(scene) < most
         # Nothing stands in their sight.
         assert len(scene.directives) == 1
 
