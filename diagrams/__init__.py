@@ -3,10 +3,10 @@
 In: a `Scenario`. Out: a Drake `Diagram` with the simulated station, all layers between its
 camera and its torques, and loggers.
 
-The layers, in the order data flows: station, perception, solids, descriptor, regulation, route,
+The layers, in the order data flows: station, perception, solids, descriptor, inference, route,
 verification, policy, posture, safety, control; besides them faults and view. Each has an
 `add_<layer>(wires, scenario, station)` that makes the layer's systems from their blocks of the
-scenario and adds them to `drake_oa.common.wires.Wires`, where signals have names, and all is
+scenario and adds them to `drake_oa.common.signal_builder.SignalBuilder`, where signals have names, and all is
 connected at the end. A layer's own folder knows neither scenario nor station; only these modules
 join them.
 
@@ -16,14 +16,14 @@ Signals, with who offers them (`avoidance.Layers` says who reads them):
     depth_image, camera_pose, image_stamp                  station: the camera; of several cameras
                                                            with _NAME behind it
     obstacles_W, cloud, views                              perception
-    solids_W                                               solids
+    collision_scene_W                                               solids
     ellipsoids_W                                           ellipsoid_descriptor
     proposed_parameters (`!Paper`: coupling_parameters)    regressor_chain
     proposed_route (`!Paper`: route)                       cost_ring_selector
     coupling_parameters, route, motion, demonstration      motion_verifier
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
-    desired_posture                                        posture_follower
-    desired_joint_state, speed_scale, evasion              motion_guard
+    desired_posture                                        nominal_posture_source
+    desired_joint_state, speed_scale, evasion_velocity              motion_guard
     actuation, tracking_error, torque_saturation           controller
 
 The files `*.scenario.yaml` are the shipped scenarios. Read `avoidance` first.

@@ -1,7 +1,7 @@
 """The whole diagram: a robot that sees obstacles and goes round them.
 
 Each layer adds its systems by a function of its own, and all are connected by the names of
-their signals (`drake_oa.common.wires`). A layer of one's own takes a layer's place:
+their signals (`drake_oa.common.signal_builder`). A layer of one's own takes a layer's place:
 
     build_avoidance(scenario, layers=replace(Layers(), perception=my_source))
 
@@ -21,20 +21,20 @@ from dataclasses import dataclass, fields, replace
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from drake_oa.common.wires import Wires
+from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.diagrams.control import add_control, add_posture, add_safety
 from drake_oa.diagrams.faults import add_faults
-from drake_oa.diagrams.motion import add_policy, add_regulation, add_route, add_verification
-from drake_oa.diagrams.perception import add_descriptor, add_perception, add_solids
-from drake_oa.diagrams.station import Cell, add_station
+from drake_oa.diagrams.motion import add_inference, add_policy, add_route, add_verification
+from drake_oa.diagrams.perception import add_collision_scene, add_descriptor, add_perception
+from drake_oa.diagrams.station import StationModel, add_station
 from drake_oa.diagrams.view import add_view
 from drake_oa.scenario.scenario import Scenario
 
-AddLayer = Callable[[Wires, Scenario, Cell | None], None]
+AddLayer = Callable[[SignalBuilder, Scenario, StationModel | None], None]
 """Adds a layer's systems to the wires; the station is None without a robot."""
 
 
-def nothing(wires: Wires, scenario: Scenario, station: Cell | None) -> None:
+def no_op(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds nothing, in place of a layer."""
 
 
@@ -44,27 +44,27 @@ class Layers:
 
     Attributes:
         perception: offers obstacles_W (`ObstacleClouds`, with velocities), and cloud for a viewer.
-        solids: obstacles_W -> solids_W (`SolidScene`), unless perception offers them.
+        collision_scene: obstacles_W -> collision_scene_W (`CollisionScene`), unless perception offers them.
         descriptor: obstacles_W -> ellipsoids_W (`EllipsoidSet`), unless these are given.
-        regulation: ellipsoids_W, policy_state, goal -> coupling_parameters, or with verification
+        inference: ellipsoids_W, policy_state, goal -> coupling_parameters, or with verification
             proposed_parameters.
         route: the same and coupling_parameters -> route, or with verification proposed_route.
-        verification: proposed_parameters, proposed_route, solids_W, ellipsoids_W, robot_state,
+        verification: proposed_parameters, proposed_route, collision_scene_W, ellipsoids_W, robot_state,
             policy_state, goal -> coupling_parameters, route, motion and demonstration; nothing
             with `!Paper`.
         policy: goal, and dmp_integrator: ellipsoids_W, coupling_parameters, route, speed_scale,
-            evasion -> policy_state, phase and desired_position, _velocity, _acceleration.
+            evasion_velocity -> policy_state, phase and desired_position, _velocity, _acceleration.
         posture: motion, policy_state -> desired_posture.
-        safety: solids_W, robot_state, policy_state, motion, desired_posture and the desired motion
+        safety: collision_scene_W, robot_state, policy_state, motion, desired_posture and the desired motion
             of the tool -> desired_joint_state and _acceleration, path_state, speed_scale and
-            evasion; nothing with `!Paper`.
+            evasion_velocity; nothing with `!Paper`.
         control: robot_state and the desired motion -> actuation, torque_saturation.
     """
 
     perception: AddLayer = add_perception
-    solids: AddLayer = add_solids
+    collision_scene: AddLayer = add_collision_scene
     descriptor: AddLayer = add_descriptor
-    regulation: AddLayer = add_regulation
+    inference: AddLayer = add_inference
     route: AddLayer = add_route
     verification: AddLayer = add_verification
     policy: AddLayer = add_policy
@@ -73,32 +73,40 @@ class Layers:
     control: AddLayer = add_control
 
 
-def unmodulated(layers: Layers) -> Layers:
+def without_avoidance(layers: Layers) -> Layers:
     """The same without what bends the motion: nothing is seen, decided or held."""
-    blind = ("perception", "solids", "descriptor", "regulation", "route", "verification", "safety")
-    return replace(layers, **dict.fromkeys(blind, nothing))
+    blind = (
+        "perception",
+        "collision_scene",
+        "descriptor",
+        "inference",
+        "route",
+        "verification",
+        "safety",
+    )
+    return replace(layers, **dict.fromkeys(blind, no_op))
 
 
 def build_avoidance(
     scenario: Scenario,
     *,
-    modulated: bool = True,
+    avoid_obstacles: bool = True,
     layers: Layers | None = None,
-    customize: Callable[[Wires], None] | None = None,
+    customize: Callable[[SignalBuilder], None] | None = None,
     meshcat: Meshcat | None = None,
-    add_cell: Callable[..., Cell | None] = add_station,
+    add_station_model: Callable[..., StationModel | None] = add_station,
 ) -> Diagram:
-    """Wires a scenario.
+    """SignalBuilder a scenario.
 
     The diagram exports desired_position, phase and policy_state.
 
     Args:
         scenario: what to build.
-        modulated: whether the motion is bent round obstacles; see `unmodulated`.
+        avoid_obstacles: whether the motion is bent round obstacles; see `without_avoidance`.
         layers: what adds each layer; None: `Layers()`.
         customize: called with the wires before they are connected.
         meshcat: viewer, or None.
-        add_cell: adds the robot and its cameras, called as `add_station`: simulated ones, or those
+        add_station_model: adds the robot and its cameras, called as `add_station`: simulated ones, or those
             that there are.
 
     Raises:
@@ -107,18 +115,18 @@ def build_avoidance(
             signal that nothing offers.
     """
     layers = layers or Layers()
-    if not modulated:
-        layers = unmodulated(layers)
-    wires = Wires(DiagramBuilder())
-    station = add_cell(wires, scenario, modulated=modulated)
+    if not avoid_obstacles:
+        layers = without_avoidance(layers)
+    signals = SignalBuilder(DiagramBuilder())
+    station = add_station_model(signals, scenario, avoid_obstacles=avoid_obstacles)
     for layer in fields(layers):
-        getattr(layers, layer.name)(wires, scenario, station)
-    add_faults(wires, scenario, station)
+        getattr(layers, layer.name)(signals, scenario, station)
+    add_faults(signals, scenario, station)
     if meshcat is not None:
-        add_view(wires, scenario, station, meshcat)
+        add_view(signals, scenario, station, meshcat)
     if customize is not None:
-        customize(wires)
-    wires.connect()
-    diagram = wires.builder.Build()
+        customize(signals)
+    signals.connect()
+    diagram = signals.builder.Build()
     diagram.set_name("avoidance")
     return diagram

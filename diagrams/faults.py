@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.wires import Wires
-from drake_oa.diagrams.station import Cell
+from drake_oa.common.signal_builder import SignalBuilder
+from drake_oa.diagrams.station import StationModel
 from drake_oa.scenario.faults import Push, TorqueSaturation
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
@@ -15,7 +15,9 @@ from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
 
 
-def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+def add_faults(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
     """Inserts the scenario's fault models into their signals, and adds the movers of obstacles.
 
     Where mover_<model instance> drive obstacles, the world is logged.
@@ -23,41 +25,43 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     Raises:
         ScenarioError: naming the push of a link that the robot does not have.
     """
-    if cell is None:
+    if station_model is None:
         return
-    plant = cell.plant
+    plant = station_model.plant
     weak = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
     if weak:
-        actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(cell.robot))
+        actuators = map(
+            plant.get_joint_actuator, plant.GetJointActuatorIndices(station_model.robot)
+        )
         limits = np.array([item.effort_limit() for item in actuators])
-        wires.interpose("actuation", "weak_actuators", WeakActuators(weak, limits))
+        signals.interpose("actuation", "weak_actuators", WeakActuators(weak, limits))
     pushes = []
     for number, fault in enumerate(scenario.faults):
         if not isinstance(fault, Push):
             continue
         link = fault.body or robot_of(scenario).hand_link
-        if not plant.HasBodyNamed(link, cell.robot):
-            links = [plant.get_body(i).name() for i in plant.GetBodyIndices(cell.robot)]
+        if not plant.HasBodyNamed(link, station_model.robot):
+            links = [plant.get_body(i).name() for i in plant.GetBodyIndices(station_model.robot)]
             raise ScenarioError(
                 f"faults[{number}].body: the robot has no link '{link}'; it has {', '.join(links)}"
             )
-        pushes.append((fault, plant.GetBodyByName(link, cell.robot).index()))
+        pushes.append((fault, plant.GetBodyByName(link, station_model.robot).index()))
     if pushes:
-        wires.add("push", ExternalPush(pushes))
-        wires.take("spatial_forces", plant.get_applied_spatial_force_input_port())
-    movers = make_obstacle_movers(scenario, cell)
+        signals.add("push", ExternalPush(pushes))
+        signals.add_sink("spatial_forces", plant.get_applied_spatial_force_input_port())
+    movers = make_obstacle_movers(scenario, station_model)
     for name, mover in movers.items():
         instance = plant.GetModelInstanceByName(name)
-        wires.offer(f"{name}_state", plant.get_state_output_port(instance))
-        wires.add(
+        signals.add_source(f"{name}_state", plant.get_state_output_port(instance))
+        signals.add(
             f"mover_{name}",
             mover,
-            reads={"obstacle_state": f"{name}_state"},
-            offers={"force": f"{name}_force"},
+            inputs={"obstacle_state": f"{name}_state"},
+            outputs={"force": f"{name}_force"},
         )
-        wires.take(f"{name}_force", plant.get_actuation_input_port(instance))
+        signals.add_sink(f"{name}_force", plant.get_actuation_input_port(instance))
     if movers:
-        wires.log("plant_state")
+        signals.log("plant_state")
 
 
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:

@@ -19,16 +19,16 @@ from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.wires import Wires
-from drake_oa.diagrams.station import Cell
+from drake_oa.common.signal_builder import SignalBuilder
+from drake_oa.diagrams.station import StationModel
+from drake_oa.inference.config import Verified
+from drake_oa.inference.regressor import check_action_level, load_chain
+from drake_oa.inference.regressor_chain import RegressorChain
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, minimum_jerk_orientation
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
-from drake_oa.regulation.config import Verified
-from drake_oa.regulation.regressor import check_action_level, load_chain
-from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.route.cost_ring_selector import CostRingSelector
@@ -47,22 +47,24 @@ from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.task import goal_trajectory
 
 
-def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+def add_policy(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
     """Adds goal, dmp_integrator and, where the tool's orientation changes, its integrator.
 
-    Reads ellipsoids_W, coupling_parameters, route, speed_scale and evasion, each if offered.
+    Reads ellipsoids_W, coupling_parameters, route, speed_scale and evasion_velocity, each if offered.
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
     if task.goal_moves:
         goal = TrajectorySource(goal_trajectory(task))
-    wires.add("goal", goal, offers={"y0": "goal"})
+    signals.add("goal", goal, outputs={"y0": "goal"})
     start = np.asarray(task.start, dtype=float)
-    wires.add("dmp_integrator", DmpIntegrator(make_dmp(scenario), start, config=policy))
-    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
-    wires.export("desired_position", "phase", "policy_state")
-    held = None if cell is None else tool_orientation(scenario)
-    if held is None and cell is not None and "demonstration" in wires:
+    signals.add("dmp_integrator", DmpIntegrator(make_dmp(scenario), start, config=policy))
+    signals.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
+    signals.export("desired_position", "phase", "policy_state")
+    held = None if station_model is None else tool_orientation(scenario)
+    if held is None and station_model is not None and "demonstration" in signals:
         # A path in the joints turns the tool, which stays as at the start until then.
         R_WE = end_rotations(scenario)[0].matrix()
         held = ToolOrientation(minimum_jerk_orientation(alpha_k=policy.alpha_k), R_WE, R_WE)
@@ -70,8 +72,8 @@ def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
         integrator = OrientationIntegrator(
             held.primitive, held.R_WS, held.R_WG, period=policy.period
         )
-        wires.add("orientation_integrator", integrator)
-        wires.log("desired_orientation", "orientation_error")
+        signals.add("orientation_integrator", integrator)
+        signals.log("desired_orientation", "orientation_error")
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
@@ -95,18 +97,23 @@ Rings = Mapping[str, Ring] | None
 """User-supplied costs of sides, by name; None: there are none."""
 
 
-def add_route(wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings = None) -> None:
+def add_route(
+    signals: SignalBuilder,
+    scenario: Scenario,
+    station_model: StationModel | None,
+    rings: Rings = None,
+) -> None:
     """Adds cost_ring_selector: ellipsoids_W, policy_state and goal -> route.
 
     With MotionVerifier it offers proposed_route.
     """
-    regulation = scenario.regulation
-    if "ellipsoids_W" not in wires or not (isinstance(regulation, Verified) or regulation.guided):
+    inference = scenario.inference
+    if "ellipsoids_W" not in signals or not (isinstance(inference, Verified) or inference.guided):
         return
-    offers: dict[str, str | None] = {"decision": "route", "route": "shown_route"}
-    if isinstance(regulation, Verified):
-        offers = {"decision": "proposed_route", "route": None}
-    wires.add("cost_ring_selector", make_cost_ring_selector(scenario, rings), offers=offers)
+    outputs: dict[str, str | None] = {"decision": "route", "route": "shown_route"}
+    if isinstance(inference, Verified):
+        outputs = {"decision": "proposed_route", "route": None}
+    signals.add("cost_ring_selector", make_cost_ring_selector(scenario, rings), outputs=outputs)
 
 
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
@@ -114,14 +121,14 @@ def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRing
 
     Without MotionVerifier, which rolls the arm out, its reach is a ring, too.
     """
-    regulation = scenario.regulation
-    is_verified = isinstance(regulation, Verified)
+    inference = scenario.inference
+    is_verified = isinstance(inference, Verified)
     return CostRingSelector(
         scenario.task.clearance,
         table_height=scenario.policy.table_height,
         joint_margins=None if is_verified else make_joint_margins(scenario),
         extra_rings=rings,
-        ring_price=regulation.ring_price if isinstance(regulation, Verified) else 0.5,
+        ring_weight=inference.ring_weight if isinstance(inference, Verified) else 0.5,
     )
 
 
@@ -162,78 +169,83 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
 
 
 def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
-    """Creates the function of (T,) normalised times that computes (T, 3, 3) orientations."""
+    """Creates the function of (T,) normalized times that computes (T, 3, 3) orientations."""
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
 
 
-def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Adds motion_verifier where the regulation is `!Verified`: solids_W, policy_state, goal,
+def add_verification(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
+    """Adds motion_verifier where the inference is `!Verified`: collision_scene_W, policy_state, goal,
     robot_state, and the rows and sides -> motion, demonstration, coupling_parameters and route.
 
     Raises:
         ScenarioError: without a robot or collision geometry of the obstacles.
     """
-    regulation, policy, task = scenario.regulation, scenario.policy, scenario.task
-    if not isinstance(regulation, Verified):
+    inference, policy, task = scenario.inference, scenario.policy, scenario.task
+    if not isinstance(inference, Verified):
         return
-    if cell is None:
-        raise ScenarioError("regulation: !Verified needs a robot; this scenario has null")
+    if station_model is None:
+        raise ScenarioError("inference: !Verified needs a robot; this scenario has null")
     if isinstance(scenario.perception, GivenEllipsoids):
         raise ScenarioError(
-            "regulation: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
+            "inference: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
             "ellipsoids of obstacles that are dilated by the tool"
         )
-    _tell_of_bare_links(cell)
-    chain, q_rest = cell.chain, cell.q_start[cell.chain.q_index]
+    _tell_of_bare_links(station_model)
+    chain, q_rest = station_model.chain, station_model.q_start[station_model.chain.q_index]
     q_goal = None if task.q_goal is None else np.asarray(task.q_goal, dtype=float)
     q_end = q_rest if q_goal is None else q_goal
     search = MotionSearch(
         make_dmp(scenario),
         task.clearance,
         chain,
-        cell.spheres.arrays,
-        parameters=regulation,
+        station_model.spheres.arrays,
+        parameters=inference,
         policy=policy,
         orientation=orientation_of_motion(scenario),
         posture=lambda s: posture_guide(s, q_rest, q_end),
-        overshoot=cell.spheres.overshoot,
+        protrusion=station_model.spheres.protrusion,
         q_goal=q_goal,
     )
     verifier = MotionVerifier(
         search,
         tuple(chain.q_index.tolist()),
-        cell.robot_plant.plant.num_multibody_states(),
+        station_model.robot_plant.plant.num_multibody_states(),
         period=perception_period(scenario),
-        thinking=scenario.thinking,
+        compute_latency=scenario.compute_latency,
         step=policy.period,
     )
-    wires.add(
+    signals.add(
         "motion_verifier",
         verifier,
-        reads={
+        inputs={
             "coupling_parameters": "proposed_parameters",
             "route": "proposed_route",
             # During a maneuver the arm is away from the motion that is verified.
             "robot_state": "path_state",
         },
-        offers={
+        outputs={
             "decision": "decision_regulation",
             "sides": "shown_route",
             "source": "motion_source",
         },
     )
-    wires.otherwise("path_state", "robot_state")
-    wires.log("shortfall", "lowered", "decision_regulation", "motion_source")
+    signals.set_fallback("path_state", "robot_state")
+    signals.log("shortfall", "clearance_reduction", "decision_regulation", "motion_source")
 
 
-def _tell_of_bare_links(cell: Cell) -> None:
+def _tell_of_bare_links(station_model: StationModel) -> None:
     """Warns of links that are visible, but have no collision geometry to keep clear."""
-    plant, inspector = cell.robot_plant.plant, cell.robot_plant.scene_graph.model_inspector()
+    plant, inspector = (
+        station_model.robot_plant.plant,
+        station_model.robot_plant.scene_graph.model_inspector(),
+    )
     bare = [
         body.name()
-        for body in map(plant.get_body, plant.GetBodyIndices(cell.robot_plant.instance))
-        if body.name() not in cell.spheres.bodies
+        for body in map(plant.get_body, plant.GetBodyIndices(station_model.robot_plant.instance))
+        if body.name() not in station_model.spheres.bodies
         and inspector.NumGeometriesForFrameWithRole(
             plant.GetBodyFrameIdOrThrow(body.index()), Role.kPerception
         )
@@ -244,7 +256,9 @@ def _tell_of_bare_links(cell: Cell) -> None:
         )
 
 
-def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+def add_inference(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
     """Adds regressor_chain: ellipsoids_W, policy_state -> coupling_parameters.
 
     With MotionVerifier it offers proposed_parameters.
@@ -252,18 +266,18 @@ def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     Raises:
         ScenarioError: naming the file, if weights are missing or do not fit.
     """
-    regulation = scenario.regulation
-    offers: dict[str, str] = {}
-    if isinstance(regulation, Verified):
-        if regulation.chain is None or "ellipsoids_W" not in wires:
+    inference = scenario.inference
+    outputs: dict[str, str] = {}
+    if isinstance(inference, Verified):
+        if inference.chain is None or "ellipsoids_W" not in signals:
             return
-        name, file = "chain", regulation.chain
-        offers = {"coupling_parameters": "proposed_parameters"}
+        name, file = "chain", inference.chain
+        outputs = {"coupling_parameters": "proposed_parameters"}
     else:
-        name, file = "weights", regulation.weights
-    with field_errors(f"regulation.{name}", OSError, ValueError):
+        name, file = "weights", inference.weights
+    with field_errors(f"inference.{name}", OSError, ValueError):
         path = package_file(file)
         weights = load_chain(path)
         check_action_level(weights, path)
     chain = RegressorChain(weights, scenario.task.clearance)
-    wires.add("regressor_chain", chain, offers=offers)
+    signals.add("regressor_chain", chain, outputs=outputs)

@@ -11,10 +11,11 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.primitives import MatrixGain
 
 from drake_oa.common.config import ScenarioError, field_errors
-from drake_oa.common.wires import Wires
+from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor, GivenEllipsoidSource
-from drake_oa.diagrams.station import Cell
+from drake_oa.diagrams.station import StationModel
+from drake_oa.inference.config import Paper, Verified
 from drake_oa.perception.config import (
     CameraSource,
     DepthCamera,
@@ -27,9 +28,8 @@ from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.perception.visibility import ImageRange
-from drake_oa.planning.cloud_solids import CloudSolids
-from drake_oa.planning.true_solids import TrueSolids
-from drake_oa.regulation.config import Paper, Verified
+from drake_oa.planning.ground_truth_scene import GroundTruthScene
+from drake_oa.planning.perceived_scene import PerceivedScene
 from drake_oa.robot.plant import tool_link_corners
 from drake_oa.scenario.end_poses import held_robots
 from drake_oa.scenario.perception import GivenEllipsoids
@@ -42,7 +42,7 @@ from drake_oa.scenario.sources import (
 )
 
 PIXEL_CENTER = 0.5
-"""Where Drake's VTK renderer samples the first pixel: at its centre [pixel]."""
+"""Where Drake's VTK renderer samples the first pixel: at its center [pixel]."""
 
 
 AddSource = Callable[..., None]
@@ -60,13 +60,15 @@ def register_source(block: type, add: AddSource) -> None:
         block: a dataclass, whose `period` is the time between observations [s]; a file writes
             `perception: !<name of the class> {<field>: <value>}`.
         add: adds the systems. They offer obstacles_W (`ObstacleClouds`), and cloud for a viewer;
-            and solids_W (`SolidScene`) where they know better than these points what is there.
+            and collision_scene_W (`CollisionScene`) where they know better than these points what is there.
     """
     allow_perception(block)
     SOURCES[block] = add
 
 
-def add_perception(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+def add_perception(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
     """Adds the source that the scenario's tagged block asks for.
 
     Offers obstacles_W, or ellipsoids_W where these are given.
@@ -74,52 +76,57 @@ def add_perception(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     Raises:
         ScenarioError: naming the field that does not fit.
     """
-    SOURCES[type(scenario.perception)](wires, scenario.perception, scenario, cell)
+    SOURCES[type(scenario.perception)](signals, scenario.perception, scenario, station_model)
 
 
 def _add_given(
-    wires: Wires, source: GivenEllipsoids, scenario: Scenario, cell: Cell | None
+    signals: SignalBuilder,
+    source: GivenEllipsoids,
+    scenario: Scenario,
+    station_model: StationModel | None,
 ) -> None:
-    wires.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
+    signals.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
 
 
-def _add_ground_truth(wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell) -> None:
-    plant, inspector = cell.plant, cell.scene_graph.model_inspector()
+def _add_ground_truth(
+    signals: SignalBuilder, source: GroundTruth, scenario: Scenario, station_model: StationModel
+) -> None:
+    plant, inspector = station_model.plant, station_model.scene_graph.model_inspector()
     system = GroundTruthPerception(
         plant,
         inspector,
-        cell.obstacles,
+        station_model.obstacles,
         table=table_plane(scenario),
         period=source.period,
     )
-    wires.add("perception", system)
-    if not isinstance(scenario.regulation, Verified):
+    signals.add("perception", system)
+    if not isinstance(scenario.inference, Verified):
         return
     # Of all that is not the robot.
     others = [
         body
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if instance != cell.robot
+        if instance != station_model.robot
         for body in plant.GetBodyIndices(instance)
         if plant.GetCollisionGeometriesForBody(plant.get_body(body))
     ]
     names = {
         body: name
-        for name, instance in enumerate(cell.obstacles)
+        for name, instance in enumerate(station_model.obstacles)
         for body in plant.GetBodyIndices(instance)
     }
-    solids = TrueSolids(
+    collision_scene = GroundTruthScene(
         plant,
         inspector,
         others,
         names=names,
         period=source.period,
     )
-    wires.add("solids", solids)
+    signals.add("collision_scene", collision_scene)
 
 
 def _add_recorded_clouds(
-    wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell
+    signals: SignalBuilder, source: RecordedClouds, scenario: Scenario, station_model: StationModel
 ) -> None:
     X_WC = _camera_pose(source)
     with field_errors("perception.folder", OSError, ValueError):
@@ -127,7 +134,7 @@ def _add_recorded_clouds(
             source.folder,
             X_WC=X_WC,
             config=_segmentation(source, scenario),
-            robot=cell.robot_shapes,
+            robot=station_model.robot_shapes,
             period=source.period,
         )
     if X_WC is None and perception.files_without_pose:
@@ -137,47 +144,49 @@ def _add_recorded_clouds(
             "must know where the camera was: give 'X_WC: {translation: [x, y, z], "
             "rotation: !Rpy {deg: [r, p, y]}}', or 'X_WC: {}' for a cloud in the world frame"
         )
-    wires.add("perception", perception)
+    signals.add("perception", perception)
 
 
-def _add_depth_camera(wires: Wires, source: CameraSource, scenario: Scenario, cell: Cell) -> None:
-    cameras = {name: cell.cameras[name] for name in source.names}
+def _add_depth_camera(
+    signals: SignalBuilder, source: CameraSource, scenario: Scenario, station_model: StationModel
+) -> None:
+    cameras = {name: station_model.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
     live = source if isinstance(source, LcmCamera) else None
-    plant = cell.plant
+    plant = station_model.plant
     joints = [
         joint
-        for joint in plant.GetJointIndices(cell.robot)
+        for joint in plant.GetJointIndices(station_model.robot)
         if plant.get_joint(joint).num_positions()
     ]
-    reads: dict[str, str | None] = {}
+    inputs: dict[str, str | None] = {}
     for name in cameras:
         # The self filter takes the robot as it was when the image was taken.
         at_image = source.signal("robot_state_at_image", name)
-        wires.add(
+        signals.add(
             source.signal("robot_at_image", name),
             MatrixGain(plant.MakeStateSelectorMatrix(joints)),
-            reads={"u0": source.signal("plant_state_at_image", name)},
-            offers={"y0": at_image},
+            inputs={"u0": source.signal("plant_state_at_image", name)},
+            outputs={"y0": at_image},
         )
-        reads[source.signal("robot_state", name)] = at_image
+        inputs[source.signal("robot_state", name)] = at_image
     configs = camera_configs(scenario, source)
     intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
-        robot=cell.robot_shapes,
+        robot=station_model.robot_shapes,
         pixel_center=live.pixel_center if live else PIXEL_CENTER,
         period=perception_period(scenario),
         delay=first.delay,
-        together=live.together if live else 0.0,
-        unsaid=live.max_age if live else 0.0,
+        sync_tolerance=live.sync_tolerance if live else 0.0,
+        missing_image_timeout=live.max_age if live else 0.0,
         depth_range=(
             max(config.z_near for config in configs),
             min(config.z_far for config in configs),
         ),
     )
-    wires.add("perception", perception, reads=reads)
+    signals.add("perception", perception, inputs=inputs)
 
 
 SOURCES |= {
@@ -189,23 +198,25 @@ SOURCES |= {
 }
 
 
-def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Adds solids of `!Verified`, unless the source knows them itself: obstacles_W -> solids_W."""
-    if cell is None or "solids_W" in wires or "obstacles_W" not in wires:
+def add_collision_scene(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
+    """Adds solids of `!Verified`, unless the source knows them itself: obstacles_W -> collision_scene_W."""
+    if station_model is None or "collision_scene_W" in signals or "obstacles_W" not in signals:
         return
-    if not isinstance(scenario.regulation, Verified):
+    if not isinstance(scenario.inference, Verified):
         return
     source, cameras = scenario.perception, {}
-    if isinstance(source, CameraSource) and cell.cameras:
+    if isinstance(source, CameraSource) and station_model.cameras:
         for config in camera_configs(scenario, source):
-            seen = cell.cameras[config.name].intrinsics
+            seen = station_model.cameras[config.name].intrinsics
             cameras[source.signal("camera_pose", config.name)] = ImageRange(
                 seen.focal_y(), seen.center_y(), seen.height(), config.z_near
             )
-    solids = CloudSolids(
+    collision_scene = PerceivedScene(
         period=perception_period(scenario), cameras=cameras, table=table_plane(scenario)
     )
-    wires.add("solids", solids)
+    signals.add("collision_scene", collision_scene)
 
 
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
@@ -230,12 +241,14 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
     return source.X_WC.GetDeterministicValue()
 
 
-def add_descriptor(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+def add_descriptor(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+) -> None:
     """Adds ellipsoid_descriptor where there are obstacles: obstacles_W -> ellipsoids_W."""
-    if cell is None or "obstacles_W" not in wires:
+    if station_model is None or "obstacles_W" not in signals:
         return
     goal = "goal" if scenario.task.goal_moves else None
-    wires.add("ellipsoid_descriptor", make_ellipsoid_descriptor(scenario), reads={"goal": goal})
+    signals.add("ellipsoid_descriptor", make_ellipsoid_descriptor(scenario), inputs={"goal": goal})
 
 
 def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
@@ -243,8 +256,8 @@ def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
     task = scenario.task
     held = list(map(tool_link_corners, held_robots(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
-    regulation = scenario.regulation
-    fitted = isinstance(regulation, Paper) and regulation.shape == "superquadric"
+    inference = scenario.inference
+    fitted = isinstance(inference, Paper) and inference.shape == "superquadric"
     return EllipsoidDescriptor(
         np.concatenate(links),
         method="least_squares" if fitted else "enclosing",

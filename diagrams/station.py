@@ -7,8 +7,8 @@ from functools import cached_property
 
 from drake_oa.common.config import field_errors
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.wires import Wires
-from drake_oa.geometry.solids import RobotSolids, robot_solids
+from drake_oa.common.signal_builder import SignalBuilder
+from drake_oa.geometry.collision_scene import RobotGeometries, robot_geometries
 from drake_oa.perception.config import CameraSource
 from drake_oa.robot.arm import Chain, make_chain
 from drake_oa.robot.config import Robot
@@ -22,7 +22,7 @@ from drake_oa.world.station import Station, make_station
 
 
 @dataclass(frozen=True)
-class Cell(Station):
+class StationModel(Station):
     """A station with the robot alone beside it, as the layers know it.
 
     Attributes:
@@ -42,10 +42,10 @@ class Cell(Station):
         return make_chain(plant, tool_frame, self.q_start, self.spheres.arrays)
 
     @property
-    def robot_shapes(self) -> RobotSolids:
+    def robot_shapes(self) -> RobotGeometries:
         """The robot's collision geometry, which perception does not take for an obstacle."""
         robot = self.robot_plant
-        return robot_solids(robot.plant, robot.scene_graph.model_inspector(), robot.instance)
+        return robot_geometries(robot.plant, robot.scene_graph.model_inspector(), robot.instance)
 
     @property
     def spheres(self) -> ArmSpheres:
@@ -54,8 +54,12 @@ class Cell(Station):
 
 
 def add_station(
-    wires: Wires, scenario: Scenario, *, modulated: bool = True, outside: Outside | None = None
-) -> Cell | None:
+    signals: SignalBuilder,
+    scenario: Scenario,
+    *,
+    avoid_obstacles: bool = True,
+    outside: Outside | None = None,
+) -> StationModel | None:
     """Adds plant, scene graph and, where perception looks through them, the cameras.
 
     Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
@@ -63,9 +67,9 @@ def add_station(
     behind it.
 
     Args:
-        wires: that are added to.
+        signals: that are added to.
         scenario: what to build.
-        modulated: whether anything is seen.
+        avoid_obstacles: whether anything is seen.
         outside: what cameras outside the simulation go by.
 
     Returns:
@@ -78,23 +82,25 @@ def add_station(
         return None
     robot_plant = make_robot_plant(scenario.robot)
     source = scenario.perception
-    sees = modulated and isinstance(source, CameraSource)
-    station = make_station(wires.builder, scenario, render=sees, outside=outside)
+    sees = avoid_obstacles and isinstance(source, CameraSource)
+    station = make_station(signals.builder, scenario, render=sees, outside=outside)
     q_start = start_positions(scenario)
     plant = station.plant
     plant.SetDefaultPositions(station.robot, q_start)
-    wires.offer("robot_state", plant.get_state_output_port(station.robot))
-    wires.offer("plant_state", plant.get_state_output_port())
-    wires.offer("body_poses", plant.get_body_poses_output_port())
-    wires.offer("query_object", station.scene_graph.get_query_output_port())
+    signals.add_source("robot_state", plant.get_state_output_port(station.robot))
+    signals.add_source("plant_state", plant.get_state_output_port())
+    signals.add_source("body_poses", plant.get_body_poses_output_port())
+    signals.add_source("query_object", station.scene_graph.get_query_output_port())
     if isinstance(source, CameraSource) and station.cameras:
         for name in source.names:
             camera = station.cameras[name]
-            wires.offer(source.signal("depth_image", name), camera.depth_image)
-            wires.offer(source.signal("camera_pose", name), camera.pose)
-            wires.offer(source.signal("image_stamp", name), camera.image_time)
-            wires.offer(source.signal("plant_state_at_image", name), camera.plant_state)
-    return Cell(**vars(station), scenario=scenario, robot_plant=robot_plant, q_start=q_start)
+            signals.add_source(source.signal("depth_image", name), camera.depth_image)
+            signals.add_source(source.signal("camera_pose", name), camera.pose)
+            signals.add_source(source.signal("image_stamp", name), camera.image_time)
+            signals.add_source(source.signal("plant_state_at_image", name), camera.plant_state)
+    return StationModel(
+        **vars(station), scenario=scenario, robot_plant=robot_plant, q_start=q_start
+    )
 
 
 _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}

@@ -5,37 +5,43 @@ from __future__ import annotations
 from pydrake.geometry import Meshcat
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.wires import Wires
+from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.diagrams.motion import make_cost_ring_selector, make_dmp
-from drake_oa.diagrams.station import Cell
+from drake_oa.diagrams.station import StationModel
+from drake_oa.inference.config import Paper
 from drake_oa.policy.dmp import trajectory
-from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
 from drake_oa.viewing.viewer import dress_scene, show_world
 
 
-def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> None:
+def add_view(
+    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None, meshcat: Meshcat
+) -> None:
     """Adds overlay, and the cost rings that it draws where what only reacts goes without."""
-    if isinstance(scenario.regulation, Paper) and "shown_route" not in wires:
-        offers = {"decision": None, "route": "shown_route"}
-        wires.add("cost_ring_selector", make_cost_ring_selector(scenario), offers=offers)
-    wires.add("overlay", make_overlay(scenario, cell, meshcat), reads={"route": "shown_route"})
-    if cell is not None:
-        show_world(wires.builder, cell.scene_graph, meshcat)
+    if isinstance(scenario.inference, Paper) and "shown_route" not in signals:
+        outputs = {"decision": None, "route": "shown_route"}
+        signals.add("cost_ring_selector", make_cost_ring_selector(scenario), outputs=outputs)
+    signals.add(
+        "overlay", make_overlay(scenario, station_model, meshcat), inputs={"route": "shown_route"}
+    )
+    if station_model is not None:
+        show_world(signals.builder, station_model.scene_graph, meshcat)
 
 
-def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> MeshcatOverlay:
+def make_overlay(
+    scenario: Scenario, station_model: StationModel | None, meshcat: Meshcat
+) -> MeshcatOverlay:
     """Makes the overlay of intermediate results; also sets background and camera of the viewer."""
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show
     if show is None:
         show = ["decision", "motion"]
-        show += ["descriptor"] if isinstance(scenario.regulation, Paper) else []
+        show += ["descriptor"] if isinstance(scenario.inference, Paper) else []
     robot, hand = scenario.robot, None
-    if cell is not None and robot is not None:
-        hand = cell.plant.GetBodyByName(robot.hand_link, cell.robot).index()
+    if station_model is not None and robot is not None:
+        hand = station_model.plant.GetBodyByName(robot.hand_link, station_model.robot).index()
     return MeshcatOverlay(
         meshcat,
         planned_W=_planned_path(scenario),

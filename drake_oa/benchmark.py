@@ -60,9 +60,9 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
     }
 
 
-def benchmark_table(figures: Mapping[str, Any]) -> TextTable:
+def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
     """Returns the figures of `run_benchmark` as a table with a column for each scenario."""
-    runs = {name: found["run"] for name, found in figures["scenarios"].items()}
+    runs = {name: found["run"] for name, found in metrics["scenarios"].items()}
     rows = [{"name": name, **run, **run["layers"]} for name, run in runs.items()]
     layers = dict.fromkeys(of for run in runs.values() for of in run["layers"])
     columns = [
@@ -70,7 +70,7 @@ def benchmark_table(figures: Mapping[str, Any]) -> TextTable:
         Column("real_time_factor", "real-time factor", "{:.2f}"),
         *(Column(of, f"{of} [ms/s]", "{:.1f}", 1e3) for of in layers),
     ]
-    machine = figures["machine"]
+    machine = metrics["machine"]
     return TextTable(
         columns, rows, [f"{machine['cpu']}, {machine['cores']} cores"], transposed=True
     )

@@ -18,7 +18,7 @@ def main() -> None:
     ellipsoids = descriptor.GetOutputPort("ellipsoids_W").Eval(context)
 
     print(f"obstacle {ellipsoids.ids[0]}")
-    print(f"  centre    {ellipsoids.p_WO[0].round(3)} m")
+    print(f"  center    {ellipsoids.p_WO[0].round(3)} m")
     print(f"  semi-axes {ellipsoids.semi_axes[0].round(3)} m")
 
 

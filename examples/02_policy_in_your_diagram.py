@@ -8,10 +8,10 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import EllipsoidSet
+from drake_oa.inference.regressor import load_chain
+from drake_oa.inference.regressor_chain import RegressorChain
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.regulation.regressor import load_chain
-from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.route.cost_ring_selector import CostRingSelector
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])

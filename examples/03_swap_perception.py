@@ -23,10 +23,10 @@ def known_ball(radius: float) -> ObstacleClouds:
 
 
 # In the place of the layer: whatever adds a system that offers obstacles_W.
-def my_source(wires, scenario, station):
+def my_source(signals, scenario, station):
     """Adds the source: see `drake_oa.diagrams.avoidance.Layers` for what else it may offer."""
     source = ConstantValueSource(Value(known_ball(0.05)))
-    wires.add("perception", source, offers={"y0": "obstacles_W"})
+    signals.add("perception", source, outputs={"y0": "obstacles_W"})
 
 
 # As `perception: !KnownBall {radius: 0.05}` in a scenario file: a block, and what it adds.
@@ -38,10 +38,10 @@ class KnownBall:
     period: float = 0.1
 
 
-def add_known_ball(wires, block, scenario, station):
+def add_known_ball(signals, block, scenario, station):
     """Adds the source that a block asks for."""
     source = ConstantValueSource(Value(known_ball(block.radius)))
-    wires.add("perception", source, offers={"y0": "obstacles_W"})
+    signals.add("perception", source, outputs={"y0": "obstacles_W"})
 
 
 def main(duration: float | None = None) -> None:

@@ -18,10 +18,10 @@ def never_above(scene: RingScene) -> FloatArray:
     return np.broadcast_to(above, scene.detour.shape).astype(float)
 
 
-def with_ring(wires) -> None:
+def with_ring(signals) -> None:
     """Replaces the selector by one with a ring more."""
     rings = {"people": never_above}
-    wires.replace("cost_ring_selector", make_cost_ring_selector(SCENARIO, rings))
+    signals.replace("cost_ring_selector", make_cost_ring_selector(SCENARIO, rings))
 
 
 def main(duration: float | None = None) -> None:

@@ -7,13 +7,13 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import EllipsoidSet
+from drake_oa.inference.config import Verified
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.planning.search import avoidance_terms, rows_of
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.rollout import Scene
-from drake_oa.regulation.config import Verified
 
 START, GOAL, CLEARANCE, DURATION = np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.1, 4.0
 CENTERS, RADIUS = np.array([[0.5, 0.0, -0.02], [0.6, 0.0, 0.35]]), 0.1
@@ -35,7 +35,7 @@ def main() -> None:
     search = PointSearch(scene, dmp=dmp, policy=Policy(), parameters=Verified())
     found = search.run()
     # One avoidance term about a point of its own: it belongs to neither ball.
-    rows = rows_of(avoidance_terms(scene, found.genes))
+    rows = rows_of(avoidance_terms(scene, found.params))
     coupling = dc.replace(rows, tau=max(float(found.length[0]), 1.0), verified=True)
 
     policy = DmpIntegrator(dmp, START)

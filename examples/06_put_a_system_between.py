@@ -31,9 +31,9 @@ def main(duration: float | None = None) -> None:
     log = simulate(
         scenario,
         duration=duration,
-        customize=lambda wires: wires.interpose("ellipsoids_W", "larger", Larger(0.02)),
+        customize=lambda signals: signals.interpose("ellipsoids_W", "larger", Larger(0.02)),
     )
-    print(report_table(run_report("larger obstacles", scenario, {"modulated": log})))
+    print(report_table(run_report("larger obstacles", scenario, {"avoiding": log})))
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def balls(
     ids: Sequence[int] | None = None,
     **more: object,
 ) -> EllipsoidSet:
-    """Obstacles about these centres [m]; with three radii ellipsoids along the world's axes."""
+    """Obstacles about these centers [m]; with three radii ellipsoids along the world's axes."""
     count = len(centers)
     return EllipsoidSet(
         stamp=stamp,

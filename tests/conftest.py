@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from drake_oa.evaluation.scenes.scenes import DURATION, Motions, Scenes, Setting
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import load_scenario, scenario_text
-from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting
 
 # Torch built for CUDA loads triton when it first differentiates, and triton crashes a process that
 # renders by Mesa: both contain LLVM. Nothing here needs triton, so its import fails.
@@ -96,13 +96,13 @@ def straight_log() -> Callable[..., MotionLog]:
             tracking_error=np.full(count, np.nan),
             q_world=none,
             goal=np.tile([1.0, 0.0, 0.0], (count, 1)),
-            regulation="Verified",
+            inference="Verified",
             shortfall=np.zeros(count),
             **vars(RobotLimits()),
             stop_reason="goal",
             ended="goal",
             wall_time=1.0,
-            modulated=True,
+            avoid_obstacles=True,
             scenario=scenario,
             seed=0,
             versions=("drake_oa 0.1.0",),

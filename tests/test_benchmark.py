@@ -15,17 +15,17 @@ from drake_oa.scenario.loading import load_scenario
 
 def test_runs_are_timed_with_their_systems():
     scenarios = {name: load_scenario(name) for name in ("tabletop_box", "free_space")}
-    figures = run_benchmark(scenarios, seconds=0.1)
-    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
-    assert {"drake", "drake_oa", "numpy"} <= set(figures["versions"])
-    for found in figures["scenarios"].values():
+    metrics = run_benchmark(scenarios, seconds=0.1)
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
+    assert {"drake", "drake_oa", "numpy"} <= set(metrics["versions"])
+    for found in metrics["scenarios"].values():
         assert found["run"]["real_time_factor"] > 0.0
         assert all(0.0 <= seconds < math.inf for seconds in found["run"]["layers"].values())
-    layers = figures["scenarios"]["tabletop_box"]["run"]["layers"]
+    layers = metrics["scenarios"]["tabletop_box"]["run"]["layers"]
     assert {REST, "perception", "motion_verifier", "dmp_integrator", "controller"} <= set(layers)
-    table = str(benchmark_table(figures))
+    table = str(benchmark_table(metrics))
     assert table.splitlines()[0].split() == list(scenarios)
-    assert all(name in table for name in (*layers, figures["machine"]["cpu"]))
+    assert all(name in table for name in (*layers, metrics["machine"]["cpu"]))
 
 
 def test_a_timed_run_is_the_same_motion_and_drake_is_left_as_it_was():

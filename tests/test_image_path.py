@@ -12,7 +12,7 @@ from drake_oa.scenario.loading import load_scenario
 
 PAGE = Path(__file__).parents[1] / "docs/architecture.md"
 MOST = 40
-BEFORE_PERCEPTION = {"drake_oa.world.cameras", "drake_oa.world.late_camera"}
+BEFORE_PERCEPTION = {"drake_oa.world.cameras", "drake_oa.world.delayed_camera"}
 
 
 def test_the_documented_modules_run_between_image_and_torque() -> None:

@@ -36,10 +36,10 @@ OVERRIDES = {
     "point": ["free_space"],
     "given": [
         "tabletop_box",
-        "regulation=!Paper {}",
+        "inference=!Paper {}",
         "perception=!GivenEllipsoids {ellipsoids: [{center: [0.5, 0.0, 0.2]}]}",
     ],
-    "paper": ["tabletop_box", "regulation=!Paper {}"],
+    "paper": ["tabletop_box", "inference=!Paper {}"],
     "turned": ["tabletop_box", "task.rpy_goal=[3.0, 0.0, 1.0]"],
     "moving": ["moving_obstacle", "perception=!GroundTruth {}"],
     "faults": ["tabletop_box", "faults=[!Push {}, !TorqueSaturation {}, !CameraDropout {}]"],
@@ -181,7 +181,7 @@ def test_the_diagrams_have_every_system(diagrams: dict[str, Diagram]) -> None:
     live = load_scenario("tabletop_box", ["perception=!LcmCamera {lcm_url: 'memq://'}"])
     every = [*diagrams.values(), build_avoidance(live)]
     checked = set().union(*map(checked_systems, every))
-    # Tested in tests/hardware and in tests/studies; and base classes.
+    # Tested in tests/hardware and in tests/evaluation; and base classes.
     others = {"CommandStream", "CommandedJoints", "MeasuredState", "ProgramInputs"}
     others |= {"TimedCamera", "InverseDynamics"}
     assert checked == set(system_classes()) - others

@@ -92,8 +92,8 @@ def test_installed_code_is_the_wheels(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_installed_command_runs_in_an_empty_folder(site: Path, tmp_path: Path) -> None:
-    printed = installed(site, tmp_path, "run", "tabletop_box", "--duration", "0.05")
-    assert printed.splitlines()[0].split() == ["preplanned", "modulated"]
+    published = installed(site, tmp_path, "run", "tabletop_box", "--duration", "0.05")
+    assert published.splitlines()[0].split() == ["nominal", "avoiding"]
     assert [path.name for path in tmp_path.iterdir()] == ["drake_oa_runs"]
 
 

@@ -9,7 +9,7 @@ reads its signature for the options and its docstring for the help, which is wri
     scenarios, graph    what is shipped; how it is wired
     perceive            table, clusters and ellipsoids of recorded frames
     benchmark           real-time factors, layers, decisions (`drake_oa.benchmark`)
-    evaluate            methods on suites of scenes (`drake_oa.studies`); below it `panda`, `mbm`,
+    evaluate            methods on suites of scenes (`drake_oa.evaluation`); below it `panda`, `mbm`,
                         `table1` and so on, the paper's tables and figures (`paper_tables`)
     train               the networks (`drake_oa.training`)
 

@@ -39,6 +39,6 @@ def benchmark(
     chosen = {scenario_name(name): load_scenario(name) for name in scenarios}
     check_outputs(json)
     with quiet():
-        figures = run_benchmark(chosen, seconds=seconds)
-    show(benchmark_table(figures))
-    replace_json(json, figures)
+        metrics = run_benchmark(chosen, seconds=seconds)
+    show(benchmark_table(metrics))
+    replace_json(json, metrics)

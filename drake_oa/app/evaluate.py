@@ -16,7 +16,7 @@ from drake_oa.common.files import check_outputs, import_extra, replace_json, rep
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from drake_oa.common.console import TextTable
-    from drake_oa.studies.panda.evaluation import PandaResults, PandaSuite
+    from drake_oa.evaluation.panda.evaluation import PandaResults, PandaSuite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Default folder of results, relative to the current folder."""
@@ -107,27 +107,27 @@ def evaluate_points(
         notes: lines below the first table.
         terms: whether both coupling terms alone are compared as well.
     """
-    from drake_oa.studies.scenes.evaluation import (
+    from drake_oa.evaluation.scenes.evaluation import (
         compare_terms,
         evaluate,
-        evaluation_figures,
+        evaluation_metrics,
         evaluation_tables,
         term_table,
     )
-    from drake_oa.studies.scenes.methods import load_methods
-    from drake_oa.studies.scenes.suites import SUITES, draw_scenes, line_distance
+    from drake_oa.evaluation.scenes.methods import load_methods
+    from drake_oa.evaluation.scenes.suites import SUITES, draw_scenes, line_distance
 
     drawn, suite = draw_scenes(name, count, seed or 0), SUITES[name]
     chosen = load_methods(methods)
     check_outputs(json)
     more = {"terms": compare_terms(drawn)} if terms else {}
     outcomes = {of: evaluate(of, chosen[of], drawn, suite.settings) for of in chosen}
-    figures = evaluation_figures(name, seed, suite.settings, outcomes) | more
-    replace_json(json, figures)
+    metrics = evaluation_metrics(name, seed, suite.settings, outcomes) | more
+    replace_json(json, metrics)
     hit = int((line_distance(drawn) < 0.0).sum())
     print(f"{name}: {len(drawn)} scenes; in {hit} an obstacle is on the straight line")
     print("where feasible: mean over the scenes in which Delta itself is feasible\n")
-    show(*map(term_table, more.values()), *evaluation_tables(figures, notes))
+    show(*map(term_table, more.values()), *evaluation_tables(metrics, notes))
 
 
 # The whole robot ------------------------------------------------------------------------
@@ -165,7 +165,7 @@ def panda(
     *,
     kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = ("tabletop",),
     levels: Annotated[tuple[str, ...], Parameter(name="--level")] = (),
-    methods: Methods = ("preplanned", "paper", "verified", "differential_ik"),
+    methods: Methods = ("nominal", "paper", "verified", "differential_ik"),
     scenes: Count = 100,
     seed: Seed = 0,
     perception: Literal["depth", "truth"] = "depth",
@@ -192,7 +192,7 @@ def panda(
 
     Methods (default: the first four):
 
-      preplanned       the planned motion, blind to obstacles
+      nominal       the planned motion, blind to obstacles
       paper            the paper's method alone, which nothing checks
       verified         motions of the whole arm, verified by roll-outs among the obstacles, or a
                        planned path that the primitives imitate; among moving obstacles
@@ -201,7 +201,7 @@ def panda(
                        the same planned motion; it knows the obstacles exactly, and its tool
                        keeps the requested clearance as far as start and goal have it
       planner          a sampling-based planner that knows the obstacles exactly: RRT-Connect
-                       of the package ompl (pip install 'drake_oa[peers]'), the whole robot
+                       of the package ompl (pip install 'drake_oa[baselines]'), the whole robot
                        25 mm from everything; among moving obstacles a search in time that
                        knows their courses, 5 mm from everything. It is not simulated, and
                        success means solved
@@ -245,9 +245,9 @@ def panda(
         cameras: 2: two beside the robot, 2.1 m from the workspace's middle, in place of one.
         runs: how runs are made.
     """
-    from drake_oa.studies.panda.evaluation import panda_suite
-    from drake_oa.studies.panda.scenes import suite_kinds
-    from drake_oa.studies.panda.tables import kinds_figures
+    from drake_oa.evaluation.panda.evaluation import panda_suite
+    from drake_oa.evaluation.panda.scenes import suite_kinds
+    from drake_oa.evaluation.panda.tables import kinds_metrics
 
     if cameras == 2 and perception != "depth":
         raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
@@ -257,7 +257,7 @@ def panda(
         for kind in suite_kinds(kinds, levels)
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
-    return run_suites(runs, suites, heading, kinds_figures)
+    return run_suites(runs, suites, heading, kinds_metrics)
 
 
 @evaluate.command
@@ -282,16 +282,16 @@ def mbm(
     FK(goal), 5 s, with the turn between them; the posture leads from the start's joints
     to the goal's. The obstacles are known exactly, or with --perception depth seen by two
     cameras, 1.2 m left and right of and above the middle between start and goal; what the goal
-    grasps (the tool point is inside) is left out. Asked for are 3 cm, or what the whole robot
+    grasps (the tool point is inside) is left out. ClearanceRequirements for are 3 cm, or what the whole robot
     has at start and goal, and the supervisor stops no farther from obstacles.
 
     Success: the simulated arm ends within 1 cm and 15 degrees of the goal, no contact
     with the scene or itself, and no joint is more than 1 mrad beyond its limit. Methods:
 
-      verified, preplanned, differential_ik
+      verified, nominal, differential_ik
                             as of `drake-oa evaluate panda`
       planner               RRT-Connect from the start's joints to the goal's, the whole
-                            robot at the asked clearance from the same shapes, 200 000
+                            robot at the requested clearance from the same shapes, 200 000
                             states at most; not simulated
 
     --json has a block for each set, and `all`.
@@ -310,11 +310,11 @@ def mbm(
         perception: truth (SceneGraph) or depth (two cameras).
         runs: how runs are made.
     """
-    from drake_oa.studies.mbm.suite import mbm_figures, mbm_suites
+    from drake_oa.evaluation.mbm.suite import mbm_metrics, mbm_suites
 
     suites = mbm_suites(problems, robot, sets, methods, scenes, perception, runs.duration)
     heading = f"mbm: {sum(len(suite.drawings) for suite in suites)} problems"
-    return run_suites(runs, suites, heading, mbm_figures)
+    return run_suites(runs, suites, heading, mbm_metrics)
 
 
 @evaluate.command
@@ -353,16 +353,16 @@ def sources(
         seed: of the scenes.
         runs: how runs are made.
     """
-    from drake_oa.studies.mbm.suite import mbm_suites
-    from drake_oa.studies.panda.evaluation import WITHOUT, panda_suite
-    from drake_oa.studies.panda.tables import kinds_figures
+    from drake_oa.evaluation.mbm.suite import mbm_suites
+    from drake_oa.evaluation.panda.evaluation import WITHOUT, panda_suite
+    from drake_oa.evaluation.panda.tables import kinds_metrics
 
     methods = ("verified", *WITHOUT)
     suites = [panda_suite(kind, scenes, seed, methods, "depth", runs.duration) for kind in kinds]
     if problems is not None:
         suites += mbm_suites(problems, None, (), methods, count, "truth", runs.duration)
     heading = f"sources: seed {seed}"
-    return run_suites(runs, suites, heading, kinds_figures)
+    return run_suites(runs, suites, heading, kinds_metrics)
 
 
 def run_suites(
@@ -386,21 +386,21 @@ def run_suites(
 
     from joblib import cpu_count
 
+    from drake_oa.evaluation.panda.evaluation import PLANNER, evaluate_panda
+    from drake_oa.evaluation.panda.scenes import MOVING_KINDS, seen_by
+    from drake_oa.evaluation.panda.tables import panda_metrics, panda_table
     from drake_oa.scenario.loading import parse_scenario, scenario_text
-    from drake_oa.studies.panda.evaluation import PLANNER, evaluate_panda
-    from drake_oa.studies.panda.scenes import MOVING_KINDS, seen_by
-    from drake_oa.studies.panda.tables import panda_figures, panda_table
 
     if any(PLANNER in suite.methods for suite in suites if suite.kind not in MOVING_KINDS):
-        import_extra("ompl.base", "peers")
+        import_extra("ompl.base", "baselines")
     beside = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
     folder = runs.results or beside
     folders = filter(None, (folder, runs.write_scenes))
     check_outputs(runs.json, *(each / ".writable" for each in folders))
     workers = runs.scheduler or runs.jobs or cpu_count()
     results = [evaluate_panda(suite, workers=workers, folder=folder) for suite in suites]
-    figures = [panda_figures(found, workers) for found in results]
-    whole = together(results, figures)
+    metrics = [panda_metrics(found, workers) for found in results]
+    whole = together(results, metrics)
     replace_json(runs.json, whole)
     for found in results if runs.write_scenes else ():
         for scene, text in found.scenarios.items():
@@ -412,7 +412,7 @@ def run_suites(
     kinds = ", ".join(found.suite.kind for found in results)
     print(f"{heading}, {kinds}, {results[0].suite.perception}{taken}\n")
     all_of = [whole["all"]] if "all" in whole else []
-    show(panda_table([*figures, *all_of]) if table is None else table(whole))
+    show(panda_table([*metrics, *all_of]) if table is None else table(whole))
     done = [run for found in results for of in found.runs.values() for run in of.values()]
     failed = [run["stop_reason"] for run in done if run["failed"]]
     if failed:

@@ -28,10 +28,10 @@ def table1(*, json: Path | None = None) -> None:
     Args:
         json: write the figures.
     """
-    from drake_oa.studies.paper_tables import table_one, table_one_figures
+    from drake_oa.evaluation.paper_tables import table_one, table_one_metrics
 
     check_outputs(json)
-    whole = table_one_figures()
+    whole = table_one_metrics()
     show(*table_one(whole))
     replace_json(json, whole)
 
@@ -50,12 +50,12 @@ def table2(*, scenes: Count = 4000, seed: Seed = 0, json: Path | None = None) ->
         seed: of the scenes.
         json: write the figures.
     """
-    from drake_oa.studies.paper_tables import judge_novel, table_two, table_two_figures
-    from drake_oa.studies.scenes.suites import draw_scenes
+    from drake_oa.evaluation.paper_tables import evaluate_novel, table_two, table_two_metrics
+    from drake_oa.evaluation.scenes.suites import draw_scenes
 
     check_outputs(json)
     drawn = draw_scenes("demo", scenes, seed)
-    whole = table_two_figures(judge_novel(drawn), drawn, seed)
+    whole = table_two_metrics(evaluate_novel(drawn), drawn, seed)
     replace_json(json, whole)
     print(f"table2: {scenes} scenes of seed {seed}\n")
     show(table_two(whole))
@@ -63,7 +63,7 @@ def table2(*, scenes: Count = 4000, seed: Seed = 0, json: Path | None = None) ->
 
 def table3(
     *,
-    methods: Methods = ("preplanned", "paper"),
+    methods: Methods = ("nominal", "paper"),
     trials: Count = 11,
     seed: Seed = 0,
     perception: Literal["depth", "truth"] = "depth",
@@ -72,8 +72,8 @@ def table3(
     """Run the paper's Table III: three kinds of obstacles before the whole robot.
 
     The scenarios paper_box, paper_irregular and paper_clutter, each with the camera's noise of
-    consecutive seeds; the paper's figures stand beside. Methods: preplanned, blind to obstacles,
-    and paper, the paper's regulation and nothing else.
+    consecutive seeds; the paper's figures stand beside. Methods: nominal, blind to obstacles,
+    and paper, the paper's inference and nothing else.
 
     For example:
 
@@ -86,11 +86,11 @@ def table3(
         perception: depth (the camera) or truth (SceneGraph).
         runs: how runs are made.
     """
-    from drake_oa.studies.paper_tables import table_three, trial_suites, trials_figures
+    from drake_oa.evaluation.paper_tables import table_three, trial_suites, trials_metrics
 
     suites = trial_suites(methods, trials, seed, perception, runs.duration)
     heading = f"table3: {trials} trials of seed {seed}"
-    return run_suites(runs, suites, heading, trials_figures, table_three)
+    return run_suites(runs, suites, heading, trials_metrics, table_three)
 
 
 def figure_familiar(

@@ -28,14 +28,14 @@ def replay(
     For example:
 
         drake-oa replay drake_oa_runs/tabletop_box-20250131T120000Z.npz --meshcat
-        drake-oa replay box.npz --meshcat --motion preplanned --speed 0.25
+        drake-oa replay box.npz --meshcat --motion nominal --speed 0.25
         drake-oa replay box.npz --html box.html
 
     Args:
         log: a log that `drake-oa run` wrote.
         meshcat: show it in a browser.
         html: write one page to play in a browser.
-        motion: preplanned or modulated (default: the modulated one if it was started).
+        motion: nominal or modulated (default: the avoiding one if it was started).
         speed: with --meshcat, simulated seconds in one of the wall clock.
     """
     if not (meshcat or html):
@@ -65,7 +65,7 @@ def replay(
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(speed)
-        title = f"{log.stem}: {motion_name(shown.modulated)}"
+        title = f"{log.stem}: {motion_name(shown.avoid_obstacles)}"
         page = open_page(viewer, title, scenario.description)
         simulator.set_monitor(show_readings(page, readings(scenario, shown)))
     with recording(viewer):

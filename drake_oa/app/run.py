@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from drake_oa.runs.motion_log import MotionLog
     from drake_oa.runs.page import LivePanel
-    from drake_oa.runs.simulation import MotionWatcher
+    from drake_oa.runs.simulation import MotionMonitor
     from drake_oa.scenario.scenario import Scenario
 
 LOG_FOLDER = Path("drake_oa_runs")
@@ -95,13 +95,13 @@ def run(
     """Simulate a scenario and print clearances and contacts.
 
     Simulates two motions from start to goal, the pre-planned one, blind to obstacles,
-    and the modulated one, bent round what perception sees, and prints for each:
+    and the avoiding one, bent round what perception sees, and prints for each:
 
       collisions       pairs of a robot link and an obstacle or the table that touched
       tool clearance   least distance of hand and fingers to an obstacle
       robot clearance  least distance of any link to an obstacle
       asked            the clearance that the scenario asks for
-      feasible         the asked clearance, or what start and goal leave the tool
+      feasible         the requested clearance, or what start and goal leave the tool
       short by         what the tool lacked of that to what stands at rest
       goal error       distance of the tool point to the goal at the end
       saturated        share of steps in which a torque limit was reached
@@ -111,11 +111,11 @@ def run(
     Both motions go into one log, which `drake-oa replay` shows again and `drake-oa plot`
     draws: drake_oa_runs/SCENARIO-TIME.npz unless --log names another file.
 
-    With --hardware only the modulated motion, by the arm and cameras whose messages are on
+    With --hardware only the avoiding motion, by the arm and cameras whose messages are on
     --lcm-url: a real Panda's driver, or `drake-oa station`; see docs/hardware.md. Obstacles
     are what is seen; the report knows of no others.
 
-    Exit status: 0 when the tool of the modulated motion reached the goal (or the asked
+    Exit status: 0 when the tool of the avoiding motion reached the goal (or the asked
     --duration), 1 when it did not (it failed, was held for good or ran out of time), when the
     robot was in contact, or when an output could not be written, 2 for bad input, 130 when
     interrupted (143 by SIGTERM). What ran until then is reported, and each output that can be
@@ -133,7 +133,7 @@ def run(
         scenario: a shipped name (see `drake-oa scenarios`) or a file.
         overrides: A.B=C replaces a field of the scenario; may be repeated.
         meshcat: show it in a browser while it runs.
-        html: write the modulated motion as one page to play and pause in a browser.
+        html: write the avoiding motion as one page to play and pause in a browser.
         json: write the report.
         log: write the log here, in place of an earlier one.
         no_log: write no log.
@@ -235,7 +235,7 @@ def station(
             failure = error
     contact = ""
     if log is not None:
-        logs = {"modulated": station_log(chosen, arm)}
+        logs = {"avoiding": station_log(chosen, arm)}
         save_logs(log, logs)
         print(f"log: {log}", file=sys.stderr)
         report = run_report(scenario_name(scenario), chosen, logs)
@@ -288,21 +288,23 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
     with build_errors():
         if contacts := end_contacts(this.scenario):
             raise ValueError(contacts)
-        # Errors of the modulated motion are reported before the first one is simulated.
+        # Errors of the avoiding motion are reported before the first one is simulated.
         built = build_avoidance(this.scenario, meshcat=this.meshcat)
     panel = _open_panel(this)
     run_motion = partial(simulate, this.scenario, duration=this.duration)
-    _add_motion(this, "preplanned", partial(run_motion, modulated=False))
+    _add_motion(this, "nominal", partial(run_motion, avoid_obstacles=False))
     if log_file is not None:
         # Nothing is lost by what comes next; `_report` tells of a file that cannot be written.
         with contextlib.suppress(OSError):
             save_logs(log_file, this.logs)
     if this.failure is None:
-        _add_motion(this, "modulated", partial(run_motion, modulated=True, diagram=built), panel)
+        _add_motion(
+            this, "avoiding", partial(run_motion, avoid_obstacles=True, diagram=built), panel
+        )
 
 
 def _drive(this: _Run, lcm_url: str, rate: float) -> None:
-    """Runs the modulated motion on an arm."""
+    """Runs the avoiding motion on an arm."""
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, ready
 
@@ -315,7 +317,7 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
         print("the arm is ready", file=sys.stderr)
         this.scenario = driven.known
         panel = _open_panel(this)
-        _add_motion(this, "modulated", partial(drive, driven, link, duration=this.duration), panel)
+        _add_motion(this, "avoiding", partial(drive, driven, link, duration=this.duration), panel)
         print(f"the arm was at most {link.motion.farthest:.3f} rad off", file=sys.stderr)
 
 
@@ -323,20 +325,20 @@ def _add_motion(
     this: _Run, name: str, motion: Callable[..., MotionLog], panel: LivePanel | None = None
 ) -> None:
     """Runs one more motion with a progress bar, and logs it up to its end or interruption."""
-    from drake_oa.policy.dmp import normalised_time
+    from drake_oa.policy.dmp import normalized_time
     from drake_oa.runs.simulation import MotionInterruptedError
     from drake_oa.viewing.viewer import recording
 
-    recorded = this.meshcat if this.html and name == "modulated" else None
+    recorded = this.meshcat if this.html and name == "avoiding" else None
     try:
         with build_errors(), recording(recorded), progress_bar(1.0) as update:
 
-            def look(watcher: MotionWatcher, root: Context) -> None:
+            def look(monitor: MotionMonitor, root: Context) -> None:
                 this.raise_if_asked()
-                share = normalised_time(watcher.phase, this.scenario.policy.alpha_k)
+                share = normalized_time(monitor.phase, this.scenario.policy.alpha_k)
                 update(f"{name:>10} {root.get_time():6.2f} s", share)
                 if panel is not None:
-                    panel(watcher, root)
+                    panel(monitor, root)
 
             this.logs[name] = motion(on_look=look)
     except MotionInterruptedError as error:
@@ -360,18 +362,16 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
     with contextlib.ExitStack() as outputs:
         if contact:
             outputs.callback(complain, contact)
-        if this.meshcat is not None and this.html is not None and "modulated" in logs:
-            page = label_page(
-                this.meshcat.StaticHtml(), this.name, this.scenario, logs["modulated"]
-            )
+        if this.meshcat is not None and this.html is not None and "avoiding" in logs:
+            page = label_page(this.meshcat.StaticHtml(), this.name, this.scenario, logs["avoiding"])
             outputs.callback(replace_text, this.html, page)
         outputs.callback(replace_json, json, report)
         if log_file is not None:
             outputs.callback(print, f"log: {log_file}", file=sys.stderr)
             outputs.callback(save_logs, log_file, logs)
         outputs.callback(show, report_table(report))
-    # The pre-planned motion may end at an obstacle.
-    last = logs.get("modulated") or next(iter(logs.values()))
+    # The nominal motion may end at an obstacle.
+    last = logs.get("avoiding") or next(iter(logs.values()))
     enough = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
     return 0 if not contact and last.ended in enough else FAILED
 
@@ -402,19 +402,19 @@ def stop_between_steps() -> Iterator[Callable[[], None]]:
     Raised anywhere, it would also strike inside numba's and Drake's own callbacks, and
     leave them half done. A second one is raised at once.
     """
-    asked: list[type[KeyboardInterrupt]] = []
+    requested: list[type[KeyboardInterrupt]] = []
 
     def ask(number: int, _: FrameType | None) -> None:
         kind = KeyboardInterrupt if number == signal.SIGINT else Terminated
-        if asked:
+        if requested:
             raise kind
-        asked.append(kind)
+        requested.append(kind)
         again = "Ctrl-C again: at once" if kind is KeyboardInterrupt else "terminated"
         print(f"\nstopping ({again}) ...", file=sys.stderr)
 
     def raise_if_asked() -> None:
-        if asked:
-            raise asked[0]
+        if requested:
+            raise requested[0]
 
     before = {
         number: signal.getsignal(number)

@@ -203,7 +203,7 @@ def graph(
         dot: print the source of a graph of all systems, for Graphviz.
         signals: print each output port with the inputs that read it, loggers left out.
     """
-    from drake_oa.common.wires import connections
+    from drake_oa.common.signal_builder import connections
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.scenario.loading import load_scenario
     from drake_oa.viewing.layer_figure import layer_figure

@@ -42,14 +42,14 @@ def train(
     """
     # SciPy and torch take a second to import, which `drake-oa --help` need not wait for.
     paper = import_extra("drake_oa.training.paper", "train")
-    from drake_oa.regulation.regressor import save_chain
-    from drake_oa.studies.paper_tables import error_table, printed_errors
+    from drake_oa.evaluation.paper_tables import error_table, published_errors
+    from drake_oa.inference.regressor import save_chain
 
     files = {name: out / file for name, file in paper.FILES[recipe].items()}
     check_outputs(*files.values())
     rows, chains, errors = paper.train_paper(paper.paper_recipe(recipe, iterations), seed)
     print(f"{rows.rollouts:,} roll-outs, {len(rows.values):,} rows, seed {seed}\n")
     for name, chain in chains.items():
-        networks = {t: e | printed_errors(name, t) for t, e in errors[name].items()}
+        networks = {t: e | published_errors(name, t) for t, e in errors[name].items()}
         save_chain(chain, files[name])
         show(error_table(name, networks, [f"written: {files[name]}"]))

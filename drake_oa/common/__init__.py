@@ -3,11 +3,11 @@
 - `messages`: the frozen values on the abstract ports between layers: `ObstacleClouds`,
   `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Arrays
   are locked, and a copy is the value itself, so that a Context clones in constant time.
-- `wires`: signals of a diagram by name: systems are added, replaced and put between by them.
+- `signals`: signals of a diagram by name: systems are added, replaced and put between by them.
 - `ports`: typed reading of abstract ports; a robot's plant as a cache entry of a system.
 - `config`: fields of configuration blocks with unit and range, and YAML data held against them.
-- `thinking`: what a decision costs in simulated time (`Thinking`, block `thinking`), and what is
-  in force until it is made (`Thoughts`).
+- `compute_latency`: what a decision costs in simulated time (`LatencyModel`, block `compute_latency`), and what is
+  in force until it is made (`PendingDecision`).
 - `compiled`: decorators of kernels, and the place of their compiled code; `numba_tools`: its
   processor target.
 - `files`: atomic replacement of files, versions and source of a result.

@@ -20,7 +20,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-PART = 2**20
+PART_ID_STRIDE = 2**20
 """Rows that describe parts of one obstacle have names that differ by multiples of this."""
 
 
@@ -110,12 +110,12 @@ class EllipsoidSet(Frozen):
 
     Attributes:
         stamp: stamp of the observation it was made from [s].
-        p_WO: (M, 3) centres in the world frame [m].
+        p_WO: (M, 3) centers in the world frame [m].
         R_WO: (M, 3, 3) rotations; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes along those columns [m].
-        v_WO: (M, 3) velocities of the centres in the world frame [m/s].
+        v_WO: (M, 3) velocities of the centers in the world frame [m/s].
         ids: (M,) integers that name the rows, each different: the obstacle's name, and a
-            multiple of `PART` more for the second and further parts of it.
+            multiple of `PART_ID_STRIDE` more for the second and further parts of it.
         table: the supporting plane, handed through from perception, or None.
         note: empty, or why the observation is degraded.
     """
@@ -133,7 +133,7 @@ class EllipsoidSet(Frozen):
         return len(self.p_WO)
 
 
-class HoldCause(StrEnum):
+class HoldReason(StrEnum):
     """Reason for which the motion is held, for decisions; a note states it in words."""
 
     NONE = "none"
@@ -153,7 +153,7 @@ class PolicyState(Frozen):
 
     Attributes:
         p_WE: (3,) position of the end effector E in the world frame [m].
-        z_W: (3,) scaled velocity, the derivative of p_WE by normalised time
+        z_W: (3,) scaled velocity, the derivative of p_WE by normalized time
             s = t / (tau T), in the world frame [m].
         phase: canonical phase k, 1 at the start and falling to 0.
         tau: temporal scaling (1: the demonstrated duration).
@@ -161,7 +161,7 @@ class PolicyState(Frozen):
         p_WG: (3,) goal, or the point that the motion goes to first [m].
         R_WL: (3, 3) local frame: x from start to goal, z up.
         stamp: time of this state [s].
-        speed: ds/dt, the rate of normalised time [1/s]; 1 / (tau T) when running
+        speed: ds/dt, the rate of normalized time [1/s]; 1 / (tau T) when running
             freely, 0 when held.
         hold: what holds the motion.
         note: the same in words; empty where nothing does.
@@ -176,7 +176,7 @@ class PolicyState(Frozen):
     R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
     stamp: float = 0.0
     speed: float = 0.0
-    hold: HoldCause = HoldCause.NONE
+    hold: HoldReason = HoldReason.NONE
     note: str = ""
 
     @property
@@ -187,10 +187,10 @@ class PolicyState(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion(Frozen):
-    """The motion that the regulation expects, from now to the goal or to a point before it.
+    """The motion that the inference expects, from now to the goal or to a point before it.
 
     Attributes:
-        s: (T,) normalised times, increasing; (0,): no motion is known.
+        s: (T,) normalized times, increasing; (0,): no motion is known.
         p_WE: (T, 3) the tool point there in the world frame [m].
         q: (T, n) positions of the arm's joints there [rad]; (0, n): none are planned.
         p_WS: (3,) start of the motion that the times belong to, in the world frame [m]; (0,):
@@ -206,7 +206,7 @@ class PlannedMotion(Frozen):
         return len(self.s)
 
     def joints(self, s: float | FloatArray) -> FloatArray:
-        """Interpolates positions of the joints (..., n) at normalised times (...) [rad]."""
+        """Interpolates positions of the joints (..., n) at normalized times (...) [rad]."""
         return np.stack([np.interp(s, self.s, joint) for joint in self.q.T], axis=-1)
 
 
@@ -232,7 +232,7 @@ class Route(Frozen):
         ids: (M,) the obstacles' names.
         blocked: whether no side is allowed for one of them.
         note: empty, or why no side is allowed.
-        price: (N,) costs that user-supplied rings add to N evenly spread sides, as path length
+        side_cost: (N,) costs that user-supplied rings add to N evenly spread sides, as path length
             over the baseline; inf: forbidden.
     """
 
@@ -249,7 +249,7 @@ class Route(Frozen):
     ids: IntArray = zeros(0, kind=np.int64)
     blocked: bool = False
     note: str = ""
-    price: FloatArray = zeros(1)
+    side_cost: FloatArray = zeros(1)
 
     @property
     def baseline(self) -> float:
@@ -273,7 +273,7 @@ class CouplingParameters(Frozen):
         in_range: (M,) False where the query lay outside what the chain was trained
             for: it was then evaluated at the nearest input inside.
         center_W: (M, 3) the points the terms act about [m]; (0, 3): the obstacles'
-            centres.
+            centers.
         normal_W: (M, 3) normals of the planes in which to pass; they go before the
             route's, and where there is one the route does not guide. A zero row, or
             (0, 3): not given.
@@ -281,7 +281,7 @@ class CouplingParameters(Frozen):
             length; 0: not given.
         hold: whether the motion must not go on, and what for.
         note: the same in words.
-        anew: whether it is to begin anew from where it rests.
+        restart: whether it is to begin anew from where it rests.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
         ellipsoids: obstacles of verified rows of the chain, past which guidance leads.
@@ -294,9 +294,9 @@ class CouplingParameters(Frozen):
     center_W: FloatArray = zeros(0, 3)
     normal_W: FloatArray = zeros(0, 3)
     tau: float = 0.0
-    hold: HoldCause = HoldCause.NONE
+    hold: HoldReason = HoldReason.NONE
     note: str = ""
-    anew: bool = False
+    restart: bool = False
     verified: bool = False
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
 

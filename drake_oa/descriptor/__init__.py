@@ -1,7 +1,7 @@
 """From obstacles to ellipsoids, the tool included: the low-dimensional geometric descriptors.
 
 In: `ObstacleClouds` in the world frame [m]; optionally the goal (3,) [m] and a turn of the tool
-[rad]. Out: `EllipsoidSet`: centres (M, 3) [m], rotations (M, 3, 3), semi-axes (M, 3) [m],
+[rad]. Out: `EllipsoidSet`: centers (M, 3) [m], rotations (M, 3, 3), semi-axes (M, 3) [m],
 velocities, names.
 
 - `EllipsoidDescriptor` has no state: the output is computed when it is asked for, once for each
@@ -13,7 +13,7 @@ Each cloud is dilated by the reflected tool and enclosed in the ellipsoid of lea
 "enclosing"), or fitted by least squares as in Pairet et al. 2019, eq. 11 ("least_squares").
 Where the one ellipsoid would hold start or goal, which are known to be free, the cloud is halved
 into up to eight parts and the tool taken apart, and the obstacle has several rows, whose names
-differ by multiples of `messages.PART`.
+differ by multiples of `messages.PART_ID_STRIDE`.
 
 Begin with `descriptor.describe`.
 """

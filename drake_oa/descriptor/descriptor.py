@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.messages import PART, EllipsoidSet, FloatArray, ObstacleClouds
+from drake_oa.common.messages import PART_ID_STRIDE, EllipsoidSet, FloatArray, ObstacleClouds
 from drake_oa.geometry.ellipsoid import dilate, enclosing_ellipsoid, signed_distance
 from drake_oa.geometry.superquadric import fit_superquadric
 
@@ -106,7 +106,7 @@ def describe(
         free_W: (F, 3) tool points that are known to be free, start and goal for two [m]. An
             obstacle whose ellipsoid holds one, or leaves it less than 2 cm, is described by
             those of its parts (`drake_oa.descriptor.descriptor`) if they leave more: rows
-            whose names differ by multiples of `messages.PART`. Of the method "enclosing" alone.
+            whose names differ by multiples of `messages.PART_ID_STRIDE`. Of the method "enclosing" alone.
         tool_parts: (K_i, 3) vertices of the tool's convex parts; none: the tool itself.
     """
     free = np.asarray(free_W, dtype=float).reshape(-1, 3)
@@ -132,7 +132,7 @@ def describe(
                 described, room = parts, left
         found += described
         rows += [row] * len(described)
-        ids += [name + PART * part for part in range(len(described))]
+        ids += [name + PART_ID_STRIDE * part for part in range(len(described))]
     p_WO, R_WO, semi_axes = zip(*found, strict=True) if found else ((), (), ())
     return EllipsoidSet(
         stamp=obstacles.stamp,

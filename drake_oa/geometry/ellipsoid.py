@@ -2,12 +2,12 @@
 
 The obstacle's points are dilated by the tool, one ellipsoid encloses the result,
 and the other layers then treat the tool as the point E (Pairet et al. 2019,
-section IV-B; lambda_4 = lambda_5 = 1 in eq. 10). An ellipsoid O is a centre p_WO,
+section IV-B; lambda_4 = lambda_5 = 1 in eq. 10). An ellipsoid O is a center p_WO,
 a rotation R_WO whose columns are its principal axes, and semi-axes a:
 
     x inside  <=>  gauge(x) = | diag(1/a) R_WO^T (x - p_WO) | <= 1.
 
-Functions of many ellipsoids broadcast their leading shapes as NumPy does: centres
+Functions of many ellipsoids broadcast their leading shapes as NumPy does: centers
 (M, 3), rotations (M, 3, 3) and semi-axes (M, 3) against one point (3,) give (M,);
 for N points against M ellipsoids pass the points as (N, 1, 3).
 """
@@ -42,7 +42,7 @@ class Ellipsoid(Frozen):
     """One ellipsoid in the world frame.
 
     Attributes:
-        center: (3,) centre p_WO [m].
+        center: (3,) center p_WO [m].
         R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
         semi_axes: (3,) semi-axes along those columns, largest first [m].
         gauge: largest gauge of any point dilated by any corner of the tool, computed
@@ -86,7 +86,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) on the
     support points of `dilate`; the farthest dilated point that they left out joins them
     until none is farther out than the tolerance. Last, the ellipsoid is scaled about
-    its centre until it touches the farthest of all N x K points, and checked.
+    its center until it touches the farthest of all N x K points, and checked.
 
     Args:
         points: (N, 3) points in W [m].
@@ -100,7 +100,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     """
     points = checked_points(points, "points")
     corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
-    # Near their centre: far from the origin the sums would lose digits.
+    # Near their center: far from the origin the sums would lose digits.
     origin = points.mean(axis=0)
     cloud = points - origin
     support = dilate(cloud, corners)
@@ -131,7 +131,7 @@ def signed_distance(
 
     Args:
         p: (..., 3) points in W [m].
-        center: (..., 3) centres p_WO [m].
+        center: (..., 3) centers p_WO [m].
         R: (..., 3, 3) rotations R_WO.
         semi_axes: (..., 3) positive semi-axes [m].
 
@@ -179,7 +179,7 @@ def plane_section(
     Args:
         R: (..., 3, 3) rotations R_WO.
         semi_axes: (..., 3) positive semi-axes [m].
-        e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's centre.
+        e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's center.
         e2: (..., 3) unit vector in W perpendicular to it.
 
     Returns:
@@ -216,7 +216,7 @@ def checked_points(points: ArrayLike, name: str) -> FloatArray:
 
 
 def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Computes centre, rotation and semi-axes of the optimum, up to the tolerance."""
+    """Computes center, rotation and semi-axes of the optimum, up to the tolerance."""
     mean = points.mean(axis=0)
     spread = points - mean
     variance, V = np.linalg.eigh(spread.T @ spread / len(points))

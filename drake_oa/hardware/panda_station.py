@@ -19,25 +19,25 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.wires import LOG_PERIOD
+from drake_oa.common.signal_builder import LOG_PERIOD
 from drake_oa.diagrams.faults import make_obstacle_movers
-from drake_oa.hardware.command_player import (
+from drake_oa.hardware.command_streamer import (
     ARM_JOINTS,
     COMMAND_CHANNEL,
     MICROSECOND,
     POSITION_MODE,
     STATUS_CHANNEL,
-    CommandGuard,
+    CommandValidator,
 )
-from drake_oa.hardware.hardware_cell import arm_of
+from drake_oa.hardware.hardware_station import arm_of
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import simulated
 from drake_oa.world.cameras import Camera
+from drake_oa.world.delayed_camera import DelayedCamera
 from drake_oa.world.depth_messages import CHANNEL, pack_depth
-from drake_oa.world.late_camera import LateCamera
 from drake_oa.world.station import make_station, release_cameras
 
 _STIFFNESS = 400.0
@@ -70,7 +70,7 @@ class _ImageSender:
         if stands:
             return now - self._sent >= self._period
         late = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
-        waits = isinstance(self._system, LateCamera) and late <= _PATIENCE * self._period
+        waits = isinstance(self._system, DelayedCamera) and late <= _PATIENCE * self._period
         context = self._system.GetMyContextFromRoot(root)
         return late >= 0.0 and (not waits or self._system.ready(context))
 
@@ -90,7 +90,7 @@ class _ImageSender:
 class PandaStation:
     """A scenario's robot, obstacles and cameras, the robot driven by messages.
 
-    The arm follows the positions that a `CommandGuard` lets through, by inverse dynamics and PD
+    The arm follows the positions that a `CommandValidator` lets through, by inverse dynamics and PD
     control; what else moves stays where it is at the start. Each step of the plant it sends a
     status. Simulated time begins at 0; stamps are of the wall clock, and so are the seconds of
     speeds: at half the rate the arm can go half as fast.
@@ -172,7 +172,7 @@ class PandaStation:
         self.simulator = Simulator(self.diagram)
         # Of the wall clock's seconds, as all that is in messages.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
-        self.guard = CommandGuard(self._q_start[self._arm], limits)
+        self.guard = CommandValidator(self._q_start[self._arm], limits)
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._waits = self._ends = waits
         self.event_times: list[float] = []

@@ -16,13 +16,13 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
-from drake_oa.hardware.command_player import (
+from drake_oa.hardware.command_streamer import (
     COMMAND_PERIOD,
     LEAD,
     SILENCE,
     beyond_limits,
-    play,
-    shared_motion,
+    shared_trajectory,
+    stream_commands,
 )
 from drake_oa.robot.plant import RobotLimits
 
@@ -74,17 +74,17 @@ class RobotLink:
             raise_if_asked: raises KeyboardInterrupt when somebody has asked for the end.
             clock: the wall clock [s].
         """
-        self.motion, self.rate = shared_motion(), rate
+        self.motion, self.rate = shared_trajectory(), rate
         self.url, self.wait, self.clock = lcm_url, wait, clock
         self._raise_if_asked = raise_if_asked
         self.events: list[tuple[float, str]] = []
-        self._rehearsed_since = math.nan
+        self._warmed_up_since = math.nan
         self._process: BaseProcess | None = None
 
     def start(self) -> None:
         """Starts the player; nothing is commanded before something is written."""
         self._process = multiprocessing.get_context("spawn").Process(
-            target=play,
+            target=stream_commands,
             args=(self.motion, self.url, self.rate, os.getpid()),
             name="command player",
             # Ends the arm's motion by itself when this process is gone.
@@ -102,21 +102,21 @@ class RobotLink:
                 self._process.join()
 
     @contextmanager
-    def rehearsal(self) -> Iterator[None]:
+    def warmup(self) -> Iterator[None]:
         """Suppresses commands in the block, where simulated time follows the clock.
 
         Slow first-time work is done then: kernels are loaded, images awaited.
         """
-        self._rehearsed_since = self.clock()
+        self._warmed_up_since = self.clock()
         try:
             yield
         finally:
-            self._rehearsed_since = math.nan
+            self._warmed_up_since = math.nan
 
     def to_simulated(self, stamp: float) -> float:
         """Computes the simulated time of the arm at a recent time of the wall clock [s]."""
-        if not math.isnan(self._rehearsed_since):
-            return self.rate * (stamp - self._rehearsed_since)
+        if not math.isnan(self._warmed_up_since):
+            return self.rate * (stamp - self._warmed_up_since)
         return self.motion.played - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
@@ -170,13 +170,13 @@ class RobotLink:
         Raises:
             HardwareError: if the arm was stopped.
         """
-        if not math.isnan(self._rehearsed_since):
-            while self.rate * (self.clock() - self._rehearsed_since) < t:
+        if not math.isnan(self._warmed_up_since):
+            while self.rate * (self.clock() - self._warmed_up_since) < t:
                 self.wait()
             self._raise_if_asked()
             return
         self.motion.write_planned(t, q)
-        self._check_player(t)
+        self._check_streamer(t)
         while t > self.motion.played + LEAD:
             try:
                 self._raise_if_asked()
@@ -184,9 +184,9 @@ class RobotLink:
                 # The monitor of the simulation's steps raises it there.
                 return
             self.wait()
-            self._check_player(t)
+            self._check_streamer(t)
 
-    def _check_player(self, t: float) -> None:
+    def _check_streamer(self, t: float) -> None:
         """Records changes of the player's state at a simulated time; raises if it has stopped."""
         motion, last = self.motion, self.events[-1][1] if self.events else ""
         note = "arm resumed" if last else ""

@@ -26,8 +26,8 @@ A frame, of the images that all cameras took at one instant, goes through
    bit for bit.
 
 The configuration is `config`: `SegmentationConfig` and the sources' blocks. All run-time data is
-one `ObstacleMemory` in the Context.
+one `TrackerState` in the Context.
 
 Begin with `depth_perception.DepthPerception`, then `segmentation.segment_depth` and
-`tracking.fuse`.
+`tracking.update_tracks`.
 """

@@ -97,7 +97,7 @@ class LcmCamera(CameraSource):
     max_age: float = Field(default=0.2, gt=0.0, le=10.0)
     """Maximum age of an image on arrival [s]; older images are skipped, and a warning is logged
     when the last image is older. Raising it accepts older images."""
-    together: float = Field(default=0.04, ge=0.0, le=1.0)
+    sync_tolerance: float = Field(default=0.04, ge=0.0, le=1.0)
     """Maximum difference between the stamps of several cameras' images that are processed as one
     observation [s]; without hardware synchronization slightly more than the frame period. Raising
     it combines images that are further apart in time."""

@@ -17,11 +17,11 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, ObstacleClouds
 from drake_oa.common.ports import AbstractInput, valid_period
+from drake_oa.geometry.collision_scene import CollisionGeometries, RobotGeometries
 from drake_oa.geometry.pinhole import View, pinhole, pixel_at
-from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_views
-from drake_oa.perception.tracking import ObstacleMemory, fuse
+from drake_oa.perception.tracking import TrackerState, update_tracks
 
 _logger = logging.getLogger("drake_oa")
 
@@ -31,7 +31,7 @@ class PerceptionState:
 
     def __init__(self, system: LeafSystem) -> None:
         """Declares the state, and the output ports ``obstacles_W`` and ``cloud`` of it."""
-        self._index = system.DeclareAbstractState(Value(ObstacleMemory()))
+        self._index = system.DeclareAbstractState(Value(TrackerState()))
         ticket = {system.abstract_state_ticket(self._index)}
         system.DeclareAbstractOutputPort(
             "obstacles_W", lambda: Value(ObstacleClouds()), self._calc_obstacles, ticket
@@ -50,12 +50,12 @@ class PerceptionState:
         cloud.mutable_xyzs()[:] = points_W.T
         output.set_value(cloud)
 
-    def read(self, context: Context) -> ObstacleMemory:
+    def read(self, context: Context) -> TrackerState:
         """Memory in a Context."""
         memory: Any = context.get_abstract_state(int(self._index)).get_value()
         return memory
 
-    def write(self, state: State, memory: ObstacleMemory) -> None:
+    def write(self, state: State, memory: TrackerState) -> None:
         """Stores the memory."""
         value: Any = state.get_mutable_abstract_state(int(self._index))
         value.set_value(memory)
@@ -163,11 +163,11 @@ class DepthPerception(LeafSystem):
     camera renders again each time it is asked), and the outputs are held between.
     Obstacles keep their names, and the points that an arm hides; an obstacle that does
     not move keeps its cloud, bit for bit, until it is seen to reach farther or less far
-    (see `drake_oa.perception.tracking.fuse`, also for frames that repeat or go back in time). A
+    (see `drake_oa.perception.tracking.update_tracks`, also for frames that repeat or go back in time). A
     frame that shows no table leaves the obstacles and their stamp as they were, and says why in
     `note`: a receiver tells from the stamp how old they are.
 
-    Images of one instant, or that are not farther apart than `together`, are one frame: of the
+    Images of one instant, or that are not farther apart than `sync_tolerance`, are one frame: of the
     newest one's time, and without the robot where it was at any of them. A camera that has no such
     image, or one that tells nothing, is left out of it and named in `note`; the others' sight
     counts, and the obstacles' stamp is that of the last image of the camera that has been missing
@@ -179,12 +179,12 @@ class DepthPerception(LeafSystem):
         camera: CameraInfo | Mapping[str, CameraInfo],
         *,
         config: SegmentationConfig | None = None,
-        robot: RobotSolids | None = None,
+        robot: RobotGeometries | None = None,
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
         delay: float = 0.0,
-        together: float = 0.0,
-        unsaid: float = 0.0,
+        sync_tolerance: float = 0.0,
+        missing_image_timeout: float = 0.0,
         depth_range: tuple[float, float] = (0.0, np.inf),
     ) -> None:
         """Declares ports, state and events.
@@ -193,16 +193,16 @@ class DepthPerception(LeafSystem):
             camera: the depth camera's intrinsics; of several cameras, name -> intrinsics.
             config: how frames are segmented; `table_height` there is the prior on
                 the table. None for the defaults.
-            robot: from `robot_solids`; None for no self filter.
+            robot: from `robot_geometries`; None for no self filter.
             pixel_center: image coordinates of the middle of the first pixel
                 [pixel]. 0 is the usual convention, and what CameraInfo documents;
                 Drake 1.51's RenderEngineVtk renders as if it were 0.5, which
                 turns the scene by half a pixel where it is not allowed for.
             period: time between frames [s].
             delay: how long after a period's beginning its images come [s].
-            together: images of several cameras whose stamps differ by no more are taken as of one
+            sync_tolerance: images of several cameras whose stamps differ by no more are taken as of one
                 instant, that of the newest [s].
-            unsaid: how old a camera's last image may be before `note` says that there is no new
+            missing_image_timeout: how old a camera's last image may be before `note` says that there is no new
                 one [s]: the images of a camera that goes by itself now and then miss a period.
             depth_range: minimum and maximum depth that all cameras measure [m].
 
@@ -219,7 +219,7 @@ class DepthPerception(LeafSystem):
         ]
         self._config = config or SegmentationConfig()
         self._robot = robot
-        self._together, self._unsaid = together, unsaid
+        self._sync_tolerance, self._missing_image_timeout = sync_tolerance, missing_image_timeout
         period = valid_period(period)
         several = len(cameras) > 1
         self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
@@ -246,39 +246,53 @@ class DepthPerception(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         time, previous = context.get_time(), self._state.read(context)
         count = len(self._ports)
-        told = np.array(previous.told) if len(previous.told) else np.full(count, -np.inf)
+        last_image_stamps = (
+            np.array(previous.last_image_stamps)
+            if len(previous.last_image_stamps)
+            else np.full(count, -np.inf)
+        )
         stamps = np.array([self._stamp(port, context) for port in self._ports])
         newest = stamps.max()
-        overdue = (self._unsaid == 0.0) | (time - stamps > self._unsaid)
-        is_new = (stamps > told) & (stamps >= newest - max(_SAME_TIME, self._together))
+        overdue = (self._missing_image_timeout == 0.0) | (
+            time - stamps > self._missing_image_timeout
+        )
+        is_new = (stamps > last_image_stamps) & (
+            stamps >= newest - max(_SAME_TIME, self._sync_tolerance)
+        )
         if not (is_new & (stamps >= newest - _SAME_TIME)).any():
             note = _NO_NEW_IMAGE if overdue.all() else previous.obstacles.note
-            self._write(context, state, replace(previous, told=told), note)
+            self._write(
+                context, state, replace(previous, last_image_stamps=last_image_stamps), note
+            )
             return
         shown = np.flatnonzero(is_new).tolist()
         robot = self._posed_robot([self._ports[row] for row in shown], context)
         frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
-        blind = {shown[number]: why for number, why in frame.blind.items()}
-        missing = {row: _NO_NEW_IMAGE for row in range(count) if row not in shown} | blind
-        memory = fuse(previous, frame, newest, self._config, robot, complete=not missing)
+        unusable_views = {shown[number]: why for number, why in frame.unusable_views.items()}
+        missing = {row: _NO_NEW_IMAGE for row in range(count) if row not in shown} | unusable_views
+        memory = update_tracks(previous, frame, newest, self._config, robot, complete=not missing)
         seeing = [row for row in range(count) if row not in missing]
-        told[seeing] = stamps[seeing]
+        last_image_stamps[seeing] = stamps[seeing]
         notes = [memory.obstacles.note]
         if frame.usable:
             notes = [
                 f"{self._names[row]}: {why}"
                 for row, why in sorted(missing.items())
-                if row in blind or overdue[row]
+                if row in unusable_views or overdue[row]
             ]
             seen = dict(zip(seeing, frame.views, strict=True))
             views = tuple(map(seen.get, range(count)))
             free_space = FreeSpace(views, newest, *self._range)
             state.get_mutable_abstract_state(self._free_space).set_value(free_space)
-            obstacles = as_of(memory.obstacles, told.min()) if missing else memory.obstacles
+            obstacles = (
+                as_of(memory.obstacles, last_image_stamps.min()) if missing else memory.obstacles
+            )
             memory = replace(memory, obstacles=obstacles, cloud_W=frame.points_W)
-        self._write(context, state, replace(memory, told=told), "; ".join(notes))
+        self._write(
+            context, state, replace(memory, last_image_stamps=last_image_stamps), "; ".join(notes)
+        )
 
-    def _write(self, context: Context, state: State, memory: ObstacleMemory, note: str) -> None:
+    def _write(self, context: Context, state: State, memory: TrackerState, note: str) -> None:
         before = self._state.read(context).obstacles.note
         log_change(self, before, note, context.get_time())
         obstacles = replace(memory.obstacles, note=note)
@@ -301,7 +315,7 @@ class DepthPerception(LeafSystem):
             )
         return View(depth, K, pose.GetAsMatrix4())
 
-    def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> Solids | None:
+    def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> CollisionGeometries | None:
         """The robot where it was when any of the images was taken."""
         if self._robot is None:
             return None

@@ -12,9 +12,9 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import OUT_OF_WORLD, FloatArray, ObstacleClouds, TablePlane
 from drake_oa.common.ports import AbstractInput, valid_period
-from drake_oa.geometry.solids import read_solid, surface_points
+from drake_oa.geometry.collision_scene import read_geometry, surface_points
 from drake_oa.perception.depth_perception import PerceptionState
-from drake_oa.perception.tracking import ObstacleMemory
+from drake_oa.perception.tracking import TrackerState
 
 _SAMPLES = 300
 """Approximate number of points of each geometry."""
@@ -109,7 +109,7 @@ class GroundTruthPerception(LeafSystem):
             v_WO=np.reshape(velocities, (-1, 3)),
         )
         points = np.concatenate([np.zeros((0, 3)), *clouds])
-        self._state.write(state, ObstacleMemory(obstacles, cloud_W=points))
+        self._state.write(state, TrackerState(obstacles, cloud_W=points))
 
 
 def _body_fixed_samples(
@@ -119,10 +119,12 @@ def _body_fixed_samples(
 ) -> tuple[tuple[FrameId, FloatArray], ...]:
     parts = []
     for index in plant.GetBodyIndices(instance):
-        geometries = plant.GetCollisionGeometriesForBody(plant.get_body(index))
-        if geometries:
-            solids = [read_solid(inspector, geometry) for geometry in geometries]
-            points = [solid.placed(surface_points(solid, _SAMPLES)) for solid in solids]
+        geometry_ids = plant.GetCollisionGeometriesForBody(plant.get_body(index))
+        if geometry_ids:
+            geometries = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids]
+            points = [
+                geometry.placed(surface_points(geometry, _SAMPLES)) for geometry in geometries
+            ]
             frame = plant.GetBodyFrameIdOrThrow(index)
             parts.append((frame, np.concatenate(points)))
     if not parts:

@@ -13,12 +13,12 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.ports import valid_period
-from drake_oa.geometry.solids import RobotSolids, Solids
+from drake_oa.geometry.collision_scene import CollisionGeometries, RobotGeometries
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import PerceptionState, log_change
 from drake_oa.perception.recordings import RecordedFrame, read_recording
 from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
-from drake_oa.perception.tracking import fuse
+from drake_oa.perception.tracking import update_tracks
 
 
 class RecordedPerception(LeafSystem):
@@ -54,7 +54,7 @@ class RecordedPerception(LeafSystem):
         *,
         X_WC: RigidTransform | None = None,
         config: SegmentationConfig | None = None,
-        robot: RobotSolids | None = None,
+        robot: RobotGeometries | None = None,
         period: float = 1.0 / 15.0,
     ) -> None:
         """Reads the folder, and declares ports, state and events.
@@ -64,7 +64,7 @@ class RecordedPerception(LeafSystem):
             X_WC: pose of the camera for files that do not hold one; the identity
                 for clouds already in the world frame; None when unknown.
             config: how frames are segmented; None for the defaults.
-            robot: from `robot_solids`: takes itself out of frames that
+            robot: from `robot_geometries`: takes itself out of frames that
                 know its `robot_state`; None: they show no robot.
             period: time between updates, and between files without stamp [s].
 
@@ -112,7 +112,7 @@ class RecordedPerception(LeafSystem):
         frame = segment_frame(recorded, self._X_WC, self._config, robot)
         if not frame.usable:
             frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
-        memory = fuse(previous, frame, self._start[due], self._config, robot)
+        memory = update_tracks(previous, frame, self._start[due], self._config, robot)
         log_change(self, before.note, memory.obstacles.note, context.get_time())
         if frame.usable:
             memory = replace(memory, cloud_W=frame.points_W)
@@ -123,7 +123,7 @@ def segment_frame(
     frame: RecordedFrame,
     X_WC: FloatArray | None,
     config: SegmentationConfig,
-    robot: Solids | None = None,
+    robot: CollisionGeometries | None = None,
 ) -> Segmentation:
     """Segments a recorded frame.
 

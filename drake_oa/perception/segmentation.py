@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane, zeros
+from drake_oa.geometry.collision_scene import CollisionGeometries, least_distances
 from drake_oa.geometry.pinhole import View, pixel_at, pixel_rays
-from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import connected_clusters, voxel_means
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.table import (
@@ -47,7 +47,7 @@ _LARGEST_WARP = 0.04
 """Maximum height that the bend adds to a plane [m]."""
 _HIGHER_SHARE = 0.1
 """Minimum fraction of the voxels of a cluster that are higher than noise and bend [1]."""
-UNSEEN_GAP = 0.06
+OCCLUSION_GAP = 0.06
 """Maximum gap between two clusters that are merged when nothing is visible through it [m]."""
 _BRIDGES = 16
 """Number of the shortest connections between two clusters that are tested."""
@@ -87,7 +87,7 @@ class Segmentation:
             information about obstacles.
         note: empty, or the reason why the frame is not usable.
         views: the images that show obstacles; none of a cloud.
-        blind: index of each image that is not usable, and the reason.
+        unusable_views: index of each image that is not usable, and the reason.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -99,7 +99,7 @@ class Segmentation:
     usable: bool = True
     note: str = ""
     views: tuple[View, ...] = ()
-    blind: dict[int, str] = field(default_factory=dict)
+    unusable_views: dict[int, str] = field(default_factory=dict)
 
     @property
     def pixels(self) -> tuple[IntArray, ...]:
@@ -171,7 +171,7 @@ def segment_depth(
     K: FloatArray,
     X_WC: FloatArray | None,
     config: SegmentationConfig | None = None,
-    robot: Solids | None = None,
+    robot: CollisionGeometries | None = None,
 ) -> Segmentation:
     """Segments a depth image into the table and one cluster an obstacle.
 
@@ -200,12 +200,12 @@ def segment_depth(
 def segment_views(
     views: Sequence[View] | Sequence[tuple[Any, Any, Any]],
     config: SegmentationConfig | None = None,
-    robot: Solids | None = None,
+    robot: CollisionGeometries | None = None,
 ) -> Segmentation:
     """Segments depth images of one instant together; otherwise as `segment_depth`.
 
     In an image without a table, or with another one than in the image with the largest table, the
-    table of that image is used. An image with hardly any depth is ignored, and listed in `blind`;
+    table of that image is used. An image with hardly any depth is ignored, and listed in `unusable_views`;
     if all are, the frame is not usable.
 
     Args:
@@ -230,7 +230,7 @@ def segment_points(
     points: FloatArray,
     X_WC: FloatArray | None,
     config: SegmentationConfig | None = None,
-    robot: Solids | None = None,
+    robot: CollisionGeometries | None = None,
 ) -> Segmentation:
     """Segments a cloud without image structure; otherwise as `segment_depth`.
 
@@ -251,36 +251,40 @@ def segment_points(
 
 
 def _segment(
-    frames: Sequence[_Frame], config: SegmentationConfig, robot: Solids | None
+    frames: Sequence[_Frame], config: SegmentationConfig, robot: CollisionGeometries | None
 ) -> Segmentation:
     supports: list[_Support | None] = []
-    blind = {}
+    unusable_views = {}
     for number, frame in enumerate(frames):
         # Infinite depth counts as visible, missing depth does not.
         is_seen = np.count_nonzero(frame.depth > 0.0) >= max(1.0, LEAST_SHARE * frame.depth.size)
         support = _supported(frame, config) if config.table and is_seen else None
         supports.append(support)
         if not is_seen or (config.table and support is None):
-            blind[number] = _NO_TABLE if is_seen else _NO_DEPTH
+            unusable_views[number] = _NO_TABLE if is_seen else _NO_DEPTH
     found = [support for support in supports if support is not None]
     # The table of the image that shows most of it also holds for images without one.
     largest = max(found, key=lambda support: np.count_nonzero(support.fit.inliers), default=None)
     if largest is not None:
-        blind = {number: note for number, note in blind.items() if note != _NO_TABLE}
-    if len(blind) == len(frames):
+        unusable_views = {
+            number: note for number, note in unusable_views.items() if note != _NO_TABLE
+        }
+    if len(unusable_views) == len(frames):
         X_WC = np.eye(4) if frames[0].X_WC is None else frames[0].X_WC
-        return Segmentation(X_WC=X_WC, usable=False, note=blind[0], blind=blind)
+        return Segmentation(
+            X_WC=X_WC, usable=False, note=unusable_views[0], unusable_views=unusable_views
+        )
     table = None if largest is None else largest.table_W
     parts = [
         _above(frame, support, table, config)
         for number, (frame, support) in enumerate(zip(frames, supports, strict=True))
-        if number not in blind
+        if number not in unusable_views
     ]
     return replace(
         _cluster(parts, table, config, robot),
         plane_rms=np.nan if largest is None else largest.fit.rms,
         X_WC=_pose(frames[0], supports[0]),
-        blind=blind,
+        unusable_views=unusable_views,
     )
 
 
@@ -354,7 +358,7 @@ def _cluster(
     parts: Sequence[_Part],
     table: TablePlane | None,
     config: SegmentationConfig,
-    robot: Solids | None,
+    robot: CollisionGeometries | None,
 ) -> Segmentation:
     """Clusters the points of all frames above the table."""
     views = tuple(part.view for part in parts if part.view is not None)
@@ -455,10 +459,10 @@ def _merged(
     merged = np.append(np.arange(len(sizes)), -1)
     for (one, first), (other, second) in combinations(trees, 2):
         if (np.maximum(first.mins, second.mins) - np.minimum(first.maxes, second.maxes)).max() > (
-            UNSEEN_GAP
+            OCCLUSION_GAP
         ):
             continue
-        length, nearest = second.query(first.data, distance_upper_bound=UNSEEN_GAP)
+        length, nearest = second.query(first.data, distance_upper_bound=OCCLUSION_GAP)
         bridges = np.argsort(length, kind="stable")[:_BRIDGES]
         bridges = bridges[np.isfinite(length[bridges])]
         start, end = first.data[bridges], second.data[nearest[bridges]]

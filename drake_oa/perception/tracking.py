@@ -40,12 +40,12 @@ from drake_oa.common.messages import (
     TablePlane,
     zeros,
 )
+from drake_oa.geometry.collision_scene import CollisionGeometries, least_distances
 from drake_oa.geometry.directions import DIRECTIONS
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, shown
-from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
+from drake_oa.perception.segmentation import OCCLUSION_GAP, Segmentation
 from drake_oa.perception.velocity import (
     DEPTH_MARGIN,
     START,
@@ -148,7 +148,7 @@ class HeldCloud(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ObstacleMemory(Frozen):
+class TrackerState(Frozen):
     """Everything that perception remembers.
 
     Attributes:
@@ -159,7 +159,7 @@ class ObstacleMemory(Frozen):
         held: id -> its cloud as it was handed on last.
         references: id -> surface in an earlier frame, for its velocity.
         taken: time of the last frame [s].
-        told: (n,) times of the last image of each camera that told something [s].
+        last_image_stamps: (n,) times of the last image of each camera that told something [s].
         cloud_W: (K, 3) points of the last frame, for viewing [m].
     """
 
@@ -170,7 +170,7 @@ class ObstacleMemory(Frozen):
     held: dict[int, HeldCloud] = field(default_factory=dict)
     references: dict[int, Reference] = field(default_factory=dict)
     taken: float = -np.inf
-    told: FloatArray = zeros(0)
+    last_image_stamps: FloatArray = zeros(0)
     cloud_W: FloatArray = zeros(0, 3)
 
 
@@ -270,15 +270,15 @@ def associate(
     return Association(point_row, cluster_row, mixed, new, partner)
 
 
-def fuse(
-    previous: ObstacleMemory,
+def update_tracks(
+    previous: TrackerState,
     frame: Segmentation,
     stamp: float,
     config: SegmentationConfig | None = None,
-    robot: Solids | None = None,
+    robot: CollisionGeometries | None = None,
     *,
     complete: bool = True,
-) -> ObstacleMemory:
+) -> TrackerState:
     """Joins a new frame with what was known before it.
 
     A remembered point is kept where no image of the frame can tell: something stands before it
@@ -295,7 +295,7 @@ def fuse(
     - After a gap of `velocity.LONGEST_GAP` obstacles are remembered, velocities not.
 
     Args:
-        previous: what is remembered; `ObstacleMemory()` before the first frame.
+        previous: what is remembered; `TrackerState()` before the first frame.
         frame: the new frame, segmented. In its images inf counts as free space; a cloud is taken
             to show everything, so that nothing is hidden.
         stamp: time of the frame [s].
@@ -312,7 +312,7 @@ def fuse(
     if stamp == previous.taken:
         return replace(previous, obstacles=replace(previous.obstacles, note=""))
     if stamp < previous.taken:
-        previous = ObstacleMemory(next_id=previous.next_id)
+        previous = TrackerState(next_id=previous.next_id)
     return _Step(previous, frame, stamp, config or SegmentationConfig(), robot, complete).run()
 
 
@@ -339,15 +339,15 @@ class _Look(NamedTuple):
 
 
 class _Step:
-    """One frame joined with the memory; lives as long as `fuse` runs."""
+    """One frame joined with the memory; lives as long as `update_tracks` runs."""
 
     def __init__(
         self,
-        previous: ObstacleMemory,
+        previous: TrackerState,
         frame: Segmentation,
         stamp: float,
         config: SegmentationConfig,
-        robot: Solids | None,
+        robot: CollisionGeometries | None,
         complete: bool,
     ) -> None:
         self.previous, self.frame, self.complete, self.stamp = previous, frame, complete, stamp
@@ -359,7 +359,7 @@ class _Step:
         self.cluster = np.repeat(np.arange(len(lengths)), lengths)
         self.next_id = previous.next_id
 
-    def run(self) -> ObstacleMemory:
+    def run(self) -> TrackerState:
         """The memory after the frame."""
         self.tracks = predicted_tracks(self.tracks, self.dt)
         look = self._look()
@@ -375,7 +375,7 @@ class _Step:
         new = [self.frame.clouds_W[c].mean(axis=0) for c in association.new]
         self._append(new_tracks(np.reshape(new, (-1, 3))))
         behind = self._behind_itself(association, look)
-        self._doubt(look, behind)
+        self._motion_evidence(look, behind)
         # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
         in_image = (look.pixel >= 0).any(axis=0)
         missing = (look.shows == EMPTY) | ((look.shows == OUT) & in_image)
@@ -403,10 +403,12 @@ class _Step:
         shows = each[_SAYS[each].argmax(axis=0), np.arange(len(p_WQ))]
         if self.robot is not None:
             # Only what seems to be gone needs the robot's excuse.
-            asked = np.flatnonzero((distance >= SUPPORT_RADIUS) & np.isin(shows, (AT, FREE, EMPTY)))
+            requested = np.flatnonzero(
+                (distance >= SUPPORT_RADIUS) & np.isin(shows, (AT, FREE, EMPTY))
+            )
             margin = self.config.robot_margin
-            d = least_distances(self.robot, p_WQ[asked], 0.0, margin, margin)
-            shows[asked[d < margin]] = OUT
+            d = least_distances(self.robot, p_WQ[requested], 0.0, margin, margin)
+            shows[requested[d < margin]] = OUT
         return _Look(p_WQ, nearest, from_seen, distance, shows, each, pixel)
 
     def _moved_back(self, expected: Tracks, before: _Look) -> _Look:
@@ -433,7 +435,9 @@ class _Step:
         lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
         if not lost.any():
             return after
-        expected = replace(expected, blind=expected.blind + self.dt, odd=self.tracks.odd)
+        expected = replace(
+            expected, unmeasured_time=expected.unmeasured_time + self.dt, odd=self.tracks.odd
+        )
         both = appended(self.tracks, expected)
         self.tracks = taken(both, np.where(lost, len(rows) + rows, rows))
         return self._look()
@@ -452,19 +456,19 @@ class _Step:
         before = (look.each == HIDDEN) & (shown_row == self.points.owner)
         return np.asarray(before.any(axis=0) & (before | (look.pixel < 0)).all(axis=0))
 
-    def _doubt(self, look: _Look, behind: BoolArray) -> None:
+    def _motion_evidence(self, look: _Look, behind: BoolArray) -> None:
         """How much of each obstacle is not where it is remembered."""
         points, shows = self.points, look.shows
-        told = (shows == AT) | (shows == FREE) | (shows == EMPTY) | behind
-        asked = points.confirmed & told
+        last_image_stamps = (shows == AT) | (shows == FREE) | (shows == EMPTY) | behind
+        requested = points.confirmed & last_image_stamps
         count = len(self.tracks)
-        total = np.bincount(points.owner[asked], minlength=count)
-        asked &= look.distance >= SUPPORT_RADIUS
-        missed = np.bincount(points.owner[asked], minlength=count)
+        total = np.bincount(points.owner[requested], minlength=count)
+        requested &= look.distance >= SUPPORT_RADIUS
+        missed = np.bincount(points.owner[requested], minlength=count)
         least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
-        left = _FADING * self.tracks.doubt
-        self.tracks = replace(self.tracks, doubt=np.maximum(share, left))
+        left = _FADING * self.tracks.motion_evidence
+        self.tracks = replace(self.tracks, motion_evidence=np.maximum(share, left))
 
     def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
         tracks = self.tracks
@@ -530,11 +534,11 @@ class _Step:
         self.points = replace(self.points, p_OQ=p_OQ, weight=weight)
         new = np.flatnonzero((kept < 0) | ~near)
         ones = np.ones(len(new), dtype=np.int64)
-        solid = np.zeros(len(self.tracks), dtype=bool)
+        geometry = np.zeros(len(self.tracks), dtype=bool)
         sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
         believed = self.first | (sizes >= _SOLID * self.config.min_cluster_voxels)
-        solid[association.cluster_row[association.new]] = believed
-        added = Points(local[new], row[new], ones, ones, solid[row[new]])
+        geometry[association.cluster_row[association.new]] = believed
+        added = Points(local[new], row[new], ones, ones, geometry[row[new]])
         self.points = appended(self.points, added)
 
     def _split(self, association: Association, look: _Look) -> None:
@@ -560,7 +564,7 @@ class _Step:
             if apart[row] < _SPLIT_FRAMES:
                 continue
             sides[row], area[row], apart[row] = np.nan, 0.0, 0
-            nearest, _, _ = mutual_nearest(look.p_WQ[mine], self.seen[seen], UNSEEN_GAP)
+            nearest, _, _ = mutual_nearest(look.p_WQ[mine], self.seen[seen], OCCLUSION_GAP)
             part = np.append(label, 0)[nearest]
             for number in np.unique(label[label > 0]):
                 new = len(tracks) + len(origin)
@@ -583,17 +587,17 @@ class _Step:
         into = association.partner[rows]
         v_W = np.where(tracks.moving[:, None], tracks.v_W, 0.0)
         alike = np.linalg.norm(v_W[rows] - v_W[into], axis=1) < _ALIKE
-        together = np.zeros(len(tracks))
-        together[rows] = np.where(alike, tracks.together[rows] + self.dt, 0.0)
+        sync_tolerance = np.zeros(len(tracks))
+        sync_tolerance[rows] = np.where(alike, tracks.sync_tolerance[rows] + self.dt, 0.0)
         sides = np.array(tracks.sides)
         p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
         for row, other in zip(rows, into, strict=True):
-            if together[row] >= _MERGE_TIME:
+            if sync_tolerance[row] >= _MERGE_TIME:
                 mine = owner == row
                 p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[other]
                 owner[mine], sides[other] = other, np.nan
         self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
-        self.tracks = replace(tracks, sides=sides, together=together)
+        self.tracks = replace(tracks, sides=sides, sync_tolerance=sync_tolerance)
 
     def _forget(self) -> None:
         """Lets go of obstacles of which too little is left."""
@@ -607,7 +611,7 @@ class _Step:
     def _fewest(self) -> int:
         return max(4, self.config.min_cluster_voxels // 2)
 
-    def _handed_on(self) -> ObstacleMemory:
+    def _handed_on(self) -> TrackerState:
         tracks, points = self.tracks, self.points
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
         listed = confirmed >= self._fewest()
@@ -620,7 +624,7 @@ class _Step:
             held_table(self.previous.obstacles.table, self.frame.table),
             v_WO=np.where(moving[:, None], tracks.v_W, 0.0)[listed],
         )
-        return ObstacleMemory(
+        return TrackerState(
             obstacles,
             self.next_id,
             tracks,
@@ -628,7 +632,7 @@ class _Step:
             held,
             self._references,
             self.stamp,
-            self.previous.told,
+            self.previous.last_image_stamps,
         )
 
 

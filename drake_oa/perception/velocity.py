@@ -95,15 +95,15 @@ class Tracks(Frozen):
             position [m]; NaN while unknown.
         area: (M,) the largest visible area, across the line of sight [m^2].
         moving: (M,) whether it moves.
-        doubt: (M,) recent maximum of the share of its visible part that was not where it was
+        motion_evidence: (M,) recent maximum of the share of its visible part that was not where it was
             remembered.
         significant: (M,) frames in a row whose velocity was significant, each counted
             `_PATIENCE` times, and once where it was only likely.
         still: (M,) time since its velocity was significant [s].
-        blind: (M, 3) time since it was measured along each axis of the world [s].
+        unmeasured_time: (M, 3) time since it was measured along each axis of the world [s].
         odd: (M, 3) whether the last measurement along each axis was an outlier.
         apart: (M,) frames in a row in which it was seen in parts.
-        together: (M,) time as one cluster with a larger obstacle [s].
+        sync_tolerance: (M,) time as one cluster with a larger obstacle [s].
     """
 
     ids: IntArray = zeros(0, kind=np.int64)
@@ -114,13 +114,13 @@ class Tracks(Frozen):
     sides: FloatArray = zeros(0, 3, 2)
     area: FloatArray = zeros(0)
     moving: BoolArray = zeros(0, kind=bool)
-    doubt: FloatArray = zeros(0)
+    motion_evidence: FloatArray = zeros(0)
     significant: IntArray = zeros(0, kind=np.int64)
     still: FloatArray = zeros(0)
-    blind: FloatArray = zeros(0, 3)
+    unmeasured_time: FloatArray = zeros(0, 3)
     odd: BoolArray = zeros(0, 3, kind=bool)
     apart: IntArray = zeros(0, kind=np.int64)
-    together: FloatArray = zeros(0)
+    sync_tolerance: FloatArray = zeros(0)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -187,11 +187,11 @@ def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
     all do after a gap of `LONGEST_GAP`.
     """
     gap = dt > LONGEST_GAP
-    moving = tracks.moving & (tracks.blind.min(axis=1) + dt <= COAST_TIME) & (not gap)
+    moving = tracks.moving & (tracks.unmeasured_time.min(axis=1) + dt <= COAST_TIME) & (not gap)
     lost = (tracks.moving & ~moving) | gap
     P = np.where(lost[:, None, None, None], _FIRST_COVARIANCE, tracks.covariance)
     # Where it does not move significantly, noise must not carry it away while hidden.
-    hidden = (tracks.blind > BLIND_TIME) | lost[:, None]
+    hidden = (tracks.unmeasured_time > BLIND_TIME) | lost[:, None]
     state = np.array(tracks.state)
     state[..., 1][~moving[:, None] & hidden] = 0.0
     dt = min(dt, LONGEST_GAP)
@@ -252,7 +252,7 @@ def measured_tracks(
         tracks,
         sides=np.where(off[:, :, None], known_sides, learned),
         area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
-        blind=np.where(told, 0.0, tracks.blind + dt),
+        unmeasured_time=np.where(told, 0.0, tracks.unmeasured_time + dt),
         odd=off,
     )
     measured, found = np.asarray(told.any(axis=1)), np.asarray(registered.any(axis=1))
@@ -263,11 +263,11 @@ def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: flo
     """Decides which obstacles move, and shifts the points of those that do."""
     statistic, speed = speed_statistic(tracks), np.linalg.norm(tracks.v_W, axis=1)
     away = tracks.p_W - tracks.p_shift_W
-    doubted = tracks.moving | registered | (tracks.doubt > _DOUBTED)
+    doubted = tracks.moving | registered | (tracks.motion_evidence > _DOUBTED)
     fast = (speed > _START_SPEED) & measured
     distant = np.linalg.norm(away, axis=1) > _MOVED
     starts = (statistic > START) & fast & (tracks.moving | (doubted & distant))
-    likely = (statistic > _STOP) & fast & (tracks.doubt > _STRONG_DOUBT)
+    likely = (statistic > _STOP) & fast & (tracks.motion_evidence > _STRONG_DOUBT)
     at_once = registered & (statistic > _CERTAIN)
     count = tracks.significant + np.where(starts, np.where(at_once, _ENOUGH, _PATIENCE), 1)
     # Distant obstacles are not measured in each frame.
@@ -276,7 +276,7 @@ def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: flo
     still = np.where(calm, tracks.still + dt, 0.0)
     moving = (tracks.moving | (significant >= _ENOUGH)) & (still < _STOP_TIME)
     # What is at rest is found elsewhere only along what was measured.
-    found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)
+    found = np.where(moving[:, None] | (tracks.unmeasured_time == 0.0), away, 0.0)
     jumped = doubted & (np.linalg.norm(found, axis=1) > _JUMP)
     follows = measured & (moving | jumped)
     step = np.where(follows[:, None], found, 0.0)
@@ -293,7 +293,7 @@ def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: flo
 
 _MOST = 160
 """Points of a surface that are looked at."""
-_NEIGHBOURS = 8
+_NEIGHBORS = 8
 """Points that a normal is of."""
 _ROUNDS = 4
 _TELLS = 0.5
@@ -340,17 +340,17 @@ def registered(
     Returns:
         (3,) the shift [m], and its variances (3,) [m^2]; those of the prior where nothing tells.
     """
-    if min(len(before), len(now)) < _NEIGHBOURS:
+    if min(len(before), len(now)) < _NEIGHBORS:
         return np.array(guess), np.full(3, prior**2)
     tree, own = cKDTree(now), cKDTree(before)
     moving = before[:: -(-len(before) // _MOST)]
     # Means of as many points as those that they are laid on: a bent surface is flattened alike.
-    moving = before[own.query(moving, k=_NEIGHBOURS)[1]].mean(axis=1)
+    moving = before[own.query(moving, k=_NEIGHBORS)[1]].mean(axis=1)
     shift, weak = np.array(guess, dtype=float), np.eye(3) / prior**2
     information = weak
     for reach in np.geomspace(2.0 * max(_GATE, prior), max(_GATE, 2.0 * deviation), _ROUNDS):
-        distance, rows = tree.query(moving + shift, k=_NEIGHBOURS, distance_upper_bound=reach)
-        # Where a whole neighbourhood is there.
+        distance, rows = tree.query(moving + shift, k=_NEIGHBORS, distance_upper_bound=reach)
+        # Where a whole neighborhood is there.
         there = np.isfinite(distance).all(axis=1)
         if not there.any():
             break
@@ -368,7 +368,7 @@ def registered(
         pull = np.einsum("n,ni,n->i", weight, normal, left) + weak @ guess
         shift = np.linalg.solve(told + weak, pull)
         # A normal that noise has tilted seems to tell of what is along its surface.
-        rough = np.minimum(spread[:, 0] / (_NEIGHBOURS - 3), deviation**2)
+        rough = np.minimum(spread[:, 0] / (_NEIGHBORS - 3), deviation**2)
         tilted = weight @ (rough / np.maximum(spread[:, 1], deviation**2))
         size, along = np.linalg.eigh(told - tilted * np.eye(3))
         information = (along * np.maximum(size, 0.0)) @ along.T + weak
@@ -433,7 +433,7 @@ def registered_tracks(
             continue
         kept[name] = Reference(stamp, now)
         moved = np.abs(middle - then.p_WQ.mean(axis=0)).max() > _MOVED
-        if not (moved or tracks.moving[row] or tracks.doubt[row] > _DOUBTED):
+        if not (moved or tracks.moving[row] or tracks.motion_evidence[row] > _DOUBTED):
             continue
         unknown = dt * INITIAL_SPEED
         shift, spread = registered(
@@ -621,14 +621,14 @@ def seen_sides(
     ends = np.isfinite(place)
     if parts:
         table = frame.table or TablePlane(offset=-np.inf)
-        free, asked = np.sum(
+        free, requested = np.sum(
             [
                 open_sides(part[0], part[2], place, label, rows, view, table)
                 for part, label, view in zip(parts, frame.labels, frame.views, strict=True)
             ],
             axis=0,
         )
-        ends = free / np.maximum(asked, 1.0) >= _OPEN_SHARE
+        ends = free / np.maximum(requested, 1.0) >= _OPEN_SHARE
     return SeenSides(place, ends, seen, grain)
 
 

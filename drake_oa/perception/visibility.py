@@ -49,7 +49,7 @@ class ImageRange(NamedTuple):
     """Upright extent of what a pinhole camera sees.
 
     Attributes:
-        fy, cy, height: focal length, centre and height of the image along its columns [pixel].
+        fy, cy, height: focal length, center and height of the image along its columns [pixel].
         near: what has less depth is not seen [m].
     """
 
@@ -59,7 +59,7 @@ class ImageRange(NamedTuple):
     near: float = 0.0
 
 
-def with_unseen_ends(
+def with_occluded_extents(
     obstacles: ObstacleClouds,
     cameras: Sequence[tuple[FloatArray, ImageRange]],
     seen_free: Callable[[FloatArray], BoolArray] | None = None,

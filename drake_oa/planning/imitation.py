@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import ArmWorld, excess_along
+from drake_oa.planning.collision_model import ArmCollisionModel, min_clearance_margin
 from drake_oa.policy.dmp import (
     ALPHA_K,
     Demonstration,
@@ -38,7 +38,7 @@ _N_BASIS = 100
 
 
 def demonstration(
-    world: ArmWorld,
+    world: ArmCollisionModel,
     corners: FloatArray,
     *,
     pace: float,
@@ -50,7 +50,7 @@ def demonstration(
     Args:
         world: in which its corners may be rounded as far as the clearance is kept.
         corners: (C, n) of the path [rad].
-        pace: time a metre of the tool's way [s/m].
+        pace: time a meter of the tool's way [s/m].
         longest: it takes no longer where the joints can [s].
         alpha_k: decay of the phase.
 
@@ -85,16 +85,16 @@ def _evenly(corners: FloatArray) -> FloatArray:
     return np.stack([np.interp(at, u, joint) for joint in corners.T], axis=1)
 
 
-def _rounded(world: ArmWorld, q: FloatArray) -> FloatArray:
+def _rounded(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
     """The path with its corners rounded as much as the clearance allows, its ends as they are."""
-    least = min(excess_along(world, q), 0.0)
+    least = min(min_clearance_margin(world, q), 0.0)
     for width in _SMOOTH:
         sigma = width * len(q)
         far = min(int(4.0 * sigma) + 1, len(q) - 1)
         # Mirrored through the ends, so that these stay.
         longer = np.pad(q, ((far, far), (0, 0)), mode="reflect", reflect_type="odd")
         smooth = gaussian_filter1d(longer, sigma, axis=0)[far:-far]
-        if excess_along(world, smooth) >= least:
+        if min_clearance_margin(world, smooth) >= least:
             return np.asarray(smooth)
     return q
 

@@ -14,9 +14,14 @@ import math
 
 import numpy as np
 
+from drake_oa.common.latency import count, counted
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.thinking import count, counted
-from drake_oa.planning.arm_world import STRIDE, ArmWorld, exceeds, share_clear
+from drake_oa.planning.collision_model import (
+    STRIDE,
+    ArmCollisionModel,
+    is_collision_free,
+    share_clear,
+)
 
 _RANGE, _LEAST = 0.8, 0.05
 """Longest and shortest step of the trees [rad]."""
@@ -29,7 +34,7 @@ _SHORTCUTS = 100
 
 
 def _share_clear(
-    world: ArmWorld, one: FloatArray, other: FloatArray, stride: float = STRIDE
+    world: ArmCollisionModel, one: FloatArray, other: FloatArray, stride: float = STRIDE
 ) -> float:
     """Returns the share of a straight way that is clear, and counts the checked configurations."""
     share, checked = share_clear(world, one, other, stride)
@@ -40,7 +45,7 @@ def _share_clear(
 class _Tree:
     """Tree of configurations (N, n), of which `used` are set [rad]."""
 
-    def __init__(self, world: ArmWorld, roots: FloatArray, size: int) -> None:
+    def __init__(self, world: ArmCollisionModel, roots: FloatArray, size: int) -> None:
         self.world, self.used = world, len(roots)
         self.q = np.empty((size, roots.shape[1]))
         self.q[: self.used] = roots
@@ -86,7 +91,7 @@ class _Tree:
         return rows
 
 
-def _shorten(world: ArmWorld, path: list[FloatArray], random: np.random.Generator) -> None:
+def _shorten(world: ArmCollisionModel, path: list[FloatArray], random: np.random.Generator) -> None:
     """Takes random shortcuts of a path."""
     for _ in range(_SHORTCUTS):
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
@@ -99,7 +104,7 @@ def _shorten(world: ArmWorld, path: list[FloatArray], random: np.random.Generato
 
 
 def plan_path(
-    world: ArmWorld, q_start: FloatArray, goals: FloatArray, *, most: int, seed: int = 0
+    world: ArmCollisionModel, q_start: FloatArray, goals: FloatArray, *, most: int, seed: int = 0
 ) -> FloatArray:
     """Plans a path that keeps the requested clearances.
 
@@ -113,9 +118,9 @@ def plan_path(
     Returns:
         (T, n) corners of the path, from start to goal [rad]; (0, n): none was found.
     """
-    goals = goals[[exceeds(world, q) for q in goals]]
+    goals = goals[[is_collision_free(world, q) for q in goals]]
     path: list[FloatArray] = []
-    if not (len(goals) and exceeds(world, q_start)):
+    if not (len(goals) and is_collision_free(world, q_start)):
         return np.zeros((0, len(q_start)))
     random, size = np.random.default_rng(seed), most + len(goals) + 2
     start = tree = _Tree(world, q_start[None], size)

@@ -26,42 +26,48 @@ from drake_oa.common.messages import (
     EllipsoidSet,
     FloatArray,
     Frozen,
-    HoldCause,
+    HoldReason,
     IntArray,
     PlannedMotion,
     PolicyState,
     Route,
     zeros,
 )
-from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
-from drake_oa.planning.arm_world import SELF, ArmWorld, Asked, group_distances, self_distance
+from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene
+from drake_oa.inference.config import Verified
+from drake_oa.planning.collision_model import (
+    SELF,
+    ArmCollisionModel,
+    ClearanceRequirements,
+    group_distances,
+    self_distance,
+)
 from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import ALPHA as LN_ALPHA
 from drake_oa.planning.search import (
     ANGLE,
-    ASTRAY,
     CHAIN,
     JOINT_PATH,
-    MISSED,
+    MAX_GOAL_ERROR,
+    MAX_POSE_ERROR,
     NO_ELITES,
     NOMINAL,
-    NOMINAL_GENES,
+    NOMINAL_PARAMS,
     SAMPLES,
     SOURCES,
     ArmSearch,
     avoidance_terms,
-    genes_of,
+    params_of,
     references,
     rows_of,
 )
-from drake_oa.policy.action import Surroundings
+from drake_oa.policy.action import CouplingInputs
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, NORMAL
-from drake_oa.policy.dmp import Demonstration, Dmp, normalised_time, orientation_along
+from drake_oa.policy.dmp import Demonstration, Dmp, normalized_time, orientation_along
 from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, scene_under_way
-from drake_oa.regulation.config import Verified
 from drake_oa.robot.arm import Chain, Spheres, inverse_kinematics, tool_poses
 
 _LED = 201
@@ -73,12 +79,12 @@ _SEEK_PERIOD = 0.5
 _LEFT, _NEAR_TOOL = 0.015, 2e-3
 """Distance of a joint from the motion in use above which the arm has left it [rad], and distance of
 the desired position from the tool below which it has been displaced there [m]."""
-_SHARES, _GOAL_SEEDS = (1.0, 0.5, 0.2), 128
+_CLEARANCE_FRACTIONS, _GOAL_SEEDS = (1.0, 0.5, 0.2), 128
 """Shares of the requested clearances that are tried in turn, and random seeds of goal postures."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sight(Frozen):
+class PlanningInputs(Frozen):
     """Input of a decision.
 
     Attributes:
@@ -94,7 +100,7 @@ class Sight(Frozen):
     policy: PolicyState
     p_WG: FloatArray
     q: FloatArray
-    scene: SolidScene
+    scene: CollisionScene
     ellipsoids: EllipsoidSet
     coupling: CouplingParameters
     route: Route
@@ -114,7 +120,7 @@ class MotionSearch:
         policy: Policy,
         orientation: Callable[[FloatArray], FloatArray],
         posture: Callable[[FloatArray], FloatArray],
-        overshoot: FloatArray,
+        protrusion: FloatArray,
         q_goal: FloatArray | None = None,
     ) -> None:
         """Stores the constants.
@@ -125,9 +131,9 @@ class MotionSearch:
             chain, spheres: the arm.
             parameters: how far the search goes.
             policy: time step and fade of the action level.
-            orientation: (T, 3, 3) of the tool at normalised times (T,).
-            posture: (T, n) that the null space is drawn to at normalised times (T,) [rad].
-            overshoot: (G,) how far the spheres of each group stick out of the robot [m].
+            orientation: (T, 3, 3) of the tool at normalized times (T,).
+            posture: (T, n) that the null space is drawn to at normalized times (T,) [rad].
+            protrusion: (G,) how far the spheres of each group stick out of the robot [m].
             q_goal: (n,) joints at the goal, where the task gives them [rad].
         """
         self._dmp, self._clearance = dmp, clearance
@@ -137,9 +143,9 @@ class MotionSearch:
         self._task = references(s, orientation(s), posture(s))
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
         # Spheres nearer than that may touch something.
-        self._touch = _LEAST_KEPT - overshoot
+        self._touch = _LEAST_KEPT - protrusion
 
-    def decide(self, before: SelectedMotion, sight: Sight) -> SelectedMotion:
+    def decide(self, before: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
         """Checks the motion under way, and selects another one if there is reason to.
 
         ======== ========= ======= =========================================================
@@ -161,83 +167,85 @@ class MotionSearch:
 
         Args:
             before: result of the decision before.
-            sight: input.
+            inputs: input.
         """
-        policy = sight.policy
-        if sight.scene.stamp == -math.inf or np.array_equal(sight.p_WG, policy.p_WS):
+        policy = inputs.policy
+        if inputs.scene.stamp == -math.inf or np.array_equal(inputs.p_WG, policy.p_WS):
             return SelectedMotion()
-        if before.command.restart and np.array_equal(before.p_WG, sight.p_WG):
-            if not before.fits(policy, sight.p_WG):
+        if before.command.restart and np.array_equal(before.p_WG, inputs.p_WG):
+            if not before.fits(policy, inputs.p_WG):
                 # It has restarted as commanded, where it came to rest.
                 motion = replace(before.prediction.motion, p_WS=policy.p_WS)
-                before = replace(before, travelled=0.0).changed(
+                before = replace(before, traveled=0.0).changed(
                     command={"restart": False}, prediction={"motion": motion}
                 )
-        elif not before.fits(policy, sight.p_WG):
+        elif not before.fits(policy, inputs.p_WG):
             before = SelectedMotion(last_plan=before.last_plan, p_WE=policy.p_WS)
         here = replace(
             before,
             p_WS=policy.p_WS,
-            p_WG=np.array(sight.p_WG, dtype=float),
+            p_WG=np.array(inputs.p_WG, dtype=float),
             p_WE=policy.p_WE,
-            travelled=before.travelled + math.dist(policy.p_WE, before.p_WE),
+            traveled=before.traveled + math.dist(policy.p_WE, before.p_WE),
         ).changed(command={"restart": before.command.restart and policy.speed == 0.0})
-        same = here.scene.same_as(sight.scene)
+        same = here.scene.same_as(inputs.scene)
         rests = policy.speed == 0.0 or policy.phase == 1.0
-        plans = rests and sight.policy.stamp - here.last_plan >= _SEEK_PERIOD
-        is_left = plans and self._is_left(here, sight)
+        plans = rests and inputs.policy.stamp - here.last_plan >= _SEEK_PERIOD
+        is_left = plans and self._is_left(here, inputs)
         is_settled = here.command.tau > 0.0 and not here.command.note and not is_left
         if same and (is_settled or here.prediction.goal_note):
             return here
-        touches = self._touched(sight)
-        here = replace(here, scene=sight.scene).changed(
+        touches = self._touched(inputs)
+        here = replace(here, scene=inputs.scene).changed(
             prediction={"touches": touches, "goal_note": ""}
         )
         if not is_left:
-            here = self._modulated(here, sight)
+            here = self._avoiding_motion(here, inputs)
             if here.prediction.can_follow and here.prediction.shortfall == 0.0:
                 return here.changed(command={"note": ""})
             sides = here.prediction.sides
             if sides.blocked:
                 return here.changed(command={"note": sides.note})
         if plans:
-            here = replace(here, last_plan=sight.policy.stamp)
-            planned = self._planned(here, sight)
+            here = replace(here, last_plan=inputs.policy.stamp)
+            planned = self._planned(here, inputs)
             if planned is not None:
                 return planned
-            here = self._modulated(here, sight) if is_left else here
-            if note := self._no_goal(sight):
+            here = self._avoiding_motion(here, inputs) if is_left else here
+            if note := self._no_goal(inputs):
                 return here.changed(command={"note": note}, prediction={"goal_note": note})
         return here
 
-    def _is_left(self, here: SelectedMotion, sight: Sight) -> bool:
+    def _is_left(self, here: SelectedMotion, inputs: PlanningInputs) -> bool:
         """Returns whether the arm rests away from the motion in use, with its tool where this is.
 
         After a maneuver of `MotionGuard` the desired position goes to the tool.
         """
-        motion, policy = here.prediction.motion, sight.policy
+        motion, policy = here.prediction.motion, inputs.policy
         if policy.speed > 0.0 or not len(motion.q):
             return False
-        s = normalised_time(policy.phase, self._dmp.alpha_k)
-        p_WE = tool_poses(self._chain, sight.q[None])[0, 9:]
+        s = normalized_time(policy.phase, self._dmp.alpha_k)
+        p_WE = tool_poses(self._chain, inputs.q[None])[0, 9:]
         is_near = math.dist(p_WE, policy.p_WE) < _NEAR_TOOL
-        return is_near and bool(np.abs(motion.joints(s) - sight.q).max() > _LEFT)
+        return is_near and bool(np.abs(motion.joints(s) - inputs.q).max() > _LEFT)
 
-    def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
+    def still_holds(self, made: SelectedMotion, inputs: PlanningInputs) -> bool:
         """Returns whether a motion still achieves its predicted clearance from now on.
 
         Since then the one in use has continued: straight toward an obstacle, small differences
         decide its side.
         """
-        motion, genes = made.prediction.motion, made.genes if len(made.genes) else NOMINAL_GENES
-        if sight.policy.phase == 1.0 or not motion.s.size:
+        motion, params = made.prediction.motion, made.params if len(made.params) else NOMINAL_PARAMS
+        if inputs.policy.phase == 1.0 or not motion.s.size:
             return True
-        search = self._search(made, sight, self._world(sight, motion.q[-1:]))
-        found = self._predicted(made, sight, search, genes, 0.0).prediction
+        search = self._search(made, inputs, self._world(inputs, motion.q[-1:]))
+        found = self._predicted(made, inputs, search, params, 0.0).prediction
         allowed = made.prediction.shortfall + self._parameters.slack
         return found.can_follow and found.shortfall <= allowed
 
-    def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
+    def _world(
+        self, inputs: PlanningInputs, ends: FloatArray, share: float = 1.0
+    ) -> ArmCollisionModel:
         """Returns the arm among the solids, with the required clearances.
 
         Of the pair of the spheres of group g and solid k, with the configurations now and at the
@@ -246,27 +254,27 @@ class MotionSearch:
             required_gk = min(share * requested_g, min(d_now_gk, max(d_end_gk, touch_g + slack))
                               - slack)
         """
-        solids, p, is_tool = sight.scene.solids, self._parameters, self._is_tool
-        asked = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
-        table = np.tile(share * asked[:, None], (1, len(solids.ball)))
-        around = solids.layout[:, 5] == SURROUNDINGS
+        geometries, p, is_tool = inputs.scene.geometries, self._parameters, self._is_tool
+        requested = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
+        table = np.tile(share * requested[:, None], (1, len(geometries.ball)))
+        around = geometries.layout[:, 5] == ENVIRONMENT
         table[:, around] = np.minimum(table[:, around], share * p.link_clearance)
-        left = self._distances(sight, sight.q[None])
+        left = self._distances(inputs, inputs.q[None])
         if len(ends):
-            at_end = [self._distances(sight, q[None]) for q in ends]
+            at_end = [self._distances(inputs, q[None]) for q in ends]
             left = np.minimum(
                 left, np.maximum(np.max(at_end, axis=0), self._touch[:, None] + p.slack)
             )
         table = np.minimum(table, left - p.slack)
         table[self._spheres.group_joint < 0] = -np.inf
-        of_self = min(_SELF_CLEARANCE, self._own(sight.q) - p.slack)
+        of_self = min(_SELF_CLEARANCE, self._own(inputs.q) - p.slack)
         if len(ends):
             own = max(self._own(q) for q in ends)
             of_self = min(of_self, max(own, _LEAST_KEPT) - p.slack)
-        required = Asked(table, of_self, is_tool)
-        return ArmWorld(self._chain, self._spheres, solids, required, 0.0)
+        required = ClearanceRequirements(table, of_self, is_tool)
+        return ArmCollisionModel(self._chain, self._spheres, geometries, required, 0.0)
 
-    def _leading(self, command: MotionCommand) -> BSpline:
+    def _null_space_reference(self, command: MotionCommand) -> BSpline:
         """Returns the references of the arm along the motion that is under way."""
         shown, s = command.demonstration, np.linspace(0.0, 1.0, _LED)
         if shown.orientation is None:
@@ -275,23 +283,23 @@ class MotionSearch:
         return references(s, R_WE, shown.posture(s))
 
     def _search(
-        self, here: SelectedMotion, sight: Sight, world: ArmWorld, **more: Any
+        self, here: SelectedMotion, inputs: PlanningInputs, world: ArmCollisionModel, **more: Any
     ) -> ArmSearch:
         """Returns the search for a motion with the demonstration of another one."""
         shown = here.command.demonstration
         dmp = shown.position or self._dmp
         scene = scene_under_way(
-            sight.policy,
-            sight.p_WG,
-            sight.ellipsoids,
+            inputs.policy,
+            inputs.p_WG,
+            inputs.ellipsoids,
             clearance=self._clearance,
             alpha_k=dmp.alpha_k,
         )
         return ArmSearch(
             scene,
             world,
-            sight.q,
-            self._leading(here.command),
+            inputs.q,
+            self._null_space_reference(here.command),
             samples=SAMPLES if shown.position is None else _LED,
             dmp=dmp,
             policy=self._policy,
@@ -299,25 +307,25 @@ class MotionSearch:
             **more,
         )
 
-    def _modulated(self, here: SelectedMotion, sight: Sight) -> SelectedMotion:
+    def _avoiding_motion(self, here: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
         """Returns the best motion by coupling terms."""
-        command, end = here.command, self._leading(here.command)(1.0)
-        target = np.append(end[:9], sight.p_WG)
+        command, end = here.command, self._null_space_reference(here.command)(1.0)
+        target = np.append(end[:9], inputs.p_WG)
         at_goal = inverse_kinematics(self._chain, target, end[9:], seeds=4)
-        world = self._world(sight, at_goal[:1])
-        route = sight.route
+        world = self._world(inputs, at_goal[:1])
+        route = inputs.route
         search = self._search(
             here,
-            sight,
+            inputs,
             world,
-            price=route.price,
-            previous=here.genes,
+            side_cost=route.side_cost,
+            previous=here.params,
             elites=here.elites,
-            rounds=here.rounds,
-            most=math.inf if sight.policy.phase == 1.0 else self._parameters.frame,
+            generations=here.generations,
+            most=math.inf if inputs.policy.phase == 1.0 else self._parameters.compute_budget,
         )
         scene = search.scene
-        chain = _guided_command(sight.coupling, route, scene)
+        chain = _guided_command(inputs.coupling, route, scene)
         found = search.run(
             guided=chain.guides,
             seeds=_seeds(scene, chain),
@@ -325,65 +333,67 @@ class MotionSearch:
         )
         source = int(found.source[0])
         if source == CHAIN:
-            chosen, genes, shown = chain, NO_ELITES, chain.route
+            chosen, params, shown = chain, NO_ELITES, chain.route
         else:
-            terms = avoidance_terms(scene, found.genes)
-            shown = _shown_sides(route, terms, found.genes[0, ANGLE])
+            terms = avoidance_terms(scene, found.params)
+            shown = _shown_sides(route, terms, found.params[0, ANGLE])
             acts = terms[:, ALPHA] > 0.0
             if source == NOMINAL and command.demonstration.position is not None:
                 source = JOINT_PATH
-            chosen, genes = MotionCommand(source, rows_of(terms[acts])), found.genes[acts]
+            chosen, params = MotionCommand(source, rows_of(terms[acts])), found.params[acts]
         chosen = replace(chosen, demonstration=command.demonstration, restart=command.restart)
         here = replace(
             here,
             command=chosen,
-            genes=genes,
+            params=params,
             counts=search.counts,
             elites=search.elites,
-            rounds=search.rounds,
+            generations=search.generations,
         ).changed(prediction={"sides": shown})
-        return self._predicted(here, sight, search, found.genes, float(found.length[0]))
+        return self._predicted(here, inputs, search, found.params, float(found.length[0]))
 
     def _predicted(
         self,
         here: SelectedMotion,
-        sight: Sight,
+        inputs: PlanningInputs,
         search: ArmSearch,
-        genes: FloatArray,
+        params: FloatArray,
         length: float,
     ) -> SelectedMotion:
         """Returns a motion with its prediction: the command is rolled out.
 
         Args:
             here: the motion.
-            sight: input of the decision.
+            inputs: input of the decision.
             search: scene, arm and solids.
-            genes: (1, 6) of the motion.
+            params: (1, 6) of the motion.
             length: of the tool's path from now on [m].
         """
-        asked = search.world.asked
-        tool = search.tool_paths(genes, guided=here.command.guides)
-        arm = search.follow(genes, tool, -math.inf)
+        required = search.world.required
+        tool = search.tool_paths(params, guided=here.command.guides)
+        arm = search.follow(params, tool, -math.inf)
         count = int(arm.samples[0])
         s, q = search.sample_times(count), arm.q[0, :count]
-        # Every second: they are a few millimetres apart.
-        d = self._distances(sight, q[::2])
-        is_self = arm.excess[0].argmin() == SELF
-        limiting = "the arm itself" if is_self else self._nearest(sight, d)
-        follows = float(arm.error[0]) <= MISSED and float(arm.hurry[0]) <= 1.0
-        follows &= float(tool.goal_error[0]) <= ASTRAY * search.scene.baseline
-        own = float(arm.excess[0, SELF]) + asked.of_self
+        # Every second: they are a few millimeters apart.
+        d = self._distances(inputs, q[::2])
+        is_self = arm.clearance_margin[0].argmin() == SELF
+        limiting = "the arm itself" if is_self else self._nearest(inputs, d)
+        follows = (
+            float(arm.error[0]) <= MAX_POSE_ERROR and float(arm.max_joint_speed_ratio[0]) <= 1.0
+        )
+        follows &= float(tool.goal_error[0]) <= MAX_GOAL_ERROR * search.scene.baseline
+        own = float(arm.clearance_margin[0, SELF]) + required.of_self
         note = ""
         if not follows:
             note = "no motion that the arm can follow found"
         elif self._touches(d):
             note = f"no motion that clears {limiting} found"
-        elif own <= min(_LEAST_KEPT, self._own(sight.q) - self._parameters.slack):
+        elif own <= min(_LEAST_KEPT, self._own(inputs.q) - self._parameters.slack):
             note = "no motion that clears the arm itself found"
-        lowered = self._clearance - float(asked.of_solids.max(initial=-np.inf))
+        clearance_reduction = self._clearance - float(required.of_geometries.max(initial=-np.inf))
         return here.changed(
             command={
-                "tau": max(1.0, (here.travelled + length) / max(search.planned_length, 1e-9)),
+                "tau": max(1.0, (here.traveled + length) / max(search.planned_length, 1e-9)),
                 "note": note,
             },
             prediction={
@@ -391,63 +401,67 @@ class MotionSearch:
                 "shortfall": max(-float(arm.least[0]) - self._parameters.slack, 0.0),
                 "limiting_obstacle": limiting,
                 "can_follow": follows,
-                "lowered": max(lowered, 0.0) if len(sight.scene) else 0.0,
+                "clearance_reduction": max(clearance_reduction, 0.0) if len(inputs.scene) else 0.0,
             },
         )
 
     # --- a path in the joints -------------------------------------------------------------
 
-    def _goals(self, sight: Sight, seeds: int) -> FloatArray:
+    def _goal_configurations(self, inputs: PlanningInputs, seeds: int) -> FloatArray:
         """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
-        X_WG, first = self._goal(sight)
+        X_WG, first = self._goal(inputs)
         found = inverse_kinematics(self._chain, X_WG, first, seeds=seeds)
-        free = [q for q in found if not self._touches(self._distances(sight, q[None]))]
+        free = [q for q in found if not self._touches(self._distances(inputs, q[None]))]
         return np.array(free).reshape(-1, len(first))
 
-    def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
+    def _goal(self, inputs: PlanningInputs) -> tuple[FloatArray, FloatArray]:
         """(12,) pose of the tool at the goal [m], and (n,) the joints that are asked for [rad]."""
         end = self._task(1.0)
         first = end[9:] if self._q_goal is None else self._q_goal
-        return np.append(end[:9], sight.p_WG), first
+        return np.append(end[:9], inputs.p_WG), first
 
-    def _no_goal(self, sight: Sight) -> str:
+    def _no_goal(self, inputs: PlanningInputs) -> str:
         """Returns a note that names the obstacle at the goal.
 
         "": the arm has a free posture there, or cannot be there at all.
         """
-        at_goal = inverse_kinematics(self._chain, *self._goal(sight), seeds=_GOAL_SEEDS)
-        d = [self._distances(sight, q[None]) for q in at_goal]
+        at_goal = inverse_kinematics(self._chain, *self._goal(inputs), seeds=_GOAL_SEEDS)
+        d = [self._distances(inputs, q[None]) for q in at_goal]
         if not all(map(self._touches, d)) or not d:
             return ""
-        return f"at its goal the arm would touch {self._nearest(sight, d[0])}"
+        return f"at its goal the arm would touch {self._nearest(inputs, d[0])}"
 
-    def _planned(self, here: SelectedMotion, sight: Sight) -> SelectedMotion | None:
+    def _planned(self, here: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion | None:
         """Plans a path in the joints, for the whole requested clearance or a share of it."""
         p = self._parameters
         # To the task's own posture first: the tool turns no farther than it has to.
-        goals = [self._goals(sight, 0)]
+        goals = [self._goal_configurations(inputs, 0)]
         for share, most in (
-            *((share, p.configurations) for share in _SHARES),
-            (min(_SHARES), p.last_configurations),
+            *((share, p.configurations) for share in _CLEARANCE_FRACTIONS),
+            (min(_CLEARANCE_FRACTIONS), p.last_configurations),
         ):
             for number in range(2):
                 if number == len(goals):
                     # Of many seeds, which takes a while: only if no path to the own one is found.
-                    goals.append(self._goals(sight, _GOAL_SEEDS)[len(goals[0]) :])
+                    goals.append(self._goal_configurations(inputs, _GOAL_SEEDS)[len(goals[0]) :])
                 ends = goals[number]
-                world = self._world(sight, ends, share)
-                corners = plan_path(world, sight.q, ends, most=most)
-                choice = self._along(corners, here, sight, world) if len(corners) else None
+                world = self._world(inputs, ends, share)
+                corners = plan_path(world, inputs.q, ends, most=most)
+                choice = self._along(corners, here, inputs, world) if len(corners) else None
                 if choice is not None:
                     return choice
         return None
 
     def _along(
-        self, corners: FloatArray, here: SelectedMotion, sight: Sight, world: ArmWorld
+        self,
+        corners: FloatArray,
+        here: SelectedMotion,
+        inputs: PlanningInputs,
+        world: ArmCollisionModel,
     ) -> SelectedMotion | None:
         """Returns the motion that imitates a path in the joints; None: it cannot be executed."""
         duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
-        pace = duration / max(math.dist(sight.p_WG, sight.policy.p_WE), 1e-3)
+        pace = duration / max(math.dist(inputs.p_WG, inputs.policy.p_WE), 1e-3)
         try:
             shown = demonstration(
                 world, corners, pace=pace, longest=LONGEST * duration, alpha_k=alpha_k
@@ -455,24 +469,24 @@ class MotionSearch:
         except ValueError:
             # The tool turns too far for one primitive.
             return None
-        policy = sight.policy
+        policy = inputs.policy
         rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
-        sight = replace(sight, policy=rests)
+        inputs = replace(inputs, policy=rests)
         start = replace(
             here,
             command=MotionCommand(JOINT_PATH, demonstration=shown),
-            travelled=0.0,
-            genes=NO_ELITES,
+            traveled=0.0,
+            params=NO_ELITES,
             elites=NO_ELITES,
         )
-        search = self._search(start, sight, world)
-        found = self._predicted(start, sight, search, NOMINAL_GENES, 0.0)
+        search = self._search(start, inputs, world)
+        found = self._predicted(start, inputs, search, NOMINAL_PARAMS, 0.0)
         # Of the whole requested clearance, not of the share that the path was planned for.
         motion = found.prediction.motion
-        d = self._distances(sight, motion.q)
-        lacking = self._world(sight, shown.q[-1:]).asked.of_solids - d
+        d = self._distances(inputs, motion.q)
+        lacking = self._world(inputs, shown.q[-1:]).required.of_geometries - d
         short = max(float(lacking.max(initial=-np.inf)) - self._parameters.slack, 0.0)
-        limiting = self._nearest(sight, d) if short > 0.0 else found.prediction.limiting_obstacle
+        limiting = self._nearest(inputs, d) if short > 0.0 else found.prediction.limiting_obstacle
         if found.command.note:
             return None
         # The motion belongs to the one that starts there.
@@ -485,13 +499,18 @@ class MotionSearch:
             },
         )
 
-    def _distances(self, sight: Sight, q: FloatArray) -> FloatArray:
+    def _distances(self, inputs: PlanningInputs, q: FloatArray) -> FloatArray:
         """Returns least distances (G, K) of the moving groups to the solids along q (T, n) [m].
 
         Those of fixed groups are inf.
         """
         d = group_distances(
-            self._chain, self._spheres, sight.scene.solids, np.ascontiguousarray(q), 0.0, math.inf
+            self._chain,
+            self._spheres,
+            inputs.scene.geometries,
+            np.ascontiguousarray(q),
+            0.0,
+            math.inf,
         )
         d[self._spheres.group_joint < 0] = np.inf
         return np.asarray(d)
@@ -500,14 +519,14 @@ class MotionSearch:
         """Returns whether the arm may touch a solid at distances (G, K) of its groups [m]."""
         return bool((d <= self._touch[:, None]).any())
 
-    def _nearest(self, sight: Sight, d: FloatArray) -> str:
+    def _nearest(self, inputs: PlanningInputs, d: FloatArray) -> str:
         """Returns the label of the solid with the least of distances (G, K); "": there is none."""
-        return sight.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""
+        return inputs.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""
 
-    def _touched(self, sight: Sight) -> str:
+    def _touched(self, inputs: PlanningInputs) -> str:
         """Returns the label of the solid that the arm is certain to touch; "": none."""
-        d = self._distances(sight, sight.q[None]) - self._touch[:, None]
-        return self._nearest(sight, d) if (d < -_LEAST_KEPT).any() else ""
+        d = self._distances(inputs, inputs.q[None]) - self._touch[:, None]
+        return self._nearest(inputs, d) if (d < -_LEAST_KEPT).any() else ""
 
     def _own(self, q: FloatArray) -> float:
         """Returns the distance of the arm to itself at a configuration, at most `FAR` [m]."""
@@ -534,9 +553,9 @@ def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
     """Returns seeds (n, 6) of the search: each row of the chain alone, on the route's side."""
     acts = chain.rows.alpha > 0.0
     normal_W, center_W = chain.route.normal_W[acts], chain.rows.center_W[acts]
-    genes = genes_of(scene, center_W, normal_W, chain.rows.as_array()[acts])
-    seeds = np.repeat(genes, len(_WEAKER), axis=0)
-    seeds[:, LN_ALPHA] += np.tile(_WEAKER, len(genes))
+    params = params_of(scene, center_W, normal_W, chain.rows.as_array()[acts])
+    seeds = np.repeat(params, len(_WEAKER), axis=0)
+    seeds[:, LN_ALPHA] += np.tile(_WEAKER, len(params))
     return seeds
 
 
@@ -545,7 +564,7 @@ def _shown_sides(route: Route, terms: FloatArray, angle: float) -> Route:
 
     It is blocked if user-supplied rings forbid every side.
     """
-    blocked = bool(np.isinf(route.price).all())
+    blocked = bool(np.isinf(route.side_cost).all())
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
     rows = np.zeros(len(route.ids), dtype=np.int64)
     return replace(
@@ -585,20 +604,20 @@ class MotionCommand(Frozen):
     @property
     def coupling(self) -> CouplingParameters:
         """Command as DmpIntegrator reads it."""
-        hold, note = HoldCause.NONE, self.note
+        hold, note = HoldReason.NONE, self.note
         if self.tau == 0.0:
-            hold, note = HoldCause.DECIDING, DECIDING
+            hold, note = HoldReason.DECIDING, DECIDING
         elif note:
-            hold = HoldCause.OBSTACLES
+            hold = HoldReason.OBSTACLES
         return replace(
-            self.rows, tau=self.tau, hold=hold, note=note, anew=self.restart, verified=True
+            self.rows, tau=self.tau, hold=hold, note=note, restart=self.restart, verified=True
         )
 
     @property
     def guides(self) -> Obstacles | None:
         """Obstacles that lead the headings of the terms; None: none does."""
         seen = self.rows.ellipsoids
-        return Surroundings.of(seen, self.coupling, self.route).obstacles if len(seen) else None
+        return CouplingInputs.of(seen, self.coupling, self.route).obstacles if len(seen) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -610,7 +629,7 @@ class MotionPrediction(Frozen):
         shortfall: of the requested clearance [m].
         limiting_obstacle: label of the solid with the largest shortfall.
         can_follow: whether the arm can follow the tool's motion to the goal.
-        lowered: reduction of the requested clearance, as start or goal leave no more [m].
+        clearance_reduction: reduction of the requested clearance, as start or goal leave no more [m].
         goal_note: "" or the reason for which there is no feasible posture at the goal.
         touches: label of the solid that the arm touches; "": none.
         sides: sides of the obstacles with their costs, and the one of the motion; for a viewer.
@@ -620,7 +639,7 @@ class MotionPrediction(Frozen):
     shortfall: float = 0.0
     limiting_obstacle: str = ""
     can_follow: bool = True
-    lowered: float = 0.0
+    clearance_reduction: float = 0.0
     goal_note: str = ""
     touches: str = ""
     sides: Route = field(default_factory=Route)
@@ -635,11 +654,11 @@ class SelectedMotion(Frozen):
         prediction: whole-arm motion that is expected from it.
         p_WS, p_WG: (3,) start and goal for which it was selected [m]; (0,): none yet.
         scene: the solids for which it was selected.
-        genes: (1, 6) of the motion in use; (0, 6): it has none.
+        params: (1, 6) of the motion in use; (0, 6): it has none.
         elites: (k, 6) genes of the best candidates.
-        rounds: number of rounds of the search so far.
+        generations: number of rounds of the search so far.
         last_plan: time of the last search for a path in the joints [s].
-        travelled: length of the path that the motion has covered [m].
+        traveled: length of the path that the motion has covered [m].
         p_WE: (3,) its end [m].
         counts: (5,) numbers of candidates that the last search rolled out, by source.
     """
@@ -648,12 +667,12 @@ class SelectedMotion(Frozen):
     prediction: MotionPrediction = field(default_factory=MotionPrediction)
     p_WS: FloatArray = zeros(0)
     p_WG: FloatArray = zeros(0)
-    scene: SolidScene = field(default_factory=SolidScene)
-    genes: FloatArray = field(default_factory=lambda: NO_ELITES)
+    scene: CollisionScene = field(default_factory=CollisionScene)
+    params: FloatArray = field(default_factory=lambda: NO_ELITES)
     elites: FloatArray = field(default_factory=lambda: NO_ELITES)
-    rounds: int = 0
+    generations: int = 0
     last_plan: float = -math.inf
-    travelled: float = 0.0
+    traveled: float = 0.0
     p_WE: FloatArray = zeros(0)
     counts: IntArray = zeros(len(SOURCES), kind=np.int64)
 

@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from drake_oa.common.latency import LatencyModel, PendingDecision
 from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
@@ -21,9 +22,8 @@ from drake_oa.common.ports import (
     declare_state_outputs,
     valid_period,
 )
-from drake_oa.common.thinking import Thinking, Thoughts
-from drake_oa.geometry.solids import SolidScene
-from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
+from drake_oa.geometry.collision_scene import CollisionScene
+from drake_oa.planning.motion_search import MotionSearch, PlanningInputs, SelectedMotion
 from drake_oa.planning.search import SOURCES
 from drake_oa.policy.dmp import Demonstration
 
@@ -40,7 +40,7 @@ class MotionVerifier(LeafSystem):
       - policy_state
       - goal
       - robot_state
-      - solids_W
+      - collision_scene_W
       - ellipsoids_W (optional)
       - coupling_parameters (optional)
       - route (optional)
@@ -59,7 +59,7 @@ class MotionVerifier(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive.
     - goal: (3,) goal of the motion in the world frame [m].
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
-    - solids_W: abstract `SolidScene`: collision geometry of everything but the robot. Solids that
+    - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot. Solids that
       move are left to `MotionGuard`.
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles.
     - coupling_parameters (optional, input): abstract `CouplingParameters` of
@@ -74,7 +74,7 @@ class MotionVerifier(LeafSystem):
     - sides: abstract `Route`: the sides at the obstacle that the motion avoids, with their costs
       and the selected one; for a viewer.
     - shortfall: (1,) shortfall of the requested clearance [m]; 0 where it is achieved.
-    - lowered: (1,) reduction of the requested clearance, as start or goal leave no more [m].
+    - clearance_reduction: (1,) reduction of the requested clearance, as start or goal leave no more [m].
     - decision: (2,) when the last decision began and the time that it takes [s].
     - source: (1,) source of the motion, a row of `drake_oa.planning.search.SOURCES`; -1: nothing
       was selected.
@@ -92,7 +92,7 @@ class MotionVerifier(LeafSystem):
         num_states: int,
         *,
         period: float = 1.0 / 15.0,
-        thinking: Thinking | None = None,
+        compute_latency: LatencyModel | None = None,
         step: float = 0.008,
     ) -> None:
         """Declares the ports.
@@ -102,7 +102,7 @@ class MotionVerifier(LeafSystem):
             positions: where the arm's joints are in the robot's state.
             num_states: size of that state.
             period: time between choices [s].
-            thinking: what choices cost in simulated time; None: none.
+            compute_latency: what choices cost in simulated time; None: none.
             step: of the policy, at which choices come into force then [s].
 
         Raises:
@@ -110,64 +110,64 @@ class MotionVerifier(LeafSystem):
         """
         super().__init__()
         self._search, self._positions = search, list(positions)
-        self._thinking = thinking
+        self._compute_latency = compute_latency
         self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._robot = self.DeclareVectorInputPort("robot_state", num_states)
-        self._solids = AbstractInput(self, "solids_W", SolidScene)
+        self._solids = AbstractInput(self, "collision_scene_W", CollisionScene)
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
         self._proposed = AbstractInput(self, "coupling_parameters", CouplingParameters)
         self._route = AbstractInput(self, "route", Route)
-        self._chosen = self.DeclareAbstractState(Value(Thoughts(SelectedMotion())))
+        self._chosen = self.DeclareAbstractState(Value(PendingDecision(SelectedMotion())))
         declare_state_outputs(
             self,
             self._chosen,
-            ("coupling_parameters", CouplingParameters, "in_force.command.coupling"),
-            ("route", Route, "in_force.command.route"),
-            ("demonstration", Demonstration, "in_force.command.demonstration"),
-            ("motion", PlannedMotion, "in_force.prediction.motion"),
-            ("sides", Route, "in_force.prediction.sides"),
-            ("shortfall", 1, "in_force.prediction.shortfall"),
-            ("lowered", 1, "in_force.prediction.lowered"),
+            ("coupling_parameters", CouplingParameters, "active.command.coupling"),
+            ("route", Route, "active.command.route"),
+            ("demonstration", Demonstration, "active.command.demonstration"),
+            ("motion", PlannedMotion, "active.prediction.motion"),
+            ("sides", Route, "active.prediction.sides"),
+            ("shortfall", 1, "active.prediction.shortfall"),
+            ("clearance_reduction", 1, "active.prediction.clearance_reduction"),
             ("decision", 2, "last"),
-            ("source", 1, "in_force.command.source"),
-            ("candidates", len(SOURCES), "in_force.counts"),
+            ("source", 1, "active.command.source"),
+            ("candidates", len(SOURCES), "active.counts"),
         )
         period = valid_period(period)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
-        if thinking is not None:
+        if compute_latency is not None:
             step = valid_period(step)
             # Just before the policy looks.
             self.DeclarePeriodicUnrestrictedUpdateEvent(
                 step, step - min(DECISION_OFFSET, 0.5 * step), self._take_effect
             )
 
-    def _read(self, context: Context) -> Thoughts[SelectedMotion]:
+    def _read(self, context: Context) -> PendingDecision[SelectedMotion]:
         return context.get_abstract_state(self._chosen).get_value()
 
     def _choose(self, context: Context, state: State) -> EventStatus:
         # Not the Context's: the other event of the same instant may have come first.
         held = state.get_mutable_abstract_state(self._chosen)
-        kept: Thoughts[SelectedMotion] = held.get_value()
+        kept: PendingDecision[SelectedMotion] = held.get_value()
         time = context.get_time()
         policy = self._policy.read(context)
         if policy.baseline == 0.0:
             # There is no motion yet to choose for.
             return EventStatus.DidNothing()
-        sight = self._sight(context)
-        thoughts = kept.thought(
-            lambda before: self._search.decide(before, sight), time, self._thinking
+        inputs = self._inputs(context)
+        pending = kept.start(
+            lambda before: self._search.decide(before, inputs), time, self._compute_latency
         )
-        if thoughts is kept:
+        if pending is kept:
             return EventStatus.DidNothing()
-        _log_change(kept.in_force, thoughts.in_force, time)
-        held.set_value(thoughts)
+        _log_change(kept.active, pending.active, time)
+        held.set_value(pending)
         return EventStatus.Succeeded()
 
-    def _sight(self, context: Context) -> Sight:
+    def _inputs(self, context: Context) -> PlanningInputs:
         """Returns the input of a decision now."""
-        return Sight(
+        return PlanningInputs(
             self._policy.read(context),
             np.array(self._goal.Eval(context)),
             np.array(self._robot.Eval(context)[self._positions]),
@@ -179,30 +179,30 @@ class MotionVerifier(LeafSystem):
 
     def _take_effect(self, context: Context, state: State) -> EventStatus:
         held = state.get_mutable_abstract_state(self._chosen)
-        kept: Thoughts[SelectedMotion] = held.get_value()
+        kept: PendingDecision[SelectedMotion] = held.get_value()
         time = context.get_time()
-        made = kept.made(time)
+        made = kept.completed(time)
         if made is None:
             return EventStatus.DidNothing()
         policy = self._policy.read(context)
         fits = made.fits(policy, self._goal.Eval(context))
         fits = fits and (policy.speed == 0.0 or not made.command.restart)
-        if fits and not self._is_late(made, kept.in_force, context):
-            _log_change(kept.in_force, made, time)
-            held.set_value(kept.taken())
+        if fits and not self._is_late(made, kept.active, context):
+            _log_change(kept.active, made, time)
+            held.set_value(kept.activated())
         else:
             _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.begun)
-            held.set_value(kept.dropped())
+            held.set_value(kept.discarded())
         return EventStatus.Succeeded()
 
-    def _is_late(self, made: SelectedMotion, in_force: SelectedMotion, context: Context) -> bool:
+    def _is_late(self, made: SelectedMotion, active: SelectedMotion, context: Context) -> bool:
         """Whether a choice no more does from where the motion is now, and the one in force does."""
-        is_short = in_force.prediction.shortfall > 0.0 or in_force.command.note
-        if is_short or not in_force.scene.same_as(made.scene):
+        is_short = active.prediction.shortfall > 0.0 or active.command.note
+        if is_short or not active.scene.same_as(made.scene):
             return False
-        sight, holds = self._sight(context), self._search.still_holds
+        inputs, holds = self._inputs(context), self._search.still_holds
         # During a maneuver of MotionGuard neither may.
-        return not holds(made, sight) and holds(in_force, sight)
+        return not holds(made, inputs) and holds(active, inputs)
 
 
 def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> None:

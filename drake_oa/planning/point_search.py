@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.common.latency import count
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.thinking import count
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.planning.search import BAD, PRICE, Search
+from drake_oa.planning.search import CLEARANCE_WEIGHT, INFEASIBLE_PENALTY, Search
 from drake_oa.policy.rollout import Scene, ToolRollouts
 
 _TOUCH = 50.0
@@ -38,7 +38,7 @@ class PointSearch(Search):
         return signed_distance(p_WQ, seen.p_WO, seen.R_WO, seen.semi_axes)
 
     def world_cost(
-        self, genes: FloatArray, tool: ToolRollouts, cost: FloatArray, worst: float
+        self, params: FloatArray, tool: ToolRollouts, cost: FloatArray, worst: float
     ) -> FloatArray:
         """Returns the costs of the point's clearance; see `Search`."""
         scene, slack, step = self.scene, self.parameters.slack, self.dmp.duration * tool.ds
@@ -51,5 +51,5 @@ class PointSearch(Search):
         margin = (d - np.minimum(self.limit, at_goal)).min(axis=1, initial=np.inf)
         short = np.maximum(-margin - slack, 0.0)
         touches = (short > 0.0) & (d <= 0.0).any(axis=1)
-        bad = PRICE * short / scene.baseline + _TOUCH * touches
-        return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0))
+        bad = CLEARANCE_WEIGHT * short / scene.baseline + _TOUCH * touches
+        return np.asarray(np.where(bad > 0.0, INFEASIBLE_PENALTY + bad, 0.0))

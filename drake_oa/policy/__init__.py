@@ -10,7 +10,7 @@ Systems, at `policy.period` (125 Hz by default):
 - `DmpIntegrator`: the position. Between two steps velocity is linear in time.
 - `OrientationIntegrator`: the tool's orientation on the same phase, and its turn about an axis.
 
-In normalised time s = t / (tau T)
+In normalized time s = t / (tau T)
 
     dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C,    dx/ds = z,    dk/ds = -alpha_k k,
 

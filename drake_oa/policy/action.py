@@ -15,12 +15,12 @@ import numpy as np
 
 from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import (
-    PART,
+    PART_ID_STRIDE,
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
     Frozen,
-    HoldCause,
+    HoldReason,
     PolicyState,
     Route,
     zeros,
@@ -43,20 +43,20 @@ class Segment(Frozen):
     Attributes:
         state: the policy at the beginning.
         end: the policy at the end.
-        evasion: (2, 3) velocities at both that displace it besides [m/s].
+        evasion_velocity: (2, 3) velocities at both that displace it besides [m/s].
         primitive: what it imitates; None: the one of `take_step`.
     """
 
     state: PolicyState
     end: PolicyState
-    evasion: FloatArray = zeros(2, 3)
+    evasion_velocity: FloatArray = zeros(2, 3)
     primitive: Dmp | None = None
 
     @property
     def velocity(self) -> FloatArray:
         """(2, 3) velocities at the beginning and at the end [m/s]."""
         scaled = (state.speed * state.z_W for state in (self.state, self.end))
-        return np.array([*scaled]) + self.evasion
+        return np.array([*scaled]) + self.evasion_velocity
 
     def interpolate(self, time: float) -> FloatArray:
         """Computes position, velocity and acceleration at a time [s] of the segment.
@@ -88,14 +88,14 @@ def resting(state: PolicyState, primitive: Dmp | None = None) -> Segment:
 def take_step(
     before: Segment,
     p_WG: FloatArray,
-    around: Surroundings,
+    around: CouplingInputs,
     time: float,
     step: float,
     *,
     dmp: Dmp,
     config: Policy,
     speed_scale: float = 1.0,
-    evasion: FloatArray | None = None,
+    evasion_velocity: FloatArray | None = None,
 ) -> Segment:
     """Takes a step of the policy from the end of a segment.
 
@@ -110,7 +110,7 @@ def take_step(
         speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
             gets there at the rate of a hold. What is not in [0, 1] counts as the
             nearest of them, NaN as 0.
-        evasion: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
+        evasion_velocity: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
             phase being what they are; it changes linearly within the step. None,
             and what is not finite: not at all.
 
@@ -126,10 +126,10 @@ def take_step(
         state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
     baseline = state.baseline
     hold, note = around.hold_at(state, time, config.max_observation_age)
-    held = hold is not HoldCause.NONE
+    held = hold is not HoldReason.NONE
     scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 and not held else 0.0
     if scale == 0.0 and not held:
-        hold, note = HoldCause.SPEED_SCALE, SCALED_TO_REST
+        hold, note = HoldReason.SPEED_SCALE, SCALED_TO_REST
     tau = around.tau or state.tau
     if not around.tau and around.path_length is not None:
         tau = max(1.0, around.path_length / baseline)
@@ -140,7 +140,7 @@ def take_step(
     ds = 0.5 * (speed + after) * step
     if not 0.0 <= ds < math.inf:
         raise ValueError(
-            f"a step of {step} s at {speed} 1/s is not finite and at least 0 in normalised time"
+            f"a step of {step} s at {speed} 1/s is not finite and at least 0 in normalized time"
         )
     motion = np.empty((2, 2, 3))
     motion[:] = np.array([state.p_WE, state.z_W])[:, None]
@@ -149,9 +149,9 @@ def take_step(
         spread, fade = baseline * state.R_WL, config.fade * baseline
         course = dmp.course(middle, ds, state.p_WG, spread, fade=fade)
         advance(course, around.obstacles, around.obstacles.terms, math.inf, *motion)
-    if evasion is None or not math.isfinite(evasion.sum()):
-        evasion = np.zeros(3)
-    evasions = np.array([before.evasion[1], evasion])
+    if evasion_velocity is None or not math.isfinite(evasion_velocity.sum()):
+        evasion_velocity = np.zeros(3)
+    evasions = np.array([before.evasion_velocity[1], evasion_velocity])
     begin = replace(state, tau=tau, speed=speed, stamp=time, hold=hold, note=note)
     end = replace(
         begin,
@@ -197,7 +197,7 @@ def restarted(
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings(Frozen):
+class CouplingInputs(Frozen):
     """Inputs of the policy until the next observation or decision.
 
     Attributes:
@@ -208,24 +208,24 @@ class Surroundings(Frozen):
         tau: requested temporal scaling; 0: none.
         path_length: of the route [m]; None: there is no route.
         verified: whether roll-outs have verified the terms, so that no ellipsoid holds them.
-        anew: whether a motion at rest is to begin anew from where it is.
+        restart: whether a motion at rest is to begin anew from where it is.
     """
 
     ellipsoids: EllipsoidSet | None = None
     obstacles: Obstacles = NO_OBSTACLES
-    hold: HoldCause = HoldCause.NONE
+    hold: HoldReason = HoldReason.NONE
     note: str = ""
     tau: float = 0.0
     path_length: float | None = None
     verified: bool = False
-    anew: bool = False
+    restart: bool = False
 
     @staticmethod
     def of(
         ellipsoids: EllipsoidSet | None,
         coupling: CouplingParameters | None,
         route: Route | None,
-    ) -> Surroundings:
+    ) -> CouplingInputs:
         """Combines the values of the ports.
 
         Args:
@@ -240,25 +240,27 @@ class Surroundings(Frozen):
             ValueError: if coupling or route do not have one row an ellipsoid, or a
                 parameter is out of its range.
         """
-        found = Surroundings(ellipsoids)
+        found = CouplingInputs(ellipsoids)
         is_own = coupling is not None and coupling.verified
         if is_own and route is not None and not len(route.direction_W):
             route = None
         if route is not None:
-            hold = HoldCause.OBSTACLES if route.blocked else HoldCause.NONE
+            hold = HoldReason.OBSTACLES if route.blocked else HoldReason.NONE
             found = replace(found, hold=hold, note=route.note, path_length=route.path_length)
         if coupling is None:
             return found
-        if coupling.hold is not HoldCause.NONE:
+        if coupling.hold is not HoldReason.NONE:
             found = replace(found, hold=coupling.hold, note=coupling.note)
-        found = replace(found, tau=coupling.tau, verified=coupling.verified, anew=coupling.anew)
+        found = replace(
+            found, tau=coupling.tau, verified=coupling.verified, restart=coupling.restart
+        )
         # Verified terms have their own obstacles, which lead headings and hold nothing.
         shapes = coupling.ellipsoids if coupling.verified else ellipsoids
         if ellipsoids is None or shapes is None:
             return found
         return replace(found, obstacles=_coupled(shapes, coupling, route))
 
-    def hold_at(self, state: PolicyState, time: float, max_age: float) -> tuple[HoldCause, str]:
+    def hold_at(self, state: PolicyState, time: float, max_age: float) -> tuple[HoldReason, str]:
         """Returns why the motion must not go on now, and the same in words.
 
         It is held while nothing has been observed yet or the observation is too old; while no way
@@ -272,16 +274,16 @@ class Surroundings(Frozen):
         """
         seen = self.ellipsoids
         if seen is None:
-            return HoldCause.NONE, ""
+            return HoldReason.NONE, ""
         cause = f" ({seen.note})" if seen.note else ""
         if seen.stamp == -math.inf:
-            return HoldCause.OBSTACLES, f"no observation yet{cause}"
+            return HoldReason.OBSTACLES, f"no observation yet{cause}"
         if time - seen.stamp > max_age:
             return (
-                HoldCause.OBSTACLES,
+                HoldReason.OBSTACLES,
                 f"obstacles not seen since t = {seen.stamp:.2f} s{cause}",
             )
-        if self.hold is not HoldCause.NONE:
+        if self.hold is not HoldReason.NONE:
             return self.hold, self.note
         if len(seen) and not self.verified:
             ends = np.stack([state.p_WE, state.p_WG])[:, None]
@@ -289,14 +291,14 @@ class Surroundings(Frozen):
             for place, row in zip(("tool", "goal"), distance <= 0.0, strict=True):
                 if row.any():
                     return (
-                        HoldCause.OBSTACLES,
-                        f"{place} inside obstacle {seen.ids[row.argmax()] % PART}",
+                        HoldReason.OBSTACLES,
+                        f"{place} inside obstacle {seen.ids[row.argmax()] % PART_ID_STRIDE}",
                     )
-        return HoldCause.NONE, ""
+        return HoldReason.NONE, ""
 
 
 def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | None) -> Obstacles:
-    """Returns the obstacles with their coupling terms; raises as `Surroundings.of`."""
+    """Returns the obstacles with their coupling terms; raises as `CouplingInputs.of`."""
     count = len(coupling) if coupling.verified else len(shapes)
     found = {"coupling_parameters": len(coupling), "center_W": len(coupling.center_W) or count}
     found["normal_W"] = len(coupling.normal_W) or count

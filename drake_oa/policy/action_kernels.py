@@ -39,7 +39,7 @@ def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
     return cosine + half * sine, sine, -stiffness * sine, cosine - half * sine
 
 
-class Course(NamedTuple):
+class MotionSetup(NamedTuple):
     """Constants of steps of equal length.
 
     Attributes:
@@ -76,7 +76,7 @@ def spring(p: Triple, z: Triple, rest: Triple, flow: Flow) -> tuple[Triple, Trip
 
 @compiled
 def advance(
-    course: Course,
+    course: MotionSetup,
     obstacles: Obstacles,
     coupling: FloatArray,
     longest: float,

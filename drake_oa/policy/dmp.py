@@ -1,13 +1,13 @@
 """Dynamic movement primitives: the motion that the coupling terms bend.
 
 Time. T is the demonstrated duration in seconds and tau the temporal scaling
-relative to it; s = t / (tau T) is normalised time, 1 at the end of the motion. In it
+relative to it; s = t / (tau T) is normalized time, 1 at the end of the motion. In it
 
     dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C      (eq. 1)
     dx/ds = z                                            (eq. 2)
     dk/ds = -alpha_k k,  k(0) = 1                        (eq. 5)
 
-which are the paper's equations with tau T for its tau. So z is in metres, the
+which are the paper's equations with tau T for its tau. So z is in meters, the
 velocity is z / (tau T), and nothing here depends on tau.
 
 Space. The forcing term is learnt in the demonstration's local frame L and divided by
@@ -17,7 +17,7 @@ A movement primitive for the orientation of the tool, on the phase of the positi
 
 The orientation is R_WE = R_WA exp([r]), with r the rotation vector from an origin A, in A. The
 origin is the orientation at the start S, so that r begins at zero, unless the demonstration turns
-far (`OrientationDmp.offset`). r obeys the linear system above, in normalised
+far (`OrientationDmp.offset`). r obeys the linear system above, in normalized
 time s and with the same phase k,
 
     dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) (g - r(0)) + f(k),    dr/ds = z,
@@ -51,11 +51,11 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, zeros
-from drake_oa.policy.action_kernels import Course, advance, spring_flow
+from drake_oa.policy.action_kernels import MotionSetup, advance, spring_flow
 from drake_oa.policy.guidance import NO_OBSTACLES
 
 ALPHA_X = 48.0
-"""Default spring constant alpha_x, per normalised time."""
+"""Default spring constant alpha_x, per normalized time."""
 BETA_X = ALPHA_X / 4.0
 """Default spring constant beta_x: critical damping."""
 ALPHA_K = math.log(100.0)
@@ -72,10 +72,10 @@ class Dmp(Frozen):
     """A movement primitive of D dimensions, for a baseline of length 1.
 
     Attributes:
-        alpha_x: spring constant, per normalised time.
+        alpha_x: spring constant, per normalized time.
         beta_x: spring constant; alpha_x / 4 for critical damping.
-        alpha_k: decay of the phase, per normalised time.
-        centers: (N,) centres c_i of the basis functions over the phase.
+        alpha_k: decay of the phase, per normalized time.
+        centers: (N,) centers c_i of the basis functions over the phase.
         widths: (N,) widths h_i, above 0.
         weights: (D, N) weights in the local frame, divided by the baseline.
         duration: T, how long the demonstration took [s].
@@ -90,7 +90,7 @@ class Dmp(Frozen):
     duration: float = 1.0
 
     def phase(self, s: ArrayLike) -> FloatArray:
-        """Phase k at normalised time s, (eq. 5): exp(-alpha_k s)."""
+        """Phase k at normalized time s, (eq. 5): exp(-alpha_k s)."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
     def forcing(self, k: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ class Dmp(Frozen):
 
     def course(
         self, k: FloatArray, ds: float, goal: FloatArray, spread: FloatArray, **more: Any
-    ) -> Course:
+    ) -> MotionSetup:
         """Constants of a motion.
 
         Args:
@@ -107,12 +107,12 @@ class Dmp(Frozen):
             ds: length of a step in normalized time.
             goal: (3,) goal.
             spread: (3, D) factors on the forcing term: f = spread f_L(k).
-            more: further fields of `Course`.
+            more: further fields of `MotionSetup`.
         """
         rest = goal + self.forcing(k) @ spread.T / (self.alpha_x * self.beta_x)
         flow = spring_flow(self.alpha_x, self.beta_x, 0.5 * ds)
         x, y, z = goal.tolist()
-        return Course(
+        return MotionSetup(
             np.ascontiguousarray(rest), flow, ds, (x, y, z), tuple(spread[:, 0].tolist()), **more
         )
 
@@ -125,7 +125,7 @@ def activations(k: FloatArray, centers: FloatArray, widths: FloatArray) -> Float
     return np.asarray(basis * (k / basis.sum(axis=1))[:, None])
 
 
-def normalised_time(k: float, alpha_k: float) -> float:
+def normalized_time(k: float, alpha_k: float) -> float:
     """Normalized time s at phase k: the inverse of `Dmp.phase`."""
     return -math.log(max(k, 1e-300)) / alpha_k
 
@@ -177,7 +177,7 @@ def minimum_jerk(
 
 
 def minimum_jerk_share(s: FloatArray) -> FloatArray:
-    """Share of its way that a minimum-jerk motion has gone at normalised times in [0, 1]."""
+    """Share of its way that a minimum-jerk motion has gone at normalized times in [0, 1]."""
     return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
@@ -233,9 +233,9 @@ def fit_forcing(
         local: (T, D) positions from the last one, in the local frame, divided by the baseline.
         t: (T,) stamps [s].
         n_basis: number of basis functions, at least 2, evenly spaced in time.
-        alpha_x: spring constant, per normalised time.
-        beta_x: spring constant, per normalised time.
-        alpha_k: decay of the phase, per normalised time.
+        alpha_x: spring constant, per normalized time.
+        beta_x: spring constant, per normalized time.
+        alpha_k: decay of the phase, per normalized time.
     """
     duration = float(t[-1] - t[0])
     spline = interpolant((t - t[0]) / duration, local)
@@ -259,7 +259,7 @@ def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
 
     The least squares of a plan take 15 ms, and the same matrix each time.
     """
-    # One centre before the start: without it the fit is poorest there, where an error
+    # One center before the start: without it the fit is poorest there, where an error
     # decides the first heading.
     gap = 1.0 / max(n_basis - 2, 1)
     centers = np.exp(-alpha_k * np.linspace(-gap, 1.0, n_basis))
@@ -294,10 +294,10 @@ def _refuse(bad: Any, message: str) -> None:
 
 
 class Trajectory(NamedTuple):
-    """A motion sampled in normalised time.
+    """A motion sampled in normalized time.
 
     Attributes:
-        s: (n + 1,) normalised time.
+        s: (n + 1,) normalized time.
         p: (n + 1, D) position [m].
         z: (n + 1, D) scaled velocity dp/ds [m].
     """
@@ -355,7 +355,7 @@ def trajectory(
         start: (3,) start [m].
         goal: (3,) goal [m].
         steps: number of steps, at least 1.
-        end: normalised time at the end.
+        end: normalized time at the end.
 
     Returns:
         The motion at steps + 1 instants.
@@ -373,7 +373,7 @@ LARGEST_ANGLE = math.radians(300.0)
 _HALF_TURN = math.pi - 1e-6
 """Angle above which a rotation has no unique direction [rad]."""
 _STEP = 5e-4
-"""Longest time for which forcing is held, in normalised time. The saw-tooth that it leaves in the
+"""Longest time for which forcing is held, in normalized time. The saw-tooth that it leaves in the
 acceleration falls with its square."""
 
 
@@ -658,7 +658,7 @@ class Demonstration(Frozen):
         position: of the tool point, three dimensions; its duration is the motion's [s].
         orientation: of the tool, from where it is to where it ends.
         R_WS, R_WG: (3, 3) orientation at its begin and at its end.
-        s: (T,) normalised times of the posture, from 0 to 1.
+        s: (T,) normalized times of the posture, from 0 to 1.
         q: (T, n) positions of the arm's joints there [rad].
     """
 
@@ -670,5 +670,5 @@ class Demonstration(Frozen):
     q: FloatArray = zeros(0, 0)
 
     def posture(self, s: FloatArray) -> FloatArray:
-        """(M, n) joints at normalised times (M,); beyond the ends those of the ends [rad]."""
+        """(M, n) joints at normalized times (M,); beyond the ends those of the ends [rad]."""
         return np.stack([np.interp(s, self.s, joint) for joint in self.q.T], axis=1)

@@ -18,12 +18,12 @@ from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
-    HoldCause,
+    HoldReason,
     PolicyState,
     Route,
 )
 from drake_oa.common.ports import AbstractInput, declare_state_outputs
-from drake_oa.policy.action import Segment, Surroundings, restarted, resting, take_step
+from drake_oa.policy.action import CouplingInputs, Segment, restarted, resting, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, local_frame
 
@@ -43,7 +43,7 @@ class DmpIntegrator(LeafSystem):
       - coupling_parameters (optional)
       - route (optional)
       - speed_scale (optional)
-      - evasion (optional)
+      - evasion_velocity (optional)
       - demonstration (optional)
       output_ports:
       - desired_position
@@ -62,9 +62,9 @@ class DmpIntegrator(LeafSystem):
       decision. The headings are computed here from where the motion is at each step.
       Without it there is no guidance term, and the motion is not scaled in time.
     - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
-      [0, 1], as `MotionGuard` outputs it. The rate of normalised time follows it at the rate
+      [0, 1], as `MotionGuard` outputs it. The rate of normalized time follows it at the rate
       of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
-    - evasion (optional): (3,) velocity in the world [m/s] by which p_WE is displaced besides
+    - evasion_velocity (optional): (3,) velocity in the world [m/s] by which p_WE is displaced besides
       its motion, as `MotionGuard` outputs it; phase and scaled velocity stay as they
       are, and the spring leads on from where it has come to. It should be continuous: the
       desired velocity follows it within a step.
@@ -79,8 +79,8 @@ class DmpIntegrator(LeafSystem):
     The state is abstract, in the Context: the step under way (`Segment`), between
     whose ends the desired motion is interpolated, so that a controller may run faster
     than the policy. A simulator that takes over a Context goes on with its motion. The
-    motion is held (its normalised time slows down to a stop, on the path) while it
-    would not be safe: see `drake_oa.policy.action.Surroundings.hold_at`.
+    motion is held (its normalized time slows down to a stop, on the path) while it
+    would not be safe: see `drake_oa.policy.action.CouplingInputs.hold_at`.
     """
 
     def __init__(
@@ -106,12 +106,12 @@ class DmpIntegrator(LeafSystem):
         self._coupling = AbstractInput(self, "coupling_parameters", CouplingParameters)
         self._route = AbstractInput(self, "route", Route)
         self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
-        self._evasion = self.DeclareVectorInputPort("evasion", 3)
+        self._evasion = self.DeclareVectorInputPort("evasion_velocity", 3)
         self._demonstration = AbstractInput(self, "demonstration", Demonstration)
         # Perception and decision are much slower than the policy.
-        self._surroundings = self.DeclareCacheEntry(
+        self._coupling_inputs = self.DeclareCacheEntry(
             "surroundings",
-            ValueProducer(lambda: Value(Surroundings()), self._calc_surroundings),
+            ValueProducer(lambda: Value(CouplingInputs()), self._calc_coupling_inputs),
             {self._ellipsoids.ticket(), self._coupling.ticket(), self._route.ticket()},
         )
         self._segment = self.DeclareAbstractState(
@@ -163,9 +163,9 @@ class DmpIntegrator(LeafSystem):
         )
         return _SUCCEEDED
 
-    def _calc_surroundings(self, context: Context, output: AbstractValue) -> None:
+    def _calc_coupling_inputs(self, context: Context, output: AbstractValue) -> None:
         output.set_value(
-            Surroundings.of(
+            CouplingInputs.of(
                 self._ellipsoids.find(context),
                 self._coupling.find(context),
                 self._route.find(context),
@@ -174,9 +174,9 @@ class DmpIntegrator(LeafSystem):
 
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
-        around = self._surroundings.Eval(context)
+        around = self._coupling_inputs.Eval(context)
         goal = self._goal.Eval(context)
-        if around.anew:
+        if around.restart:
             given = self._demonstration.find(context)
             primitive = None if given is None else given.position
             before = restarted(before, goal, context.get_time(), primitive)
@@ -190,15 +190,17 @@ class DmpIntegrator(LeafSystem):
             dmp=self._dmp,
             config=self._config,
             speed_scale=scale.Eval(context)[0] if scale.HasValue(context) else 1.0,
-            evasion=self._evasion.Eval(context) if self._evasion.HasValue(context) else None,
+            evasion_velocity=self._evasion.Eval(context)
+            if self._evasion.HasValue(context)
+            else None,
         )
         now, earlier = after.end, before.end
         # The system that scales the speed logs the reason.
-        if now.note != earlier.note and HoldCause.SPEED_SCALE not in (now.hold, earlier.hold):
-            held = now.hold is not HoldCause.NONE
+        if now.note != earlier.note and HoldReason.SPEED_SCALE not in (now.hold, earlier.hold):
+            held = now.hold is not HoldReason.NONE
             message = f"held: {now.note}" if held else "running again"
             # The first decision of a motion deserves no warning.
-            quiet = (now if held else earlier).hold is HoldCause.DECIDING
+            quiet = (now if held else earlier).hold is HoldReason.DECIDING
             level = logging.INFO if quiet else logging.WARNING
             _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)

@@ -28,7 +28,7 @@ from drake_oa.policy.dmp import (
     demonstrated_goal,
     evaluate,
     goal_vector,
-    normalised_time,
+    normalized_time,
     origin_of,
     roll_orientation,
     rotation_matrix,
@@ -90,7 +90,7 @@ class OrientationIntegrator(LeafSystem):
       - desired_angular_velocity
       - desired_angular_acceleration
 
-    - policy_state: abstract `PolicyState`: the primitive goes by its normalised time, so that
+    - policy_state: abstract `PolicyState`: the primitive goes by its normalized time, so that
       what scales or holds the motion does so to the orientation.
     - goal_orientation (optional): (4,) quaternion w, x, y, z of R_WG, of either sign. A new
       one is approached from where the motion is, the way round that is nearest to the
@@ -199,7 +199,7 @@ class OrientationIntegrator(LeafSystem):
         policy = self._policy.read(context)
         before = self._restarted(context, self._read_segment(context), policy)
         goal, alpha_k = self._goal_now(context, before), before.primitive.dmp.alpha_k
-        passed = normalised_time(policy.phase, alpha_k) - normalised_time(before.phase, alpha_k)
+        passed = normalized_time(policy.phase, alpha_k) - normalized_time(before.phase, alpha_k)
         after = roll_orientation(
             before.primitive,
             goal,

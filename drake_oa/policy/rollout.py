@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import CORES, kernel_arrays, on_cores, parted
+from drake_oa.common.latency import count
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState, zeros
-from drake_oa.common.thinking import count
-from drake_oa.policy.action_kernels import Course, advance
+from drake_oa.policy.action_kernels import MotionSetup, advance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, N_COLUMNS
-from drake_oa.policy.dmp import Dmp, local_frame, normalised_time
+from drake_oa.policy.dmp import Dmp, local_frame, normalized_time
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 LATEST = 2.0
-"""Normalised time by which a motion arrives, from s = 0, or one more than the present one."""
+"""Normalized time by which a motion arrives, from s = 0, or one more than the present one."""
 ARRIVED = 6e-4
 """Distance from the goal at which a motion has arrived [m]."""
 _EACH = 8
@@ -42,7 +42,7 @@ class Scene(Frozen):
         baseline: its length L from start to goal [m].
         ellipsoids: the obstacles, where they are now.
         clearance: (M,) requested clearance of each [m].
-        s: normalised time now.
+        s: normalized time now.
     """
 
     p_WE: FloatArray
@@ -86,7 +86,7 @@ def scene_under_way(
         baseline=math.dist(p_WG, policy.p_WS),
         ellipsoids=replace(ellipsoids, p_WO=ellipsoids.p_WO + lag * ellipsoids.v_WO),
         clearance=np.full(len(ellipsoids), clearance),
-        s=max(0.0, normalised_time(policy.phase, alpha_k)),
+        s=max(0.0, normalized_time(policy.phase, alpha_k)),
     )
 
 
@@ -95,7 +95,7 @@ class ToolRollouts(Frozen):
     """Paths of N candidates at the steps, or at every so many steps.
 
     Attributes:
-        ds: length of a step in normalised time.
+        ds: length of a step in normalized time.
         path: (N, T // every + 1, 3) positions [m], NaN after the end.
         velocity: (N, T // every + 1, 3) scaled velocities z there [m].
         path_length: (N,) [m].
@@ -165,7 +165,7 @@ def _course(
     latest: float,
     tolerance: float,
     every: int,
-) -> Course:
+) -> MotionSetup:
     """Returns the motion of a scene; arguments as of `roll_out_tool`."""
     ds = period / dmp.duration
     most = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
@@ -185,7 +185,7 @@ def _course(
 def _roll_some(
     part: int,
     parts: int,
-    course: Course,
+    course: MotionSetup,
     obstacles: Obstacles,
     terms: FloatArray,
     longest: FloatArray,

@@ -4,14 +4,14 @@ In:  motion `PlannedMotion` with the arm's joints (T, n) [rad]; policy_state.
 Out: desired_posture (2n,) [rad, rad/s] for `CartesianInverseDynamics`.
 
 System
-    PostureFollower    every step of the policy (8 ms); the joints of the motion as a smooth course
+    NominalPostureSource    every step of the policy (8 ms); the joints of the motion as a smooth course
                        of time
 
 Method
     Monotone cubics through the samples (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput.
     5(2), 1984), taken over critically damped.
 
-Parts: `posture_course` (a plan over time), `posture_follower`.
+Parts: `posture_trajectory` (a plan over time), `nominal_posture_source`.
 
-Read first: `posture_course`.
+Read first: `posture_trajectory`.
 """

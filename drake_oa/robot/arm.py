@@ -67,13 +67,13 @@ class Spheres(NamedTuple):
 
     Attributes:
         joint: (S,) the joint that moves each; -1: fixed to the world.
-        p_JS: (S, 3) centres in that joint's frame (`chain_poses`), or in the world [m].
+        p_JS: (S, 3) centers in that joint's frame (`chain_poses`), or in the world [m].
         radius: (S,) [m].
         of_tool: (S,) whether it is of the tool or of what the tool holds.
         first: (G + 1,) where each group's spheres begin, and S.
         group_joint: (G,) the joint that moves each group.
-        bound: (G, 4) centre as `p_JS`, and radius, of a sphere that holds the group's [m].
-        cluster: (G + 1,) where each group's clusters of neighbours begin, and C.
+        bound: (G, 4) center as `p_JS`, and radius, of a sphere that holds the group's [m].
+        cluster: (G + 1,) where each group's clusters of neighbors begin, and C.
         cluster_first: (C + 1,) where each cluster's spheres begin, and S.
         cluster_bound: (C, 4) as `bound`, of a cluster.
         pairs: (P, 2) groups that may touch each other.

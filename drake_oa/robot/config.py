@@ -75,14 +75,14 @@ class BasePose:
 class SphereParameters:
     """Accuracy of the spheres that cover the robot."""
 
-    overshoot: float = Field(default=0.003, gt=0.0, le=0.1)
+    protrusion: float = Field(default=0.003, gt=0.0, le=0.1)
     """Distance by which spheres of the links exceed the links' surface, approximately [m]. Raising
     it needs fewer spheres and less time, and makes the arm thicker."""
-    tool_overshoot: float = Field(default=0.004, gt=0.0, le=0.1)
-    """The distance `overshoot` for the tool and the grasped object [m]. Raising it needs fewer
+    max_tool_protrusion: float = Field(default=0.004, gt=0.0, le=0.1)
+    """The distance `protrusion` for the tool and the grasped object [m]. Raising it needs fewer
     spheres and makes the tool thicker."""
-    fixed_overshoot: float = Field(default=0.02, gt=0.0, le=0.1)
-    """The distance `overshoot` for bodies that no joint moves [m]. Raising it needs fewer spheres
+    max_fixed_protrusion: float = Field(default=0.02, gt=0.0, le=0.1)
+    """The distance `protrusion` for bodies that no joint moves [m]. Raising it needs fewer spheres
     and makes those bodies thicker."""
 
 

@@ -17,8 +17,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray, zeros
+from drake_oa.geometry.collision_scene import outline_corners, read_geometry
 from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import outline_corners, read_solid
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.model_file import (
@@ -244,11 +244,11 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
         body = plant.GetBodyByName(link, robot_plant.instance)
         X_EB = X_EW @ plant.EvalBodyPoseInWorld(context, body)
         with field_errors("robot.tool_links", ValueError):
-            solids = [
-                read_solid(inspector, geometry)
-                for geometry in plant.GetCollisionGeometriesForBody(body)
+            geometries = [
+                read_geometry(inspector, geometry_id)
+                for geometry_id in plant.GetCollisionGeometriesForBody(body)
             ]
-            points = [solid.placed(outline_corners(solid)).T for solid in solids]
+            points = [geometry.placed(outline_corners(geometry)).T for geometry in geometries]
         if points:
             corners.append(np.hstack([R_WE @ X_EB.multiply(p_BQ) for p_BQ in points]).T)
     if not corners:

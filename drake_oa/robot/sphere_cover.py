@@ -16,25 +16,25 @@ from scipy.spatial.distance import cdist
 from drake_oa.common.console import announce_first_use
 from drake_oa.common.files import package_file, read_arrays, replace_arrays, user_cache
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.geometry.directions import lattice
-from drake_oa.geometry.solids import (
+from drake_oa.geometry.collision_scene import (
     CORNERS,
     PRIMITIVE,
-    Solid,
-    Solids,
+    CollisionGeometries,
+    CollisionGeometry,
+    geometries_of,
+    geometry_of,
     least_distances,
     outline_corners,
-    solid_of,
-    solids_of,
     surface_points,
 )
+from drake_oa.geometry.directions import lattice
 
 _MOST_CENTERS, _MOST_SAMPLES = 3000, 12000
 """Maximum numbers of candidate centers, and of points that must be covered, of a body."""
 _SURFACE = 600
 """Points on the surface of a shape, about."""
 _ALONG_EDGE = 2.7
-"""Distance of balls along an edge, over the overshoot."""
+"""Distance of balls along an edge, over the protrusion."""
 _ROUNDS = 4
 """Maximum number of additions of bare points."""
 _CELLS = 40
@@ -42,9 +42,9 @@ _CELLS = 40
 _MANY = 300
 """Number of bare points from which the search restarts."""
 _CERTAIN = 1.0 / 16.0
-"""Half the edge of the smallest cells, over the overshoot."""
+"""Half the edge of the smallest cells, over the protrusion."""
 _WIDER = 1.2
-"""Factor of the overshoot while the spheres are too many."""
+"""Factor of the protrusion while the spheres are too many."""
 _DIGITS = 9
 """Decimals of lengths [m] that tell shapes apart: those of one model differ less by rounding."""
 _VERSION = 2
@@ -60,45 +60,45 @@ class Cover:
     Attributes:
         centers: (K, 3) in the body's frame [m].
         radii: (K,) [m].
-        overshoot: how far they stick out of the shapes at most [m].
+        protrusion: how far they stick out of the shapes at most [m].
     """
 
     centers: FloatArray
     radii: FloatArray
-    overshoot: float
+    protrusion: float
 
 
-def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
+def cover(geometries: Sequence[CollisionGeometry], protrusion: float, most: int = 200) -> Cover:
     """Spheres that enclose the union of a body's shapes.
 
-    Balls stand on a lattice in the shapes, each as large as sticks out by the asked overshoot: by
-    its radius less the depth of its centre, in a convex shape. A greedy set cover of points in
+    Balls stand on a lattice in the shapes, each as large as sticks out by the asked protrusion: by
+    its radius less the depth of its center, in a convex shape. A greedy set cover of points in
     the shapes takes few of them, and each becomes as small as these points let it. What lies
     between the points is proven by cells, halved where no ball holds the ball round the cell:
     what is found bare joins the points, and the last open cells have balls grow. Spheres stay.
 
     Args:
-        solids: the body's shapes, one at least, at their poses in the body.
-        overshoot: by how much the spheres may stick out, but for the proof's growth [m].
-        most: spheres at most; where more were needed the overshoot grows.
+        geometries: the body's shapes, one at least, at their poses in the body.
+        protrusion: by how much the spheres may stick out, but for the proof's growth [m].
+        most: spheres at most; where more were needed the protrusion grows.
 
     Raises:
         ValueError: for a shape that is not bounded.
     """
-    scene = solids_of(solids)
-    if all(_is_rod(solid) and solid.size[2] == 0.0 for solid in solids):
-        centers = np.array([solid.X_WO[:3, 3] for solid in solids])
-        return _measured(scene, centers, np.array([solid.radius for solid in solids]))
-    points, rounds, finer = _samples(solids, scene, overshoot), 0, 0
+    scene = geometries_of(geometries)
+    if all(_is_rod(geometry) and geometry.size[2] == 0.0 for geometry in geometries):
+        centers = np.array([geometry.X_WO[:3, 3] for geometry in geometries])
+        return _measured(scene, centers, np.array([geometry.radius for geometry in geometries]))
+    points, rounds, finer = _samples(geometries, scene, protrusion), 0, 0
     while True:
-        certain = _CERTAIN * overshoot
+        certain = _CERTAIN * protrusion
         tried = (finer,) if finer else (1, 2, 3)
-        found = [_chosen(solids, scene, overshoot, certain, f, points) for f in tried]
+        found = [_chosen(geometries, scene, protrusion, certain, f, points) for f in tried]
         counts = [len(chosen) for *_, chosen in found]
         finer = tried[int(np.argmin(counts))]
         centers, depth, radii, chosen = found[int(np.argmin(counts))]
         if len(chosen) > most:
-            overshoot, finer = overshoot * _WIDER, 0
+            protrusion, finer = protrusion * _WIDER, 0
             continue
         centers, radii, depth = centers[chosen], radii[chosen], depth[chosen]
         _tighten(centers, radii, points)
@@ -106,41 +106,43 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
         centers, depth = centers[radii > 0.0], depth[radii > 0.0]
         radii = radii[radii > 0.0] + math.sqrt(3.0) * certain
         many = _MANY if rounds < _ROUNDS else math.inf
-        gaps, half = _gaps(solids, scene, _balls_of(centers, radii), certain, many)
+        gaps, half = _gaps(geometries, scene, _balls_of(centers, radii), certain, many)
         if half <= certain:
             _grow(gaps, math.sqrt(3.0) * half, centers, depth, radii)
-            if rounds >= _ROUNDS or (radii - depth).max() <= overshoot:
+            if rounds >= _ROUNDS or (radii - depth).max() <= protrusion:
                 break
         points, rounds = np.concatenate([points, gaps]), rounds + 1
     return _measured(scene, centers, radii)
 
 
-def _balls_of(centers: FloatArray, radii: FloatArray) -> Solids:
+def _balls_of(centers: FloatArray, radii: FloatArray) -> CollisionGeometries:
     """Makes the scene of balls with centers (K, 3) and radii (K,) [m]."""
     X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
     X_BO[:, :3, 3] = centers
-    balls = [solid_of(drake.Sphere(radius)) for radius in radii]
-    return solids_of([replace(ball, X_WO=X) for ball, X in zip(balls, X_BO, strict=True)])
+    balls = [geometry_of(drake.Sphere(radius)) for radius in radii]
+    return geometries_of([replace(ball, X_WO=X) for ball, X in zip(balls, X_BO, strict=True)])
 
 
-def known_cover(solids: Sequence[Solid], overshoot: float, most: int, announce: str) -> Cover:
+def known_cover(
+    geometries: Sequence[CollisionGeometry], protrusion: float, most: int, announce: str
+) -> Cover:
     """Reads a cover that is shipped or in the user's cache; else computes it, see `cover`.
 
     The Panda's bodies are in `SHIPPED`. The cache is the folder drake_oa/spheres; where it cannot
     be written, the cover is computed each time, which takes seconds.
     """
-    key = cover_key(solids, overshoot, most)
+    key = cover_key(geometries, protrusion, most)
     kept = user_cache("spheres") / f"{key}.npz"
     spheres = _shipped().get(key)
     try:
         spheres = read_arrays(kept)["spheres"] if spheres is None else spheres
     except (OSError, ValueError, KeyError):
         announce_first_use(announce)
-        found = cover(solids, overshoot, most)
+        found = cover(geometries, protrusion, most)
         spheres = np.column_stack([found.centers, found.radii])
         with suppress(OSError):
             replace_arrays(kept, {"spheres": spheres})
-    return _measured(solids_of(solids), spheres[:, :3], spheres[:, 3])
+    return _measured(geometries_of(geometries), spheres[:, :3], spheres[:, 3])
 
 
 @cache
@@ -148,89 +150,89 @@ def _shipped() -> dict[str, FloatArray]:
     return read_arrays(SHIPPED)
 
 
-def cover_key(solids: Sequence[Solid], overshoot: float, most: int = 200) -> str:
+def cover_key(geometries: Sequence[CollisionGeometry], protrusion: float, most: int = 200) -> str:
     """Computes a digest of a body's shapes and of the requested cover; arguments as of `cover`."""
-    found = hashlib.sha256(repr((_VERSION, overshoot, most)).encode())
-    for solid in solids:
-        corners = solid.placed(outline_corners(solid))
-        for values in (solid.size, corners):
+    found = hashlib.sha256(repr((_VERSION, protrusion, most)).encode())
+    for geometry in geometries:
+        corners = geometry.placed(outline_corners(geometry))
+        for values in (geometry.size, corners):
             # Without negative zeros.
             found.update(repr((np.round(values, _DIGITS) + 0.0).tolist()).encode())
     return found.hexdigest()[:32]
 
 
-def _is_rod(solid: Solid) -> bool:
+def _is_rod(geometry: CollisionGeometry) -> bool:
     """Returns whether it is a sphere or a capsule: balls on its z axis are the deepest."""
-    return solid.kind == PRIMITIVE and not any(solid.size[:2])
+    return geometry.kind == PRIMITIVE and not any(geometry.size[:2])
 
 
-def _measured(scene: Solids, centers: FloatArray, radii: FloatArray) -> Cover:
+def _measured(scene: CollisionGeometries, centers: FloatArray, radii: FloatArray) -> Cover:
     """Balls that enclose shapes, with how near they fit."""
     return Cover(centers, radii, max(0.0, float((radii + _distances(scene, centers)).max())))
 
 
-def _distances(scene: Solids, points: FloatArray) -> FloatArray:
+def _distances(scene: CollisionGeometries, points: FloatArray) -> FloatArray:
     """Computes the signed distances (N,) of points (N, 3) to the nearest solid [m]."""
     return least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
 
 
-def _lattice(solid: Solid, inset: float, step: float, finer: int = 1) -> FloatArray:
+def _lattice(geometry: CollisionGeometry, inset: float, step: float, finer: int = 1) -> FloatArray:
     """Points in a shape, in the body's frame, (K, 3).
 
     Args:
-        solid: the shape.
+        geometry: the shape.
         inset: how deep in the box round the shape the outermost are [m].
         step: how far apart they are at most [m].
         finer: into how many parts that is divided.
     """
-    half = np.maximum(solid.half_extents - inset, 0.0)
-    if _is_rod(solid):
-        half, step = np.array([0.0, 0.0, solid.size[2]]), min(step, 0.005)
+    half = np.maximum(geometry.half_extents - inset, 0.0)
+    if _is_rod(geometry):
+        half, step = np.array([0.0, 0.0, geometry.size[2]]), min(step, 0.005)
     axes = [np.linspace(-h, h, 1 + finer * math.ceil(2.0 * h / step)) for h in half]
-    p_BQ = solid.placed(lattice(*axes) + solid.center)
-    return np.asarray(p_BQ[_distances(solids_of([solid]), p_BQ) <= 1e-9])
+    p_BQ = geometry.placed(lattice(*axes) + geometry.center)
+    return np.asarray(p_BQ[_distances(geometries_of([geometry]), p_BQ) <= 1e-9])
 
 
-def _surface(solid: Solid) -> FloatArray:
+def _surface(geometry: CollisionGeometry) -> FloatArray:
     """Points (K, 3) on a shape, in the body's frame [m]."""
-    return solid.placed(surface_points(solid, _SURFACE))
+    return geometry.placed(surface_points(geometry, _SURFACE))
 
 
-def _below_surface(solid: Solid, depth: float) -> FloatArray:
+def _below_surface(geometry: CollisionGeometry, depth: float) -> FloatArray:
     """Points (K, 3) that far from those of the surface, towards their mean [m].
 
     Of a rod and of a box, the lattices of which have such points, there are none.
     """
-    if solid.kind == PRIMITIVE and not solid.size[4]:
+    if geometry.kind == PRIMITIVE and not geometry.size[4]:
         return np.zeros((0, 3))
-    surface = _surface(solid)
+    surface = _surface(geometry)
     inwards = surface.mean(axis=0) - surface
     away = np.linalg.norm(inwards, axis=1, keepdims=True)
     return np.asarray(surface + inwards * np.minimum(1.0, depth / np.maximum(away, 1e-9)))
 
 
 def _chosen(
-    solids: Sequence[Solid],
-    scene: Solids,
-    overshoot: float,
+    geometries: Sequence[CollisionGeometry],
+    scene: CollisionGeometries,
+    protrusion: float,
     certain: float,
     finer: int,
     points: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Balls (K, 3), their centres' depths and radii (K,), and which of them cover the points."""
+    """Balls (K, 3), their centers' depths and radii (K,), and which of them cover the points."""
     # In a row along a box's edge, each a step from the next and as deep as they stick out, balls
-    # of twice the overshoot cover the edge with steps of up to 2 sqrt(2) of it.
-    step = max(_ALONG_EDGE * overshoot, finer * _least_step(solids, _MOST_CENTERS))
+    # of twice the protrusion cover the edge with steps of up to 2 sqrt(2) of it.
+    step = max(_ALONG_EDGE * protrusion, finer * _least_step(geometries, _MOST_CENTERS))
     while True:
         centers = np.concatenate(
-            [_lattice(solid, overshoot, step, finer) for solid in solids]
-            + [_below_surface(solid, overshoot) for solid in solids]
+            [_lattice(geometry, protrusion, step, finer) for geometry in geometries]
+            + [_below_surface(geometry, protrusion) for geometry in geometries]
         )
         if len(centers) <= _MOST_CENTERS:
             break
         step *= 1.2
     depth = np.maximum(-_distances(scene, centers), 0.0)
-    radii = depth + overshoot - math.sqrt(3.0) * certain
+    radii = depth + protrusion - math.sqrt(3.0) * certain
     return centers, depth, radii, _choose(cdist(points, centers) <= radii)
 
 
@@ -280,7 +282,7 @@ def _grow(
         points: (N, 3) [m].
         reach: [m].
         centers: (K, 3) the balls' [m].
-        depth: (K,) of the centres in the shape; that which sticks out least by it grows [m].
+        depth: (K,) of the centers in the shape; that which sticks out least by it grows [m].
         radii: (K,) [m]; some become larger.
     """
     while len(points):
@@ -291,36 +293,48 @@ def _grow(
         points = points[np.linalg.norm(points - centers[best], axis=1) + reach > radii[best]]
 
 
-def _samples(solids: Sequence[Solid], scene: Solids, overshoot: float) -> FloatArray:
+def _samples(
+    geometries: Sequence[CollisionGeometry], scene: CollisionGeometries, protrusion: float
+) -> FloatArray:
     """Points on the outside of the shapes' union, and some in it, that are to be covered."""
-    step = max(overshoot / 3.0, _least_step(solids, 7 * _MOST_SAMPLES))
+    step = max(protrusion / 3.0, _least_step(geometries, 7 * _MOST_SAMPLES))
     while True:
-        inner = np.concatenate([_lattice(solid, 0.0, step) for solid in solids])
+        inner = np.concatenate([_lattice(geometry, 0.0, step) for geometry in geometries])
         depth = -_distances(scene, inner)
         outer, inner = inner[depth < 1e-9], inner[depth >= 1e-9][::7]
         if len(outer) + len(inner) <= _MOST_SAMPLES:
             break
         step *= 1.2
-    surface = np.concatenate([_surface(solid) for solid in solids])
+    surface = np.concatenate([_surface(geometry) for geometry in geometries])
     surface = surface[_distances(scene, surface) > -1e-6]
     return np.concatenate([surface, outer, inner])
 
 
-def _least_step(solids: Sequence[Solid], count: int) -> float:
+def _least_step(geometries: Sequence[CollisionGeometry], count: int) -> float:
     """Returns the step of a lattice of about so many points in the boxes around the shapes."""
-    volume = sum(float(np.prod(2.0 * solid.half_extents)) for solid in solids if not _is_rod(solid))
+    volume = sum(
+        float(np.prod(2.0 * geometry.half_extents))
+        for geometry in geometries
+        if not _is_rod(geometry)
+    )
     return 0.8 * float(np.cbrt(volume / count))
 
 
 def _gaps(
-    solids: Sequence[Solid], scene: Solids, balls: Solids, certain: float, many: float
+    geometries: Sequence[CollisionGeometry],
+    scene: CollisionGeometries,
+    balls: CollisionGeometries,
+    certain: float,
+    many: float,
 ) -> tuple[FloatArray, float]:
     """Middles (M, 3) of cells of the shapes that are not proven to be in a ball, and half an edge.
 
     The half edge is at most `certain`; or it is inf, and the middles, more than many, are bare
     themselves, and not all that are not proven.
     """
-    corners = np.concatenate([solid.placed(outline_corners(solid)) for solid in solids])
+    corners = np.concatenate(
+        [geometry.placed(outline_corners(geometry)) for geometry in geometries]
+    )
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = float((high - low).max()) / _CELLS
     cells = lattice(*map(np.arange, low + half, high + half, 3 * [2.0 * half]))

@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
-from drake_oa.geometry.solids import read_solid
+from drake_oa.geometry.collision_scene import read_geometry
 from drake_oa.robot.arm import (
     Chain,
     Spheres,
@@ -40,7 +40,7 @@ _MOST = 200
 _BALL_STEPS = 300
 """Steps towards the smallest ball that holds others."""
 _ALWAYS = 0.95
-"""Share of the random postures in which the shapes of neighbours touch."""
+"""Share of the random postures in which the shapes of neighbors touch."""
 _OFTEN = 0.02
 """Share of the random postures with overlapping spheres from which a pair has an allowance."""
 
@@ -52,12 +52,12 @@ class ArmSpheres(Frozen):
     Attributes:
         arrays: as the kernels take it; its fields say what is what.
         bodies: (G,) name of each group's body.
-        overshoot: (G,) how far the spheres of each body stick out of its shapes at most [m].
+        protrusion: (G,) how far the spheres of each body stick out of its shapes at most [m].
     """
 
     arrays: Spheres
     bodies: tuple[str, ...]
-    overshoot: FloatArray
+    protrusion: FloatArray
 
 
 @compiled
@@ -115,7 +115,7 @@ def make_arm_spheres(
         )
     group_names = tuple(body.name() for body in bodies)
     is_tool = np.array([name in tool_links for name in group_names])
-    geometries = [plant.GetCollisionGeometriesForBody(body) for body in bodies]
+    geometry_ids = [plant.GetCollisionGeometriesForBody(body) for body in bodies]
 
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, q)
@@ -124,21 +124,23 @@ def make_arm_spheres(
     covers, X_JB = [], []
     announce = f"covering the links of {plant.GetModelInstanceName(robot.instance)} with spheres"
     for row, body in enumerate(bodies):
-        solids = [read_solid(inspector, geometry) for geometry in geometries[row]]
-        overshoot = parameters.overshoot if joint[row] >= 0 else parameters.fixed_overshoot
+        geometries = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids[row]]
+        protrusion = parameters.protrusion if joint[row] >= 0 else parameters.max_fixed_protrusion
         if is_tool[row]:
-            overshoot = parameters.tool_overshoot
-        covers.append(known_cover(solids, overshoot, max(_MOST, len(solids)), announce))
+            protrusion = parameters.max_tool_protrusion
+        covers.append(known_cover(geometries, protrusion, max(_MOST, len(geometries)), announce))
         X_JB.append((X_WJ[joint[row]].inverse() @ body.EvalPoseInWorld(context)).GetAsMatrix4())
     pairs = [
         (i, j)
         for i, j in combinations(range(len(joint)), 2)
         if abs(joint[i] - joint[j]) > 1
-        and any(not inspector.CollisionFiltered(a, b) for a in geometries[i] for b in geometries[j])
+        and any(
+            not inspector.CollisionFiltered(a, b) for a in geometry_ids[i] for b in geometry_ids[j]
+        )
     ]
     arrays = _joined(covers, X_JB, joint, is_tool, pairs)
-    arrays = _with_pairs_found(robot, q, geometries, arrays)
-    return ArmSpheres(arrays, group_names, np.array([found.overshoot for found in covers]))
+    arrays = _with_pairs_found(robot, q, geometry_ids, arrays)
+    return ArmSpheres(arrays, group_names, np.array([found.protrusion for found in covers]))
 
 
 def _joined(
@@ -202,7 +204,7 @@ def _ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
 def _with_pairs_found(
     robot: RobotPlant,
     q: FloatArray,
-    geometries: Sequence[Sequence[GeometryId]],
+    geometry_ids: Sequence[Sequence[GeometryId]],
     spheres: Spheres,
 ) -> Spheres:
     """Removes pairs of groups that always touch, and finds how much overlap is harmless.
@@ -240,8 +242,8 @@ def _with_pairs_found(
             query = robot.scene_graph.get_query_output_port().Eval(of_scene)
             shape_distance[n] = min(
                 query.ComputeSignedDistancePairClosestPoints(one, other).distance
-                for one in geometries[i]
-                for other in geometries[j]
+                for one in geometry_ids[i]
+                for other in geometry_ids[j]
             )
         is_free = shape_distance > 0.0
         if (~is_free).sum() >= _ALWAYS * len(postures):

@@ -12,7 +12,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import (
-    PART,
+    PART_ID_STRIDE,
     EllipsoidSet,
     FloatArray,
     PolicyState,
@@ -79,31 +79,31 @@ class CostRingSelector(LeafSystem):
 
     def __init__(
         self,
-        asked_clearance: float,
+        requested_clearance: float,
         *,
         period: float = 1.0 / 15.0,
         table_height: float = 0.05,
         joint_margins: JointMargins | None = None,
         extra_rings: Mapping[str, Ring] | None = None,
-        ring_price: float = 0.5,
+        ring_weight: float = 0.5,
     ) -> None:
         """Declares the ports.
 
         Args:
-            asked_clearance: asked distance Delta between tool and obstacle [m].
+            requested_clearance: asked distance Delta between tool and obstacle [m].
             period: time between decisions [s].
             table_height: least height of E above the table [m].
             joint_margins: distance of the arm's joints to their limits along ways of the tool;
                 None: the rings "workspace" and "joint_limits" are absent.
             extra_rings: more rings by name.
-            ring_price: cost of a side on which such a ring is just below 1, in baselines.
+            ring_weight: cost of a side on which such a ring is just below 1, in baselines.
 
         Raises:
             ValueError: if the period is not finite and positive.
         """
         super().__init__()
         period = valid_period(period)
-        self._asked_clearance = asked_clearance
+        self._asked_clearance = requested_clearance
         self._rings: dict[str, Ring] = {
             "table": partial(table_ring, height=table_height),
             "length": length_ring,
@@ -111,7 +111,7 @@ class CostRingSelector(LeafSystem):
         self._joint_margins = joint_margins
         if joint_margins is not None:
             self._rings |= {"workspace": reach_ring, "joint_limits": joint_limits_ring}
-        self._extra, self._ring_price = dict(extra_rings or {}), ring_price
+        self._extra, self._ring_weight = dict(extra_rings or {}), ring_weight
         self._rings |= self._extra
 
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
@@ -145,14 +145,14 @@ class CostRingSelector(LeafSystem):
             R_WL,
             ellipsoids,
             table,
-            asked_clearance=self._asked_clearance,
+            requested_clearance=self._asked_clearance,
             joint_margins=self._joint_margins,
         )
         decided: Route = context.get_abstract_state(self._decided).get_value()
         known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
         previous = np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64)
         index, costs, blocked = select_directions(scene, self._rings, previous=previous)
-        names = ", ".join(map(str, np.unique(ellipsoids.ids[blocked] % PART)))
+        names = ", ".join(map(str, np.unique(ellipsoids.ids[blocked] % PART_ID_STRIDE)))
         direction_W = scene.directions_W[index]
         return Route(
             direction_W=direction_W,
@@ -169,7 +169,7 @@ class CostRingSelector(LeafSystem):
             ids=ellipsoids.ids,
             blocked=bool(blocked.any()),
             note=f"every side of obstacle {names} is forbidden" if names else "",
-            price=self._price(costs),
+            side_cost=self._side_cost(costs),
         )
 
     def _decide(self, context: Context, state: State) -> None:
@@ -193,11 +193,11 @@ class CostRingSelector(LeafSystem):
             return decided
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
-    def _price(self, costs: Mapping[str, FloatArray]) -> FloatArray:
+    def _side_cost(self, costs: Mapping[str, FloatArray]) -> FloatArray:
         """Computes the costs (K,) that the user-supplied rings add to sides; (1,) without any."""
         costs = {name: cost for name, cost in costs.items() if name in self._extra and len(cost)}
         if not costs:
             return np.zeros(1)
         rings = np.array([cost.max(axis=0) for cost in costs.values()])
         forbidden = (rings >= FORBIDDEN).any(axis=0)
-        return np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))
+        return np.where(forbidden, np.inf, self._ring_weight * rings.sum(axis=0))

@@ -24,7 +24,7 @@ in their order along the baseline and omega_i the direction of group i, what is 
 eta_i being the rings of the group but the length ring, and l the length of the way start,
 passing points in their order, goal, with l_min and l_max its bounds, and L the baseline. With one
 obstacle nothing else obstructs a leg, and this is eq. 12 of the paper. Each term looks at
-neighbours only, so that the least of all K^N combinations takes N K^2 steps (Viterbi).
+neighbors only, so that the least of all K^N combinations takes N K^2 steps (Viterbi).
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ class RingScene:
         angles: (K,) angles on the local YZ circle [rad].
         directions_W: (K, 3) the directions omega as unit vectors.
         p_WP: (M, K, 3) passing points: where a motion that leaves the baseline
-            along omega has the asked clearance to the obstacle [m].
+            along omega has the requested clearance to the obstacle [m].
         detour: (M, K) distance of the passing point from the baseline [m].
-        asked_clearance: the asked clearance Delta [m].
+        requested_clearance: the requested clearance Delta [m].
         joint_margin: (M, K) the least distance of the arm's joints to their limits on the way
             over the passing point [rad]; -inf where the arm cannot follow it, inf: not known.
         straight_margin: the same on the baseline [rad].
@@ -77,7 +77,7 @@ class RingScene:
     directions_W: FloatArray
     p_WP: FloatArray
     detour: FloatArray
-    asked_clearance: float
+    requested_clearance: float
     joint_margin: FloatArray
     straight_margin: float
 
@@ -95,7 +95,7 @@ def ring_scene(
     ellipsoids: EllipsoidSet,
     table: TablePlane | None,
     *,
-    asked_clearance: float,
+    requested_clearance: float,
     n_directions: int = 36,
     joint_margins: JointMargins | None = None,
 ) -> RingScene:
@@ -105,8 +105,8 @@ def ring_scene(
 
         p_P = b + omega max(0, h_i(omega) + Delta - omega . (b - c_i)),
 
-    with b the point of the baseline nearest to the centre c_i and h_i the support
-    function of the ellipsoid about its centre: the plane through p_P with normal
+    with b the point of the baseline nearest to the center c_i and h_i the support
+    function of the ellipsoid about its center: the plane through p_P with normal
     omega is Delta away from the obstacle.
 
     Args:
@@ -115,7 +115,7 @@ def ring_scene(
         R_WL: (3, 3) local frame, x from start to goal.
         ellipsoids: the obstacles.
         table: the supporting plane, or None.
-        asked_clearance: asked clearance Delta [m].
+        requested_clearance: requested clearance Delta [m].
         n_directions: K, how many directions.
         joint_margins: of the arm; None: not known.
     """
@@ -126,7 +126,9 @@ def ring_scene(
     along = np.clip((ellipsoids.p_WO - p_WS) @ R_WL[:, 0], 0.0, length)
     p_WB = p_WS + along[:, None] * R_WL[:, 0]
     support = support_of(ellipsoids, np.broadcast_to(directions_W, (len(along), n_directions, 3)))
-    detour = np.maximum(0.0, support + asked_clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T)
+    detour = np.maximum(
+        0.0, support + requested_clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T
+    )
     p_WP = p_WB[:, None, :] + detour[:, :, None] * directions_W
     margin, straight = np.full(detour.shape, np.inf), np.inf
     if joint_margins is not None and detour.size:
@@ -142,7 +144,7 @@ def ring_scene(
         directions_W=directions_W,
         p_WP=p_WP,
         detour=detour,
-        asked_clearance=asked_clearance,
+        requested_clearance=requested_clearance,
         joint_margin=margin,
         straight_margin=straight,
     )
@@ -153,7 +155,7 @@ def length_ring(scene: RingScene) -> FloatArray:
 
     Lengths that differ by less than a tenth of the baseline count as near to each
     other: else an obstacle right on the baseline, whose sides are about as long, would
-    change its side, against all hysteresis, with every millimetre it moves.
+    change its side, against all hysteresis, with every millimeter it moves.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -204,10 +206,12 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
     place = scene.p_WS + share * (scene.p_WG - scene.p_WS)
     distance = signed_distance(place, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
-    feasible = np.minimum(scene.asked_clearance, distance[[0, -1]].min(axis=0))
+    achievable_clearance = np.minimum(scene.requested_clearance, distance[[0, -1]].min(axis=0))
     nearest = distance.argmin(axis=0)
     between = (nearest > 0) & (nearest < _SAMPLES - 1)
-    return np.where(between & (distance.min(axis=0) < feasible), feasible, 0.0)
+    return np.where(
+        between & (distance.min(axis=0) < achievable_clearance), achievable_clearance, 0.0
+    )
 
 
 def path_length(scene: RingScene, index: IntArray) -> float:
@@ -299,7 +303,7 @@ def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(directions @ axes, axis=2))
 
 
-def overlap_groups(ellipsoids: EllipsoidSet, asked_clearance: float) -> IntArray:
+def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntArray:
     """Numbers the groups of obstacles that leave no way between them, (M,).
 
     Two obstacles belong together when their gap along the line of centers is less
@@ -308,13 +312,13 @@ def overlap_groups(ellipsoids: EllipsoidSet, asked_clearance: float) -> IntArray
     gap = ellipsoids.p_WO[:, None] - ellipsoids.p_WO
     distance = np.linalg.norm(gap, axis=2)
     reach = support_of(ellipsoids, gap / np.maximum(distance, 1e-300)[:, :, None])
-    linked = distance < reach + reach.T + 2.0 * asked_clearance
+    linked = distance < reach + reach.T + 2.0 * requested_clearance
     return np.asarray(connected_components(linked, directed=False)[1])
 
 
 def groups_along_baseline(scene: RingScene) -> list[IntArray]:
     """Rows of each group of obstacles, in the order in which the motion meets the groups."""
-    numbers = overlap_groups(scene.ellipsoids, scene.asked_clearance)
+    numbers = overlap_groups(scene.ellipsoids, scene.requested_clearance)
     groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
     place = scene.ellipsoids.p_WO @ (scene.p_WG - scene.p_WS)
     return sorted(groups, key=lambda rows: float(place[rows].mean()))
@@ -368,7 +372,7 @@ def sequence_costs(
     legs = list(pairwise(stages))
     length = [np.linalg.norm(b - a[:, None], axis=2) for a, b in legs]
     obstructed = [
-        obstruction(a, b, scene.ellipsoids, seen, scene.asked_clearance)
+        obstruction(a, b, scene.ellipsoids, seen, scene.requested_clearance)
         for (a, b), seen in zip(legs, counts, strict=True)
     ]
 

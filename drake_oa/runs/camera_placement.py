@@ -39,7 +39,7 @@ _CONFIGURATIONS = 5
 
 
 def spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Computes centers (T, S, 3) and radii (S,) of the arm along the pre-planned motion [m]."""
+    """Computes centers (T, S, 3) and radii (S,) of the arm along the nominal motion [m]."""
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
     q_start, q_goal = end_positions(scenario)

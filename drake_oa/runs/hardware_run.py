@@ -11,10 +11,10 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
-from drake_oa.common.messages import HoldCause
+from drake_oa.common.messages import HoldReason
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.hardware.command_player import LEAD
-from drake_oa.hardware.hardware_cell import add_hardware, arm_of, hardware_scenario
+from drake_oa.hardware.command_streamer import LEAD
+from drake_oa.hardware.hardware_station import add_hardware, arm_of, hardware_scenario
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
@@ -22,7 +22,7 @@ from drake_oa.runs.simulation import (
     EVENT,
     Look,
     MotionInterruptedError,
-    MotionWatcher,
+    MotionMonitor,
     columns_of,
     log_of,
     logged_signals,
@@ -32,7 +32,7 @@ from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import release_cameras
 
-_REHEARSED = 0.3
+_WARMUP_DONE = 0.3
 """Simulated time in which every layer has had its turn [s]."""
 _IMAGE_DELAY = 0.05
 """Additional delay of images by the wall clock for which the supervisor does not slow down [s]."""
@@ -71,13 +71,13 @@ def ready(scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None) -
     arm, limits = arm_of(known)
     q = start_positions(known)
     q[arm] = link.ready_arm(q[arm], limits)
-    cell = partial(add_hardware, link=link, q_measured=q)
-    diagram = build_avoidance(known, add_cell=cell, meshcat=meshcat)
-    with link.rehearsal():
+    station_model = partial(add_hardware, link=link, q_measured=q)
+    diagram = build_avoidance(known, add_station_model=station_model, meshcat=meshcat)
+    with link.warmup():
         simulator = Simulator(diagram)
         try:
             simulator.Initialize()
-            simulator.AdvanceTo(_REHEARSED)
+            simulator.AdvanceTo(_WARMUP_DONE)
         except BaseException:
             release_cameras(diagram)
             raise
@@ -89,9 +89,9 @@ def drive(
     link: RobotLink,
     *,
     duration: float | None = None,
-    on_look: Look = lambda watcher, root: None,
+    on_look: Look = lambda monitor, root: None,
 ) -> MotionLog:
-    """Runs the modulated motion on the arm; its end is `simulate`'s.
+    """Runs the avoiding motion on the arm; its end is `simulate`'s.
 
     Args:
         driven: of `ready`.
@@ -106,10 +106,12 @@ def drive(
         MotionInterruptedError: as `simulate` does; also if the arm was stopped.
     """
     # The world rests when the scenario's own would, as far as it tells.
-    watcher = MotionWatcher(driven.diagram, driven.scenario, duration, on_look)
+    monitor = MotionMonitor(driven.diagram, driven.scenario, duration, on_look)
     simulator = Simulator(driven.diagram)
     try:
-        return _with_events(run_motion(driven.known, simulator, watcher, modulated=True), link)
+        return _with_events(
+            run_motion(driven.known, simulator, monitor, avoid_obstacles=True), link
+        )
     except MotionInterruptedError as error:
         raise MotionInterruptedError(_with_events(error.log, link)) from error.__cause__
     finally:
@@ -120,7 +122,7 @@ def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
     """Returns the log with the events of the arm's player among those that held the motion."""
     told = [
         *zip(log.event_time.tolist(), log.event_hold, log.event, strict=True),
-        *((t, HoldCause.SPEED_SCALE.value, note) for t, note in link.events),
+        *((t, HoldReason.SPEED_SCALE.value, note) for t, note in link.events),
     ]
     return replace(log, **columns_of(sorted(told, key=itemgetter(0)), EVENT))
 
@@ -141,10 +143,10 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
         t,
         signals,
         q_world=signals["plant_state"][:, : station.num_positions],
-        regulation="",
+        inference="",
         **columns_of([(at, "", event) for at, event in events], EVENT),
         stop_reason="station ended",
         ended=MotionEnd.TIME_LIMIT.value,
         wall_time=math.nan,
-        modulated=True,
+        avoid_obstacles=True,
     )

@@ -22,8 +22,8 @@ from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, FloatArray
+from drake_oa.geometry.collision_scene import CollisionGeometries, geometries_of, read_geometry
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.geometry.solids import Solids, read_solid, solids_of
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.scenario.loading import parse_scenario, scenario_text
@@ -135,7 +135,7 @@ def _greatest(instants: Iterable[Contacts]) -> Contacts:
     return found
 
 
-class RobotJudge:
+class ClearanceEvaluator:
     """Measurement of distances and contacts of a scenario's robot by SceneGraph."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -150,7 +150,7 @@ class RobotJudge:
         builder = DiagramBuilder()
         self._station = make_station(builder, scenario, render=False)
         self._diagram = builder.Build()  # Owns plant and scene graph.
-        self._courses = scenario.obstacles
+        self._trajectories = scenario.obstacles
         self._plant, graph = self._station.plant, self._station.scene_graph
         self._root = self._diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._root)
@@ -159,9 +159,9 @@ class RobotJudge:
         self._query_port = graph.get_query_output_port()
         self._tool_frame = self._plant.GetFrameByName(TOOL_FRAME)
         self._body = {
-            geometry: body
+            geometry_id: body
             for body in map(self._plant.get_body, map(BodyIndex, range(self._plant.num_bodies())))
-            for geometry in self._plant.GetCollisionGeometriesForBody(body)
+            for geometry_id in self._plant.GetCollisionGeometriesForBody(body)
         }
         robot = {g: body for g, body in self._body.items() if self._is_robot(g)}
         obstacles = {
@@ -173,7 +173,7 @@ class RobotJudge:
         self._robot_balls = _Balls(inspector, robot)
         self._obstacle_balls = _Balls(inspector, obstacles)
         self._others = [
-            (read_solid(inspector, g), body) for g, body in self._body.items() if g not in robot
+            (read_geometry(inspector, g), body) for g, body in self._body.items() if g not in robot
         ]
         of_tool = tool_links(scenario.robot) if scenario.robot else []
         self._tool = np.array([body.name() in of_tool for body in robot.values()], bool)
@@ -181,8 +181,8 @@ class RobotJudge:
         moving = [self._plant.num_positions(b.model_instance()) for b in obstacles.values()]
         self._rests = np.array(moving) == 0
 
-    def _is_robot(self, geometry: GeometryId) -> bool:
-        return self._body[geometry].model_instance() == self._station.robot
+    def _is_robot(self, geometry_id: GeometryId) -> bool:
+        return self._body[geometry_id].model_instance() == self._station.robot
 
     def metrics(self, q: FloatArray, q_world: FloatArray | None = None) -> MotionMetrics:
         """Computes the metrics of a motion.
@@ -233,21 +233,21 @@ class RobotJudge:
             time: of the courses [s].
         """
         q_world = np.array(self._q_world)
-        for obstacle in self._courses:
+        for obstacle in self._trajectories:
             if obstacle.driven:
                 name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
                 instance = self._plant.GetModelInstanceByName(name)
                 self._plant.SetPositionsInArray(instance, obstacle.offset_at(time), q_world)
         return q_world
 
-    def solids_at(self, time: float) -> Solids:
+    def geometries_at(self, time: float) -> CollisionGeometries:
         """Computes all that is not the robot, each solid at rest, as `positions_at`."""
         self._plant.SetPositions(self._plant_context, self.positions_at(time))
         found = []
-        for solid, body in self._others:
+        for geometry, body in self._others:
             X_WB = body.EvalPoseInWorld(self._plant_context).GetAsMatrix4()
-            found.append(replace(solid, X_WO=X_WB @ solid.X_WO))
-        return solids_of(found)
+            found.append(replace(geometry, X_WO=X_WB @ geometry.X_WO))
+        return geometries_of(found)
 
     def touches(
         self, q: FloatArray, v: FloatArray, q_world: FloatArray
@@ -310,8 +310,8 @@ class RobotJudge:
                 break
             counts = np.array([True, self._tool[i], self._tool[i] and self._rests[j]])
             if (least[counts] > bounds[i, j]).any():
-                geometries = ours.geometries[i], others.geometries[j]
-                pair = query.ComputeSignedDistancePairClosestPoints(*geometries)
+                geometry_ids = ours.geometry_ids[i], others.geometry_ids[j]
+                pair = query.ComputeSignedDistancePairClosestPoints(*geometry_ids)
                 least[counts] = np.minimum(least[counts], pair.distance)
         return np.where(least < OUT_OF_WORLD, least, np.inf)
 
@@ -320,15 +320,15 @@ class _Balls:
     """Balls around collision geometries, fixed to their bodies.
 
     Attributes:
-        geometries: N geometries.
+        geometry_ids: N collision geometries.
         radius: (N,) radii [m]; inf around half spaces.
     """
 
     def __init__(
         self, inspector: SceneGraphInspector, bodies: Mapping[GeometryId, RigidBody]
     ) -> None:
-        self.geometries, self._bodies = list(bodies), list(bodies.values())
-        ball = solids_of([read_solid(inspector, geometry) for geometry in bodies]).ball
+        self.geometry_ids, self._bodies = list(bodies), list(bodies.values())
+        ball = geometries_of([read_geometry(inspector, geometry_id) for geometry_id in bodies]).ball
         self._p_BC, self.radius = ball[:, :3], ball[:, 3]
 
     def centers(self, context: Context) -> FloatArray:
@@ -339,18 +339,18 @@ class _Balls:
 
 
 @lru_cache(maxsize=4)
-def _judge_of(text: str) -> RobotJudge:
+def _evaluator_of(text: str) -> ClearanceEvaluator:
     """Returns the judge of the robot in the text of a scenario."""
-    return RobotJudge(parse_scenario(text))
+    return ClearanceEvaluator(parse_scenario(text))
 
 
-def robot_judge(scenario: Scenario) -> RobotJudge:
+def clearance_evaluator(scenario: Scenario) -> ClearanceEvaluator:
     """Returns the judge of a scenario's robot; its station is built once for equal scenarios."""
-    return _judge_of(scenario_text(scenario))
+    return _evaluator_of(scenario_text(scenario))
 
 
 def robot_metrics(
     scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
 ) -> MotionMetrics:
-    """Computes `RobotJudge.metrics` of one motion in a scenario."""
-    return robot_judge(scenario).metrics(q, q_world)
+    """Computes `ClearanceEvaluator.metrics` of one motion in a scenario."""
+    return clearance_evaluator(scenario).metrics(q, q_world)

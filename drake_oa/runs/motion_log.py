@@ -2,7 +2,7 @@
 
 The file is a NumPy .npz archive of schema `SCHEMA_VERSION`: the key `schema_version`
 holds that number, and each motion has one key "MOTION/ATTRIBUTE" for every attribute
-of `MotionLog`, where MOTION is "preplanned" or "modulated". Texts are string arrays,
+of `MotionLog`, where MOTION is "nominal" or "avoiding". Texts are string arrays,
 zero-dimensional for a single text. `numpy.load` alone reads it, without pickle.
 
 W is the world frame, E the tool point, O an obstacle; nq, nv and nu are the robot's
@@ -31,17 +31,17 @@ q_world                (T, n)         rad, m   all positions of the station's pl
 observation_time       (F,)           s        times at which observations arrived
 observation_stamp      (F,)           s        when the scene looked as they say; inf for
                                                ellipsoids that are given
-p_WO                   (F, M, 3)      m        centres of the ellipsoids; NaN rows where an
+p_WO                   (F, M, 3)      m        centers of the ellipsoids; NaN rows where an
                                                observation has fewer than M
 R_WO                   (F, M, 3, 3)   1        their orientations, principal axes in columns
 semi_axes              (F, M, 3)      m        their semi-axes
-v_WO                   (F, M, 3)      m/s      velocities of their centres
+v_WO                   (F, M, 3)      m/s      velocities of their centers
 obstacle_id            (F, M)         -        their names; -1 where there is none
 out_of_range           (F,)           1        for how many of them the regressor chain was
                                                asked for more than it was trained for
-regulation             ()             text     "Verified" or "Paper"; "" unmodulated
+inference             ()             text     "Verified" or "Paper"; "" unmodulated
 shortfall              (T,)           m        what the verified motion lacked of the
-                                               feasible clearance, as regulation believed
+                                               feasible clearance, as inference believed
 event_time             (E,)           s        times at which a note of the policy changed
 event                  (E,)           text     those notes; "": running freely again
 supervision_time       (S,)           s        times at which the guard's decision changed
@@ -55,7 +55,7 @@ actuator_name          (nu,)          text     names of the actuated joints
 effort_limit           (nu,)          N m, N   their greatest actuation; inf: none
 stop_reason            ()             text     "goal", or what ended the motion short of it
 wall_time              ()             s        real time that the simulation took
-modulated              ()             bool     whether the motion was bent round obstacles
+avoid_obstacles        ()             bool     whether the motion was bent round obstacles
 scenario               ()             text     the scenario as YAML, defaults included
 seed                   ()             1        the scenario's seed
 versions               (P,)           text     packages, date, source digest: "name value"
@@ -72,7 +72,7 @@ guard_contact          (T,)           s        time of the first contact that it
                                                verified motion; inf: none; (0,) likewise
 guard_claim            (T,)           1        claim of passive motion safety that limits the speed:
                                                0 none, 1 (A), 2 (B); (0,) likewise
-lowered                (T,)           m        by how much regulation had lowered the asked
+lowered                (T,)           m        by how much inference had lowered the asked
                                                clearance; (0,) where a file does not tell
 motion_source          (T,)           1        source of the motion: -1 none, 0 nominal, 1 chain,
                                                2 search, 3 joint_path; (0,) likewise
@@ -81,9 +81,9 @@ motion_end             ()             s        when the motion ended; the world 
 settled                ()             bool     whether all came to rest
 decision_time          (D,)           s        when decisions began; (0,) where a file does
                                                not tell, or they cost no time
-decision_cost          (D,)           s        the simulated time that each takes
-decision_layer         (D,)           text     whose it is: "regulation" or "guard"
-event_hold             (E,)           text     what held the motion from then on, one of `HoldCause`
+decision_latency          (D,)           s        the simulated time that each takes
+decision_layer         (D,)           text     whose it is: "inference" or "guard"
+event_hold             (E,)           text     what held the motion from then on, one of `HoldReason`
 ended                  ()             text     how the motion ended, one of `MotionEnd`
 =====================  =============  =======  ==========================================
 """
@@ -129,7 +129,7 @@ class MotionEnd(StrEnum):
     LEFT = "goal left"
     """It evaded there, and did not come back."""
     TIME_LIMIT = "time limit"
-    CUT_SHORT = "cut short"
+    INTERRUPTED = "interrupted"
     """Interrupted, or something was raised."""
 
 
@@ -162,7 +162,7 @@ class MotionLog:
     v_WO: FloatArray = _empty(0, 0, 3)
     obstacle_id: IntArray = _empty(0, 0)
     out_of_range: IntArray = _empty(0)
-    regulation: str
+    inference: str
     shortfall: FloatArray
     event_time: FloatArray = _empty(0)
     event: tuple[str, ...] = ()
@@ -177,7 +177,7 @@ class MotionLog:
     effort_limit: FloatArray
     stop_reason: str
     wall_time: float
-    modulated: bool
+    avoid_obstacles: bool
     scenario: str
     seed: int
     versions: tuple[str, ...]
@@ -188,12 +188,12 @@ class MotionLog:
     guard_action: FloatArray = _empty(0)
     guard_contact: FloatArray = _empty(0)
     guard_claim: FloatArray = _empty(0)
-    lowered: FloatArray = _empty(0)
+    clearance_reduction: FloatArray = _empty(0)
     motion_source: FloatArray = _empty(0)
     motion_end: float = math.nan
     settled: bool = False
     decision_time: FloatArray = _empty(0)
-    decision_cost: FloatArray = _empty(0)
+    decision_latency: FloatArray = _empty(0)
     decision_layer: tuple[str, ...] = ()
     event_hold: tuple[str, ...] = ()
     ended: str
@@ -257,7 +257,7 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Packs the logged signals (T, 2) of the ports `decision` into attributes of a log.
 
     Returns:
-        `decision_time`, `decision_cost` and `decision_layer`.
+        `decision_time`, `decision_latency` and `decision_layer`.
     """
     found = []
     for name, rows in signals.items():
@@ -267,7 +267,7 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
     times, costs, layers = zip(*sorted(found), strict=True) if found else [()] * 3
     return {
         "decision_time": np.array(times),
-        "decision_cost": np.array(costs),
+        "decision_latency": np.array(costs),
         "decision_layer": layers,
     }
 

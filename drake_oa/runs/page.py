@@ -8,12 +8,12 @@ import numpy as np
 from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.inference.config import Paper
 from drake_oa.perception.config import CameraSource
 from drake_oa.planning.search import SOURCES
-from drake_oa.regulation.config import Paper
-from drake_oa.runs.metrics import robot_judge
+from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.simulation import MotionWatcher, motion_state
+from drake_oa.runs.simulation import MotionMonitor, motion_state
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.panel import LivePage, Reading, panel_page
 
@@ -39,12 +39,12 @@ class PanelReadings:
         self._method = motion_name(avoids)
         if avoids:
             source = "camera" if isinstance(scenario.perception, CameraSource) else "ground truth"
-            chain = type(scenario.regulation).__name__.lower()
+            chain = type(scenario.inference).__name__.lower()
             self._method += f": {chain}, obstacles from {source}"
         self._requested = [f", requested {scenario.task.clearance:g}", ""]
-        if not isinstance(scenario.regulation, Paper):
-            self._requested[1] = f", requested {scenario.regulation.link_clearance:g}"
-        self._judge = robot_judge(scenario) if scenario.robot else None
+        if not isinstance(scenario.inference, Paper):
+            self._requested[1] = f", requested {scenario.inference.link_clearance:g}"
+        self._evaluator = clearance_evaluator(scenario) if scenario.robot else None
         self._least = np.full(2, math.inf)
         self._contacts: dict[str, None] = {}
 
@@ -63,8 +63,8 @@ class PanelReadings:
         lines = [f"t = {now:.1f} s", self._method]
         if source >= 0.0:
             lines.append(f"motion source: {SOURCES[int(source)]}")
-        if self._judge is not None and q.shape[1]:
-            found = self._judge.metrics(q, q_world)
+        if self._evaluator is not None and q.shape[1]:
+            found = self._evaluator.metrics(q, q_world)
             self._contacts |= dict.fromkeys((*found.contacts, *found.self_contacts))
             clearance = np.stack([found.tool_clearance, found.robot_clearance])
             self._least = np.minimum(self._least, clearance.min(axis=1))
@@ -87,7 +87,7 @@ def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
     """
     if not len(log.t):
         return [Reading(0.0, "")]
-    panel = PanelReadings(scenario, log.modulated)
+    panel = PanelReadings(scenario, log.avoid_obstacles)
     found, first = [], 0
     for time in np.arange(0.0, log.t[-1] + _PERIOD, _PERIOD):
         last = min(int(np.searchsorted(log.t, time)), len(log.t) - 1)
@@ -115,7 +115,7 @@ def label_page(page: str, name: str, scenario: Scenario, log: MotionLog) -> str:
         scenario: what the log was made from.
         log: the motion that the page shows.
     """
-    title = f"{name}: {motion_name(log.modulated)}"
+    title = f"{name}: {motion_name(log.avoid_obstacles)}"
     return panel_page(page, title, scenario.description, readings(scenario, log))
 
 
@@ -127,19 +127,19 @@ class LivePanel:
         self._page, self._readings = page, PanelReadings(scenario, avoids)
         self._next, self._state = 0.0, ""
 
-    def __call__(self, watcher: MotionWatcher, root: Context, state: str = "") -> None:
+    def __call__(self, monitor: MotionMonitor, root: Context, state: str = "") -> None:
         """Ends a frame; renews the reading every 0.1 s and when the state changes.
 
         Args:
-            watcher: of the motion.
+            monitor: of the motion.
             root: the diagram's Context.
             state: what to say in place of what the watcher says.
         """
         self._page.pace()
-        now, state = root.get_time(), state or watcher.state
+        now, state = root.get_time(), state or monitor.state
         if now < self._next and state == self._state:
             return
         self._next, self._state = now + _PERIOD, state
         self._page.reading = self._readings.at(
-            now, state, *watcher.positions(root), watcher.source(root)
+            now, state, *monitor.positions(root), monitor.source(root)
         )

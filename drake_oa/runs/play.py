@@ -24,13 +24,13 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.geometry.shapes import pose
+from drake_oa.inference.config import Paper, Verified
 from drake_oa.perception.config import CameraSource, GroundTruth
-from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.runs.metrics import robot_judge
+from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
-from drake_oa.runs.simulation import AT_THE_GOAL, Ending, MotionWatcher, collect_log
+from drake_oa.runs.simulation import AT_THE_GOAL, MotionMonitor, MotionOutcome, collect_log
 from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
@@ -46,7 +46,7 @@ _MAX_LEGS = 20
 """Maximum number of motions in the log: the newest ones."""
 _LATEST = 0.1
 """Lateness of a picture above which it is not caught up with [s]."""
-_REGULATIONS = ("verified", "paper", "preplanned")
+_REGULATIONS = ("verified", "paper", "nominal")
 _NEXT = "next method (verified, paper, nominal)"
 _SOURCE = "camera or ground truth"
 
@@ -152,12 +152,12 @@ class PlaySession:
         return int(self.meshcat.GetButtonClicks(name))
 
     def _settings(self) -> dict[str, Any]:
-        """Reads the sliders [m, rad], "regulation", and "is_seen" by the scenario's camera."""
+        """Reads the sliders [m, rad], "inference", and "is_seen" by the scenario's camera."""
         turn = self._clicks(_NEXT) + _is_paper(self._scenario)
         can_see = isinstance(self._scenario.perception, CameraSource)
         return {
             **{name: self.meshcat.GetSliderValue(name) for name in self._sliders},
-            "regulation": _REGULATIONS[turn % len(_REGULATIONS)],
+            "inference": _REGULATIONS[turn % len(_REGULATIONS)],
             "is_seen": can_see and self._clicks(_SOURCE) % 2 == 0,
         }
 
@@ -174,13 +174,13 @@ class PlaySession:
             self._begin(None)
         elif self._wanted != self._taken and self._rested >= SETTLED:
             self._begin(self._positions())
-        elif self._watcher.settled and self._watcher.ending == AT_THE_GOAL:
+        elif self._monitor.settled and self._monitor.ending == AT_THE_GOAL:
             self.homeward = not self.homeward
             self._begin(self._positions())
         paused = self._clicks("pause") % 2 == 1
-        if self._simulator and not self._watcher.settled and not paused:
+        if self._simulator and not self._monitor.settled and not paused:
             self._simulator.AdvanceTo(self._root().get_time() + TICK)
-        self._panel(self._watcher, self._root(), self.status(paused))
+        self._panel(self._monitor, self._root(), self.status(paused))
 
     def run(self, each_tick: Callable[[], None] = lambda: None) -> None:
         """Ticks at the selected speed, until the button is pressed.
@@ -207,14 +207,16 @@ class PlaySession:
         Impossible settings are refused: the sliders return, and the present motion goes on.
         """
         settings = self._taken = self._wanted
-        modulated = settings["regulation"] != "preplanned"
+        avoid_obstacles = settings["inference"] != "nominal"
         try:
             scenario = self._changed(settings, q)
-            diagram = build_avoidance(scenario, modulated=modulated, meshcat=self.meshcat)
-            judge = robot_judge(scenario)
+            diagram = build_avoidance(
+                scenario, avoid_obstacles=avoid_obstacles, meshcat=self.meshcat
+            )
+            evaluator = clearance_evaluator(scenario)
             simulator = Simulator(diagram)
-            watcher = MotionWatcher(diagram, scenario, math.inf)
-            touched = judge.metrics(*watcher.positions(simulator.get_context())).contacts
+            monitor = MotionMonitor(diagram, scenario, math.inf)
+            touched = evaluator.metrics(*monitor.positions(simulator.get_context())).contacts
             if self._simulator is not None and not self._contacts().issuperset(touched):
                 raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
         except (ScenarioError, ValueError, RuntimeError) as error:
@@ -227,15 +229,15 @@ class PlaySession:
             return
         self._end_leg()
         self._refused = ""
-        self._active, self._played, self._judge = settings, scenario, judge
-        self._simulator, self._watcher = simulator, watcher
-        self._panel = LivePanel(self.page, scenario, modulated)
+        self._active, self._played, self._evaluator = settings, scenario, evaluator
+        self._simulator, self._monitor = simulator, monitor
+        self._panel = LivePanel(self.page, scenario, avoid_obstacles)
         simulator.Initialize()
-        simulator.set_monitor(watcher)
+        simulator.set_monitor(monitor)
 
     def _contacts(self) -> frozenset[str]:
         """Returns the pairs in contact now."""
-        return frozenset(self._judge.metrics(*self._watcher.positions(self._root())).contacts)
+        return frozenset(self._evaluator.metrics(*self._monitor.positions(self._root())).contacts)
 
     def _changed(self, settings: dict[str, Any], q: FloatArray | None) -> Scenario:
         """Returns the scenario with the settings, its motion from where the arm is."""
@@ -249,9 +251,9 @@ class PlaySession:
             task.q_start, task.q_goal = q[: len(robot_of(scenario).q_seed)].tolist(), None
             task.goal_moves, task.demonstration = [], []
             follow_joints(scenario)
-        wants_paper = settings["regulation"] == "paper"
+        wants_paper = settings["inference"] == "paper"
         if wants_paper != _is_paper(scenario):
-            scenario.regulation = Paper() if wants_paper else Verified()
+            scenario.inference = Paper() if wants_paper else Verified()
         if not settings["is_seen"] and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
         for name, X_WO in self._poses.items():
@@ -264,11 +266,11 @@ class PlaySession:
 
     def tool_point(self) -> FloatArray:
         """Returns the tool point (3,) now [m]."""
-        return self._watcher.tool_point(self._root())
+        return self._monitor.tool_point(self._root())
 
     def _positions(self) -> FloatArray:
         """Returns positions (nq,) of the robot now, within its joints' limits."""
-        q = self._watcher.positions(self._root())[0][0]
+        q = self._monitor.positions(self._root())[0][0]
         lower, upper = self._limits.position_lower, self._limits.position_upper
         return np.clip(q, lower + 1e-6, upper - 1e-6)
 
@@ -281,18 +283,18 @@ class PlaySession:
         """Returns the refusal of a change, else the state of the motion."""
         if self._refused:
             return f"refused: {self._refused}"
-        return "paused" if paused else self._watcher.state
+        return "paused" if paused else self._monitor.state
 
     def _end_leg(self) -> None:
         if self._simulator is None:
             return
         self._simulator.clear_monitor()
         self._leg += 1
-        modulated = self._active["regulation"] != "preplanned"
-        self._watcher.finish(self._root())
-        if not math.isfinite(self._watcher.motion_end):
-            self._watcher.ending = Ending(MotionEnd.CUT_SHORT, "restarted")
-        log = collect_log(self._played, self._simulator, self._watcher, modulated, math.nan)
+        avoid_obstacles = self._active["inference"] != "nominal"
+        self._monitor.finish(self._root())
+        if not math.isfinite(self._monitor.motion_end):
+            self._monitor.ending = MotionOutcome(MotionEnd.INTERRUPTED, "restarted")
+        log = collect_log(self._played, self._simulator, self._monitor, avoid_obstacles, math.nan)
         self.logs[f"leg_{self._leg}"] = log
         for name in list(self.logs)[:-_MAX_LEGS]:
             del self.logs[name]
@@ -301,4 +303,4 @@ class PlaySession:
 
 
 def _is_paper(scenario: Scenario) -> bool:
-    return isinstance(scenario.regulation, Paper)
+    return isinstance(scenario.inference, Paper)

@@ -17,7 +17,7 @@ from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_steps
 
-_COLORS = {"modulated": "#00798c", "preplanned": "#111111"}
+_COLORS = {"avoiding": "#00798c", "nominal": "#111111"}
 _OBSTACLE, _DESIRED, _ENDS = "#d1495b", "#edae49", "#0072b2"
 """Colors of obstacles, of the desired path, and of start and goal."""
 _PANELS = ("clearance [m]", "phase, speed scale [1]", "torque / limit [1]")

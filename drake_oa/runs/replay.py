@@ -58,7 +58,7 @@ def logged_scenario(path: Path, log: MotionLog) -> Scenario:
 
 
 def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> str:
-    """Chooses the motion to show: the requested one, else the modulated one if it was started.
+    """Chooses the motion to show: the requested one, else the avoiding one if it was started.
 
     Args:
         path: the log's file, for errors.
@@ -68,7 +68,7 @@ def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> s
     Raises:
         ValueError: if there is no such motion, or nothing was logged of it.
     """
-    chosen = name or ("modulated" if "modulated" in logs else next(iter(logs)))
+    chosen = name or ("avoiding" if "avoiding" in logs else next(iter(logs)))
     if chosen not in logs:
         raise ValueError(f"{path} has no motion '{chosen}'; it has {', '.join(logs)}")
     if not len(logs[chosen].t):
@@ -106,11 +106,11 @@ def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: Motio
 
 
 def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
-    """Returns (N, 3) points of the planned path [m], as the pre-planned motion had to follow it.
+    """Returns (N, 3) points of the planned path [m], as the nominal motion had to follow it.
 
     None: a straight line was planned, or the demonstrated path is not in the log whole.
     """
-    log = logs.get("preplanned")
+    log = logs.get("nominal")
     if not scenario.task.demonstration or log is None or log.ended != MotionEnd.GOAL:
         return None
     return log.desired_position[:: 1 + len(log.t) // _MAX_POINTS]
@@ -119,7 +119,7 @@ def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray |
 def build_replay(
     scenario: Scenario, log: MotionLog, meshcat: Meshcat, *, planned_W: FloatArray | None = None
 ) -> Diagram:
-    """Wires a log to the viewer.
+    """SignalBuilder a log to the viewer.
 
     Args:
         scenario: the log's scenario.

@@ -1,4 +1,4 @@
-"""The report of a run: what the pre-planned and the modulated motion kept and touched."""
+"""The report of a run: what the pre-planned and the avoiding motion kept and touched."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from drake_oa.scenario.task import goal_at
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "made_contacts", "self_contacts")
-_COST_KEYS = {"regulation": "decision_cost", "guard": "guard_cost"}
+_COST_KEYS = {"inference": "decision_latency", "guard": "guard_latency"}
 """Layer -> key of the costs of its decisions in the report."""
 
 
@@ -43,7 +43,7 @@ def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
     return free_point_metrics(log.desired_position, _given(scenario))
 
 
-def feasible_clearance_of(scenario: Scenario) -> float:
+def achievable_clearance_of(scenario: Scenario) -> float:
     """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
 
     Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
@@ -64,50 +64,50 @@ def feasible_clearance_of(scenario: Scenario) -> float:
 def motion_report(
     scenario: Scenario,
     log: MotionLog,
-    feasible: float | None = None,
+    achievable_clearance: float | None = None,
 ) -> dict[str, Any]:
-    """The figures of one motion; distances in metres, times in seconds.
+    """The figures of one motion; distances in meters, times in seconds.
 
     Contacts and clearances are judged until all was at rest; what is of the motion
     itself, to its end. On hardware no obstacle is known: `collisions` without a contact with
-    anything else, `feasible_clearance` and `short_of_feasible` are None.
+    anything else, `achievable_clearance` and `clearance_shortfall` are None.
 
     Keys: `collisions` (pairs of a robot link and a thing that touched),
     `contacts` (their names), `initial_contacts` (those the motion started in),
     `made_contacts` (those it made), `self_contacts` (links of the robot that touched each
     other), `contact_depth` (pair -> greatest penetration), `tool_clearance_min`,
     `robot_clearance_min` (to obstacles; None where there is
-    none), `asked_clearance`, `feasible_clearance`, `resting_clearance_min` (of the tool to what
-    never moves; None where there is none), `short_of_feasible` (what that lacks of the feasible
+    none), `requested_clearance`, `achievable_clearance`, `resting_clearance_min` (of the tool to what
+    never moves; None where there is none), `clearance_shortfall` (what that lacks of the feasible
     one), `goal_error` (at the motion's end or when all is at rest, the greater one),
     `orientation_error` (angle to that of the goal when all is at rest [rad]; only where the
     tool turns), `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
-    chain was trained for), `regulation` ("Verified", "Paper", or None without
-    modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
-    believed feasible; None unless it was verified), `lowered` (by how much regulation
-    lowered the asked clearance at most; None unless verified), `sources` (source of the motion ->
+    chain was trained for), `inference` ("Verified", "Paper", or None without
+    modulation), `believed_shortfall` (most that the verified motion lacked of what inference
+    believed feasible; None unless it was verified), `clearance_reduction` (by how much inference
+    lowered the requested clearance at most; None unless verified), `sources` (source of the motion ->
     fraction of the moving time; None unless verified), `guard_actions` and `guard_claims` (action
     of the motion guard, and claim of passive motion safety that limits the speed -> fraction of the
-    moving time), `decision_cost` and `guard_cost` (`cost_figures` of the decisions of the
-    regulation and of the guard; None without decisions that cost time), `stop_reason`,
+    moving time), `decision_latency` and `guard_latency` (`latency_statistics` of the decisions of the
+    inference and of the guard; None without decisions that cost time), `stop_reason`,
     `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
     the policy, and its notes), `supervision` (actions of the motion guard, with reasons).
 
     Args:
         scenario: what was run.
         log: of the motion.
-        feasible: `feasible_clearance_of` the scenario; None: it is asked for.
+        achievable_clearance: `achievable_clearance_of` the scenario; None: it is asked for.
     """
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
-    if feasible is None:
-        feasible = feasible_clearance_of(scenario)
+    if achievable_clearance is None:
+        achievable_clearance = achievable_clearance_of(scenario)
     resting, nearest = (
         min_clearance(metrics.resting_clearance),
         min_clearance(metrics.robot_clearance),
     )
-    short = 0.0 if resting is None else max(feasible - resting, 0.0)
-    verified = log.regulation == "Verified"
+    short = 0.0 if resting is None else max(achievable_clearance - resting, 0.0)
+    verified = log.inference == "Verified"
     measured = nearest is not None or not isinstance(scenario.perception, LcmCamera)
     return {
         "collisions": len(metrics.contacts) if measured or metrics.contacts else None,
@@ -115,23 +115,28 @@ def motion_report(
         "contact_depth": metrics.contact_depth,
         "tool_clearance_min": min_clearance(metrics.tool_clearance),
         "robot_clearance_min": nearest,
-        "asked_clearance": scenario.task.clearance,
-        "feasible_clearance": feasible if measured else None,
+        "requested_clearance": scenario.task.clearance,
+        "achievable_clearance": achievable_clearance if measured else None,
         "resting_clearance_min": resting,
-        "short_of_feasible": short if measured else None,
+        "clearance_shortfall": short if measured else None,
         "goal_error": _goal_error(scenario, log, metrics.p_WE),
         **_orientation(scenario, log),
         "torque_saturation": float(log.saturated[log.moving].mean()) if len(log.t) else 0.0,
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
-        "regulation": log.regulation or None,
+        "inference": log.inference or None,
         "believed_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
-        "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
+        "clearance_reduction": float(log.clearance_reduction.max(initial=0.0))
+        if verified
+        else None,
         "sources": shares(log, log.motion_source, SOURCES) if verified else None,
         "guard_actions": shares(log, log.guard_action, ACTIONS),
         "guard_claims": shares(log, log.guard_claim, CLAIMS),
-        **{key: cost_figures(layer_costs(log, layer), period) for layer, key in _COST_KEYS.items()},
+        **{
+            key: latency_statistics(layer_costs(log, layer), period)
+            for layer, key in _COST_KEYS.items()
+        },
         "stop_reason": log.stop_reason,
         "ended": log.ended,
         "settled": log.settled,
@@ -149,7 +154,7 @@ def _rows(**columns: Sequence[object]) -> list[dict[str, object]]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def cost_figures(costs: ArrayLike, period: float) -> dict[str, float] | None:
+def latency_statistics(costs: ArrayLike, period: float) -> dict[str, float] | None:
     """Returns {median, p99, max [s], share_over_period, count} of decisions; None without any.
 
     Args:
@@ -168,10 +173,10 @@ def cost_figures(costs: ArrayLike, period: float) -> dict[str, float] | None:
     }
 
 
-def layer_costs(log: MotionLog, layer: str = "regulation") -> FloatArray:
+def layer_costs(log: MotionLog, layer: str = "inference") -> FloatArray:
     """Returns the costs of a layer's decisions that began in the motion [s]."""
     of_layer = np.array(log.decision_layer, dtype=str) == layer
-    return log.decision_cost[of_layer & (log.decision_time <= log.duration)]
+    return log.decision_latency[of_layer & (log.decision_time <= log.duration)]
 
 
 def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
@@ -215,12 +220,14 @@ def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dic
     Args:
         name: the scenario's name.
         scenario: the scenario.
-        logs: "preplanned" and "modulated" -> their logs.
+        logs: "nominal" and "avoiding" -> their logs.
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
-    feasible = feasible_clearance_of(scenario)
-    report |= {motion: motion_report(scenario, log, feasible) for motion, log in logs.items()}
-    last = logs.get("modulated") or next(iter(logs.values()))
+    achievable_clearance = achievable_clearance_of(scenario)
+    report |= {
+        motion: motion_report(scenario, log, achievable_clearance) for motion, log in logs.items()
+    }
+    last = logs.get("avoiding") or next(iter(logs.values()))
     report["real_time_factor"] = (
         last.simulated_time / last.wall_time if last.wall_time > 0.0 else None
     )
@@ -233,15 +240,15 @@ _COLUMNS = (
     Column("collisions"),
     Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
     Column("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
-    Column("asked_clearance", "asked [m]", "{:.3f}"),
-    Column("feasible_clearance", "feasible [m]", "{:.3f}"),
-    Column("short_of_feasible", "short by [mm]", "{:.1f}", 1e3),
+    Column("requested_clearance", "requested clearance [m]", "{:.3f}"),
+    Column("achievable_clearance", "achievable clearance [m]", "{:.3f}"),
+    Column("clearance_shortfall", "clearance shortfall [mm]", "{:.1f}", 1e3),
     Column("goal_error", "goal error [mm]", "{:.2f}", 1e3),
-    Column("orientation_error", "turn error [deg]", "{:.2f}", math.degrees(1.0)),
+    Column("orientation_error", "orientation error [deg]", "{:.2f}", math.degrees(1.0)),
     Column("torque_saturation", "saturated [%]", "{:.1f}", 1e2),
     Column("duration", "duration [s]", "{:.2f}"),
     Column("source", "motion source"),
-    Column("stop_reason", "ended by"),
+    Column("stop_reason", "termination"),
 )
 
 
@@ -251,7 +258,7 @@ def report_table(report: dict[str, Any]) -> TextTable:
     The notes below it name clearance that was not feasible or not kept, and contacts.
     """
     rows = []
-    for motion in ("preplanned", "modulated"):
+    for motion in ("nominal", "avoiding"):
         if found := report.get(motion):
             sources = [f"{name} {share:.0%}" for name, share in (found["sources"] or {}).items()]
             rows.append({"motion": motion, "source": ", ".join(sources) or None, **found})
@@ -261,7 +268,7 @@ def report_table(report: dict[str, Any]) -> TextTable:
 
 def contact_error(report: dict[str, Any]) -> str:
     """Returns one line that names the contacts of the avoiding motion; "" without any."""
-    depths = report.get("modulated", {}).get("contact_depth", {})
+    depths = report.get("avoiding", {}).get("contact_depth", {})
     pairs = ", ".join(f"{pair} ({-1e3 * depth:.1f} mm)" for pair, depth in depths.items())
     return pairs and f"contact during the avoiding motion: {pairs}"
 
@@ -269,27 +276,31 @@ def contact_error(report: dict[str, Any]) -> str:
 def _notes(motion: str, found: dict[str, Any]) -> list[str]:
     """What is to be said of one motion's clearance; less than `TOLD` is not."""
     notes = []
-    asked = found["asked_clearance"]
-    feasible = asked if found["feasible_clearance"] is None else found["feasible_clearance"]
-    if asked - feasible > TOLD:
-        notes.append(f"note: start and goal leave {feasible:.3f} m of the asked {asked:g} m")
+    requested = found["requested_clearance"]
+    achievable_clearance = (
+        requested if found["achievable_clearance"] is None else found["achievable_clearance"]
+    )
+    if requested - achievable_clearance > TOLD:
+        notes.append(
+            f"note: start and goal leave {achievable_clearance:.3f} m of the asked {requested:g} m"
+        )
     if found["self_contacts"]:
         notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
-    if not found["regulation"]:
+    if not found["inference"]:
         return notes
-    if found["regulation"] == "Paper" and found["out_of_range"]:
+    if found["inference"] == "Paper" and found["out_of_range"]:
         notes.append(
             f"note: {motion}: obstacles outside the regressor chain's trained range in "
             f"{found['out_of_range']:.0%} of the observations"
         )
-    if (found["short_of_feasible"] or 0.0) > TOLD:
+    if (found["clearance_shortfall"] or 0.0) > TOLD:
         notes.append(
             f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "
-            f"{1e3 * found['short_of_feasible']:.1f} mm less than start and goal leave"
+            f"{1e3 * found['clearance_shortfall']:.1f} mm less than start and goal leave"
         )
-    if (found["lowered"] or 0.0) > max(TOLD, asked - feasible + TOLD):
+    if (found["clearance_reduction"] or 0.0) > max(TOLD, requested - achievable_clearance + TOLD):
         notes.append(
-            f"note: {motion}: regulation lowered the asked clearance by up to "
-            f"{1e3 * found['lowered']:.1f} mm: it took an obstacle to be that near"
+            f"note: {motion}: inference reduced the requested clearance by up to "
+            f"{1e3 * found['clearance_reduction']:.1f} mm: it took an obstacle to be that near"
         )
     return notes

@@ -12,7 +12,7 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.runs.metrics import MotionMetrics, robot_metrics
-from drake_oa.runs.report import feasible_clearance_of
+from drake_oa.runs.report import achievable_clearance_of
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
@@ -88,8 +88,8 @@ def end_table(scenario: Scenario) -> TextTable:
         }
         for name, at in zip(("start", "goal"), _ends(scenario), strict=True)
     ]
-    asked, feasible = scenario.task.clearance, feasible_clearance_of(scenario)
-    notes = [f"asked clearance: {asked:g} m"]
-    if feasible < asked - 1e-4:
+    requested, feasible = scenario.task.clearance, achievable_clearance_of(scenario)
+    notes = [f"requested clearance: {requested:g} m"]
+    if feasible < requested - 1e-4:
         notes.append(f"start and goal leave {feasible:.3f} m: there is no more to be kept")
     return TextTable(_COLUMNS, rows, notes)

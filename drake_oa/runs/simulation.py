@@ -19,15 +19,15 @@ from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
-    HoldCause,
+    HoldReason,
     PlannedMotion,
     PolicyState,
 )
-from drake_oa.common.wires import Wires
+from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.motion import make_dmp
-from drake_oa.policy.dmp import normalised_time
-from drake_oa.regulation.config import Verified
+from drake_oa.inference.config import Verified
+from drake_oa.policy.dmp import normalized_time
 from drake_oa.robot.plant import TOOL_FRAME, RobotLimits, make_robot_plant
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_decisions, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
@@ -43,12 +43,12 @@ LONGEST_HOLD = 5.0
 LONGEST_SCALING = 6.0
 """A motion that takes more than this many demonstrated durations is ended."""
 LATEST_END = 2.2
-"""Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
+"""Normalized time s at which a motion that has not arrived is ended; counted from s = 1 at
 the latest move of the goal, where that comes after it. One that has been verified to arrive
 later may do so."""
 _NOTHING = EventStatus.DidNothing()
 _GRACE = 0.2
-"""How much later than verified a motion may arrive, in normalised time."""
+"""How much later than verified a motion may arrive, in normalized time."""
 ARRIVED = Verified().tolerance
 """A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
 velocity at which it would go no further than `STILL` times as far in a unit of s."""
@@ -71,7 +71,7 @@ class MotionInterruptedError(RuntimeError):
         self.log = log
 
 
-class Ending(NamedTuple):
+class MotionOutcome(NamedTuple):
     """End of a motion, and its reason in words."""
 
     end: MotionEnd
@@ -83,7 +83,7 @@ class Ending(NamedTuple):
         return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
 
-AT_THE_GOAL = Ending(MotionEnd.GOAL, "goal")
+AT_THE_GOAL = MotionOutcome(MotionEnd.GOAL, "goal")
 
 
 EVENT = ("event_time", "event_hold", "event")
@@ -112,7 +112,7 @@ def motion_state(supervision: tuple[str, str], note: str) -> str:
     return note or "running" if action == "run" else f"motion guard: {action}, {reason}"
 
 
-class MotionWatcher:
+class MotionMonitor:
     """Looks at the motion after each step: records, reports progress, ends the run.
 
     The motion's end is not the run's: the world goes on until all obstacles have ended
@@ -137,7 +137,7 @@ class MotionWatcher:
         diagram: Diagram,
         scenario: Scenario,
         duration: float | None = None,
-        on_look: Look = lambda watcher, root: None,
+        on_look: Look = lambda monitor, root: None,
     ) -> None:
         """Finds what it looks at.
 
@@ -176,10 +176,10 @@ class MotionWatcher:
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
-        self.events: list[tuple[float, HoldCause, str]] = []
+        self.events: list[tuple[float, HoldReason, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
         self._decided, self._noted = ("run", ""), ""
-        self.ending: Ending | None = None
+        self.ending: MotionOutcome | None = None
         self.motion_end = math.nan
         self.settled = False
         self._rest_since = math.inf
@@ -201,13 +201,13 @@ class MotionWatcher:
         self._next_time = now + 0.9 * self._period
         policy = self._policy(root)
         supervision = self._supervision(root)
-        if policy.hold is HoldCause.SPEED_SCALE and supervision.reason:
+        if policy.hold is HoldReason.SPEED_SCALE and supervision.reason:
             note = f"motion guard: {supervision.reason}"
-            policy = replace(policy, hold=HoldCause.SUPERVISOR, note=note)
+            policy = replace(policy, hold=HoldReason.SUPERVISOR, note=note)
         self._record(root, now, policy, supervision)
         self.phase = policy.phase
         self._on_look(self, root)
-        if self.ending and self.ending.may_go_on and policy.hold is HoldCause.NONE:
+        if self.ending and self.ending.may_go_on and policy.hold is HoldReason.NONE:
             self.ending, self.motion_end = None, math.nan
         if not self.ending:
             self.ending = self._why_ended(root, now, policy, supervision)
@@ -244,16 +244,16 @@ class MotionWatcher:
             self.ending, self.motion_end = self._time_limit(), self._end_time
         error = self._goal_error(root)
         if self.ending == AT_THE_GOAL and error > AT_GOAL:
-            self.ending = Ending(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
+            self.ending = MotionOutcome(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
 
-    def _time_limit(self) -> Ending:
-        return Ending(MotionEnd.TIME_LIMIT, f"time limit of {self._end_time:g} s")
+    def _time_limit(self) -> MotionOutcome:
+        return MotionOutcome(MotionEnd.TIME_LIMIT, f"time limit of {self._end_time:g} s")
 
     def _why_ended(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
-    ) -> Ending | None:
+    ) -> MotionOutcome | None:
         """How the motion has ended, if it has."""
-        s = normalised_time(policy.phase, self._alpha_k)
+        s = normalized_time(policy.phase, self._alpha_k)
         if now <= self._last_move:
             self._latest_end = LATEST_END + max(0.0, s - 1.0)
         elif (
@@ -263,20 +263,22 @@ class MotionWatcher:
         ):
             return AT_THE_GOAL
         if supervision.action == "stop" and policy.speed == 0.0:
-            return Ending(MotionEnd.STOPPED, f"stopped: {supervision.reason}")
+            return MotionOutcome(MotionEnd.STOPPED, f"stopped: {supervision.reason}")
         is_late = now > self._last_move and s >= self._latest_end
         if is_late and s >= self._verified_end(root) + _GRACE:
             error = self._goal_error(root)
             if error <= AT_GOAL:
                 # The paper's terms act on there, and let it creep.
                 return AT_THE_GOAL
-            return Ending(MotionEnd.MISSED, f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}")
+            return MotionOutcome(
+                MotionEnd.MISSED, f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}"
+            )
         if (
             self._held_since is not None
             and now - max(self._held_since, self._last_move) > LONGEST_HOLD
         ):
             why = f"held for {LONGEST_HOLD:g} s: {policy.note}"
-            return Ending(MotionEnd.HELD, why)
+            return MotionOutcome(MotionEnd.HELD, why)
         return self._time_limit() if now >= self._end_time else None
 
     def _look_for_rest(self, root: Context, now: float) -> None:
@@ -320,7 +322,7 @@ class MotionWatcher:
         if decided != self._decided:
             self._decided = decided
             self.supervision.append((now, *decided))
-        if policy.hold in (HoldCause.NONE, HoldCause.DECIDING):
+        if policy.hold in (HoldReason.NONE, HoldReason.DECIDING):
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
@@ -331,7 +333,7 @@ class MotionWatcher:
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _verified_end(self, root: Context) -> float:
-        """Normalised time at which the motion has been verified to arrive; 0: it has not."""
+        """Normalized time at which the motion has been verified to arrive; 0: it has not."""
         motion = self._motion(root)
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
             return 0.0
@@ -356,19 +358,19 @@ def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
     return error < ARRIVED and speed < STILL * ARRIVED
 
 
-Look = Callable[[MotionWatcher, Context], None]
+Look = Callable[[MotionMonitor, Context], None]
 """Function that is called with the watcher and the root Context of a diagram."""
 
 
 def simulate(
     scenario: Scenario,
     *,
-    modulated: bool = True,
+    avoid_obstacles: bool = True,
     duration: float | None = None,
     meshcat: Meshcat | None = None,
-    on_look: Look = lambda watcher, root: None,
+    on_look: Look = lambda monitor, root: None,
     layers: Layers | None = None,
-    customize: Callable[[Wires], None] | None = None,
+    customize: Callable[[SignalBuilder], None] | None = None,
     diagram: Diagram | None = None,
 ) -> MotionLog:
     """Runs one motion of a scenario until nothing moves any more, nor will.
@@ -388,10 +390,10 @@ def simulate(
 
     Args:
         scenario: what to run.
-        modulated: False runs the pre-planned motion, blind to obstacles.
-        duration: time limit, see `MotionWatcher`.
+        avoid_obstacles: False runs the nominal motion, blind to obstacles.
+        duration: time limit, see `MotionMonitor`.
         meshcat: viewer, or None.
-        on_look: called a few hundred times a second, see `MotionWatcher`.
+        on_look: called a few hundred times a second, see `MotionMonitor`.
         layers: as for `build_avoidance`.
         customize: likewise.
         diagram: what `build_avoidance` made of all that; None: it is asked to.
@@ -403,26 +405,30 @@ def simulate(
     """
     if diagram is None:
         diagram = build_avoidance(
-            scenario, modulated=modulated, layers=layers, customize=customize, meshcat=meshcat
+            scenario,
+            avoid_obstacles=avoid_obstacles,
+            layers=layers,
+            customize=customize,
+            meshcat=meshcat,
         )
-    watcher = MotionWatcher(diagram, scenario, duration, on_look)
-    return run_motion(scenario, Simulator(diagram), watcher, modulated=modulated)
+    monitor = MotionMonitor(diagram, scenario, duration, on_look)
+    return run_motion(scenario, Simulator(diagram), monitor, avoid_obstacles=avoid_obstacles)
 
 
 def run_motion(
     scenario: Scenario,
     simulator: Simulator,
-    watcher: MotionWatcher,
+    monitor: MotionMonitor,
     *,
-    modulated: bool,
+    avoid_obstacles: bool,
 ) -> MotionLog:
     """Runs a diagram with a `dmp_integrator` until the watcher ends it.
 
     Args:
         scenario: what the diagram was made from.
         simulator: of the diagram, its Context as the motion starts.
-        watcher: the monitor.
-        modulated: for the log.
+        monitor: the monitor.
+        avoid_obstacles: for the log.
 
     Raises:
         MotionInterruptedError: as `simulate` does.
@@ -430,18 +436,18 @@ def run_motion(
     started, failure = time.perf_counter(), None
     try:
         simulator.Initialize()
-        simulator.set_monitor(watcher)
+        simulator.set_monitor(monitor)
         started = time.perf_counter()
-        simulator.AdvanceTo(watcher.latest_time)
-        watcher.finish(simulator.get_context())
+        simulator.AdvanceTo(monitor.latest_time)
+        monitor.finish(simulator.get_context())
     except (Exception, KeyboardInterrupt) as error:
         failure, name = error, "" if isinstance(error, KeyboardInterrupt) else type(error).__name__
         why = f"{name}: {error}".strip(": ") or "interrupted"
-        watcher.ending, watcher.motion_end = Ending(MotionEnd.CUT_SHORT, why), math.nan
+        monitor.ending, monitor.motion_end = MotionOutcome(MotionEnd.INTERRUPTED, why), math.nan
     finally:
         simulator.clear_monitor()
         release_cameras(simulator.get_system())
-    log = collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+    log = collect_log(scenario, simulator, monitor, avoid_obstacles, time.perf_counter() - started)
     if failure is not None:
         raise MotionInterruptedError(log) from failure
     return log
@@ -458,31 +464,34 @@ def logged_signals(diagram: Diagram, root: Context) -> tuple[FloatArray, dict[st
 def collect_log(
     scenario: Scenario,
     simulator: Simulator,
-    watcher: MotionWatcher,
-    modulated: bool,
+    monitor: MotionMonitor,
+    avoid_obstacles: bool,
     wall_time: float,
 ) -> MotionLog:
     """What a diagram of a scenario has logged until now; see `run_motion`."""
-    diagram, ending = simulator.get_system(), watcher.ending or Ending(MotionEnd.CUT_SHORT, "")
+    diagram, ending = (
+        simulator.get_system(),
+        monitor.ending or MotionOutcome(MotionEnd.INTERRUPTED, ""),
+    )
     t, signals = logged_signals(diagram, simulator.get_context())
     return log_of(
         scenario,
         t,
         signals,
-        q_world=signals.get("plant_state", np.zeros((len(t), 0)))[:, : watcher.num_positions],
-        observation_time=np.array(watcher.frame_times),
-        **pack_ellipsoids(watcher.frames),
+        q_world=signals.get("plant_state", np.zeros((len(t), 0)))[:, : monitor.num_positions],
+        observation_time=np.array(monitor.frame_times),
+        **pack_ellipsoids(monitor.frames),
         **pack_decisions(signals),
-        out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
-        regulation=type(scenario.regulation).__name__ if modulated else "",
-        **columns_of(watcher.events, EVENT),
-        **columns_of(watcher.supervision, _SUPERVISION),
+        out_of_range=np.array(monitor.out_of_range, dtype=np.int64),
+        inference=type(scenario.inference).__name__ if avoid_obstacles else "",
+        **columns_of(monitor.events, EVENT),
+        **columns_of(monitor.supervision, _SUPERVISION),
         stop_reason=ending.reason,
         ended=ending.end.value,
-        motion_end=watcher.motion_end,
-        settled=watcher.settled,
+        motion_end=monitor.motion_end,
+        settled=monitor.settled,
         wall_time=wall_time,
-        modulated=modulated,
+        avoid_obstacles=avoid_obstacles,
     )
 
 
@@ -521,7 +530,7 @@ def log_of(
         "phase": zero,
         "speed_scale": zero + 1.0,
         "shortfall": zero,
-        "lowered": zero,
+        "clearance_reduction": zero,
         "motion_source": zero - 1.0,
         "actuation": none,
         "torque_saturation": zero,

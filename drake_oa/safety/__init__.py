@@ -1,7 +1,7 @@
 """Safety: the commanded motion of the arm's joints, on the verified motion or away from obstacles.
 
 In:  robot_state (2m,) [rad, rad/s]; the desired motion of the tool; desired_posture (2n,) [rad,
-     rad/s]; policy_state `PolicyState`, motion `PlannedMotion`; solids_W `SolidScene` (W, [m]);
+     rad/s]; policy_state `PolicyState`, motion `PlannedMotion`; collision_scene_W `CollisionScene` (W, [m]);
      free_space_W `FreeSpace`.
 Out: desired_joint_state (2n,) [rad, rad/s] and desired_joint_acceleration (n,) [rad/s^2] for
      `JointInverseDynamics`; speed_scale in [0, 1] and evasion (3,) [m/s] for `DmpIntegrator`;

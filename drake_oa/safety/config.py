@@ -15,7 +15,7 @@ class GuardParameters:
     refinements: int = Field(default=48, ge=0, le=10_000)
     """Number of variations of the best maneuvers [1]. Raising it finds better ones and takes
     longer."""
-    speed_share: float = Field(default=0.5, gt=0.0, le=1.0)
+    speed_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
     """Fraction of the joints' speed limits that maneuvers may use [1]. Raising it evades faster."""
     acceleration: float = Field(default=5.0, gt=0.0, le=100.0)
     """Maximum joint acceleration of maneuvers [rad/s^2]. Raising it evades faster."""

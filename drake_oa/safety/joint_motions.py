@@ -12,9 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_oa.common.compiled import CORES, compiled, leaf, on_cores, parted
+from drake_oa.common.latency import count
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.thinking import count
-from drake_oa.planning.arm_world import LINKS, SELF, TOOL, ArmWorld, lower_excess
+from drake_oa.planning.collision_model import (
+    LINKS,
+    SELF,
+    TOOL,
+    ArmCollisionModel,
+    lower_clearance_margins,
+)
 from drake_oa.robot.arm import Chain, chain_poses, follow, scratch, step_toward
 
 _DRAWN = 1e-4
@@ -184,8 +190,8 @@ class Judged(NamedTuple):
     first: FloatArray
 
 
-def judge_motions(
-    resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float, margin: float
+def check_motions(
+    resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray, step: float, margin: float
 ) -> Judged:
     """Computes the costs of N motions among resting and moving solids.
 
@@ -199,14 +205,14 @@ def judge_motions(
     """
     table = np.zeros((len(q), 5))
     threads = min(CORES, len(q) // _EACH + 1)
-    on_cores(_judge_some, threads, resting, moving, q, step, margin, table)
+    on_cores(_check_some, threads, resting, moving, q, step, margin, table)
     count(configurations=int(table[:, 4].sum()))
     return Judged(*np.ascontiguousarray(table[:, :4].T))
 
 
 @parted
-def _judge_some(
-    part: int, parts: int, resting: ArmWorld, moving: ArmWorld, q: FloatArray, step: float,
+def _check_some(
+    part: int, parts: int, resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray, step: float,
     margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
     """Judges motions part, part + parts, ...; out (N, 5): `Judged` and configurations."""
@@ -222,9 +228,13 @@ def _judge_some(
             chain_poses(q[i, k], chain.X_PJ, X)
             most = margin + _GROWTH * since
             near[:] = most
-            lower_excess(X, t, spheres, moving.solids, moving.asked, center, near, -np.inf)
+            lower_clearance_margins(
+                X, t, spheres, moving.geometries, moving.required, center, near, -np.inf
+            )
             least[:] = _MARGIN_RESTING
-            lower_excess(X, t, spheres, resting.solids, resting.asked, center, least, -np.inf)
+            lower_clearance_margins(
+                X, t, spheres, resting.geometries, resting.required, center, least, -np.inf
+            )
             looked += 1
             free = min(near[TOOL], near[LINKS])
             rest = min(least[TOOL], least[LINKS])

@@ -22,11 +22,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from drake_oa.common.latency import count
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
-from drake_oa.common.thinking import count
-from drake_oa.geometry.solids import SolidScene
+from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.perception.depth_perception import FreeSpace
-from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances, self_distance
+from drake_oa.planning.collision_model import (
+    ArmCollisionModel,
+    ClearanceRequirements,
+    group_distances,
+    self_distance,
+)
 from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import Chain, tool_poses
 from drake_oa.robot.spheres import ArmSpheres
@@ -35,7 +40,7 @@ from drake_oa.safety.joint_motions import (
     Judged,
     Legs,
     advance_leg,
-    judge_motions,
+    check_motions,
     roll_out_legs,
 )
 from drake_oa.safety.passive_safety import CLAIMS, Claim, violated_claim
@@ -126,7 +131,7 @@ class GuardDecision(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class GuardSight(Frozen):
+class GuardInputs(Frozen):
     """Input of a decision.
 
     Attributes:
@@ -134,12 +139,12 @@ class GuardSight(Frozen):
         q, v: (n,) joint state at that time [rad, rad/s].
         q_path: (n,) configuration on the verified motion at its phase [rad].
         on_path: whether the arm is there.
-        s: normalised time of the verified motion.
+        s: normalized time of the verified motion.
         rate, full_rate: ds/dt now and at full speed [1/s].
         motion: the verified motion.
         scene: collision geometry of the world.
         free_space: space that the cameras saw free; None: all outside the solids.
-        speed_share: share of the speed limits that the arm may use.
+        speed_fraction: share of the speed limits that the arm may use.
         number: of this decision, which seeds its random candidates.
     """
 
@@ -152,8 +157,8 @@ class GuardSight(Frozen):
     rate: float
     full_rate: float
     motion: PlannedMotion
-    scene: SolidScene
-    speed_share: float
+    scene: CollisionScene
+    speed_fraction: float
     number: int
     free_space: FreeSpace | None
 
@@ -191,7 +196,7 @@ class GuardSearch:
         self._times = self._interval * np.arange(1, _SAMPLES + 1)
         self._until_next = math.ceil(period / self._interval)
         self.acceleration = np.full(len(chain.speed), parameters.acceleration)
-        self.speed = chain.speed * parameters.speed_share
+        self.speed = chain.speed * parameters.speed_fraction
         self._lower, self._upper = chain.lower + _INSIDE, chain.upper - _INSIDE
         # Of a verified motion, which is the same for many decisions.
         self._own = lru_cache(maxsize=2)(
@@ -201,43 +206,43 @@ class GuardSearch:
             )
         )
 
-    def decide(self, before: GuardDecision, sight: GuardSight) -> GuardDecision:
-        """Selects the motion from `sight.begin` on.
+    def decide(self, before: GuardDecision, inputs: GuardInputs) -> GuardDecision:
+        """Selects the motion from `inputs.begin` on.
 
         Args:
             before: motion in use.
-            sight: input.
+            inputs: input.
         """
-        look = _Look(self._chain, self._covered, sight, self._padding, self._own(sight.motion))
-        moves = sight.scene.moves
+        look = _Look(self._chain, self._covered, inputs, self._padding, self._own(inputs.motion))
+        moves = inputs.scene.moves
         followed = GuardDecision()
-        if sight.on_path:
-            ahead = self._followed(sight, 1.0)
-            free = self._judge(look, ahead[None])
-            contact = sight.begin + float(free.first[0])
+        if inputs.on_path:
+            ahead = self._followed(inputs, 1.0)
+            free = self._evaluator(look, ahead[None])
+            contact = inputs.begin + float(free.first[0])
             followed = replace(followed, contact=contact, obstacle=look.nearest)
             clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
-            if clear and not self._violated(ahead, sight):
+            if clear and not self._violated(ahead, inputs):
                 return followed
-        options = [GuardDecision(*tried) for tried in _FOLLOWED if sight.on_path]
-        followings, first = [self._followed(sight, one.scale) for one in options], len(options)
-        q = np.array(followings).reshape(-1, _SAMPLES, len(sight.q))
-        if moves or not sight.on_path:
-            legs = self._maneuvers(before, sight)
+        options = [GuardDecision(*tried) for tried in _FOLLOWED if inputs.on_path]
+        followings, first = [self._followed(inputs, one.scale) for one in options], len(options)
+        q = np.array(followings).reshape(-1, _SAMPLES, len(inputs.q))
+        if moves or not inputs.on_path:
+            legs = self._maneuvers(before, inputs)
             options += legs
-            q = np.concatenate([q, self._rolled(legs, sight)])
-        judged = self._judge(look, q)
-        cost = self._cost(judged, options, q, sight)
+            q = np.concatenate([q, self._rolled(legs, inputs)])
+        judged = self._evaluator(look, q)
+        cost = self._cost(judged, options, q, inputs)
         if not before.follows and len(options) > first:
             # The first maneuver is the one in use.
-            back = float((np.abs(sight.q - sight.q_path) / self.speed).max())
+            back = float((np.abs(inputs.q - inputs.q_path) / self.speed).max())
             cost[first] -= _HYSTERESIS * min(1.0, 2.0 * back)
-        if moves or not sight.on_path:
-            better = self._refined(options, cost, sight)
-            q_better = self._rolled(better, sight)
+        if moves or not inputs.on_path:
+            better = self._refined(options, cost, inputs)
+            q_better = self._rolled(better, inputs)
             q = np.concatenate([q, q_better])
-            judged_better = self._judge(look, q_better)
-            cost = np.append(cost, self._cost(judged_better, better, q_better, sight))
+            judged_better = self._evaluator(look, q_better)
+            cost = np.append(cost, self._cost(judged_better, better, q_better, inputs))
             options += better
         chosen = self._selected(look, options, q, cost)
         return replace(chosen, contact=followed.contact)
@@ -257,26 +262,26 @@ class GuardSearch:
             q: (N, T, n) configurations along them [rad].
             cost: (N,) without claims [s].
         """
-        sight, least = look.sight, math.inf
+        inputs, least = look.inputs, math.inf
         claim: Claim = ""
-        chosen = self.brake(sight.q, sight.v)
+        chosen = self.brake(inputs.q, inputs.v)
         brakes = [row for row, option in enumerate(options) if option.action == "brake"]
         for row in [*cost.argsort()[:_TRIES].tolist(), *brakes]:
             if cost[row] >= least:
                 continue
-            violated = self._violated(q[row], sight)
+            violated = self._violated(q[row], inputs)
             claim = claim or violated
             if cost[row] + _VIOLATION[violated] < least:
                 least = cost[row] + _VIOLATION[violated]
                 chosen = options[row]
         return replace(chosen, claim=claim, obstacle=look.nearest)
 
-    def _violated(self, q: FloatArray, sight: GuardSight) -> Claim:
+    def _violated(self, q: FloatArray, inputs: GuardInputs) -> Claim:
         """Returns the claim that a motion q (T, n) violates that is braked after one period."""
         p, m = self._parameters, self._until_next
         if p.obstacle_speed == 0.0:
             return ""
-        follows = np.vstack([sight.q, q[: m + 1]])
+        follows = np.vstack([inputs.q, q[: m + 1]])
         v = (follows[m + 1] - follows[m]) / self._interval
         stop = self.brake(follows[m], v)
         legs = Legs(stop.target[None], stop.speed[None], np.array([math.inf]))
@@ -284,31 +289,31 @@ class GuardSearch:
             np.array(follows[m]), v, legs, self.acceleration, self._step, self._every,
             _REST,
         )  # fmt: skip
-        t = sight.begin + self._interval * np.arange(float(m + 1 + _REST))
+        t = inputs.begin + self._interval * np.arange(float(m + 1 + _REST))
         course = np.concatenate([follows[: m + 1], rest[0]])
         count(configurations=len(course))
         return violated_claim(
-            self._chain, self._covered.arrays, t, course, sight.scene, sight.free_space,
+            self._chain, self._covered.arrays, t, course, inputs.scene, inputs.free_space,
             V=p.obstacle_speed, v_unseen=p.v_unseen,
         )  # fmt: skip
 
-    def _judge(self, look: _Look, q: FloatArray) -> Judged:
+    def _evaluator(self, look: _Look, q: FloatArray) -> Judged:
         margin = self._parameters.margin_moving
-        return judge_motions(look.resting, look.moving, q, self._interval, margin)
+        return check_motions(look.resting, look.moving, q, self._interval, margin)
 
     def _cost(
-        self, judged: Judged, options: list[GuardDecision], q: FloatArray, sight: GuardSight
+        self, judged: Judged, options: list[GuardDecision], q: FloatArray, inputs: GuardInputs
     ) -> FloatArray:
         """Returns the costs (N,) of motions q (N, T, n) [s]."""
         horizon = self._times[-1]
         cost = _CONTACT * judged.contact + _NEAR_MOVING * judged.near_moving
         cost = cost + _NEAR_RESTING * judged.near_resting
-        away = np.abs(q - sight.q_path) / self.speed
-        turn = self._turns(q, sight)
+        away = np.abs(q - inputs.q_path) / self.speed
+        turn = self._turns(q, inputs)
         for row, option in enumerate(options):
             if option.follows:
-                rates = self._rates(sight, option.scale)
-                cost[row] += horizon - float(rates.sum()) * self._interval / sight.full_rate
+                rates = self._rates(inputs, option.scale)
+                cost[row] += horizon - float(rates.sum()) * self._interval / inputs.full_rate
             else:
                 back = away[row].max(axis=1)
                 left = back[-1] + 0.3 * away[row, -1].mean()
@@ -318,14 +323,14 @@ class GuardSearch:
                     cost[row] = math.inf
         return np.asarray(cost)
 
-    def _turns(self, q: FloatArray, sight: GuardSight) -> FloatArray:
+    def _turns(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
         """Returns angles (N, 1 + T / 2) of the tool to its orientation on the verified motion.
 
-        The first is that of `sight.q`, the others those along motions q (N, T, n) [rad].
+        The first is that of `inputs.q`, the others those along motions q (N, T, n) [rad].
         """
         n = q.shape[2]
-        some = np.insert(q[:, _TURN_EVERY - 1 :: _TURN_EVERY], 0, sight.q, axis=1)
-        postures = np.vstack([some.reshape(-1, n), sight.q_path])
+        some = np.insert(q[:, _TURN_EVERY - 1 :: _TURN_EVERY], 0, inputs.q, axis=1)
+        postures = np.vstack([some.reshape(-1, n), inputs.q_path])
         R_WE = tool_poses(self._chain, postures)[:, :9]
         count(steps=len(postures))
         cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
@@ -333,31 +338,31 @@ class GuardSearch:
 
     # --- candidates ------------------------------------------------------------------------
 
-    def _rates(self, sight: GuardSight, scale: float) -> FloatArray:
+    def _rates(self, inputs: GuardInputs, scale: float) -> FloatArray:
         """Returns the rates ds/dt (T,) while the phase goes over to a share of full speed."""
-        change = sight.full_rate / self._hold_time * self._times
-        wanted = scale * sight.full_rate
-        return sight.rate + np.clip(wanted - sight.rate, -change, change)
+        change = inputs.full_rate / self._hold_time * self._times
+        wanted = scale * inputs.full_rate
+        return inputs.rate + np.clip(wanted - inputs.rate, -change, change)
 
-    def _followed(self, sight: GuardSight, scale: float) -> FloatArray:
+    def _followed(self, inputs: GuardInputs, scale: float) -> FloatArray:
         """Returns configurations (T, n) along the verified motion at a share of its speed."""
-        motion = sight.motion
+        motion = inputs.motion
         if not len(motion.q):
-            return np.tile(sight.q, (_SAMPLES, 1))
-        s = sight.s + self._interval * np.cumsum(self._rates(sight, scale))
-        away = sight.q - motion.joints(sight.s)
+            return np.tile(inputs.q, (_SAMPLES, 1))
+        s = inputs.s + self._interval * np.cumsum(self._rates(inputs, scale))
+        away = inputs.q - motion.joints(inputs.s)
         return np.asarray(motion.joints(s) + np.exp(-_SETTLED * self._times)[:, None] * away)
 
-    def _rolled(self, options: list[GuardDecision], sight: GuardSight) -> FloatArray:
+    def _rolled(self, options: list[GuardDecision], inputs: GuardInputs) -> FloatArray:
         """Returns configurations (N, T, n) along maneuvers."""
         legs = Legs(
             np.stack([option.target for option in options]),
             np.stack([option.speed for option in options]),
-            np.array([option.switch - sight.begin for option in options]),
+            np.array([option.switch - inputs.begin for option in options]),
         )
         count(steps=len(options) * _SAMPLES * self._every)
         return roll_out_legs(
-            np.array(sight.q), np.array(sight.v), legs, self.acceleration, self._step, self._every,
+            np.array(inputs.q), np.array(inputs.v), legs, self.acceleration, self._step, self._every,
             _SAMPLES,
         )  # fmt: skip
 
@@ -383,16 +388,16 @@ class GuardSearch:
         """Returns the maneuver that brings the arm to rest from a joint state (n,), (n,)."""
         return _legs("brake", self.stop(q, v), self.speed)
 
-    def _maneuvers(self, before: GuardDecision, sight: GuardSight) -> list[GuardDecision]:
+    def _maneuvers(self, before: GuardDecision, inputs: GuardInputs) -> list[GuardDecision]:
         """Returns maneuvers, the one in use first if there is one."""
-        p, begin = self._parameters, sight.begin
-        rng = np.random.default_rng([p.seed, sight.number])
-        full = self.speed * sight.speed_share
-        rest, path = self.stop(sight.q, sight.v), sight.q_path
+        p, begin = self._parameters, inputs.begin
+        rng = np.random.default_rng([p.seed, inputs.number])
+        full = self.speed * inputs.speed_fraction
+        rest, path = self.stop(inputs.q, inputs.v), inputs.q_path
         found = [] if before.follows else [before]
         found.append(_legs("brake", rest, full))
         found += [
-            _legs("evade", path, _synchronized(sight.q, path, full, share))
+            _legs("evade", path, _synchronized(inputs.q, path, full, share))
             for share in (1.0, 0.6, 0.3, 0.12)
         ]
         for wait in (0.3, 0.6):
@@ -421,12 +426,12 @@ class GuardSearch:
         return found
 
     def _refined(
-        self, options: list[GuardDecision], cost: FloatArray, sight: GuardSight
+        self, options: list[GuardDecision], cost: FloatArray, inputs: GuardInputs
     ) -> list[GuardDecision]:
         """Returns variations of the best maneuvers."""
-        rng = np.random.default_rng([self._parameters.seed, sight.number, 1])
+        rng = np.random.default_rng([self._parameters.seed, inputs.number, 1])
         ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
-        n, found = len(sight.q), []
+        n, found = len(inputs.q), []
         for i in range(self._parameters.refinements):
             parent = options[ranked[i % min(_PARENTS, len(ranked))]]
             target = parent.target[0] + rng.normal(size=n) * rng.choice([0.05, 0.2])
@@ -435,7 +440,7 @@ class GuardSearch:
             last = target if is_single else parent.target[1]
             switch = parent.switch
             if math.isfinite(switch):
-                switch = max(sight.begin, switch + 0.1 * rng.normal())
+                switch = max(inputs.begin, switch + 0.1 * rng.normal())
             found.append(_legs("evade", target, parent.speed[0], last, parent.speed[1], switch))
         return found
 
@@ -475,7 +480,7 @@ class _Look:
         self,
         chain: Chain,
         covered: ArmSpheres,
-        sight: GuardSight,
+        inputs: GuardInputs,
         padding: float,
         least_own: float,
     ) -> None:
@@ -487,28 +492,32 @@ class _Look:
         verified motion keeps. Of moving solids: `padding + _TOUCH_MOVING`, or the
         present distance less a slack.
         """
-        self.sight = sight
-        spheres, solids = covered.arrays, sight.scene.solids
-        moves = solids.moving
+        self.inputs = inputs
+        spheres, geometries = covered.arrays, inputs.scene.geometries
+        moves = geometries.moving
         self._now = group_distances(
-            chain, spheres, solids, np.array(sight.q)[None], sight.begin, math.inf
+            chain, spheres, geometries, np.array(inputs.q)[None], inputs.begin, math.inf
         )
         fixed = spheres.group_joint < 0
         rest = np.minimum(_TOUCH_RESTING, self._now - _SLACK)
-        path = _samples(sight.motion).reshape(-1, len(sight.q))
-        path = np.ascontiguousarray(np.vstack([sight.q_path[None], path]))
+        path = _samples(inputs.motion).reshape(-1, len(inputs.q))
+        path = np.ascontiguousarray(np.vstack([inputs.q_path[None], path]))
         most = _TOUCH_RESTING + 0.1
-        kept = group_distances(chain, spheres, solids, path, sight.begin, most)
-        rest = np.minimum(rest, np.maximum(kept - _KEPT, -covered.overshoot[:, None]))
+        kept = group_distances(chain, spheres, geometries, path, inputs.begin, most)
+        rest = np.minimum(rest, np.maximum(kept - _KEPT, -covered.protrusion[:, None]))
         rest[:, moves] = -np.inf
         near = np.minimum(padding + _TOUCH_MOVING, self._now - _SLACK)
         near[:, ~moves] = -np.inf
         rest[fixed] = near[fixed] = -np.inf
-        own = [float(self_distance(chain, spheres, np.array(q))) for q in (sight.q, sight.q_path)]
+        own = [float(self_distance(chain, spheres, np.array(q))) for q in (inputs.q, inputs.q_path)]
         of_self = min(_SELF, min(own) - 1e-3, least_own - _SLACK)
         tool = np.zeros(len(fixed), dtype=bool)
-        self.resting = ArmWorld(chain, spheres, solids, Asked(rest, of_self, tool), sight.begin)
-        self.moving = ArmWorld(chain, spheres, solids, Asked(near, -np.inf, tool), sight.begin)
+        self.resting = ArmCollisionModel(
+            chain, spheres, geometries, ClearanceRequirements(rest, of_self, tool), inputs.begin
+        )
+        self.moving = ArmCollisionModel(
+            chain, spheres, geometries, ClearanceRequirements(near, -np.inf, tool), inputs.begin
+        )
         self._moves, self._fixed = moves, fixed
 
     @cached_property
@@ -518,4 +527,4 @@ class _Look:
             return ""
         distance = self._now[~self._fixed].min(axis=0, initial=math.inf)
         row = int(np.where(self._moves, distance, np.inf).argmin())
-        return self.sight.scene.labels[row]
+        return self.inputs.scene.labels[row]

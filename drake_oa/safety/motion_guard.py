@@ -10,10 +10,11 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from drake_oa.common.latency import LatencyModel, PendingDecision
 from drake_oa.common.messages import (
     FloatArray,
     Frozen,
-    HoldCause,
+    HoldReason,
     PlannedMotion,
     PolicyState,
     zeros,
@@ -24,11 +25,10 @@ from drake_oa.common.ports import (
     declare_state_outputs,
     valid_period,
 )
-from drake_oa.common.thinking import Thinking, Thoughts
-from drake_oa.geometry.solids import SolidScene
+from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import Demonstration, normalised_time
+from drake_oa.policy.dmp import Demonstration, normalized_time
 from drake_oa.robot.arm import Chain, joints_to, rotation_of, rotation_vector, tool_poses
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.spheres import ArmSpheres
@@ -38,16 +38,16 @@ from drake_oa.safety.maneuvers import (
     ARRIVED,
     AT_REST,
     GuardDecision,
+    GuardInputs,
     GuardSearch,
-    GuardSight,
 )
 from drake_oa.safety.supervision import (
     Supervision,
+    monitor_guard,
+    monitor_observation,
+    monitor_path,
+    monitor_torque,
     supervise,
-    watch_guard,
-    watch_observation,
-    watch_path,
-    watch_torque,
 )
 
 _logger = logging.getLogger("drake_oa")
@@ -83,7 +83,7 @@ class GuardState(Frozen):
         acceleration: (n,) commanded until then [rad/s^2].
         path: (2n,) joint state on the verified motion at the end, at its phase [rad, rad/s].
         carry: (3,) velocity by which the desired position is displaced to the tool [m/s].
-        thoughts: the decision in force, and the pending one.
+        pending: the decision in force, and the pending one.
         lost_since: time since which the arm comes no nearer to the verified motion that it has left
             [s]; inf: it does, or has not left it.
         nearest: least distance of the joints to it since then [rad].
@@ -98,7 +98,9 @@ class GuardState(Frozen):
     acceleration: FloatArray = zeros(0)
     path: FloatArray = zeros(0)
     carry: FloatArray = zeros(3)
-    thoughts: Thoughts[GuardDecision] = field(default_factory=lambda: Thoughts(GuardDecision()))
+    pending: PendingDecision[GuardDecision] = field(
+        default_factory=lambda: PendingDecision(GuardDecision())
+    )
     lost_since: float = math.inf
     nearest: float = math.inf
     expires: float = math.inf
@@ -109,7 +111,7 @@ class GuardState(Frozen):
     @property
     def decision(self) -> GuardDecision:
         """Decision in force."""
-        return self.thoughts.in_force
+        return self.pending.active
 
     @property
     def speed_scale(self) -> float:
@@ -156,7 +158,7 @@ class MotionGuard(LeafSystem):
       - desired_angular_velocity
       - desired_posture
       - motion
-      - solids_W
+      - collision_scene_W
       - free_space_W (optional)
       - demonstration (optional)
       - torque_saturation (optional)
@@ -167,7 +169,7 @@ class MotionGuard(LeafSystem):
       - orientation_error
       - desired_joint_acceleration
       - speed_scale
-      - evasion
+      - evasion_velocity
       - decision
       - guard_action
       - guard_contact
@@ -181,14 +183,14 @@ class MotionGuard(LeafSystem):
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
     - desired_posture: (2n,) posture that the null space follows [rad, rad/s].
     - motion: abstract `PlannedMotion`, the verified motion q(s).
-    - solids_W: abstract `SolidScene`: collision geometry of everything but the robot.
+    - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot.
     - free_space_W (optional): abstract `FreeSpace`; not connected: all space outside the solids.
     - demonstration (optional): abstract `Demonstration` that the motion imitates.
     - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0.
     - desired_joint_state: (2n,) of the arm's joints [rad, rad/s].
     - desired_joint_acceleration: (n,) [rad/s^2].
     - speed_scale: (1,) share of full speed for `DmpIntegrator`, in [0, 1].
-    - evasion: (3,) velocity in the world [m/s] by which `DmpIntegrator` displaces its motion to the
+    - evasion_velocity: (3,) velocity in the world [m/s] by which `DmpIntegrator` displaces its motion to the
       tool during a maneuver; 0 otherwise.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
     - decision: (2,) time at which the last decision began and its duration [s].
@@ -229,7 +231,7 @@ class MotionGuard(LeafSystem):
         period: float = 1.0 / 15.0,
         padding: float = 0.005,
         turn_limit: float | None = None,
-        thinking: Thinking | None = None,
+        compute_latency: LatencyModel | None = None,
     ) -> None:
         """Declares the ports.
 
@@ -243,7 +245,7 @@ class MotionGuard(LeafSystem):
             period: time between decisions [s].
             padding: distance by which moving obstacles may be nearer than observed [m].
             turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
-            thinking: simulated duration of decisions; None: they act immediately.
+            compute_latency: simulated duration of decisions; None: they act immediately.
 
         Raises:
             ValueError: if a duration or period is not positive and finite.
@@ -253,7 +255,7 @@ class MotionGuard(LeafSystem):
         self._joints = [joint.name() for joint in joints_to(robot.plant, robot.tool_frame)]
         self._duration, self._config = valid_period(duration), config
         self._period, self._parameters = valid_period(period), parameters
-        self._thinking, self._step_length = thinking, config.period
+        self._compute_latency, self._step_length = compute_latency, config.period
         self._fresh = min(parameters.stale_frames * period, 0.9 * config.max_observation_age)
         self._search = GuardSearch(
             chain, covered, config=config, period=period, padding=padding, turn_limit=turn_limit,
@@ -271,7 +273,7 @@ class MotionGuard(LeafSystem):
         self._angular = self.DeclareVectorInputPort("desired_angular_velocity", 3)
         self._posture = self.DeclareVectorInputPort("desired_posture", 2 * n)
         self._motion = AbstractInput(self, "motion", PlannedMotion)
-        self._solids = AbstractInput(self, "solids_W", SolidScene)
+        self._solids = AbstractInput(self, "collision_scene_W", CollisionScene)
         self._free_space = AbstractInput(self, "free_space_W", FreeSpace)
         self._shown = AbstractInput(self, "demonstration", Demonstration)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
@@ -301,8 +303,8 @@ class MotionGuard(LeafSystem):
             self._state,
             ("desired_joint_acceleration", n, "acceleration"),
             ("speed_scale", 1, "speed_scale"),
-            ("evasion", 3, "carry"),
-            ("decision", 2, "thoughts.last"),
+            ("evasion_velocity", 3, "carry"),
+            ("decision", 2, "pending.last"),
             ("guard_action", 1, "decision.action_number"),
             ("guard_contact", 1, "decision.contact"),
             ("guard_claim", 1, "decision.claim_number"),
@@ -324,9 +326,9 @@ class MotionGuard(LeafSystem):
             x[self._size + self._index] = state.path[self._n :]
         return x
 
-    def _scene(self, context: Context) -> SolidScene:
+    def _scene(self, context: Context) -> CollisionScene:
         scene = self._solids.read(context)
-        return scene if scene.is_finite else SolidScene(note="the solids are not finite")
+        return scene if scene.is_finite else CollisionScene(note="the solids are not finite")
 
     def _arm_state(self, context: Context) -> tuple[FloatArray, FloatArray]:
         """Returns positions and velocities of the arm's joints, (n,) each."""
@@ -360,11 +362,11 @@ class MotionGuard(LeafSystem):
         time = context.get_time()
         q, v = self._arm_state(context)
         if not math.isfinite(self._robot.Eval(context).sum()):
-            supervision = before.supervision.broken("the robot state is not finite", time)
+            supervision = before.supervision.faulted("the robot state is not finite", time)
             held.set_value(replace(before, supervision=supervision))
             return
-        if before.thoughts.made(time) is not None:
-            before = self._in_force(replace(before, thoughts=before.thoughts.taken()), time)
+        if before.pending.completed(time) is not None:
+            before = self._active(replace(before, pending=before.pending.activated()), time)
         before = self._reacted(before, q, v, time)
         scene = self._scene(context)
         before = self._supervised(context, before, scene, time)
@@ -375,13 +377,13 @@ class MotionGuard(LeafSystem):
     def _braked(self, state: GuardState, x: FloatArray) -> GuardState:
         """Returns the state in which the arm brakes from a joint state (2n,)."""
         stop = self._search.brake(*np.split(x, 2))
-        thoughts = replace(state.thoughts.dropped(), in_force=stop)
-        return replace(state, thoughts=thoughts, expires=math.inf)
+        pending = replace(state.pending.discarded(), active=stop)
+        return replace(state, pending=pending, expires=math.inf)
 
-    def _in_force(self, after: GuardState, time: float) -> GuardState:
+    def _active(self, after: GuardState, time: float) -> GuardState:
         """Returns the state with a new decision in force."""
         rests = after.decision.follows and after.decision.scale == 0.0
-        late = time + _LATE * self._period + after.thoughts.cost
+        late = time + _LATE * self._period + after.pending.cost
         return replace(after, expires=math.inf if rests else late)
 
     def _reacted(self, state: GuardState, q: FloatArray, v: FloatArray, time: float) -> GuardState:
@@ -399,23 +401,23 @@ class MotionGuard(LeafSystem):
         return self._braked(state, rest)
 
     def _supervised(
-        self, context: Context, state: GuardState, scene: SolidScene, time: float
+        self, context: Context, state: GuardState, scene: CollisionScene, time: float
     ) -> GuardState:
         """Returns the state after the monitors of observations, torques and the guard itself."""
         kept = state.supervision
         policy = self._policy.read(context)
         late = state.decision.follows and time > state.expires
         demands = [
-            watch_observation(scene, time, self._fresh, self._config.max_observation_age),
-            watch_guard(state.decision, time, late=late, moves=scene.moves),
+            monitor_observation(scene, time, self._fresh, self._config.max_observation_age),
+            monitor_guard(state.decision, time, late=late, moves=scene.moves),
         ]
         if state.decision.follows:
-            demands.append(watch_path(float(np.abs(state.path - state.x)[: self._n].max())))
+            demands.append(monitor_path(float(np.abs(state.path - state.x)[: self._n].max())))
         if self._saturation.HasValue(context):
             saturated = bool(self._saturation.Eval(context)[0] > 0.0)
-            kept, demand = watch_torque(kept, saturated, time, self._step_length)
+            kept, demand = monitor_torque(kept, saturated, time, self._step_length)
             demands.append(demand)
-        waits = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
+        waits = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
         after = supervise(kept, demands, time, self._step_length, waits=waits)
         was = state.supervision
         if (after.action, after.cause) != (was.action, was.cause):
@@ -441,7 +443,7 @@ class MotionGuard(LeafSystem):
         if math.isfinite(X_WE.sum() + V_WE.sum() + posture.sum()):
             q, v = track(chain, q, X_WE, V_WE, posture, step, _RATE)
         elif not state.supervision.is_broken:
-            supervision = state.supervision.broken("the desired motion is not finite", time)
+            supervision = state.supervision.faulted("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
         path, ahead, carry = np.append(q, v), np.array(state.x), np.zeros(3)
         lost_since = nearest = math.inf
@@ -500,21 +502,21 @@ class MotionGuard(LeafSystem):
         before: GuardState = held.get_value()
         time = context.get_time()
         scene = self._scene(context)
-        if before.thoughts.pending is not None or -math.inf in (scene.stamp, before.end):
+        if before.pending.pending is not None or -math.inf in (scene.stamp, before.end):
             return EventStatus.DidNothing()
-        sight = self._sight(context, before, scene, time)
-        thoughts = before.thoughts.thought(
-            lambda decision: self._search.decide(decision, sight), time, self._thinking
+        inputs = self._inputs(context, before, scene, time)
+        pending = before.pending.start(
+            lambda decision: self._search.decide(decision, inputs), time, self._compute_latency
         )
-        after = replace(before, thoughts=thoughts, number=before.number + 1)
-        if self._thinking is None:
-            after = self._in_force(after, time)
+        after = replace(before, pending=pending, number=before.number + 1)
+        if self._compute_latency is None:
+            after = self._active(after, time)
         held.set_value(after)
         return EventStatus.Succeeded()
 
-    def _sight(
-        self, context: Context, state: GuardState, scene: SolidScene, time: float
-    ) -> GuardSight:
+    def _inputs(
+        self, context: Context, state: GuardState, scene: CollisionScene, time: float
+    ) -> GuardInputs:
         """Returns the input of a decision that comes into force after the usual latency."""
         n, step = self._n, self._step_length
         policy = self._policy.read(context)
@@ -523,11 +525,11 @@ class MotionGuard(LeafSystem):
         duration = self._duration
         if shown is not None and shown.position is not None:
             duration = shown.position.duration
-        held = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
+        held = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
         is_other = len(motion.p_WS) > 0 and not np.array_equal(motion.p_WS, policy.p_WS)
         if held or is_other or motion.q.shape[1:] != (n,):
             motion = PlannedMotion()
-        latency = 0.0 if self._thinking is None else state.thoughts.cost
+        latency = 0.0 if self._compute_latency is None else state.pending.cost
         steps = max(math.ceil((time + latency - state.end) / step), 0)
         begin = state.end + steps * step
         x, decision = np.array(state.x), state.decision
@@ -536,8 +538,8 @@ class MotionGuard(LeafSystem):
                 x[:n] += step * x[n:]
             else:
                 self._search.advance(decision, x, state.end + k * step)
-        s = max(0.0, normalised_time(policy.phase, self._config.alpha_k))
-        return GuardSight(
+        s = max(0.0, normalized_time(policy.phase, self._config.alpha_k))
+        return GuardInputs(
             begin=begin,
             q=x[:n],
             v=x[n:],
@@ -548,7 +550,7 @@ class MotionGuard(LeafSystem):
             full_rate=1.0 / (policy.tau * duration),
             motion=motion,
             scene=scene,
-            speed_share=self._slow_share if time < state.slow_until else 1.0,
+            speed_fraction=self._slow_share if time < state.slow_until else 1.0,
             number=state.number,
             free_space=self._free_space.find(context),
         )

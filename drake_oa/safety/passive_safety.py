@@ -28,8 +28,8 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.collision_scene import CollisionGeometries, CollisionScene, least_distances
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.solids import Solids, SolidScene, least_distances
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.arm import Chain, Spheres
 from drake_oa.robot.spheres import sphere_centers
@@ -52,7 +52,7 @@ def violated_claim(
     spheres: Spheres,
     t: FloatArray,
     q: FloatArray,
-    scene: SolidScene,
+    scene: CollisionScene,
     free_space: FreeSpace | None,
     *,
     V: float,
@@ -69,12 +69,12 @@ def violated_claim(
         V: maximum speed of obstacles [m/s].
         v_unseen: maximum speed toward space that was not seen [m/s].
     """
-    solids = scene.solids
+    geometries = scene.geometries
     p_WS = sphere_centers(chain, spheres, np.ascontiguousarray(q))
     dt = np.diff(t)[:, None]
     reach = spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
     if scene.moves:
-        moving, points = solids.chosen(solids.moving), p_WS.reshape(-1, 3)
+        moving, points = geometries.chosen(geometries.moving), p_WS.reshape(-1, 3)
         d = least_distances(moving, points, scene.stamp, reach.max(), -1.0)
         d = d.reshape(p_WS.shape[:2])
         if ((d[:-1] < reach) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
@@ -87,13 +87,17 @@ def violated_claim(
     point, place = (v_WS[is_fast] @ _PLACES.T > v_unseen * _SHARE).nonzero()
     places = np.concatenate([centers, centers[point] + rho[point, None] * _PLACES[place]])
     unseen = places[~free_space.contains(places)]
-    is_open = _is_any_open(unseen, p_WS[0], spheres.radius, solids, scene.stamp)
+    is_open = _is_any_open(unseen, p_WS[0], spheres.radius, geometries, scene.stamp)
     return "B" if is_open else ""
 
 
 @compiled
 def _is_any_open(
-    places: FloatArray, p_WS: FloatArray, radius: FloatArray, solids: Solids, stamp: float
+    places: FloatArray,
+    p_WS: FloatArray,
+    radius: FloatArray,
+    geometries: CollisionGeometries,
+    stamp: float,
 ) -> bool:
     """Checks whether any place (N, 3) is outside the spheres p_WS (S, 3), (S,) and the solids."""
     for i in range(len(places)):
@@ -106,7 +110,7 @@ def _is_any_open(
                 break
         if (
             not is_taken
-            and least_distances(solids, places[i : i + 1], stamp, _SKIN, -1.0)[0] >= _SKIN
+            and least_distances(geometries, places[i : i + 1], stamp, _SKIN, -1.0)[0] >= _SKIN
         ):
             return True
     return False

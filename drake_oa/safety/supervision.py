@@ -1,7 +1,7 @@
 """Speed of the phase, slowed or held by monitors of the observations, the guard and the torques.
 
-Each monitor returns a `Demand`: a share of full speed,
-ds/dt = 1 / (tau T). The least one counts. The path is a function of normalised time s alone, so
+Each monitor returns a `SpeedLimit`: a share of full speed,
+ds/dt = 1 / (tau T). The least one counts. The path is a function of normalized time s alone, so
 that a motion at another speed keeps its path.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from drake_oa.common.messages import Frozen
-from drake_oa.geometry.solids import SolidScene
+from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.safety.maneuvers import GuardDecision
 
 Action = Literal["run", "slow", "hold", "stop"]
@@ -34,7 +34,7 @@ _RUNNING = 0.95
 
 
 @dataclass(frozen=True)
-class Demand:
+class SpeedLimit:
     """Speed that a monitor demands.
 
     Attributes:
@@ -50,7 +50,7 @@ class Demand:
     lasting: bool = False
 
 
-NO_DEMAND = Demand()
+NO_LIMIT = SpeedLimit()
 """Full speed."""
 
 
@@ -80,7 +80,7 @@ class Supervision(Frozen):
     torque_scale: float = 1.0
     is_broken: bool = False
 
-    def broken(self, reason: str, time: float) -> Supervision:
+    def faulted(self, reason: str, time: float) -> Supervision:
         """Returns the final stop for a reason; time [s]."""
         return replace(
             self, action="stop", speed_scale=0.0, reason=reason, cause=reason, since=time,
@@ -90,7 +90,7 @@ class Supervision(Frozen):
 
 def supervise(
     before: Supervision,
-    demands: list[Demand],
+    limits: list[SpeedLimit],
     time: float,
     elapsed: float,
     *,
@@ -104,17 +104,17 @@ def supervise(
 
     Args:
         before: result of the step before.
-        demands: at least one.
+        limits: at least one.
         time: now [s].
         elapsed: time since the step before [s].
         waits: whether the motion primitive is held for another reason, so that no patience is lost.
     """
-    tightest = min(demands, key=lambda demand: demand.scale)
+    tightest = min(limits, key=lambda limit: limit.scale)
     held = before.action in ("hold", "stop")
     holds = tightest.scale < (_RESUME_ABOVE if held else _HOLD_BELOW)
     if before.is_broken or (holds and before.action == "stop"):
         return before
-    lasts = any(demand.lasting and demand.scale < _RESUME_ABOVE for demand in demands)
+    lasts = any(limit.lasting and limit.scale < _RESUME_ABOVE for limit in limits)
     blocked_since = min(before.blocked_since, time) if holds and lasts and not waits else math.inf
     target = 0.0 if holds else tightest.scale
     scale = min(target, before.speed_scale + elapsed / RECOVERY_TIME)
@@ -143,7 +143,9 @@ def supervise(
     )  # fmt: skip
 
 
-def watch_observation(scene: SolidScene, time: float, fresh: float, max_age: float) -> Demand:
+def monitor_observation(
+    scene: CollisionScene, time: float, fresh: float, max_age: float
+) -> SpeedLimit:
     """Slows by the age of the last good observation.
 
     Args:
@@ -154,19 +156,19 @@ def watch_observation(scene: SolidScene, time: float, fresh: float, max_age: flo
     """
     why = f" ({scene.note})" if scene.note else ""
     if scene.stamp == -math.inf:
-        return Demand(0.0, "unobserved", f"no observation{why}")
+        return SpeedLimit(0.0, "unobserved", f"no observation{why}")
     age = time - scene.stamp
     if age <= fresh:
-        return NO_DEMAND
+        return NO_LIMIT
     reason = f"obstacles not seen since t = {scene.stamp:.2f} s{why}"
     if age > max_age:
-        return Demand(0.0, "unseen", reason)
+        return SpeedLimit(0.0, "unseen", reason)
     # The hold itself begins at that age, where the policy's own does.
     scale = max(_SLOWEST, 1.0 - (age - fresh) / (max_age - fresh))
-    return Demand(scale, "unseen", reason)
+    return SpeedLimit(scale, "unseen", reason)
 
 
-def watch_guard(decision: GuardDecision, time: float, *, late: bool, moves: bool) -> Demand:
+def monitor_guard(decision: GuardDecision, time: float, *, late: bool, moves: bool) -> SpeedLimit:
     """Slows or holds the phase as the motion guard has decided.
 
     Args:
@@ -176,36 +178,38 @@ def watch_guard(decision: GuardDecision, time: float, *, late: bool, moves: bool
         moves: whether an obstacle moves, so that waiting may end by itself.
     """
     if late:
-        return Demand(0.0, "late decision", "no decision of the motion guard in time", lasting=True)
+        return SpeedLimit(
+            0.0, "late decision", "no decision of the motion guard in time", lasting=True
+        )
     if decision.action == "follow":
-        return NO_DEMAND
+        return NO_LIMIT
     obstacle = decision.obstacle or "an obstacle"
     contact = f", contact in {decision.contact - time:.2f} s" if decision.contact < math.inf else ""
     said = {"slow": "near", "wait": "waits for", "evade": "evades", "brake": "brakes for"}
     claim = f", by claim ({decision.claim})" if decision.claim else ""
     reason = f"{said[decision.action]} {obstacle}{contact}{claim}"
     scale = decision.scale if decision.follows else 0.0
-    return Demand(scale, f"guard: {decision.action}", reason, lasting=not moves)
+    return SpeedLimit(scale, f"guard: {decision.action}", reason, lasting=not moves)
 
 
 _OFF_PATH, _FAR_OFF = 0.02, 0.1
 """Distances of a joint from the verified motion at which its phase slows down, and rests [rad]."""
 
 
-def watch_path(distance: float) -> Demand:
+def monitor_path(distance: float) -> SpeedLimit:
     """Slows the phase while joint accelerations limit how fast the arm follows; distance [rad]."""
     if distance <= _OFF_PATH:
-        return NO_DEMAND
+        return NO_LIMIT
     scale = max(0.0, (_FAR_OFF - distance) / (_FAR_OFF - _OFF_PATH))
-    return Demand(scale, "path", f"the arm is {distance:.3f} rad from its path")
+    return SpeedLimit(scale, "path", f"the arm is {distance:.3f} rad from its path")
 
 
-def watch_torque(
+def monitor_torque(
     state: Supervision,
     saturated: bool,
     time: float,
     elapsed: float,
-) -> tuple[Supervision, Demand]:
+) -> tuple[Supervision, SpeedLimit]:
     """Slows while torques are saturated: by a factor each time, then linearly back.
 
     Args:
@@ -224,5 +228,5 @@ def watch_torque(
     if since != state.saturated_since or scale != state.torque_scale:
         state = replace(state, saturated_since=since, torque_scale=scale)
     if scale >= 1.0:
-        return state, NO_DEMAND
-    return state, Demand(scale, "torque", "a joint torque is at its limit")
+        return state, NO_LIMIT
+    return state, SpeedLimit(scale, "torque", "a joint torque is at its limit")

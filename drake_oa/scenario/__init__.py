@@ -4,11 +4,11 @@ In: the text of a file, with overrides "field.subfield=value". Out: a `Scenario`
 the layers' own configurations; each field has a default, a unit and a range, which are checked
 once, when it is read. An error names the field and what would be valid.
 
-    task           start, goal, demonstrations, asked clearance     `task.Task`
+    task           start, goal, demonstrations, requested clearance     `task.Task`
     policy         movement primitive and coupling terms            `scenario.Policy`
     robot          model, tool, gains, posture                      `robot.config.Robot`
     perception     tagged: where obstacles come from    `perception.config`, `perception`
-    regulation     tagged: !Verified or !Paper                  `regulation.config`
+    inference     tagged: !Verified or !Paper                  `inference.config`
     guard                                                           `safety.config`
     cameras, directives                                             Drake's own
     obstacles, faults                                               `obstacles`, `faults`

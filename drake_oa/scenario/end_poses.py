@@ -68,8 +68,8 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
         ScenarioError: naming the field that does not fit.
     """
     task, robot = scenario.task, scenario.robot
-    asked = {"rpy_start": task.rpy_start, "rpy_goal": task.rpy_goal}
-    given = [name for name, rpy in asked.items() if rpy is not None]
+    requested = {"rpy_start": task.rpy_start, "rpy_goal": task.rpy_goal}
+    given = [name for name, rpy in requested.items() if rpy is not None]
     if robot is None:
         if given:
             raise ScenarioError(f"task.{given[0]}: needs a robot; this scenario has null")
@@ -79,7 +79,7 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
         return None
     ends = []
     demonstrated = (None, None) if shown is None else (shown.first, shown.last)
-    for rpy, R_WE in zip(asked.values(), demonstrated, strict=True):
+    for rpy, R_WE in zip(requested.values(), demonstrated, strict=True):
         if rpy is not None or R_WE is None:
             R_WE = RollPitchYaw(robot.rpy_WE if rpy is None else rpy).ToRotationMatrix().matrix()
         ends.append(R_WE)

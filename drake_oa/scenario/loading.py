@@ -158,8 +158,8 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
     for name, field in (
         ("perception", "folder"),
         ("task", "demonstration"),
-        ("regulation", "weights"),
-        ("regulation", "chain"),
+        ("inference", "weights"),
+        ("inference", "chain"),
         ("robot", "model"),
     ):
         block = data.get(name)

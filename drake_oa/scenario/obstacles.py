@@ -22,7 +22,7 @@ ABSENT_HEIGHT = 50.0
 _ROUNDING = 1e-9  # of a time [s]
 
 
-def _check_course(waypoints: list[list[float]]) -> list[list[float]]:
+def _check_trajectory(waypoints: list[list[float]]) -> list[list[float]]:
     before = -math.inf
     for row, (time, *offset) in enumerate(waypoints):
         if time <= before:
@@ -57,7 +57,7 @@ class Obstacle:
     """Red, green, blue and opacity [1]. Raising one makes the obstacle brighter or more opaque."""
     waypoints: Annotated[
         list[Annotated[list[float], length(4)]],
-        AfterValidator(_check_course),
+        AfterValidator(_check_trajectory),
     ] = Field(default_factory=list)
     """Motion of the obstacle: rows t, x, y, z [s, m], the offset from `translation` in the world at
     time t, interpolated linearly; at rest before the first and after the last row. Empty: the

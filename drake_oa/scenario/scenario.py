@@ -13,7 +13,8 @@ from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.config import BLOCK, DrakeStruct, ScenarioError, Tagged
-from drake_oa.common.thinking import Thinking
+from drake_oa.common.latency import LatencyModel
+from drake_oa.inference.config import Paper, Verified
 from drake_oa.perception.config import CameraNoise as CameraNoise
 from drake_oa.perception.config import (
     DepthCamera,
@@ -22,7 +23,6 @@ from drake_oa.perception.config import (
     RecordedClouds,
 )
 from drake_oa.policy.config import Policy
-from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.config import Robot
 from drake_oa.safety.config import GuardParameters
 from drake_oa.scenario.faults import Fault
@@ -74,11 +74,11 @@ class Scenario:
         Tagged(),
     ] = Field(default_factory=GroundTruth)
     """Source of the obstacles."""
-    regulation: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
+    inference: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
     """Source of the coupling parameters."""
     guard: GuardParameters = Field(default_factory=GuardParameters)
     """Maneuvers away from moving obstacles, reaction to contact, and monitors."""
-    thinking: Thinking | None = Field(default_factory=Thinking)
+    compute_latency: LatencyModel | None = Field(default_factory=LatencyModel)
     """Simulated duration of decisions; null: decisions act immediately."""
     table_height: float | None = 0.0
     """Height of the table in the world [m]; null: no table. Raising it raises the table."""

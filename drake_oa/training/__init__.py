@@ -1,9 +1,9 @@
-"""Training of the networks that regulation evaluates: `drake-oa train`.
+"""Training of the networks that inference evaluates: `drake-oa train`.
 
 In: a recipe. Out: a .safetensors file with a network, the range that it was trained in, and where
 it comes from. Nothing here runs on the robot, and nothing that runs there imports it. Lengths are
 in baselines L (semi-axes lambda1', lambda2' along and across, clearance Delta), kappa in 1/L^2, psi
-in rad, alpha in 1/T; `paper` has metres and rad/s, on L = 1 m.
+in rad, alpha in 1/T; `paper` has meters and rad/s, on L = 1 m.
 
 Recipe `paper` (`PaperRecipe`): Table I of the paper.
 

@@ -16,7 +16,7 @@ from torch.func import functional_call, grad_and_value, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.regulation.regressor import Network
+from drake_oa.inference.regressor import Network
 
 HIDDEN = (24, 24, 24)
 """Widths of the tanh layers, as in the paper."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from drake_oa.common.files import provenance
 from drake_oa.common.messages import FloatArray
-from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network
+from drake_oa.inference.regressor import TARGETS, ChainWeights, Network
 from drake_oa.training.lattice import ActionLevelName, PaperLattice, roll_out_lattice
 from drake_oa.training.networks import (
     DECAY,

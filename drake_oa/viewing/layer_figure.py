@@ -6,10 +6,10 @@ from html import escape
 
 from pydrake.systems.framework import Diagram
 
-from drake_oa.common.wires import connections
+from drake_oa.common.signal_builder import connections
 
 LAYERS = (
-    "late_camera",
+    "delayed_camera",
     "perception",
     "ellipsoid_descriptor",
     "regressor_chain",
@@ -41,17 +41,17 @@ def layer_figure(diagram: Diagram) -> str:
         for name in names
     }
     for source, reader in connections(diagram):
-        (name, port), reads = source.split(".", 1), reader.split(".", 1)[0]
-        if name in names and reads in names and name != reads:
-            ports = cells.setdefault((name, reads), [])
+        (name, port), inputs = source.split(".", 1), reader.split(".", 1)[0]
+        if name in names and inputs in names and name != inputs:
+            ports = cells.setdefault((name, inputs), [])
             ports += [port] * (port not in ports)
     parts = []
-    for (name, reads), lines in cells.items():
-        x, y = _WIDTH * names.index(reads), _HEIGHT * names.index(name)
-        kind = ' class="signal"' if name != reads else ' rx="6"'
+    for (name, inputs), lines in cells.items():
+        x, y = _WIDTH * names.index(inputs), _HEIGHT * names.index(name)
+        kind = ' class="signal"' if name != inputs else ' rx="6"'
         parts.append(f'<rect{kind} x="{x}" y="{y}" width="{_WIDTH}" height="{_HEIGHT}"/>')
         for number, line in enumerate(lines):
-            of = "small" if number or name != reads else "name"
+            of = "small" if number or name != inputs else "name"
             height = y + _HEIGHT / 2 + _LINE * (number - len(lines) / 2 + 0.8)
             parts.append(f'<text class="{of}" x="{x + _WIDTH / 2}" y="{height}">')
             parts.append(f"{escape(line)}</text>")

@@ -34,7 +34,7 @@ _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
 _EYE_B, _AT_B = (2.3, -1.8, 1.4), (0.4, 0.0, 0.3)
 """Where one looks from, and at, in the base's frame B [m]."""
 _MARK, _GREEN, _RED = 0.02, Rgba(0.1, 0.6, 0.2), Rgba(0.8, 0.1, 0.1)
-"""The balls at start and goal: radius [m] and colours."""
+"""The balls at start and goal: radius [m] and colors."""
 _RENDERER = "still"
 
 

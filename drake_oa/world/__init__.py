@@ -7,7 +7,7 @@ torques [N m]. Frames: W world, C camera (x right, y down, z forward).
 - `station.make_station` adds a scenario's plant, scene graph and cameras to a diagram;
   `world_model` adds its models, `obstacles` those that are written in the scenario.
   `ObstacleMover` drives one on its course, at the plant's step.
-- `cameras` renders in a scene graph of its own. `LateCamera` takes an image every period and
+- `cameras` renders in a scene graph of its own. `DelayedCamera` takes an image every period and
   outputs it some time after, with its noise; it is rendered meanwhile in a thread.
 - `LiveCamera` hands out the images of a camera outside the simulation (`!LcmCamera`),
   with the time and the state they belong to. `depth_messages` packs
@@ -16,7 +16,7 @@ torques [N m]. Frames: W world, C camera (x right, y down, z forward).
   Lovell 2012; Khoshelham and Oude Elberink 2012): steps of disparity, axial noise smooth over a
   few pixels, shadows, flying and missing pixels. It is a function of seed, time and image: runs
   repeat.
-- `faults` are the faults of a scenario as systems: `WeakActuators`, `ExternalPush`; `LateCamera`
+- `faults` are the faults of a scenario as systems: `WeakActuators`, `ExternalPush`; `DelayedCamera`
   loses images by `CameraDropout`.
 
 Configuration: the blocks `obstacles`, `cameras`, `directives` and `faults` of a scenario, and

@@ -21,7 +21,7 @@ from drake_oa.common.config import field_errors
 CHANNEL = "DRAKE_RGBD_CAMERA_IMAGES_{}"
 """Of a camera's images."""
 
-_MILLIMETRE = 1e-3
+_MILLIMETER = 1e-3
 _MICROSECOND = 1e-6
 _FAR = 65535
 _TYPES: dict[int, np.dtype[Any]] = {
@@ -31,7 +31,7 @@ _TYPES: dict[int, np.dtype[Any]] = {
 
 
 def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_image_array:
-    """A depth image in millimetres, compressed by zlib.
+    """A depth image in millimeters, compressed by zlib.
 
     Args:
         depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing. The
@@ -39,8 +39,8 @@ def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_i
         camera: name of the frame.
         utime: when it was taken, by the wall clock [us].
     """
-    near = np.nan_to_num(depth, nan=0.0, posinf=_FAR * _MILLIMETRE)
-    values = np.clip(np.rint(near / _MILLIMETRE), 0, _FAR).astype("<u2")
+    near = np.nan_to_num(depth, nan=0.0, posinf=_FAR * _MILLIMETER)
+    values = np.clip(np.rint(near / _MILLIMETER), 0, _FAR).astype("<u2")
     data = zlib.compress(values.tobytes(), 1)
     header = lcmt_header()
     header.utime, header.frame_name = utime, camera
@@ -92,7 +92,7 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
         ) from None
     depth = values.astype(np.float32)
     if values.dtype == np.uint16:
-        depth *= _MILLIMETRE
+        depth *= _MILLIMETER
         depth[values == _FAR] = np.inf
     depth[values == 0] = np.nan
     return Frame(depth, image.header.utime * _MICROSECOND)

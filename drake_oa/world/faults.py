@@ -2,7 +2,7 @@
 
     faults: [!CameraDropout {start: 1.0, duration: 0.5}, !TorqueSaturation {start: 2.0}]
 
-A fault lasts for start <= t < start + duration. `CameraDropout` is one of `LateCamera`.
+A fault lasts for start <= t < start + duration. `CameraDropout` is one of `DelayedCamera`.
 """
 
 from __future__ import annotations

@@ -32,9 +32,9 @@ from drake_oa.world.cameras import (
     TimedCamera,
     depth_intrinsics,
 )
+from drake_oa.world.delayed_camera import BackgroundCamera, DelayedCamera, Noise
 from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import add_depth_noise
-from drake_oa.world.late_camera import BackgroundCamera, LateCamera, Noise
 from drake_oa.world.live_camera import LiveCamera, Outside, standing_pose
 from drake_oa.world.obstacles import obstacle_instances
 from drake_oa.world.world_model import add_world
@@ -84,7 +84,7 @@ def _simulated_camera(
     # Its errors name the fields themselves.
     rendering = BackgroundCamera(scenario, config, noise)
     with field_errors(f"cameras: camera '{config.name}'", ValueError):
-        system = LateCamera(
+        system = DelayedCamera(
             rendering,
             intrinsics,
             num_states=plant.num_multibody_states(),
@@ -92,7 +92,7 @@ def _simulated_camera(
             delay=config.output_delay,
             dropouts=dropouts,
         )
-    builder.AddNamedSystem(f"late_{config.name}", system)
+    builder.AddNamedSystem(f"delayed_{config.name}", system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
     return system.camera(config.output_delay)
 

@@ -1,7 +1,7 @@
 """Writes demonstrations as of a hand that leads a Panda: `python generate_demonstrations.py`.
 
 A hand goes through via points with least jerk (Flash and Hogan 1985), now slower and now faster,
-and trembles by about a millimetre at 8 to 12 Hz; the recorder takes about 100 samples a second at
+and trembles by about a millimeter at 8 to 12 Hz; the recorder takes about 100 samples a second at
 uneven times, misses some, and gives quaternions with w >= 0, so that their signs jump. Positions
 of the tool point E and orientations R_WE are of the world: the Panda's base, z up [m].
 """

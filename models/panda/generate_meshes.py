@@ -1,6 +1,6 @@
 """Writes meshes/*.obj, the visual shells of the Panda: `python models/panda/generate_meshes.py`.
 
-Each link is composed of smooth solids in its own frame (metres) and meshed; collision geometry in
+Each link is composed of smooth solids in its own frame (meters) and meshed; collision geometry in
 panda_arm_hand.urdf encloses them, which tests/robot/test_panda_model.py checks.
 """
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from implicit import (
+    CollisionGeometry,
     Mesh,
     Point,
-    Solid,
     block,
     coarsened,
     drum,
@@ -34,28 +34,30 @@ COLORS = {
 }
 
 SHELL = 0.0565  # Radius of the large joint housings [m].
-GAP = 0.0025  # Half the gap between two neighbouring shells [m].
+GAP = 0.0025  # Half the gap between two neighboring shells [m].
 
 Part = tuple[str, Mesh]
 
 
-def _housing(end: float, radius: float = SHELL, rounding: float = 0.04) -> Solid:
+def _housing(end: float, radius: float = SHELL, rounding: float = 0.04) -> CollisionGeometry:
     """Half a joint: a drum along +z from the seam at z = 0 to a domed end."""
     return drum((0, 0, GAP), (0, 0, end), radius, (0.006, rounding))
 
 
-def _placed(solid: Solid, R: np.ndarray, origin: Point) -> Solid:
+def _placed(geometry: CollisionGeometry, R: np.ndarray, origin: Point) -> CollisionGeometry:
     """A solid given in a frame whose axes are the columns of R."""
-    return lambda p: solid((p - np.asarray(origin)) @ R)
+    return lambda p: geometry((p - np.asarray(origin)) @ R)
 
 
-def _cap(shell: Solid, R: np.ndarray, origin: Point, end: float, radius: float = 0.036) -> Solid:
+def _cap(
+    shell: CollisionGeometry, R: np.ndarray, origin: Point, end: float, radius: float = 0.036
+) -> CollisionGeometry:
     """The dark disc over the domed end of a housing, proud of the shell by 1.6 mm."""
     disc = _placed(drum((0, 0, end - 0.022), (0, 0, end + 0.02), radius, (0.001, 0.001)), R, origin)
     return intersection(grown(shell, 0.0016), disc, fillet=0.001)
 
 
-def _seal(start: float, end: float, radius: float) -> Solid:
+def _seal(start: float, end: float, radius: float) -> CollisionGeometry:
     """The dark ring in the gap between two shells."""
     return drum((0, 0, start), (0, 0, end), radius, (0.001, 0.001))
 
@@ -90,7 +92,7 @@ def link0() -> list[Part]:
     ]
 
 
-def _shoulder(side: np.ndarray, up: float, R_housing: np.ndarray) -> Solid:
+def _shoulder(side: np.ndarray, up: float, R_housing: np.ndarray) -> CollisionGeometry:
     """Upright tube that bends into a housing: the half of the shoulder that a link carries.
 
     `side` is the direction of the housing, `up` the sign of the tube's direction along the third
@@ -113,7 +115,7 @@ def _shoulder(side: np.ndarray, up: float, R_housing: np.ndarray) -> Solid:
 
 
 def _with_fittings(
-    shell: Solid, box: tuple, R: np.ndarray, origin: tuple, end: float, triangles: int
+    shell: CollisionGeometry, box: tuple, R: np.ndarray, origin: tuple, end: float, triangles: int
 ) -> list[Part]:
     """A shell with the dark cap on its housing's end and the seal at the housing's seam."""
     cap = _cap(shell, R, origin, end)
@@ -142,7 +144,7 @@ def link2() -> list[Part]:
     return _with_fittings(shell, box, np.eye(3), (0, 0, 0), 0.128, 1900)
 
 
-def _elbow(far: float) -> Solid:
+def _elbow(far: float) -> CollisionGeometry:
     """A tube along z from z = -far, bent into a housing at x = 0.0825 that points along +y."""
     run = tube(
         [(0, 0, -far - 0.03), (0, 0, -0.06), (0.004, 0.006, -0.028), (0.0825, 0.055, -0.004)],
@@ -309,7 +311,7 @@ def write_coarse(path: Path, parts: list[Part], triangles: int) -> None:
 
 
 def write_mtl(path: Path) -> None:
-    """Writes the materials: diffuse colour, a soft highlight."""
+    """Writes the materials: diffuse color, a soft highlight."""
     entries = [
         f"newmtl {name}\nKd {r} {g} {b}\nKs 0.2 0.2 0.2\nNs 40\n"
         for name, (r, g, b) in COLORS.items()

@@ -1,6 +1,6 @@
 """Signed distance functions of smooth solids, and triangle meshes of their surfaces.
 
-A solid is a function from points (N, 3) in metres to signed distances (N,), negative inside. Solids
+A solid is a function from points (N, 3) in meters to signed distances (N,), negative inside. Solids
 blend into one another with fillets, which is how the shells of a modern arm look.
 """
 
@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import open3d as o3d
 
-Solid = Callable[[np.ndarray], np.ndarray]
+CollisionGeometry = Callable[[np.ndarray], np.ndarray]
 Point = Sequence[float]
 
 
@@ -24,7 +24,7 @@ class Mesh:
     triangles: np.ndarray
 
 
-def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> Solid:
+def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> CollisionGeometry:
     """A round tube along the Bezier curve of the control points, its radius blended likewise."""
     control = np.column_stack([np.asarray(path, float), np.asarray(radii, float)])
     s = np.linspace(0.0, 1.0, segments + 1)[:, None]
@@ -47,7 +47,9 @@ def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> S
     return distance
 
 
-def drum(start: Point, end: Point, radius: float, rounding: tuple[float, float]) -> Solid:
+def drum(
+    start: Point, end: Point, radius: float, rounding: tuple[float, float]
+) -> CollisionGeometry:
     """A cylinder between two points; `rounding` is the edge radius at the start and at the end."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     length = float(np.linalg.norm(b - a))
@@ -65,7 +67,9 @@ def drum(start: Point, end: Point, radius: float, rounding: tuple[float, float])
     return distance
 
 
-def block(center: Point, size: Point, rounding: float, R: np.ndarray | None = None) -> Solid:
+def block(
+    center: Point, size: Point, rounding: float, R: np.ndarray | None = None
+) -> CollisionGeometry:
     """A box of full size `size` with rounded edges, its axes the columns of `R`."""
     c, half = np.asarray(center, float), 0.5 * np.asarray(size, float) - rounding
     axes = np.eye(3) if R is None else R
@@ -78,7 +82,7 @@ def block(center: Point, size: Point, rounding: float, R: np.ndarray | None = No
     return distance
 
 
-def half_space(point: Point, outward: Point) -> Solid:
+def half_space(point: Point, outward: Point) -> CollisionGeometry:
     """Everything behind the plane through `point` whose normal is `outward`."""
     c, n = np.asarray(point, float), np.asarray(outward, float)
     n = n / np.linalg.norm(n)
@@ -92,51 +96,55 @@ def _smooth_minimum(a: np.ndarray, b: np.ndarray, fillet: float) -> np.ndarray:
     return np.minimum(a, b) - h * h * fillet * 0.25
 
 
-def union(*solids: Solid, fillet: float = 0.0) -> Solid:
+def union(*geometries: CollisionGeometry, fillet: float = 0.0) -> CollisionGeometry:
     """All solids together, with a fillet of about this radius where they meet."""
 
     def distance(p: np.ndarray) -> np.ndarray:
-        result = solids[0](p)
-        for solid in solids[1:]:
-            result = _smooth_minimum(result, solid(p), fillet)
+        result = geometries[0](p)
+        for geometry in geometries[1:]:
+            result = _smooth_minimum(result, geometry(p), fillet)
         return result
 
     return distance
 
 
-def intersection(*solids: Solid, fillet: float = 0.0) -> Solid:
+def intersection(*geometries: CollisionGeometry, fillet: float = 0.0) -> CollisionGeometry:
     """What all solids share, the new edges rounded."""
 
     def distance(p: np.ndarray) -> np.ndarray:
-        result = solids[0](p)
-        for solid in solids[1:]:
-            result = -_smooth_minimum(-result, -solid(p), fillet)
+        result = geometries[0](p)
+        for geometry in geometries[1:]:
+            result = -_smooth_minimum(-result, -geometry(p), fillet)
         return result
 
     return distance
 
 
-def without(solid: Solid, *cuts: Solid, fillet: float = 0.0) -> Solid:
+def without(
+    geometry: CollisionGeometry, *cuts: CollisionGeometry, fillet: float = 0.0
+) -> CollisionGeometry:
     """A solid with others cut away, the new edges rounded."""
-    return intersection(solid, *[lambda p, cut=cut: -cut(p) for cut in cuts], fillet=fillet)
+    return intersection(geometry, *[lambda p, cut=cut: -cut(p) for cut in cuts], fillet=fillet)
 
 
-def grown(solid: Solid, offset: float) -> Solid:
+def grown(geometry: CollisionGeometry, offset: float) -> CollisionGeometry:
     """A solid grown outward by a distance (shrunk where negative)."""
-    return lambda p: solid(p) - offset
+    return lambda p: geometry(p) - offset
 
 
-def _gradient(solid: Solid, p: np.ndarray, step: float = 2e-4) -> np.ndarray:
-    columns = [solid(p + step * e) - solid(p - step * e) for e in np.eye(3)]
+def _gradient(geometry: CollisionGeometry, p: np.ndarray, step: float = 2e-4) -> np.ndarray:
+    columns = [geometry(p + step * e) - geometry(p - step * e) for e in np.eye(3)]
     return np.column_stack(columns) / (2.0 * step)
 
 
-def _surface_net(solid: Solid, low: np.ndarray, high: np.ndarray, cell: float) -> Mesh:
+def _surface_net(
+    geometry: CollisionGeometry, low: np.ndarray, high: np.ndarray, cell: float
+) -> Mesh:
     """Naive surface nets: a vertex in each cell that the surface crosses, a quad at each edge."""
     axes = [np.arange(a, b + cell, cell) for a, b in zip(low, high, strict=True)]
     shape = tuple(len(axis) for axis in axes)
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    inside = (solid(grid.reshape(-1, 3)) < 0.0).reshape(shape)
+    inside = (geometry(grid.reshape(-1, 3)) < 0.0).reshape(shape)
 
     corner_count = sum(
         inside[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k].astype(int)
@@ -166,26 +174,28 @@ def _surface_net(solid: Solid, low: np.ndarray, high: np.ndarray, cell: float) -
     return Mesh(vertices, np.zeros_like(vertices), triangles)
 
 
-def _onto_surface(solid: Solid, p: np.ndarray, cell: float) -> np.ndarray:
+def _onto_surface(geometry: CollisionGeometry, p: np.ndarray, cell: float) -> np.ndarray:
     for _ in range(6):
-        g = _gradient(solid, p)
-        step = (solid(p) / np.maximum((g * g).sum(axis=1), 0.1))[:, None] * g
+        g = _gradient(geometry, p)
+        step = (geometry(p) / np.maximum((g * g).sum(axis=1), 0.1))[:, None] * g
         p = p - np.clip(step, -cell, cell)
     return p
 
 
-def mesh(solid: Solid, low: Point, high: Point, triangles: int, cell: float = 0.004) -> Mesh:
+def mesh(
+    geometry: CollisionGeometry, low: Point, high: Point, triangles: int, cell: float = 0.004
+) -> Mesh:
     """The surface of a solid within a box, with about that many triangles and smooth normals."""
-    net = _surface_net(solid, np.asarray(low, float), np.asarray(high, float), cell)
+    net = _surface_net(geometry, np.asarray(low, float), np.asarray(high, float), cell)
     fine = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(_onto_surface(solid, net.vertices, cell)),
+        o3d.utility.Vector3dVector(_onto_surface(geometry, net.vertices, cell)),
         o3d.utility.Vector3iVector(net.triangles),
     )
     coarse = fine.simplify_quadric_decimation(triangles)
     coarse.remove_degenerate_triangles()
     coarse.remove_unreferenced_vertices()
-    vertices = _onto_surface(solid, np.asarray(coarse.vertices), 0.001)
-    normals = _gradient(solid, vertices)
+    vertices = _onto_surface(geometry, np.asarray(coarse.vertices), 0.001)
+    normals = _gradient(geometry, vertices)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     return Mesh(vertices, normals, np.asarray(coarse.triangles))
 

@@ -26,7 +26,7 @@ SNAPSHOT = Path(__file__).with_name("commands.json")
 
 INSIDE = "perception=!GivenEllipsoids {ellipsoids: [{center: [0, 0, 0]}]}"
 DIRECTIVE = "directives=[{add_model: {name: a, file: b.sdf}}]"
-PANDA = "evaluate panda --scenes 1 --duration 0.02 --perception truth --method preplanned"
+PANDA = "evaluate panda --scenes 1 --duration 0.02 --perception truth --method nominal"
 
 # In this order, in one folder: later ones read what earlier ones have written.
 INVOCATIONS = (
@@ -58,7 +58,7 @@ INVOCATIONS = (
     "run free_space --log .",
     "run mine.scenario.yaml --html mine.scenario.yaml",
     "run free_space --set task.clearence=1",
-    "run free_space --set regulation.weights=none.npz",
+    "run free_space --set inference.weights=none.npz",
     "run tabletop_box --set robot.model=package://none/x.urdf",
     f"run tabletop_box --set '{DIRECTIVE}'",
     "run tabletop_box --set 'perception=!RecordedClouds {folder: /nowhere}'",
@@ -70,7 +70,7 @@ INVOCATIONS = (
     "run tabletop_box --set 'perception=!GroundTruth {}' --duration 0.1"
     " --json box.json --log box.npz --html box.html",
     "play tabletop_box --log x.npz --no-log",
-    "replay point.npz --html replay.html --motion preplanned",
+    "replay point.npz --html replay.html --motion nominal",
     "replay point.npz",
     "replay point.npz --html x.html --speed 0",
     "replay point.npz --html x.html --motion nothing",

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from drake_oa.evaluation.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.perception.config import GroundTruth
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from tests.builders import command
 
 Method = Callable[[Scenes, Setting], Motions]
@@ -24,15 +24,15 @@ def _in_a_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFixture[str]) -> None:
     short = ("--scenes", "1", "--duration", "0.02", "--perception", "truth")
-    chosen = ("--method", "preplanned", "--suite", "tabletop", "--suite", "clutter6")
+    chosen = ("--method", "nominal", "--suite", "tabletop", "--suite", "clutter6")
     again = partial(run, "panda", *short, *chosen, "--json", "p.json")
     assert again("--write-scenes", "scenes") == 0
     out = capsys.readouterr().out
     kinds = json.loads(Path("p.json").read_text())["kinds"]
     assert list(kinds) == ["tabletop", "clutter6"]
-    for kind, figures in kinds.items():
-        assert f"{kind}: preplanned, truth" in out
-        assert figures["methods"]["preplanned"]["stopped"] == 1
+    for kind, metrics in kinds.items():
+        assert f"{kind}: nominal, truth" in out
+        assert metrics["methods"]["nominal"]["stopped"] == 1
     for scene in Path("scenes").iterdir():
         assert isinstance(load_scenario(str(scene)).perception, GroundTruth)
     assert len(list(Path("p.scenes").glob("*.json"))) == 4
@@ -41,14 +41,14 @@ def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFix
 
 
 def test_runs_of_a_level_are_judged_by_its_rules_from_two_cameras() -> None:
-    one = partial(run, "panda", "--suite", "drp", "--level", "floating1", "--method", "preplanned")
+    one = partial(run, "panda", "--suite", "drp", "--level", "floating1", "--method", "nominal")
     short = partial(one, "--scenes", "1", "--duration", "0.02", "--json", "p.json")
     digests = set()
     for more in ("--perception", "truth"), ("--cameras", "2"):
         assert short(*more) == 0
         found = json.loads(Path("p.json").read_text())
-        assert found["methods"]["preplanned"]["drp_success"] == 0
-        assert found["methods"]["preplanned"]["drp_contacts"] == 0
+        assert found["methods"]["nominal"]["drp_success"] == 0
+        assert found["methods"]["nominal"]["drp_contacts"] == 0
         digests.add(found["scenes_digest"])
     assert len(digests) == 1
 
@@ -59,5 +59,5 @@ def test_without_ompl_the_error_names_the_package(
     for name in ("ompl", "ompl.base"):
         monkeypatch.setitem(sys.modules, name, None)
     assert run("panda", "--method", "planner") == 2
-    assert "pip install 'drake_oa[peers]'" in capsys.readouterr().err
+    assert "pip install 'drake_oa[baselines]'" in capsys.readouterr().err
     assert list(Path().iterdir()) == []

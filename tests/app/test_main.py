@@ -80,7 +80,7 @@ def test_progress_is_shown_on_a_terminal_alone(
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     assert run(*arguments) == 0
-    for motion in ("preplanned", "modulated"):
+    for motion in ("nominal", "avoiding"):
         assert re.search(rf"{motion} .*\d%", screen.getvalue())
     assert "\x1b" not in capsys.readouterr().out
 
@@ -93,8 +93,8 @@ def test_set_replaces_fields_of_a_file_and_the_motion_arrives(
     assert run(*arguments, "--set", "perception=!GivenEllipsoids {}") == 0
     report = json.loads(Path("report.json").read_text())
     assert (report["scenario"], report["seed"]) == ("mine", 7)
-    assert report["modulated"]["tool_clearance_min"] is None
-    *_, ended = (line for line in capsys.readouterr().out.splitlines() if "ended by" in line)
+    assert report["avoiding"]["tool_clearance_min"] is None
+    *_, ended = (line for line in capsys.readouterr().out.splitlines() if "termination" in line)
     assert ended.split() == ["ended", "by", "goal", "goal"]
 
 
@@ -102,7 +102,7 @@ def test_set_replaces_fields_of_a_file_and_the_motion_arrives(
     ("fault", "status", "message", "reason"),
     [
         (KeyboardInterrupt(), 130, "interrupted", "interrupted"),
-        (RuntimeError("boom"), 1, "cut short", "RuntimeError: boom"),
+        (RuntimeError("boom"), 1, "interrupted", "RuntimeError: boom"),
     ],
 )
 def test_a_motion_that_is_cut_short_is_reported_and_written(
@@ -119,19 +119,19 @@ def test_a_motion_that_is_cut_short_is_reported_and_written(
         if root.get_time() > 0.1:
             raise fault
 
-    def simulate(scenario: object, *, modulated: bool, **options: object) -> object:
-        options |= {"on_look": look} if modulated else {}
-        return original(scenario, modulated=modulated, **options)
+    def simulate(scenario: object, *, avoid_obstacles: bool, **options: object) -> object:
+        options |= {"on_look": look} if avoid_obstacles else {}
+        return original(scenario, avoid_obstacles=avoid_obstacles, **options)
 
     monkeypatch.setattr(simulation, "simulate", simulate)
     arguments = ("--duration", "0.2", "--json", "report.json", "--log", "run.npz")
     assert run("run", "free_space", *arguments) == status
     assert message in capsys.readouterr().err.splitlines()[-1]
     report = json.loads(Path("report.json").read_text())
-    assert reason == report["modulated"]["stop_reason"]
+    assert reason == report["avoiding"]["stop_reason"]
     logs = load_logs(Path("run.npz"))
-    assert list(logs) == ["preplanned", "modulated"]
-    assert logs["modulated"].duration == pytest.approx(0.1, abs=0.02)
+    assert list(logs) == ["nominal", "avoiding"]
+    assert logs["avoiding"].duration == pytest.approx(0.1, abs=0.02)
 
 
 def test_ctrl_c_in_a_command_is_one_line(

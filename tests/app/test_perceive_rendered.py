@@ -170,7 +170,7 @@ def test_nothing_is_lost_and_no_table_taken(kind):
 
 @pytest.mark.slow
 def test_table_of_all_kinds(monkeypatch):
-    # Of the labelled images: a surface is measured up to a grazing angle of 80 to 82 degrees.
+    # Of the labeled images: a surface is measured up to a grazing angle of 80 to 82 degrees.
     monkeypatch.setattr(depth_noise, "_GRAZING_START", np.deg2rad(80.0))
     monkeypatch.setattr(depth_noise, "_GRAZING_END", np.deg2rad(82.0))
     print("\n\n| kind |", " | ".join(_COUNTS), "|")

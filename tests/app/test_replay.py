@@ -50,7 +50,7 @@ def test_a_run_leaves_a_log_of_its_own(tmp_path: Path, capsys: pytest.CaptureFix
         assert log.seed == 5
         assert "seed: 5" in log.scenario
         assert any(item.startswith("drake_oa ") for item in log.versions)
-    assert run("run", "free_space", "--set", "regulation.weights=none.npz") == 2
+    assert run("run", "free_space", "--set", "inference.weights=none.npz") == 2
     assert len(list((tmp_path / "drake_oa_runs").iterdir())) == 2
     shutil.rmtree("drake_oa_runs")
     Path("drake_oa_runs").write_text("in the way")
@@ -65,7 +65,7 @@ def test_an_output_on_a_full_disk_does_not_cost_the_others(
     arguments = ("--duration", "0.05", "--json", "run.json", option, "/dev/full")
     assert run("run", "free_space", *arguments) == 1
     told = capsys.readouterr()
-    assert "modulated" in told.out
+    assert "avoiding" in told.out
     assert "cannot write /dev/full: No space left on device" in told.err
     assert Path("run.json").is_file()
 
@@ -112,9 +112,9 @@ def test_a_run_that_is_stopped_leaves_the_motion_under_way(
     assert f"drake-oa: error: {said}" in told.splitlines()
     (file,) = (tmp_path / "drake_oa_runs").iterdir()
     logs = load_logs(file)
-    assert list(logs) == ["preplanned", "modulated"]
-    assert logs["modulated"].duration > 0.0
-    assert logs["modulated"].stop_reason == said
+    assert list(logs) == ["nominal", "avoiding"]
+    assert logs["avoiding"].duration > 0.0
+    assert logs["avoiding"].stop_reason == said
 
 
 def test_a_replay_is_one_page_and_can_be_repeated(
@@ -144,12 +144,12 @@ def test_what_cannot_be_shown_is_one_clear_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = Path("log.npz")
-    log = load_logs(point_log)["modulated"]
+    log = load_logs(point_log)["avoiding"]
     if kind == "cut off":
         file.write_bytes(point_log.read_bytes()[:3000])
     else:
         text = "{robot: {model: package://none/x.urdf}, perception: !GivenEllipsoids {}}"
-        save_logs(file, {"modulated": replace(log, scenario=text)})
+        save_logs(file, {"avoiding": replace(log, scenario=text)})
     capsys.readouterr()
     out = ["--html", "x.html"] if command == "replay" else ["--out", "x.png"]
     assert run(command, file, *out) == 2

@@ -93,7 +93,7 @@ def test_one_error_lists_every_wrong_field() -> None:
 seed: -1
 task: {clearence: 0.1, duration: long, rpy_goal: [0, 0, 90]}
 perception: !DepthCamra {}
-regulation: !Verified {rounds: 2.5}
+inference: !Verified {generations: 2.5}
 obstacles: [{name: a, shapes: [!Box {size: [1, 2]}]}, {name: b, shapes: [!Box {}],
              color: [2, 0, 0, 1]}]
 cameras: [{name: c, fpz: 3}]
@@ -109,7 +109,7 @@ cameras: [{name: c, fpz: 3}]
         "obstacles[1].color[0]",
         "cameras[0]",
         "perception",
-        "regulation.rounds",
+        "inference.generations",
     ]
     message = str(caught.value)
     assert message.startswith("9 wrong fields:\n  seed: ")

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.common.messages import PART, FloatArray, ObstacleClouds
+from drake_oa.common.messages import PART_ID_STRIDE, FloatArray, ObstacleClouds
 from drake_oa.descriptor.descriptor import cloud_parts, describe, merged_parts
 from drake_oa.geometry.ellipsoid import signed_distance
 
@@ -50,7 +50,7 @@ def test_an_obstacle_near_a_free_point_has_several_rows() -> None:
     several = describe(obstacles, TOOL, free_W=[free], tool_parts=[HAND, FINGERS])
     assert len(several) > 1
     assert len(set(several.ids.tolist())) == len(several)
-    assert set((several.ids % PART).tolist()) == {7}
+    assert set((several.ids % PART_ID_STRIDE).tolist()) == {7}
     assert several.v_WO.shape == (len(several), 3)
     room = signed_distance(free, several.p_WO, several.R_WO, several.semi_axes)
     assert room.min() > 0.0

@@ -10,11 +10,11 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.common.wires import Wires
-from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
+from drake_oa.common.signal_builder import SignalBuilder
+from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene
 from tests.builders import depth_image
 
-Customize = Callable[[Wires], None]
+Customize = Callable[[SignalBuilder], None]
 
 
 class ChangedMessages(LeafSystem):
@@ -58,9 +58,12 @@ class DelayedMessages(LeafSystem):
 def late_observations(delay: float) -> Customize:
     """Delays obstacles and solids by a time [s]."""
 
-    def customize(wires: Wires) -> None:
-        for signal, model in (("obstacles_W", ObstacleClouds()), ("solids_W", SolidScene())):
-            wires.interpose(signal, f"late_{signal}", DelayedMessages(signal, model, delay))
+    def customize(signals: SignalBuilder) -> None:
+        for signal, model in (
+            ("obstacles_W", ObstacleClouds()),
+            ("collision_scene_W", CollisionScene()),
+        ):
+            signals.interpose(signal, f"late_{signal}", DelayedMessages(signal, model, delay))
 
     return customize
 
@@ -69,7 +72,7 @@ def changed(signal: str, model: object, change: Callable[[Any], object], *when: 
     """Changes the messages of a signal from a first to a last time [s]."""
     first, last = when
     system = ChangedMessages(signal, model, lambda t, m: change(m) if first <= t < last else m)
-    return lambda wires: wires.interpose(signal, f"changed_{signal}", system)
+    return lambda signals: signals.interpose(signal, f"changed_{signal}", system)
 
 
 def nan_frames(*when: float) -> Customize:
@@ -85,16 +88,16 @@ def nan_frames(*when: float) -> Customize:
 def raised_table(start: float, height: float) -> Customize:
     """Raises the table, and all solids that are no obstacle, by a height [m]."""
 
-    def change(scene: SolidScene) -> SolidScene:
+    def change(scene: CollisionScene) -> CollisionScene:
         if not len(scene):
             return scene
-        rows = scene.solids.layout[:, 5] == SURROUNDINGS
-        ball, X_WO = scene.solids.ball.copy(), scene.solids.X_WO.copy()
+        rows = scene.geometries.layout[:, 5] == ENVIRONMENT
+        ball, X_WO = scene.geometries.ball.copy(), scene.geometries.X_WO.copy()
         ball[rows, 2] += height
         X_WO[rows, 2, 3] += height
-        return replace(scene, solids=scene.solids._replace(ball=ball, X_WO=X_WO))
+        return replace(scene, geometries=scene.geometries._replace(ball=ball, X_WO=X_WO))
 
-    return changed("solids_W", SolidScene(), change, start, np.inf)
+    return changed("collision_scene_W", CollisionScene(), change, start, np.inf)
 
 
 def nan_clouds(*when: float) -> Customize:
@@ -113,11 +116,11 @@ def nan_clouds(*when: float) -> Customize:
 def nan_solids(*when: float) -> Customize:
     """Makes poses and velocities of all solids NaN."""
 
-    def change(scene: SolidScene) -> SolidScene:
+    def change(scene: CollisionScene) -> CollisionScene:
         if not len(scene):
             return scene
-        places = {name: getattr(scene.solids, name) for name in ("ball", "X_WO")}
+        places = {name: getattr(scene.geometries, name) for name in ("ball", "X_WO")}
         arrays = {name: np.full_like(array, np.nan) for name, array in places.items()}
-        return replace(scene, solids=scene.solids._replace(**arrays))
+        return replace(scene, geometries=scene.geometries._replace(**arrays))
 
-    return changed("solids_W", SolidScene(), change, *when)
+    return changed("collision_scene_W", CollisionScene(), change, *when)

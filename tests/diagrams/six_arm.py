@@ -17,7 +17,7 @@ _LINKS = [
 
 SIX_ARM = """
 task: {start: [0.5, -0.3, 0.35], goal: [0.5, 0.3, 0.35], duration: 2.0, clearance: 0.08}
-thinking: null
+compute_latency: null
 robot:
   model: six.urdf
   base_link: foot

@@ -17,7 +17,7 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = (GROUND_TRUTH, "regulation=!Paper {}")  # Nothing is searched for.
+QUICK = (GROUND_TRUTH, "inference=!Paper {}")  # Nothing is searched for.
 PRESENT = (
     "{name: box, shapes: [!Box {size: [0.12, 0.1, 0.31]}], translation: [0.46, 0.0, 0.155], "
     "present: [0.3, 0.4]}"
@@ -38,7 +38,7 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
 
 def test_the_avoiding_motion_keeps_the_clearance_and_is_not_held_up() -> None:
     # The latency would let the motion begin later.
-    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "thinking=null"])
+    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "compute_latency=null"])
     log = simulate(scenario)
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"

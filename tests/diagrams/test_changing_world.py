@@ -49,7 +49,7 @@ def test_a_box_that_appears_is_seen_at_once_and_avoided() -> None:
 def test_a_motion_continues_to_where_the_goal_is_moved() -> None:
     moves = ["task.goal_moves=[[2.5, 1.0, 0.2, 0.0]]", "perception=!GivenEllipsoids {}"]
     scenario = load_scenario("free_space", moves)
-    log = simulate(scenario, modulated=False)
+    log = simulate(scenario, avoid_obstacles=False)
     assert log.stop_reason == "goal"
     for row, goal in enumerate(log.goal):
         np.testing.assert_array_equal(goal, goal_at(scenario.task, log.t[row]))

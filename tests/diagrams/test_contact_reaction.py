@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import Context
 
-from drake_oa.common.wires import Wires
+from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.geometry.shapes import Box
-from drake_oa.geometry.solids import SolidScene
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.runs.simulation import MotionWatcher, simulate
+from drake_oa.runs.simulation import MotionMonitor, simulate
 from drake_oa.safety.config import GuardParameters
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.loading import parse_scenario
@@ -28,10 +28,12 @@ PUSH, RETREAT, REACH = 2.5, 0.4, 0.2
 """Time at which the box meets the link [s], time in which it goes back [s], and its way [m]."""
 
 
-def blind(wires: Wires) -> None:
+def blind(signals: SignalBuilder) -> None:
     """Replaces the solids by none, as of now."""
-    system = ChangedMessages("solids_W", SolidScene(), lambda t, scene: SolidScene.of(t, []))
-    wires.interpose("solids_W", "blind", system)
+    system = ChangedMessages(
+        "collision_scene_W", CollisionScene(), lambda t, scene: CollisionScene.of(t, [])
+    )
+    signals.interpose("collision_scene_W", "blind", system)
 
 
 def pushed(scenario: Scenario, link: str, speed: float) -> Scenario:
@@ -64,7 +66,7 @@ def test_the_command_yields_and_the_arm_returns(link: str, speed: float) -> None
     diagram = build_avoidance(scenario, customize=blind)
     guard, commands, times = diagram.GetSubsystemByName("motion_guard"), [], []
 
-    def look(watcher: MotionWatcher, root: Context) -> None:
+    def look(monitor: MotionMonitor, root: Context) -> None:
         own = guard.GetMyContextFromRoot(root)
         commands.append(np.array(guard.GetOutputPort("desired_joint_state").Eval(own)))
         times.append(root.get_time())

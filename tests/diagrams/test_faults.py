@@ -26,7 +26,7 @@ from tests.builders import balls
 from tests.diagrams.fault_systems import nan_frames
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = "regulation=!Paper {}"  # Nothing is searched for.
+QUICK = "inference=!Paper {}"  # Nothing is searched for.
 FRAME = 1.0 / 15.0
 AGE, HOLD = 0.5, 0.25
 POLICY_STEP = 0.008
@@ -102,7 +102,7 @@ class Scripted(LeafSystem):
 
 def seen_by(source: LeafSystem) -> Layers:
     """The layers, with a perception source of one's own."""
-    return replace(Layers(), perception=lambda wires, *_: wires.add("perception", source))
+    return replace(Layers(), perception=lambda signals, *_: signals.add("perception", source))
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from drake_oa.runs.metrics import robot_judge
+from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
@@ -61,10 +61,10 @@ def approach_at_contacts(scenario: Scenario, log: MotionLog) -> list[float]:
     They are the decrease of the least distance by the robot's own motion, the obstacles being
     where they were, in the log's interval before each contact.
     """
-    judge = robot_judge(scenario)
-    distance = judge.metrics(log.q, log.q_world).robot_clearance
+    evaluator = clearance_evaluator(scenario)
+    distance = evaluator.metrics(log.q, log.q_world).robot_clearance
     rows = np.flatnonzero((distance[1:] <= 0.0) & (distance[:-1] > 0.0))
-    moved = judge.metrics(log.q[rows + 1], log.q_world[rows]).robot_clearance
+    moved = evaluator.metrics(log.q[rows + 1], log.q_world[rows]).robot_clearance
     return ((distance[rows] - moved) / (log.t[rows + 1] - log.t[rows])).tolist()
 
 

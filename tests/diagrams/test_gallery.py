@@ -15,7 +15,7 @@ RESULTS = ROOT / "tests" / "regression" / "scenarios.json"
 FIGURES = {
     "planned": ("", 1.0),
     "ours": ("contacts", 1.0),
-    "asked": ("asked_clearance", 1.0),
+    "asked": ("requested_clearance", 1.0),
     "kept": ("tool_clearance_min", 1.0),
     "any link": ("robot_clearance_min", 1.0),
     "goal error": ("goal_error", 1e-3),
@@ -30,20 +30,23 @@ def gallery() -> dict[str, dict[str, str]]:
         tables = re.findall(r"(?:^\|.*\n)+", page.read_text("utf-8"), re.MULTILINE)
         (table,) = (table for table in tables if "| scenario |" in table.splitlines()[0])
         head, _, *rows = (
-            [cell.strip() for cell in line[1:-1].split("|")] for line in table.split("\n")[:-1]
+            [station_model.strip() for station_model in line[1:-1].split("|")]
+            for line in table.split("\n")[:-1]
         )
         for row in (dict(zip(head, cells, strict=True)) for cells in rows):
             name = re.findall(r"\[`(\w+)`\]", row["scenario"])[0]
             found[name] = {
-                key: text for title, cell in row.items() for key, text in numbers(title, cell)
+                key: text
+                for title, station_model in row.items()
+                for key, text in numbers(title, station_model)
             }
     return found
 
 
-def numbers(title: str, cell: str) -> list[tuple[str, str]]:
+def numbers(title: str, station_model: str) -> list[tuple[str, str]]:
     """Figures of a cell "2 / 0" under a title like "contacts: planned / ours"; of others none."""
     keys = [next(filter(part.endswith, FIGURES), "") for part in title.split(" / ")]
-    return list(zip(keys, re.findall(r"-?[\d.]+", cell), strict=True)) if all(keys) else []
+    return list(zip(keys, re.findall(r"-?[\d.]+", station_model), strict=True)) if all(keys) else []
 
 
 def differs(written: str, value: float) -> bool:
@@ -57,12 +60,12 @@ def test_every_scenario_of_a_robot_has_a_row_with_its_figures() -> None:
     assert set(rows) == set(shipped_scenarios()) - {"free_space"}
     results = json.loads(RESULTS.read_text())["results"]
     stale = []
-    for name, figures in rows.items():
-        assert figures.keys() >= FIGURES.keys()
+    for name, metrics in rows.items():
+        assert metrics.keys() >= FIGURES.keys()
         run = results[f"{name}/seed0"]
-        asked = load_scenario(name).task.clearance
-        run |= {"contacts": len(run["contacts"]), "asked_clearance": asked}
+        requested = load_scenario(name).task.clearance
+        run |= {"contacts": len(run["contacts"]), "requested_clearance": requested}
         for figure, (key, unit) in FIGURES.items():
-            if key and differs(figures[figure], run[key] / unit):
-                stale.append(f"{name}: {figure} is {run[key] / unit:.6g}, not {figures[figure]}")
+            if key and differs(metrics[figure], run[key] / unit):
+                stale.append(f"{name}: {figure} is {run[key] / unit:.6g}, not {metrics[figure]}")
     assert not stale

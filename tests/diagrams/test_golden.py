@@ -17,10 +17,10 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import DECIDING
-from drake_oa.common.wires import connections
+from drake_oa.common.signal_builder import connections
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.perception.config import GroundTruth
-from drake_oa.runs.simulation import MotionWatcher, run_motion, simulate
+from drake_oa.runs.simulation import MotionMonitor, run_motion, simulate
 from drake_oa.safety.maneuvers import ACTIONS
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
@@ -65,8 +65,8 @@ def test_is_wired_as_before_and_runs(name: str) -> None:
     if _WRITES:
         path.write_text(found)
     assert found == path.read_text()
-    watcher = MotionWatcher(diagram, scenario, 0.048)
-    log = run_motion(scenario, Simulator(diagram), watcher, modulated=True)
+    monitor = MotionMonitor(diagram, scenario, 0.048)
+    log = run_motion(scenario, Simulator(diagram), monitor, avoid_obstacles=True)
     assert log.stop_reason == "time limit of 0.048 s"
     assert np.isfinite(log.torque).all()
     assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)

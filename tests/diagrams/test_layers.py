@@ -10,8 +10,8 @@ from pydrake.systems.primitives import ConstantValueSource
 
 from drake_oa.common.config import BLOCK, ScenarioError, json_schema
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.common.wires import connections
-from drake_oa.diagrams.avoidance import Layers, build_avoidance, nothing
+from drake_oa.common.signal_builder import connections
+from drake_oa.diagrams.avoidance import Layers, build_avoidance, no_op
 from drake_oa.diagrams.perception import SOURCES, register_source
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
@@ -36,9 +36,9 @@ def nobody(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(Scenario, name, getattr(Scenario, name))
     monkeypatch.setitem(SOURCES, Nobody, None)
 
-    def add(wires, block, scenario, station) -> None:
+    def add(signals, block, scenario, station) -> None:
         source = ConstantValueSource(Value(ObstacleClouds()))
-        wires.add("perception", source, offers={"y0": "obstacles_W"})
+        signals.add("perception", source, outputs={"y0": "obstacles_W"})
 
     register_source(Nobody, add)
 
@@ -54,17 +54,17 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
     edges = connections(build_avoidance(scenario))
     assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
     # Of what it sees solids are made, for what watches.
-    assert ("perception.y0", "solids.obstacles_W") in edges
-    assert ("solids.solids_W", "motion_guard.solids_W") in edges
+    assert ("perception.y0", "collision_scene.obstacles_W") in edges
+    assert ("collision_scene.collision_scene_W", "motion_guard.collision_scene_W") in edges
 
 
 def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:
-    layers = dc.replace(Layers(), safety=nothing, posture=nothing)
+    layers = dc.replace(Layers(), safety=no_op, posture=no_op)
     diagram = build_avoidance(
         load_scenario("tabletop_box", ["perception=!GroundTruth {}"]), layers=layers
     )
     names = {system.get_name() for system in diagram.GetSystems()}
-    assert not names & {"motion_guard", "posture_follower", "log_speed_scale"}
+    assert not names & {"motion_guard", "nominal_posture_source", "log_speed_scale"}
     readers = {reader for _, reader in connections(diagram)}
     assert "dmp_integrator.speed_scale" not in readers
     assert "controller.desired_posture" not in readers

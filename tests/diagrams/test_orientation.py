@@ -20,11 +20,11 @@ GROUND_TRUTH = "perception=!GroundTruth {}"
 def test_the_tool_arrives_turned_and_the_report_shows_the_error() -> None:
     scenario = load_scenario("tilted_goal", [GROUND_TRUTH])
     log = simulate(scenario)
-    report = run_report("x", scenario, {"modulated": log})
-    assert report["modulated"]["stop_reason"] == "goal"
-    assert report["modulated"]["orientation_error"] <= np.radians(0.5)
+    report = run_report("x", scenario, {"avoiding": log})
+    assert report["avoiding"]["stop_reason"] == "goal"
+    assert report["avoiding"]["orientation_error"] <= np.radians(0.5)
     assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)
-    assert "turn error [deg]" in str(report_table(report))
+    assert "orientation error [deg]" in str(report_table(report))
     down = load_scenario("tabletop_box").robot
     assert down is not None
     before = RollPitchYaw(down.rpy_WE).ToRotationMatrix().matrix()
@@ -35,7 +35,7 @@ def test_the_tool_arrives_turned_and_the_report_shows_the_error() -> None:
 
 def test_the_arm_follows_a_recording() -> None:
     scenario = load_scenario("demonstrated_pour", [GROUND_TRUTH, "obstacles=[]", "cameras=[]"])
-    log = simulate(scenario, modulated=False)
+    log = simulate(scenario, avoid_obstacles=False)
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"
     assert report["goal_error"] < 1e-3

@@ -27,12 +27,12 @@ def seen(*overrides: str) -> list[np.ndarray]:
 
 
 def test_two_cameras_see_whole_what_a_board_hides_from_each() -> None:
-    def shows(found: list[np.ndarray], thing: list[list[float]]) -> bool:
-        return any(np.abs(extent - thing).max() < 0.025 for extent in found)
+    def shows(found: list[np.ndarray], object: list[list[float]]) -> bool:
+        return any(np.abs(extent - object).max() < 0.025 for extent in found)
 
     one, both = "perception.cameras=[]", seen()
     assert len(both) == 3
-    assert all(shows(both, thing) for thing in (BOARD, POST, TIN))
+    assert all(shows(both, object) for object in (BOARD, POST, TIN))
     left, right = (seen(one, f"perception.camera={name}") for name in ("left", "right"))
     assert len(left) == len(right) == 2
     assert shows(left, POST)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import HoldCause
+from drake_oa.common.messages import HoldReason
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
+from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene
 from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.scenario import Scenario
@@ -17,16 +17,16 @@ from drake_oa.scenario.shipped import shipped_scenarios
 from tests.diagrams.six_arm import SIX_ARM, arm_text
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-WHOLE_ARM = ["regulation=!Verified {}"]
+WHOLE_ARM = ["inference=!Verified {}"]
 
 
-def solids_seen(scenario: Scenario, seconds: float = 0.01) -> SolidScene:
+def solids_seen(scenario: Scenario, seconds: float = 0.01) -> CollisionScene:
     diagram = build_avoidance(scenario)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(seconds)
-    solids = diagram.GetSubsystemByName("solids")
-    context = solids.GetMyContextFromRoot(simulator.get_context())
-    return solids.GetOutputPort("solids_W").Eval(context)
+    geometries = diagram.GetSubsystemByName("collision_scene")
+    context = geometries.GetMyContextFromRoot(simulator.get_context())
+    return geometries.GetOutputPort("collision_scene_W").Eval(context)
 
 
 CARTON = """
@@ -49,7 +49,7 @@ def test_whatever_is_in_the_world_is_a_solid_whatever_its_name(caplog):
     scene = solids_seen(among_a_carton(GROUND_TRUTH))
     assert {label.split("::")[0] for label in scene.labels} == {"table", "carton"}
     # Of what is not named as an obstacle the tool keeps what the links keep.
-    assert (scene.solids.layout[:, 5] == SURROUNDINGS).all()
+    assert (scene.geometries.layout[:, 5] == ENVIRONMENT).all()
     assert not caplog.text
 
 
@@ -82,13 +82,13 @@ obstacles:
   - !Box {size: [0.02, 0.3, 0.5], translation: [0.2, 0.0, 0.0]}
   - !Box {size: [0.02, 0.3, 0.5], translation: [-0.2, 0.0, 0.0]}
   - !Box {size: [0.42, 0.32, 0.02], translation: [0.0, 0.0, 0.26]}
-regulation: !Verified {}
+inference: !Verified {}
 """
 
 
 def test_it_waits_for_what_leaves_no_way_and_goes_on_when_that_leaves():
     log = simulate(parse_scenario(CRATE), duration=1.0)
-    held = np.array([cause == HoldCause.OBSTACLES for cause in log.event_hold])
+    held = np.array([cause == HoldReason.OBSTACLES for cause in log.event_hold])
     assert any("would touch obstacle" in event for event in log.event)
     assert held.any()
     speed = np.linalg.norm(np.gradient(log.p_WE, log.t, axis=0), axis=1)
@@ -100,7 +100,7 @@ def test_a_motion_ends_when_it_has_arrived_not_before() -> None:
     # A stiff spring overcomes a coarse forcing term after s = 1 and a slow phase does not fade.
     empty = "perception=!GivenEllipsoids {}"
     late = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
-    assert (late.stop_reason, late.regulation) == ("goal", "Paper")
+    assert (late.stop_reason, late.inference) == ("goal", "Paper")
     assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < LATEST_END
     assert np.linalg.norm(late.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
     slow = simulate(load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty]))

@@ -11,10 +11,10 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 BOX = "tabletop_box"
-GIVEN = ["perception=!GivenEllipsoids {ellipsoids: []}", "regulation=!Verified {}"]
+GIVEN = ["perception=!GivenEllipsoids {ellipsoids: []}", "inference=!Verified {}"]
 UNSEEN = ["cameras=[]", "perception=!GroundTruth {}"]
 MODEL = "directives=[{{add_model: {{name: obstacle_a, file: package://drake_oa/{}.sdf}}}}]"
-PAPER = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
+PAPER = "inference.weights=package://drake_oa/weights/paper_chain.safetensors"
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ PAPER = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
         (BOX, ["task.goal_moves=[[2, 1.5, 0, 0.3]]"], ["task.goal_moves[0]: "]),
         (BOX, ["perception=!RecordedClouds {folder: /a}"], ["perception.folder", "/a"]),
         (BOX, ["task.demonstration=/no.npz"], ["task.demonstration", "/no.npz"]),
-        (BOX, ["regulation.chain=/no.npz"], ["regulation.chain: "]),
+        (BOX, ["inference.chain=/no.npz"], ["inference.chain: "]),
         (BOX, GIVEN, ["!Verified needs obstacles that are seen"]),
         (BOX, ["faults=[!Push {body: tail}]"], ["faults[0].body: ", "no link 'tail'"]),
         (BOX, ["robot.tool_links=[panda_thumb]"], ["robot.tool_links", "panda_thumb"]),
@@ -46,7 +46,7 @@ PAPER = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
         (
             "free_space",
             [PAPER],
-            ["regulation.weights: ", "rad/s", "paper_running"],
+            ["inference.weights: ", "rad/s", "paper_running"],
         ),
     ],
 )

@@ -3,8 +3,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import TablePlane
+from drake_oa.geometry.collision_scene import cloud_geometry, geometries_of, geometry_distance
 from drake_oa.geometry.distance_field import field_of
-from drake_oa.geometry.solids import cloud_solid, solid_distance, solids_of
 
 RNG = np.random.default_rng(2)
 
@@ -27,8 +27,8 @@ def seen(points, normals, viewpoint):
 
 
 def distances(field, points):
-    scene = solids_of([cloud_solid(field)])
-    return np.array([solid_distance(scene, 0, *p, 0.0) for p in points])
+    scene = geometries_of([cloud_geometry(field)])
+    return np.array([geometry_distance(scene, 0, *p, 0.0) for p in points])
 
 
 def around(points, past, count=1500):

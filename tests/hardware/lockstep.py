@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
-from drake_oa.hardware.command_player import CommandPlayer
+from drake_oa.hardware.command_streamer import CommandStreamer
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario
@@ -77,7 +77,7 @@ class Lockstep:
             log=log,
         )
         self.link = RobotLink(self.url, wait=self.step, clock=self.clock)
-        self.player = CommandPlayer(self.link.motion, self.lcm, self.link.rate)
+        self.player = CommandStreamer(self.link.motion, self.lcm, self.link.rate)
         self.alive, self.ended = True, False
         self.each: Callable[[], object] = lambda: None
 

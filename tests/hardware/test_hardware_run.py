@@ -15,8 +15,8 @@ from pydrake.lcm import DrakeLcm
 from drake_oa.app.main import main
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.hardware.command_player import STATUS_CHANNEL
-from drake_oa.hardware.hardware_cell import hardware_scenario
+from drake_oa.hardware.command_streamer import STATUS_CHANNEL
+from drake_oa.hardware.hardware_station import hardware_scenario
 from drake_oa.hardware.robot_link import HardwareError, check_table
 from drake_oa.runs.hardware_run import drive, ready, station_log
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
@@ -138,7 +138,7 @@ def test_the_arm_slows_down_when_who_decides_is_ended(kind: int, tmp_path: Path)
     if kind == signal.SIGINT:
         assert driver.returncode == 130, told
         (log,) = load_logs(sent).values()
-        assert log.ended == MotionEnd.CUT_SHORT
+        assert log.ended == MotionEnd.INTERRUPTED
     else:
         assert "parent process ended" in told
 

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.lcm import LcmPublisherSystem, LcmSubscriberSystem
 
-from drake_oa.hardware.command_player import COMMAND_CHANNEL, STATUS_CHANNEL
+from drake_oa.hardware.command_streamer import COMMAND_CHANNEL, STATUS_CHANNEL
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_messages import CHANNEL, unpack_depth

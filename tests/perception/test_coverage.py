@@ -29,7 +29,7 @@ def around(azimuth, distance=2.0, **options):
 
 
 @pytest.mark.parametrize(
-    "blind",
+    "unmeasured_time",
     [
         view((2.0, 0.0, 0.6), (4.0, 0.0, 0.6)),
         around(0.0, near=3.0),
@@ -37,10 +37,10 @@ def around(azimuth, distance=2.0, **options):
     ],
     ids=["looks away", "too near", "too far"],
 )
-def test_a_camera_that_sees_nothing_leaves_everything(blind):
-    assert unseen([blind]) == 1.0
+def test_a_camera_that_sees_nothing_leaves_everything(unmeasured_time):
+    assert unseen([unmeasured_time]) == 1.0
     assert unseen([]) == 1.0
-    both = unseen([around(1.0), blind])
+    both = unseen([around(1.0), unmeasured_time])
     assert both == unseen([around(1.0)])
 
 

@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.solids import solid_of, solids_of
+from drake_oa.geometry.collision_scene import geometries_of, geometry_of
 from drake_oa.perception.depth_perception import DepthPerception, as_of
 from tests.builders import depth_image
 from tests.reference.depth_images import box, look_at, ray_cast
@@ -131,8 +131,11 @@ def test_a_blind_or_late_image_of_one_camera_is_left_out():
     update(system, context)
     give(system, context, "right", 0.1, np.full((240, 320), np.nan))
     give(system, context, "left", 0.1)
-    blind = update(system, context)
-    assert (blind.stamp, blind.note) == (0.0, "right: hardly any depth is measured")
+    unusable_views = update(system, context)
+    assert (unusable_views.stamp, unusable_views.note) == (
+        0.0,
+        "right: hardly any depth is measured",
+    )
     # Late ones, as of a driver that has fallen behind, are of another instant.
     give(system, context, "left", 0.3)
     give(system, context, "right", 0.2, table_with_block())
@@ -145,7 +148,7 @@ def test_a_blind_or_late_image_of_one_camera_is_left_out():
 
 
 def test_images_that_are_not_far_apart_are_taken_together():
-    system, context = pair(together=0.03)
+    system, context = pair(sync_tolerance=0.03)
     update(system, context)
     give(system, context, "left", 0.1)
     give(system, context, "right", 0.08)
@@ -163,7 +166,7 @@ def test_images_that_are_not_far_apart_are_taken_together():
 
 
 def test_that_an_image_is_missing_may_be_said_later():
-    system, context = pair(unsaid=0.15)
+    system, context = pair(missing_image_timeout=0.15)
     update(system, context)
     for time, note in ((0.1, ""), (0.2, "no new image")):
         context.SetTime(time)
@@ -189,9 +192,9 @@ def test_what_moves_is_handed_on_where_it_was_at_an_older_stamp():
 def test_the_robot_is_taken_out_where_it_was_at_each_of_the_images():
     def posed(states):
         poses = [RigidTransform([0.1, y, 0.2]).GetAsMatrix4() for y in np.ravel(states)]
-        return solids_of([replace(solid_of(drake.Box(*ARM)), X_WO=X_WB) for X_WB in poses])
+        return geometries_of([replace(geometry_of(drake.Box(*ARM)), X_WO=X_WB) for X_WB in poses])
 
-    system, context = pair(together=0.05, robot=SimpleNamespace(num_states=1, posed=posed))
+    system, context = pair(sync_tolerance=0.05, robot=SimpleNamespace(num_states=1, posed=posed))
     for name, y, stamp in (("left", -0.3, 0.10), ("right", 0.3, 0.13)):
         give(system, context, name, stamp, table_with(box(0.1, y, ARM), box(0.0, 0.0)))
         system.GetInputPort(f"robot_state_{name}").FixValue(context, [y])

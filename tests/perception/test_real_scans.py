@@ -77,7 +77,7 @@ def test_table_of_the_real_scans(scan_files, tmp_path):
         assert len(obstacles) == len(found.clouds_W) == GROUPS[path.stem]
         assert found.plane_rms < 3e-3
         np.testing.assert_allclose(obstacles.table.normal_W, [0.0, 0.0, 1.0], atol=1e-9)
-        # What is not covered lies within a centimetre of the table.
+        # What is not covered lies within a centimeter of the table.
         assert all(share > 0.88 for share in shares)
         if label is not None:
             of_table = (label >= 1) & (label < 10)

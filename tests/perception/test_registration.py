@@ -11,12 +11,12 @@ NOISE, PRIOR = 1.5e-3, 0.02
 shifts = st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3).map(np.array)
 
 
-def cap(rng: np.random.Generator, centre: np.ndarray, number: int = 600) -> np.ndarray:
+def cap(rng: np.random.Generator, center: np.ndarray, number: int = 600) -> np.ndarray:
     """(number, 3) points on the side of a ball that is seen from above, with noise."""
     u = rng.normal(size=(number, 3))
     u[:, 2] = np.abs(u[:, 2])
     u /= np.linalg.norm(u, axis=1)[:, None]
-    return centre + 0.08 * u + rng.normal(scale=NOISE, size=u.shape)
+    return center + 0.08 * u + rng.normal(scale=NOISE, size=u.shape)
 
 
 def plane(rng: np.random.Generator, offset: np.ndarray) -> np.ndarray:

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drake_oa.geometry.collision_scene import geometries_of, geometry_of
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.solids import solid_of, solids_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
 from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
@@ -74,7 +74,7 @@ def test_nothing_beside_the_table_is_an_obstacle():
 def test_the_robot_is_taken_out(has_table):
     X_WB = np.eye(4)
     X_WB[:3, 3] = [0.8, -0.15, 0.08]
-    robot = solids_of([replace(solid_of(drake.Box(0.1, 0.1, 0.16)), X_WO=X_WB)])
+    robot = geometries_of([replace(geometry_of(drake.Box(0.1, 0.1, 0.16)), X_WO=X_WB)])
     depth = ray_cast(X_WC, TWO) if has_table else ray_cast(X_WC, TWO, NOWHERE)
     config = SegmentationConfig(table=has_table)
     found = segment_depth(depth, K, X_WC, config, robot)
@@ -142,8 +142,11 @@ def test_without_a_table_an_empty_view_is_one_and_a_blind_one_is_not():
     found = segment_depth(far, K, X_WC, NO_TABLE)
     assert found.usable
     assert not found.clouds_W
-    for blind in (np.full(SIZE, np.nan, dtype=np.float32), np.zeros(SIZE, dtype=np.float32)):
-        found = segment_depth(blind, K, X_WC, NO_TABLE)
+    for unusable_views in (
+        np.full(SIZE, np.nan, dtype=np.float32),
+        np.zeros(SIZE, dtype=np.float32),
+    ):
+        found = segment_depth(unusable_views, K, X_WC, NO_TABLE)
         assert not found.usable
         assert found.note == "hardly any depth is measured"
     with pytest.raises(ValueError, match="X_WC must be given where no table"):
@@ -163,7 +166,7 @@ def test_images_of_one_instant_are_one_frame():
     found = segment_views(views)
     assert len(found.clouds_W) == 2
     assert [view.z for view in found.views] == [view.z for view in views]
-    assert found.blind == {}
+    assert found.unusable_views == {}
     for image, view in enumerate(views):
         alone = segment_depth(*view)
         # Which is the larger may differ.
@@ -182,7 +185,7 @@ def test_an_image_without_the_table_shows_it_as_the_others_do():
     # By itself it takes the top of a box for it.
     assert segment_depth(alone, K, OTHER).clouds_W == ()
     found = segment_views([views[0], View(alone, K, OTHER)])
-    assert found.blind == {}
+    assert found.unusable_views == {}
     assert len(found.clouds_W) == 2
     assert np.bincount(found.labels[1] + 1).min() > 50
 
@@ -192,12 +195,12 @@ def test_a_blind_image_is_left_out_and_told_of(config):
     views = both(TWO)
     nothing = View(np.full(SIZE, np.nan), K, OTHER)
     found = segment_views([nothing, views[0]], config)
-    assert list(found.blind) == [0]
+    assert list(found.unusable_views) == [0]
     assert found.usable
     assert [view.z for view in found.views] == [views[0].z]
     none = segment_views([nothing, nothing], config)
     assert not none.usable
-    assert none.note == none.blind[0] != ""
+    assert none.note == none.unusable_views[0] != ""
 
 
 def test_a_gap_that_one_image_sees_through_separates():

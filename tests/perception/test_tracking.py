@@ -7,10 +7,10 @@ import pydrake.geometry as drake
 import pytest
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.solids import Solids, solid_of, solids_of
+from drake_oa.geometry.collision_scene import CollisionGeometries, geometries_of, geometry_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import Segmentation, segment_views
-from drake_oa.perception.tracking import ObstacleMemory, fuse
+from drake_oa.perception.tracking import TrackerState, update_tracks
 from drake_oa.world.depth_noise import add_depth_noise
 from tests.reference.depth_images import look_at, ray_cast
 
@@ -32,11 +32,11 @@ BLOCK = box([0.1, 0.0, 0.1], [0.12, 0.14, 0.2])
 LEFT, RIGHT = box([-0.1, -0.35, 0.05], [0.1] * 3), box([-0.2, 0.3, 0.08], [0.1, 0.12, 0.16])
 
 
-def arm(center, size) -> tuple[tuple, Solids]:
+def arm(center, size) -> tuple[tuple, CollisionGeometries]:
     """An upright box that is the robot: to be drawn, and its solids."""
     X_WB = np.eye(4)
     X_WB[:3, 3] = center
-    return box(center, size), solids_of([replace(solid_of(drake.Box(*size)), X_WO=X_WB)])
+    return box(center, size), geometries_of([replace(geometry_of(drake.Box(*size)), X_WO=X_WB)])
 
 
 HIDES = arm([0.6, 0.05, 0.35], [0.05, 0.16, 0.5])  # stands before BLOCK
@@ -52,7 +52,7 @@ def play(
     poses=(FRONT,),
     missing=(),
     **options,
-) -> ObstacleMemory:
+) -> TrackerState:
     """The memory after frames at 30 Hz; each is the boxes that cameras at some poses see.
 
     Args:
@@ -64,9 +64,9 @@ def play(
         K: intrinsics.
         poses: of the cameras.
         missing: boxes whose pixels have no depth.
-        options: of `fuse`.
+        options: of `update_tracks`.
     """
-    memory = memory or ObstacleMemory()
+    memory = memory or TrackerState()
     for k, boxes in enumerate(frames):
         stamp, views = start + k * FRAME, []
         for X_WC in poses:
@@ -76,7 +76,9 @@ def play(
             if noise:
                 depth = add_depth_noise(depth, stamp, K=K)
             views.append((depth, np.array(K), X_WC))
-        memory = fuse(memory, segment_views(views, CONFIG, robot), stamp, CONFIG, robot, **options)
+        memory = update_tracks(
+            memory, segment_views(views, CONFIG, robot), stamp, CONFIG, robot, **options
+        )
     return memory
 
 
@@ -94,7 +96,7 @@ def named(obstacles: ObstacleClouds, near) -> int:
     return int(np.argmin(gaps))
 
 
-def same(one: ObstacleMemory, other: ObstacleMemory) -> bool:
+def same(one: TrackerState, other: TrackerState) -> bool:
     """Whether the same obstacles are handed on, bit for bit."""
     a, b = one.obstacles, other.obstacles
     return (
@@ -134,7 +136,7 @@ def bars(lowest: float = 0.0) -> list:
 
 
 def test_thin_bars_do_not_seem_to_move_where_their_ends_come_and_go():
-    poses, memory = [look_at([0.3, 0.05, 1.1], [0.0, 0.0, 0.1])], ObstacleMemory()
+    poses, memory = [look_at([0.3, 0.05, 1.1], [0.0, 0.0, 0.1])], TrackerState()
     for k in range(24):
         seen = bars(0.16 if k % 6 > 3 else 0.06)
         memory = play(seen, memory=memory, start=k * FRAME, poses=poses)
@@ -180,7 +182,7 @@ def test_what_is_seen_in_a_single_frame_is_never_handed_on():
     ],
 )
 def test_a_moving_obstacle_is_followed_and_rests_where_it_stops(size, start, velocity):
-    memory, velocity = ObstacleMemory(), np.array(velocity)
+    memory, velocity = TrackerState(), np.array(velocity)
     for k in range(60):
         p_WO = start + velocity * FRAME * np.clip(k - 10, 0, 25)
         boxes = [box(p_WO, size), box([-0.3, 0.4, 0.05], [0.1] * 3)]
@@ -200,7 +202,7 @@ def test_a_moving_obstacle_is_followed_and_rests_where_it_stops(size, start, vel
 def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
     # At 2.8 m a step of the depth is as far as the obstacle goes in a frame.
     poses, K = [look_at([2.6, 0.4, 1.2], [0.0, 0.0, 0.2])], [580.0, 580.0, 159.5, 119.5]
-    memory = ObstacleMemory()
+    memory = TrackerState()
     for k in range(36):
         p_WO = np.array([-0.2 + 0.6 * FRAME * max(k - 12, 0), 0.0, 0.3])
         boxes = [box(p_WO, [0.2] * 3)]
@@ -214,7 +216,7 @@ def test_the_velocity_of_a_distant_obstacle_is_known_within_half_a_second():
 
 def test_a_moving_obstacle_keeps_its_id_behind_the_arm_and_is_not_carried_away():
     drawn, robot = arm([0.6, -0.02, 0.35], [0.05, 0.08, 0.6])
-    memory = ObstacleMemory()
+    memory = TrackerState()
     for k in range(45):
         p_WO = np.array([0.15, -0.4 + 0.4 * k * FRAME, 0.06])
         seen = [box(p_WO, [0.1, 0.1, 0.12]), drawn]
@@ -246,7 +248,7 @@ def test_split_and_merged_obstacles_leave_the_id_to_the_larger():
 
 def test_frames_that_are_unusable_repeat_or_go_back():
     memory = play([BLOCK], [BLOCK])
-    unusable = fuse(memory, Segmentation(usable=False, note="no plane"), 1.0, CONFIG)
+    unusable = update_tracks(memory, Segmentation(usable=False, note="no plane"), 1.0, CONFIG)
     assert same(unusable, memory)
     assert (unusable.obstacles.note, unusable.obstacles.stamp) == ("no plane", FRAME)
     assert same(play([LEFT], memory=memory, start=FRAME), memory)
@@ -255,7 +257,7 @@ def test_frames_that_are_unusable_repeat_or_go_back():
 
 
 def test_frames_in_a_burst_and_after_a_gap_are_no_motion():
-    memory, time = ObstacleMemory(), 0.0
+    memory, time = TrackerState(), 0.0
     for dt in [FRAME] * 5 + [0.001] * 10 + [3.0] + [0.1, 0.01] * 5:
         time += dt
         memory = play([BLOCK, LEFT], memory=memory, start=time, noise=True)

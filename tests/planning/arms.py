@@ -10,11 +10,11 @@ from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.collision_scene import CollisionGeometry, geometries_of, shape_geometries
 from drake_oa.geometry.shapes import Box, Sphere
-from drake_oa.geometry.solids import Solid, shape_solids, solids_of
-from drake_oa.planning.arm_world import (
-    ArmWorld,
-    Asked,
+from drake_oa.planning.collision_model import (
+    ArmCollisionModel,
+    ClearanceRequirements,
 )
 from drake_oa.robot.arm import Chain, chain_poses, make_chain
 from drake_oa.robot.config import Robot
@@ -47,10 +47,10 @@ class ArmAlone:
         return self.poses(self.q)[-1].copy()
 
     @property
-    def overshoot(self) -> float:
+    def protrusion(self) -> float:
         """How far any sphere of a body that moves sticks out at most [m]."""
         covered = self.covered
-        return float(covered.overshoot[covered.arrays.group_joint >= 0].max())
+        return float(covered.protrusion[covered.arrays.group_joint >= 0].max())
 
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 2, 12) as `chain_poses` leaves them."""
@@ -66,19 +66,21 @@ class ArmAlone:
 
     def among(
         self,
-        solids: Sequence[Solid] = (),
+        geometries: Sequence[CollisionGeometry] = (),
         tool: float = 0.05,
         links: float = 0.03,
         own: float = 0.005,
         now: float = 0.0,
-    ) -> ArmWorld:
+    ) -> ArmCollisionModel:
         """Among solids, of which tool and links are to keep so much [m]."""
         spheres = self.covered.arrays
         is_tool = spheres.of_tool[spheres.first[:-1]]
-        table = np.tile(np.where(is_tool, tool, links)[:, None], (1, len(solids)))
+        table = np.tile(np.where(is_tool, tool, links)[:, None], (1, len(geometries)))
         table[spheres.group_joint < 0] = -np.inf
-        asked = Asked(table, own, is_tool)
-        return ArmWorld(self.chain, spheres, solids_of(list(solids)), asked, now)
+        required = ClearanceRequirements(table, own, is_tool)
+        return ArmCollisionModel(
+            self.chain, spheres, geometries_of(list(geometries)), required, now
+        )
 
     def random_q(self, random: np.random.Generator) -> FloatArray:
         """(n,) within the limits [rad]."""
@@ -93,15 +95,17 @@ def arm_alone(config: Robot) -> ArmAlone:
     return ArmAlone(config, robot, spheres, chain, q)
 
 
-def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> Solid:
+def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> CollisionGeometry:
     """A box along the world's axes, at rest."""
     X_WO = RigidTransform(list(p_WO)).GetAsMatrix4()
-    return shape_solids([Box(list(size))], X_WO, label=label)[0]
+    return shape_geometries([Box(list(size))], X_WO, label=label)[0]
 
 
-def random_solids(random: np.random.Generator, count: int, moving: int = 0) -> list[Solid]:
+def random_solids(
+    random: np.random.Generator, count: int, moving: int = 0
+) -> list[CollisionGeometry]:
     """Boxes and spheres about an arm's base, the first of them moving."""
-    solids: list[Solid] = []
+    geometries: list[CollisionGeometry] = []
     for k in range(count):
         size = random.uniform(0.05, 0.2, 3)
         shape = Box(size.tolist()) if random.random() < 0.5 else Sphere(0.5 * size[0])
@@ -110,11 +114,11 @@ def random_solids(random: np.random.Generator, count: int, moving: int = 0) -> l
         X[:2, 3] = random.uniform(0.35, 0.8) * np.array([np.cos(angle), np.sin(angle)])
         X[2, 3] = random.uniform(0.0, 0.9)
         v_WO = random.uniform(-0.2, 0.2, 3) * (k < moving)
-        solids += shape_solids([shape], X, v_WO=v_WO)
-    return solids
+        geometries += shape_geometries([shape], X, v_WO=v_WO)
+    return geometries
 
 
-def wall_with_gap(height: float = 0.5, gap: float = 0.35) -> list[Solid]:
+def wall_with_gap(height: float = 0.5, gap: float = 0.35) -> list[CollisionGeometry]:
     """A wall in the plane y = 0 before an arm, that it can reach through or over."""
     low = box_at([0.5, 0.04, height], [0.6, 0.0, 0.5 * height], "low wall")
     return [low, box_at([0.5, 0.04, 0.4], [0.6, 0.0, height + gap + 0.2], "high wall")]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drake_oa.planning.arm_world import excess_along
+from drake_oa.planning.collision_model import min_clearance_margin
 from drake_oa.planning.imitation import SPEED_SHARE, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.policy.dmp import orientation_along, trajectory
@@ -33,7 +33,7 @@ def test_the_primitives_go_where_the_plan_goes(panda_arm: ArmAlone, gap: float) 
     steps = np.abs(np.diff(shown.q, axis=0))
     assert steps[[0, -1]].max() < 0.02 * steps.max()
     # Corners are rounded as far as the clearance allows; between samples a little is lost.
-    assert excess_along(world, shown.q) >= -8e-3
+    assert min_clearance_margin(world, shown.q) >= -8e-3
     # As slow as the pace asks, or as a joint makes it.
     seconds = shown.position.duration
     fastest = (steps / (seconds * np.diff(shown.s)[:, None]) / world.chain.speed).max()

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from drake_oa.common.latency import counted
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.thinking import counted
-from drake_oa.planning.arm_world import ArmWorld, exceeds, share_clear
+from drake_oa.planning.collision_model import ArmCollisionModel, is_collision_free, share_clear
 from drake_oa.planning.joint_planner import plan_path
 from tests.planning.arms import ArmAlone, box_at, wall_with_gap
 
@@ -24,15 +24,17 @@ def inside(q: FloatArray) -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def walled(panda_arm: ArmAlone) -> ArmWorld:
+def walled(panda_arm: ArmAlone) -> ArmCollisionModel:
     return panda_arm.among(wall_with_gap(), 0.03, 0.03)
 
 
-def is_clear(world: ArmWorld, path: FloatArray) -> bool:
+def is_clear(world: ArmCollisionModel, path: FloatArray) -> bool:
     return all(share_clear(world, *ends)[0] == 1.0 for ends in pairwise(path))
 
 
-def test_a_path_leads_through_the_gap_to_a_free_goal(walled: ArmWorld, panda_arm: ArmAlone) -> None:
+def test_a_path_leads_through_the_gap_to_a_free_goal(
+    walled: ArmCollisionModel, panda_arm: ArmAlone
+) -> None:
     one, other = panda_arm.q, mirrored(panda_arm.q)
     assert share_clear(walled, one, other)[0] < 1.0
     goals = np.stack([inside(one), other])
@@ -54,9 +56,9 @@ def test_where_nothing_is_in_the_way_the_path_is_straight(panda_arm: ArmAlone) -
     assert length == pytest.approx(np.linalg.norm(other - one), rel=1e-6)
 
 
-def test_it_is_empty_where_there_is_none(walled: ArmWorld, panda_arm: ArmAlone) -> None:
+def test_it_is_empty_where_there_is_none(walled: ArmCollisionModel, panda_arm: ArmAlone) -> None:
     one, other = panda_arm.q, mirrored(panda_arm.q)
-    assert not exceeds(walled, inside(one))
+    assert not is_collision_free(walled, inside(one))
     beyond = one.copy()
     beyond[3] = 0.5
     for begin, ends in ((inside(one), other[None]), (one, beyond[None]), (one, np.zeros((0, 7)))):

@@ -20,20 +20,20 @@ from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
-    HoldCause,
+    HoldReason,
     PlannedMotion,
     PolicyState,
 )
-from drake_oa.geometry.solids import Solid, SolidScene, solids_of
+from drake_oa.geometry.collision_scene import CollisionGeometry, CollisionScene, geometries_of
+from drake_oa.inference.config import Verified
+from drake_oa.inference.regressor import ChainWeights, load_chain
+from drake_oa.inference.regressor_chain import RegressorChain
 from drake_oa.planning import search
-from drake_oa.planning.arm_world import group_distances
+from drake_oa.planning.collision_model import group_distances
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimum_jerk
-from drake_oa.regulation.config import Verified
-from drake_oa.regulation.regressor import ChainWeights, load_chain
-from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import tool_poses
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import Ring
@@ -43,7 +43,11 @@ from tests.planning.arms import ArmAlone, box_at
 CLEARANCE = 0.1
 PAPER_CHAIN = "package://drake_oa/weights/paper_chain_running.safetensors"
 QUICK = Verified(
-    candidates=48, rounds=8, polish=4, configurations=20_000, last_configurations=20_000
+    candidates=48,
+    generations=8,
+    refinement_generations=4,
+    configurations=20_000,
+    last_configurations=20_000,
 )
 GOAL = np.array([0.45, 0.4, 0.3])
 TABLE = box_at([1.2, 2.0, 0.1], [0.8, 0.0, -0.1], "table")
@@ -56,7 +60,7 @@ class Bench:
     def __init__(
         self,
         arm: ArmAlone,
-        *solids: Solid,
+        *geometries: CollisionGeometry,
         rings: Mapping[str, Ring] | None = None,
         weights: ChainWeights | None = None,
         parameters: Verified = QUICK,
@@ -73,7 +77,7 @@ class Bench:
             policy=Policy(period=5.0 / 250, fade=0.1),
             orientation=lambda s: np.tile(R_WE, (len(s), 1, 1)),
             posture=lambda s: np.tile(arm.q, (len(s), 1)),
-            overshoot=arm.covered.overshoot,
+            protrusion=arm.covered.protrusion,
         )
         m = len(arm.q_full)
         self.system = MotionVerifier(
@@ -95,16 +99,16 @@ class Bench:
             p_WE=self.start, p_WS=self.start, p_WG=GOAL, R_WL=local_frame(self.start, GOAL)
         )
         self.fix(policy_state=self.policy, ellipsoids_W=EllipsoidSet())
-        self.see(*solids)
+        self.see(*geometries)
 
     def fix(self, **inputs: object) -> None:
         for name, value in inputs.items():
             self.system.GetInputPort(name).FixValue(self.context, Value(value))
 
-    def see(self, *solids: Solid, stamp: float = 0.0) -> None:
-        labels = tuple(solid.label for solid in solids)
-        self.scene = SolidScene(stamp, solids_of(list(solids)), labels)
-        self.fix(solids_W=self.scene)
+    def see(self, *geometries: CollisionGeometry, stamp: float = 0.0) -> None:
+        labels = tuple(geometry.label for geometry in geometries)
+        self.scene = CollisionScene(stamp, geometries_of(list(geometries)), labels)
+        self.fix(collision_scene_W=self.scene)
 
     def propose(self) -> None:
         """Evaluates the layers before: their outputs are the system's inputs."""
@@ -141,9 +145,9 @@ class Bench:
 
     def kept(self, q: FloatArray) -> FloatArray:
         """(2,) least distances of tool and moving links to all solids along joints (T, n) [m]."""
-        spheres, solids = self.arm.covered.arrays, self.scene.solids
+        spheres, geometries = self.arm.covered.arrays, self.scene.geometries
         is_tool, moves = spheres.of_tool[spheres.first[:-1]], spheres.group_joint >= 0
-        d = group_distances(self.arm.chain, spheres, solids, np.array(q), 0.0, np.inf)
+        d = group_distances(self.arm.chain, spheres, geometries, np.array(q), 0.0, np.inf)
         return np.array([d[of].min(initial=np.inf) for of in (is_tool, ~is_tool & moves)])
 
 
@@ -159,9 +163,9 @@ def make(panda_arm: ArmAlone) -> Make:
 def test_an_empty_world_leaves_the_motion_as_it_is(make: Make) -> None:
     bench = make()
     found, motion = bench.chosen(), bench.motion
-    assert (len(found.alpha), found.note, found.hold) == (0, "", HoldCause.NONE)
+    assert (len(found.alpha), found.note, found.hold) == (0, "", HoldReason.NONE)
     assert found.tau == pytest.approx(1.0, abs=2e-3)
-    assert bench.number("shortfall") == bench.number("lowered") == 0.0
+    assert bench.number("shortfall") == bench.number("clearance_reduction") == 0.0
     np.testing.assert_allclose(motion.p_WE[[0, -1]], [bench.start, GOAL], atol=2e-3)
     # A straight line, and the arm on it.
     assert np.ptp(motion.p_WE[:, [0, 2]], axis=0).max() < 1e-3
@@ -206,7 +210,7 @@ def test_the_rows_of_the_chain_are_one_candidate(make: Make) -> None:
 
 def test_a_box_in_the_way_is_passed_as_near_as_requested(make: Make) -> None:
     bench = make()
-    bench.fix(solids_W=SolidScene())
+    bench.fix(collision_scene_W=CollisionScene())
     # Nothing is selected before the first observation.
     assert bench.chosen().tau == 0.0
     bench.see(TABLE, BOX)
@@ -240,10 +244,10 @@ WALLS = [
 def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
     make: Make, caplog: pytest.LogCaptureFixture
 ) -> None:
-    bench = make(TABLE, *WALLS, parameters=replace(QUICK, rounds=0))
+    bench = make(TABLE, *WALLS, parameters=replace(QUICK, generations=0))
     with caplog.at_level(logging.INFO, "drake_oa"):
         found = bench.chosen()
-    assert found.anew
+    assert found.restart
     assert found.note == ""
     assert "a path of the whole arm is imitated" in caplog.text
     shown: Demonstration = bench.output("demonstration")
@@ -262,14 +266,14 @@ def test_where_nothing_is_possible_it_holds_and_says_why(make: Make) -> None:
     around = [box_at(np.where(at, 0.02, 0.5), GOAL + at, "wall") for at in sides]
     bench = make(TABLE, *around)
     found = bench.chosen()
-    assert found.hold == HoldCause.OBSTACLES
+    assert found.hold == HoldReason.OBSTACLES
     assert re.match("(no motion that clears|at its goal the arm would touch) wall", found.note)
     assert bench.number("shortfall") > 0.0
     # It goes on when that leaves.
     bench.see(TABLE, stamp=1.0)
     found = bench.chosen(1.0)
     assert found.note == ""
-    assert found.hold == HoldCause.NONE
+    assert found.hold == HoldReason.NONE
 
 
 def test_a_tool_in_contact_may_leave_it(make: Make, caplog: pytest.LogCaptureFixture) -> None:
@@ -278,7 +282,7 @@ def test_a_tool_in_contact_may_leave_it(make: Make, caplog: pytest.LogCaptureFix
     hand = bench.start + [0.0, -0.115, 0.05]
     bench.see(box_at([0.3, 0.02, 0.1], hand + [0.0, 0.01, 0.0], "plate"))
     deep = bench.kept(bench.arm.q[None]).min()
-    assert deep < -bench.arm.overshoot
+    assert deep < -bench.arm.protrusion
     with caplog.at_level(logging.WARNING, "drake_oa"):
         found = bench.chosen()
     assert "t=0.000 s: the arm touches plate, and may only leave it" in caplog.text

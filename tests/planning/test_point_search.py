@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.inference.config import Verified
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.planning.search import ALPHA, Ranked
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
-from drake_oa.regulation.config import Verified
 
 DURATION = 3.0
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 DMP = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
-QUICK = Verified(candidates=64, rounds=20, polish=6, slack=2e-4)
+QUICK = Verified(candidates=64, generations=20, refinement_generations=6, slack=2e-4)
 
 
 def scene_of(
@@ -44,7 +44,7 @@ def searched(scene: Scene) -> tuple[Ranked, FloatArray, FloatArray]:
     policy = Policy(period=DURATION / 500)
     search = PointSearch(scene, dmp=DMP, policy=policy, parameters=QUICK)
     found = search.run()
-    tool = search.tool_paths(found.genes)
+    tool = search.tool_paths(found.params)
     path = tool.path[0, : int(tool.steps[0]) + 1]
     return found, path, np.arange(len(path)) * tool.ds * DURATION
 
@@ -88,11 +88,11 @@ def test_a_moving_obstacle_is_avoided_where_it_will_be() -> None:
     scene = scene_of([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
     found, path, stamps = searched(scene)
     assert found.solved
-    assert found.genes[0, ALPHA] > -np.inf
+    assert found.params[0, ALPHA] > -np.inf
     assert least_distance(scene, path, stamps) >= 0.0995
     # From the middle of the motion, too.
     search = PointSearch(scene, dmp=DMP, policy=Policy(period=DURATION / 500), parameters=QUICK)
-    tool = search.tool_paths(found.genes)
+    tool = search.tool_paths(found.params)
     half = replace(scene, p_WE=tool.path[0, 100], z_W=tool.velocity[0, 100], s=0.2)
     assert searched(half)[0].solved
 

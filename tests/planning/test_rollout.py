@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.planning.arm_world import (
+from drake_oa.planning.collision_model import (
     FAR,
     LINKS,
     TOOL,
-    ArmWorld,
+    ArmCollisionModel,
     group_distances,
 )
 from drake_oa.planning.search import ToolPaths, roll_out_arm
@@ -32,9 +32,9 @@ def swings(arm: ArmAlone, random: np.random.Generator, count: int) -> ToolPaths:
     return ToolPaths(S, p_WE, np.tile(R_WE, (count, 1, 1)), posture, random.uniform(2.0, 6.0))
 
 
-def bare(arm: ArmAlone, things: list) -> ArmWorld:
+def bare(arm: ArmAlone, objects: list) -> ArmCollisionModel:
     """In which nothing is asked, so that what is kept beyond it is the distance."""
-    return arm.among(things, 0.0, 0.0, -5.0)
+    return arm.among(objects, 0.0, 0.0, -5.0)
 
 
 @settings(max_examples=12)
@@ -44,17 +44,17 @@ def test_clearances_errors_and_speeds_are_those_along_the_joints(
 ) -> None:
     random, arm = np.random.default_rng(seed), panda_arm
     world, paths = bare(arm, random_solids(random, 4)), swings(arm, random, 3)
-    found, tool = roll_out_arm(world, arm.q, paths), world.asked.is_tool
+    found, tool = roll_out_arm(world, arm.q, paths), world.required.is_tool
     for i, q in enumerate(found.q):
         dt = paths.seconds / (len(S) - 1)
-        d = group_distances(arm.chain, world.spheres, world.solids, q, 0.0, FAR)
+        d = group_distances(arm.chain, world.spheres, world.geometries, q, 0.0, FAR)
         d[world.spheres.group_joint < 0] = FAR
-        np.testing.assert_allclose(found.excess[i, TOOL], d[tool].min(), atol=1e-9)
-        np.testing.assert_allclose(found.excess[i, LINKS], d[~tool].min(), atol=1e-9)
+        np.testing.assert_allclose(found.clearance_margin[i, TOOL], d[tool].min(), atol=1e-9)
+        np.testing.assert_allclose(found.clearance_margin[i, LINKS], d[~tool].min(), atol=1e-9)
         away = np.abs(tool_poses(arm.chain, q)[1:, 9:] - paths.p_WE[i, 1:])
         assert away.max() <= found.error[i] + 1e-9
         rate = np.abs(np.diff(q, axis=0)) / dt / arm.chain.speed
-        assert found.hurry[i] == pytest.approx(rate.max(), rel=1e-9)
+        assert found.max_joint_speed_ratio[i] == pytest.approx(rate.max(), rel=1e-9)
 
 
 @settings(max_examples=8)

@@ -16,11 +16,11 @@ from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
-    HoldCause,
+    HoldReason,
     PolicyState,
     Route,
 )
-from drake_oa.policy.action import Segment, Surroundings, restarted, resting, take_step
+from drake_oa.policy.action import CouplingInputs, Segment, restarted, resting, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import HEADING, triple
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
@@ -54,7 +54,7 @@ def begun(start: FloatArray, goal: FloatArray, speed: float = 0.5, **more: float
     return resting(PolicyState(p_WE=start, p_WS=start, p_WG=goal, R_WL=R_WL, speed=speed, **more))
 
 
-def run(around: Surroundings, count: int = 480, **inputs: ArrayLike) -> list[Segment]:
+def run(around: CouplingInputs, count: int = 480, **inputs: ArrayLike) -> list[Segment]:
     """Steps from rest at the start, with a row of each input a step."""
     found = [begun(START, GOAL)]
     for row in range(count):
@@ -105,7 +105,7 @@ def under_way(some: Scene, seed: int) -> PolicyState:
 
 
 def step_of(state: PolicyState, *around: object) -> PolicyState:
-    values = Surroundings.of(*around)
+    values = CouplingInputs.of(*around)
     return STEPPED(resting(state), state.p_WG, values, 0.0, STEP).end
 
 
@@ -113,7 +113,7 @@ def step_of(state: PolicyState, *around: object) -> PolicyState:
 
 
 SHUT = Route(blocked=True, note="every side of obstacle 7 is forbidden")
-UNSAFE = replace(COUPLED, hold=HoldCause.OBSTACLES, note="no motion that clears obstacle 7 found")
+UNSAFE = replace(COUPLED, hold=HoldReason.OBSTACLES, note="no motion that clears obstacle 7 found")
 
 
 @pytest.mark.parametrize(
@@ -131,14 +131,14 @@ UNSAFE = replace(COUPLED, hold=HoldCause.OBSTACLES, note="no motion that clears 
     ],
 )
 def test_each_reason_to_hold_is_named(said: str, around: list) -> None:
-    found = Surroundings.of(*(around + [None, None])[:3])
+    found = CouplingInputs.of(*(around + [None, None])[:3])
     hold, note = found.hold_at(begun(START, GOAL).end, 10.0, 0.5)
     assert note == said
-    assert hold is (HoldCause.OBSTACLES if said else HoldCause.NONE)
+    assert hold is (HoldReason.OBSTACLES if said else HoldReason.NONE)
 
 
 def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
-    segments = run(Surroundings.of(seen(0.3), COUPLED, None), 400)
+    segments = run(CouplingInputs.of(seen(0.3), COUPLED, None), 400)
     held = [bool(segment.state.note) for segment in segments]
     first = held.index(True)
     assert segments[first].state.stamp == pytest.approx(0.8, abs=2 * STEP)
@@ -148,7 +148,7 @@ def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
         assert segment.end.speed == 0.0
         np.testing.assert_array_equal(segment.end.p_WE, still[0].state.p_WE)
     # Held at its start it does not begin.
-    begun_held = run(Surroundings(EllipsoidSet()), 10)
+    begun_held = run(CouplingInputs(EllipsoidSet()), 10)
     assert all((one.end.phase, one.end.speed) == (1.0, 0.0) for one in begun_held)
     # No jump of velocity on the way to rest.
     speed = np.linalg.norm([segment.velocity[1] for segment in segments[first:]], axis=1)
@@ -163,7 +163,7 @@ def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
 def test_the_compiled_step_is_the_readable_one(seed: int) -> None:
     some = scene(seed, 10.0)
     _, goal, ellipsoids, coupling, route = some
-    state, around = under_way(some, seed), Surroundings.of(ellipsoids, coupling, route)
+    state, around = under_way(some, seed), CouplingInputs.of(ellipsoids, coupling, route)
     after = step_of(state, ellipsoids, coupling, route)
     rows, places = around.obstacles.terms.copy(), np.array([state.p_WE, state.z_W, goal])
     spread = state.R_WL * state.baseline
@@ -195,7 +195,7 @@ def test_parameters_that_cannot_be_used_are_refused(
     coupling: CouplingParameters, route: Route | None, said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        Surroundings.of(seen(), coupling, route)
+        CouplingInputs.of(seen(), coupling, route)
 
 
 # Speed scaled from outside, and displacement.
@@ -205,7 +205,7 @@ def test_parameters_that_cannot_be_used_are_refused(
 @given(seed=seeds)
 def test_the_path_does_not_depend_on_the_speed(seed: int) -> None:
     scales = np.repeat(np.random.default_rng(seed).choice([0.0, 0.2, 0.6, 1.0, 7.0], 24), 20)
-    around = Surroundings.of(seen(), COUPLED, None)
+    around = CouplingInputs.of(seen(), COUPLED, None)
     free, scaled = run(around), run(around, speed_scale=scales)
     s_free, s = (-np.log([one.end.phase for one in found]) for found in (free, scaled))
     expected = np.stack([np.interp(s, s_free, axis) for axis in path(free).T], axis=1)
@@ -221,7 +221,7 @@ def test_the_path_does_not_depend_on_the_speed(seed: int) -> None:
 def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: float) -> None:
     u = np.cumsum(np.random.default_rng(seed).normal(0.0, 0.01, (200, 3)), axis=0)
     u[0] = np.nan
-    found = run(Surroundings.of(seen(), COUPLED, None), 200, evasion=u)
+    found = run(CouplingInputs.of(seen(), COUPLED, None), 200, evasion_velocity=u)
     for one, other in pairwise(found):
         np.testing.assert_array_equal(one.velocity[1], other.velocity[0])
         np.testing.assert_array_equal(one.end.p_WE, other.state.p_WE)
@@ -235,7 +235,7 @@ def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: floa
     assert not later[2].any()
     # While it is held, the displacement is all.
     hold = round(POLICY.hold_time / STEP)
-    held = run(Surroundings(), 200, evasion=u, speed_scale=np.zeros(200))
+    held = run(CouplingInputs(), 200, evasion_velocity=u, speed_scale=np.zeros(200))
     expected = STEP * (0.5 * (u[hold:] + u[hold - 1 : -1])).sum(axis=0)
     moved_by = held[-1].end.p_WE - held[hold - 1].end.p_WE
     np.testing.assert_allclose(moved_by, expected, atol=1e-12)
@@ -244,11 +244,11 @@ def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: floa
 def test_a_resting_motion_begins_anew_where_it_is() -> None:
     p_WE, goal = np.array([0.4, 0.1, 0.3]), np.array([0.9, 0.2, 0.4])
     state = PolicyState(p_WE=p_WE, z_W=goal, phase=0.3, p_WG=GOAL, note="held")
-    anew = restarted(resting(state), goal, 2.0).end
-    np.testing.assert_array_equal([anew.p_WE, anew.p_WS, anew.p_WG], [p_WE, p_WE, goal])
-    np.testing.assert_allclose(anew.R_WL, local_frame(p_WE, goal))
-    assert (anew.phase, anew.speed, anew.stamp, anew.note) == (1.0, 0.0, 2.0, "held")
-    assert not anew.z_W.any()
+    restart = restarted(resting(state), goal, 2.0).end
+    np.testing.assert_array_equal([restart.p_WE, restart.p_WS, restart.p_WG], [p_WE, p_WE, goal])
+    np.testing.assert_allclose(restart.R_WL, local_frame(p_WE, goal))
+    assert (restart.phase, restart.speed, restart.stamp, restart.note) == (1.0, 0.0, 2.0, "held")
+    assert not restart.z_W.any()
     # One that moves, or is at its start, is left.
     for change in ({"speed": 0.1}, {"p_WS": p_WE}):
         segment = resting(replace(state, **change))
@@ -264,7 +264,7 @@ def test_energy_never_rises_over_a_step(seed: int, period: float, ratio: float) 
     rng, goal, state = np.random.default_rng(seed), some[1], under_way(some, seed)
     alpha = rng.uniform(0.1, 200.0)
     dmp = Dmp(alpha, ratio * alpha, 4.6, np.ones(1), np.ones(1), np.zeros((3, 1)))
-    around, segment = Surroundings.of(*some[2:]), resting(state)
+    around, segment = CouplingInputs.of(*some[2:]), resting(state)
     energies = []
     for _ in range(5):
         p, z = segment.end.p_WE, segment.end.z_W
@@ -280,8 +280,8 @@ def path_in(some: Scene, *, tau: float = 1.0, steps: int = 200) -> FloatArray:
     start, goal, ellipsoids, coupling, route = some
     stepped = partial(take_step, dmp=replace(DMP, duration=1.0), config=POLICY)
     segment = begun(start, goal, tau=tau, speed=1.0 / tau)
-    around = Surroundings.of(ellipsoids, replace(coupling, tau=tau, verified=True), route)
-    around = replace(around, obstacles=Surroundings.of(ellipsoids, coupling, route).obstacles)
+    around = CouplingInputs.of(ellipsoids, replace(coupling, tau=tau, verified=True), route)
+    around = replace(around, obstacles=CouplingInputs.of(ellipsoids, coupling, route).obstacles)
     found = [start]
     for _ in range(round(1.2 * steps)):
         segment = stepped(segment, goal, around, segment.end.stamp, tau / steps)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, Route
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.action import Surroundings
+from drake_oa.policy.action import CouplingInputs
 from drake_oa.policy.coupling import HEADING
 from drake_oa.policy.guidance import guide
 from tests.builders import balls
@@ -24,7 +24,7 @@ def heading(p: Triple, z: Triple, ellipsoids: EllipsoidSet, side: Triple = UP) -
         remaining_clearance=np.full(1, 0.1),
     )
     rows = CouplingParameters(*np.ones((3, 1)))
-    obstacles = Surroundings.of(ellipsoids, rows, route).obstacles
+    obstacles = CouplingInputs.of(ellipsoids, rows, route).obstacles
     guide(p, z, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), obstacles, obstacles.terms)
     return obstacles.terms[0, HEADING : HEADING + 3]
 

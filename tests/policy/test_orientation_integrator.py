@@ -132,7 +132,7 @@ def test_a_motion_that_begins_anew_imitates_what_is_shown(turned: float) -> None
     R = R_WS @ Rotation.from_rotvec(np.outer(turned * angle / np.pi, [0, 0, 1])).as_matrix()
     shown = Demonstration(imitate(path, t), imitate_orientation(R, t), R[0], R[-1], t / 2.0)
     inputs = {"ellipsoids_W": EllipsoidSet(stamp=np.inf), "demonstration": shown}
-    begins = CouplingParameters(anew=True, verified=True)
+    begins = CouplingParameters(restart=True, verified=True)
     p, q, *_ = Beside(1.0, coupling_parameters=begins, **inputs).advance(3.5)
     np.testing.assert_allclose(np.linalg.norm(p - center, axis=1), 0.4, atol=5e-3)
     assert p[:, 2].max() > 0.69

@@ -9,7 +9,7 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, Route
-from drake_oa.policy.action import Surroundings
+from drake_oa.policy.action import CouplingInputs
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
@@ -54,7 +54,7 @@ def test_the_integrator_in_drake_executes_a_roll_out(seed: int, guided: bool) ->
             direction_W=side, normal_W=terms[:, NORMAL:], remaining_clearance=np.full(3, 0.08)
         )
         coupling = replace(coupling, ellipsoids=seen)
-        led = Surroundings.of(seen, coupling, route).obstacles
+        led = CouplingInputs.of(seen, coupling, route).obstacles
     else:
         coupling, route, led = replace(coupling, normal_W=terms[:, NORMAL:]), None, None
     found = roll_out_tool(SCENE, terms[None], obstacles=led, end=1.2, latest=1.2, **HOW)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_oa.common.files import software_versions, source_digest
-from drake_oa.studies.results import Task, resumed
+from drake_oa.evaluation.results import Task, resumed
 from tests.regression import comparison, runs
 
 _HERE = Path(__file__).parent

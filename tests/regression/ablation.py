@@ -17,10 +17,10 @@ from pathlib import Path
 
 from drake_oa.common.console import show
 from drake_oa.common.files import source_digest
+from drake_oa.evaluation.panda.evaluation import evaluate_panda, panda_suite
+from drake_oa.evaluation.panda.scenes import draw_panda_scene
+from drake_oa.evaluation.panda.tables import panda_metrics, panda_table
 from drake_oa.scenario.loading import scenario_text
-from drake_oa.studies.panda.evaluation import evaluate_panda, panda_suite
-from drake_oa.studies.panda.scenes import draw_panda_scene
-from drake_oa.studies.panda.tables import panda_figures, panda_table
 
 VARIANTS: dict[str, dict[str, dict[str, float]]] = {
     "all": {},
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         of_variant = replace(suite, drawings=drawings)
         folder = given.results / f"{given.suite}-{variant.replace(' ', '_')}"
         results = evaluate_panda(of_variant, workers=given.jobs, folder=folder)
-        found.append(panda_figures(results) | {"kind": variant})
+        found.append(panda_metrics(results) | {"kind": variant})
         print(f"{variant}: done", flush=True)
     show(panda_table(found))
     print(f"source digest: {source_digest()[:12]}")

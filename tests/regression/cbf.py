@@ -46,6 +46,9 @@ from drake_oa.common.files import replace_json
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.motion import make_dmp
 from drake_oa.diagrams.station import covered_arm
+from drake_oa.evaluation.panda import differential_ik, evaluation
+from drake_oa.evaluation.panda.differential_ik import ANGULAR_LIMIT, GAIN, SPEED_SHARE
+from drake_oa.evaluation.panda.scenes import suite_kinds
 from drake_oa.geometry.shapes import Cylinder, Sphere, pose
 from drake_oa.policy.dmp import trajectory
 from drake_oa.robot.arm import make_chain
@@ -55,9 +58,6 @@ from drake_oa.runs.simulation import AT_GOAL
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.studies.panda import differential_ik, evaluation
-from drake_oa.studies.panda.differential_ik import ANGULAR_LIMIT, GAIN, SPEED_SHARE
-from drake_oa.studies.panda.scenes import suite_kinds
 
 try:
     import jax
@@ -321,13 +321,13 @@ def simulate_filter(scenario: Scenario, parameters: Filter) -> MotionLog:
         return SafetyFilter(scenario, checker.plant(), parameters)
 
     with patch.object(differential_ik, "make_differential_ik", make_filter):
-        return replace(differential_ik.simulate_differential_ik(scenario), regulation=METHOD)
+        return replace(differential_ik.simulate_differential_ik(scenario), inference=METHOD)
 
 
 def run_scene(draw: Callable[[], str], criteria: Any, parameters: Filter) -> dict[str, Any]:
     """Draws a scene, runs the filter in it and judges the run.
 
-    The result has, besides the keys of `run_and_judge`, `at_rest_error`: the distance of the tool
+    The result has, besides the keys of `run_and_evaluate`, `at_rest_error`: the distance of the tool
     from the goal at the end of the run [m]. `goal_error` is the greater one of this and of that at
     the log's last instant before arrival, which may exceed the tolerance while the tool approaches.
     """
@@ -340,7 +340,7 @@ def run_scene(draw: Callable[[], str], criteria: Any, parameters: Filter) -> dic
 
     scenario = parse_scenario(draw())
     with patch.object(evaluation, "_simulate", simulate_scene):
-        result = evaluation.run_and_judge(scenario, "preplanned", "truth", criteria=criteria)
+        result = evaluation.run_and_evaluate(scenario, "nominal", "truth", criteria=criteria)
     error = None
     for log in logs:
         (p_WE,) = make_robot_plant(robot_of(scenario)).tool_path(log.q[-1:])
@@ -405,7 +405,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     heads += ["DRPBench touched", "DRPBench success"]
     rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for kind in suite_kinds([options.suite], options.levels):
-        suite = evaluation.panda_suite(kind, options.scenes, options.seed, ["preplanned"], "truth")
+        suite = evaluation.panda_suite(kind, options.scenes, options.seed, ["nominal"], "truth")
         rows.append(_row(kind, run_suite(suite, parameters, options.json)))
     print("\n".join(rows))
 

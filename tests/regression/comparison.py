@@ -89,18 +89,18 @@ def suite_failures(stored: Runs, runs: Runs) -> Iterator[str]:
         yield f"{len(touched)} scenes gained a contact: {', '.join(touched)}"
 
 
-def figure_failures(stored: Any, figures: Any, path: str = "") -> Iterator[str]:
+def figure_failures(stored: Any, metrics: Any, path: str = "") -> Iterator[str]:
     """Yields each figure of nested tables that differs by more than `FIGURE_TOLERANCE`."""
-    if isinstance(stored, dict) and isinstance(figures, dict):
-        for key in sorted(stored.keys() | figures.keys()):
-            yield from figure_failures(stored.get(key), figures.get(key), f"{path}/{key}")
-    elif isinstance(stored, list) and isinstance(figures, list) and len(stored) == len(figures):
-        for place, (before, after) in enumerate(zip(stored, figures, strict=True)):
+    if isinstance(stored, dict) and isinstance(metrics, dict):
+        for key in sorted(stored.keys() | metrics.keys()):
+            yield from figure_failures(stored.get(key), metrics.get(key), f"{path}/{key}")
+    elif isinstance(stored, list) and isinstance(metrics, list) and len(stored) == len(metrics):
+        for place, (before, after) in enumerate(zip(stored, metrics, strict=True)):
             yield from figure_failures(before, after, f"{path}/{place}")
-    elif isinstance(stored, float) and isinstance(figures, (int, float)):
+    elif isinstance(stored, float) and isinstance(metrics, (int, float)):
         is_error = path.endswith(("goal_error_mean", "goal_error_max"))
         tolerance = ERROR_TOLERANCE if is_error else FIGURE_TOLERANCE
-        if abs(figures - stored) > tolerance * max(abs(stored), 1e-3):
-            yield f"{path}: {stored} -> {figures}"
-    elif stored != figures:
-        yield f"{path}: {stored} -> {figures}"
+        if abs(metrics - stored) > tolerance * max(abs(stored), 1e-3):
+            yield f"{path}: {stored} -> {metrics}"
+    elif stored != metrics:
+        yield f"{path}: {stored} -> {metrics}"

@@ -31,19 +31,24 @@ import numpy as np
 
 from drake_oa.common.files import source_digest
 from drake_oa.common.messages import ObstacleClouds
+from drake_oa.evaluation.cameras import BESIDE, FAR, seen_from
+from drake_oa.evaluation.panda.scene_arm import base_scenario
+from drake_oa.evaluation.panda.scene_parts import bounding_ball
+from drake_oa.evaluation.panda.scenes import draw_panda_scene
+from drake_oa.geometry.collision_scene import (
+    CollisionGeometries,
+    geometries_of,
+    least_distances,
+    shape_geometries,
+)
 from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import Solids, least_distances, shape_solids, solids_of
 from drake_oa.perception import depth_perception
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_views
-from drake_oa.perception.tracking import ObstacleMemory, fuse
+from drake_oa.perception.tracking import TrackerState, update_tracks
 from drake_oa.runs.report import motion_metrics
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.cameras import BESIDE, FAR, seen_from
-from drake_oa.studies.panda.scene_arm import base_scenario
-from drake_oa.studies.panda.scene_parts import bounding_ball
-from drake_oa.studies.panda.scenes import draw_panda_scene
 
 CROPS = {"narrow": {"far": 2.5, "table_margin": 0.02}, "wide": {"far": FAR, "table_margin": BESIDE}}
 _FALSE, _MISSED, _NEAR = 0.05, 0.03, 0.4
@@ -56,7 +61,7 @@ _COMPILED = 5
 class Chain:
     """Tracking by one crop, and what it cost and missed, summed over the frames."""
 
-    memory: ObstacleMemory = field(default_factory=ObstacleMemory)
+    memory: TrackerState = field(default_factory=TrackerState)
     seconds: list[float] = field(default_factory=list)
     counts: np.ndarray = field(default_factory=lambda: np.zeros(6, dtype=int))
     """False, false near the base, with velocity, at rest, missed, near the robot."""
@@ -75,30 +80,30 @@ class Comparison:
         self._took, self._views = time.perf_counter() - begin, views
         return frame
 
-    def fuse(
+    def update_tracks(
         self, previous: Any, frame: Any, stamp: float, config: Any, robot: Any, *, complete: bool
-    ) -> ObstacleMemory:
+    ) -> TrackerState:
         begin = time.perf_counter()
-        memory = fuse(previous, frame, stamp, config, robot, complete=complete)
+        memory = update_tracks(previous, frame, stamp, config, robot, complete=complete)
         own, other = self.chains
         own.memory = memory
         own.seconds.append(self._took + time.perf_counter() - begin)
         config = replace(config, **self._other)
         begin = time.perf_counter()
         frame = segment_views(self._views, config, robot)
-        other.memory = fuse(other.memory, frame, stamp, config, robot, complete=complete)
+        other.memory = update_tracks(other.memory, frame, stamp, config, robot, complete=complete)
         other.seconds.append(time.perf_counter() - begin)
         for chain in self.chains:
             chain.counts += self._counts(chain.memory.obstacles, stamp, robot)
         return memory
 
-    def _counts(self, seen: ObstacleClouds, stamp: float, robot: Solids) -> np.ndarray:
+    def _counts(self, seen: ObstacleClouds, stamp: float, robot: CollisionGeometries) -> np.ndarray:
         counts, clouds = np.zeros(6, dtype=int), [c for c in seen.clouds_W if len(c)]
         truths, rests, near = [], [], []
         for item in self._scenario.obstacles:
             X_WO, offset = pose(item).GetAsMatrix4(), item.offset_at(stamp)
             X_WO[:3, 3] += offset
-            truths.append(solids_of(shape_solids(item.shapes, X_WO)))
+            truths.append(geometries_of(shape_geometries(item.shapes, X_WO)))
             rests.append(np.allclose(item.offset_at(stamp - 0.1), item.offset_at(stamp + 0.02)))
             center, radius = bounding_ball(item)
             apart = _distance(robot, (center + offset)[None]) - radius
@@ -116,9 +121,9 @@ class Comparison:
         return counts
 
 
-def _distance(solids: Solids, points: np.ndarray) -> float:
+def _distance(geometries: CollisionGeometries, points: np.ndarray) -> float:
     points = np.require(points, np.float64, ["C", "W"])
-    return float(least_distances(solids, points, 0.0, 1.0, 1.0).min())
+    return float(least_distances(geometries, points, 0.0, 1.0, 1.0).min())
 
 
 def compare(scenario: Scenario, crop: str, other: str) -> tuple[Comparison, str]:
@@ -129,7 +134,7 @@ def compare(scenario: Scenario, crop: str, other: str) -> tuple[Comparison, str]
     both = Comparison(scenario, other)
     with (
         patch.object(depth_perception, "segment_views", both.segment_views),
-        patch.object(depth_perception, "fuse", both.fuse),
+        patch.object(depth_perception, "fuse", both.update_tracks),
     ):
         log = simulate(scenario)
     touched = motion_metrics(scenario, log).contacts

@@ -12,25 +12,25 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump
 
 from drake_oa.common.config import read_yaml
+from drake_oa.evaluation.cameras import ONE, seen_from
+from drake_oa.evaluation.mbm.suite import mbm_suites
+from drake_oa.evaluation.panda.evaluation import Criteria, run_text
+from drake_oa.evaluation.panda.scene_arm import ELBOW_LIKE, LIKE, base_scenario
+from drake_oa.evaluation.panda.scenes import MOVING_KINDS
+from drake_oa.evaluation.paper_tables import (
+    TRIAL_KINDS,
+    evaluate_novel,
+    table_one_metrics,
+    table_two_metrics,
+)
+from drake_oa.evaluation.scenes.evaluation import evaluate
+from drake_oa.evaluation.scenes.methods import load_methods
+from drake_oa.evaluation.scenes.suites import SUITES, draw_scenes
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.shipped import missing_package, shipped_scenarios
-from drake_oa.studies.cameras import ONE, seen_from
-from drake_oa.studies.mbm.suite import mbm_suites
-from drake_oa.studies.panda.evaluation import Criteria, run_text
-from drake_oa.studies.panda.scene_arm import ELBOW_LIKE, LIKE, base_scenario
-from drake_oa.studies.panda.scenes import MOVING_KINDS
-from drake_oa.studies.paper_tables import (
-    TRIAL_KINDS,
-    judge_novel,
-    table_one_figures,
-    table_two_figures,
-)
-from drake_oa.studies.scenes.evaluation import evaluate
-from drake_oa.studies.scenes.methods import load_methods
-from drake_oa.studies.scenes.suites import SUITES, draw_scenes
 
 SCENES = Path(__file__).with_name("scenes")
 """Folder of the stored scenes."""
@@ -124,20 +124,20 @@ def run_scene(suite: str, scene: Mapping[str, Any]) -> dict[str, Any]:
     scenario = parse_scenario(yaml_dump(data))
     if suite in MOVING_KINDS:
         scenario = seen_from(scenario, ONE)
-    return _judged(scenario_text(scenario), "verified", "depth")
+    return _checked(scenario_text(scenario), "verified", "depth")
 
 
 def run_problem(text: str) -> dict[str, Any]:
     """Simulates the verified method on a problem of MotionBenchMaker, from ground truth."""
     (criteria,) = {suite.criteria for suite in mbm_suites(ARCHIVE, None, ("box",), (), 1)}
-    return _judged(text, "verified", "truth", criteria)
+    return _checked(text, "verified", "truth", criteria)
 
 
 def run_trial(name: str, seed: int) -> dict[str, Any]:
     """Simulates a trial of the paper's Table III, from depth."""
     scenario = load_scenario(name)
     scenario.seed = seed
-    return _judged(scenario_text(scenario), "paper", "depth")
+    return _checked(scenario_text(scenario), "paper", "depth")
 
 
 def run_points(suite: str, method: str) -> dict[str, Any]:
@@ -156,16 +156,16 @@ def run_points(suite: str, method: str) -> dict[str, Any]:
 
 def first_table() -> dict[str, Any]:
     """Returns the figures of the paper's Table I."""
-    return {file: chain["networks"] for file, chain in table_one_figures()["chains"].items()}
+    return {file: chain["networks"] for file, chain in table_one_metrics()["chains"].items()}
 
 
 def second_table() -> dict[str, Any]:
     """Returns the figures of the paper's Table II, without timings."""
     scenes = draw_scenes("demo", _TABLE_SCENES, 0)
-    figures = table_two_figures(judge_novel(scenes), scenes, 0)
+    metrics = table_two_metrics(evaluate_novel(scenes), scenes, 0)
     return {
         f"{row['baseline']:g} m": {key: row[key] for key in row["agrees"]}
-        for row in figures["by_baseline"]
+        for row in metrics["by_baseline"]
     }
 
 
@@ -176,13 +176,13 @@ def _stored_scenes(suite: str) -> list[dict[str, Any]]:
 
 def _summary(report: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the stored quantities of a report."""
-    figures = {key: report[key] for key in _REPORTED}
-    rounded = {k: None if v is None else round(float(v), _DIGITS) for k, v in figures.items()}
+    metrics = {key: report[key] for key in _REPORTED}
+    rounded = {k: None if v is None else round(float(v), _DIGITS) for k, v in metrics.items()}
     contacts = sorted([*report["contacts"], *report["self_contacts"]])
     return {"ended": report["ended"], "contacts": contacts, **rounded}
 
 
-def _judged(
+def _checked(
     text: str, method: str, perception: str, criteria: Criteria = CRITERIA
 ) -> dict[str, Any]:
     result = run_text(text, method, perception, None, criteria)

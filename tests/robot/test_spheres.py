@@ -12,9 +12,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry import solids as solid
+from drake_oa.geometry import collision_scene as geometry
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
-from drake_oa.planning.arm_world import self_distance
+from drake_oa.planning.collision_model import self_distance
 from drake_oa.robot.arm import make_chain
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
@@ -26,14 +26,14 @@ from drake_oa.robot.plant import (
 from drake_oa.robot.sphere_cover import SHIPPED, cover, cover_key, known_cover
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres, sphere_centers
 
-COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03)
+COARSE = SphereParameters(protrusion=0.015, max_tool_protrusion=0.012, max_fixed_protrusion=0.03)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
 
 
-def one_of(kind: str, size: tuple[float, float, float]) -> solid.Solid:
+def one_of(kind: str, size: tuple[float, float, float]) -> geometry.CollisionGeometry:
     a, b, c = size
     if kind == "hull":
-        return solid.hull(np.array(_WEDGE) * 10 * [a, b, c])
+        return geometry.hull(np.array(_WEDGE) * 10 * [a, b, c])
     shapes = {
         "sphere": drake.Sphere(a),
         "capsule": drake.Capsule(a, b),
@@ -41,12 +41,12 @@ def one_of(kind: str, size: tuple[float, float, float]) -> solid.Solid:
         "box": drake.Box(a, b, c),
         "ellipsoid": drake.Ellipsoid(a, b, c),
     }
-    return solid.solid_of(shapes[kind])
+    return geometry.geometry_of(shapes[kind])
 
 
-def check_encloses(shape: solid.Solid, spheres: FloatArray) -> None:
+def check_encloses(shape: geometry.CollisionGeometry, spheres: FloatArray) -> None:
     """Checks that the points on a shape are in spheres (K, 4), of center and radius."""
-    points = shape.placed(solid.surface_points(shape, 3000))
+    points = shape.placed(geometry.surface_points(shape, 3000))
     away = np.linalg.norm(points[:, None] - spheres[:, :3], axis=2) - spheres[:, 3]
     assert away.min(axis=1).max() <= 1e-9
 
@@ -67,46 +67,48 @@ def test_a_cover_encloses_and_exceeds_by_no_more_than_it_states(
     directions = np.random.default_rng(0).normal(size=(len(found.radii), 300, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     outermost = (found.centers[:, None] + found.radii[:, None, None] * directions).reshape(-1, 3)
-    scene = solid.solids_of([shape])
-    away = solid.least_distances(scene, outermost, 0.0, np.inf, -np.inf)
-    assert away.max() <= found.overshoot + 1e-9
+    scene = geometry.geometries_of([shape])
+    away = geometry.least_distances(scene, outermost, 0.0, np.inf, -np.inf)
+    assert away.max() <= found.protrusion + 1e-9
     if kind != "hull":
         # A flat wedge takes more.
-        assert found.overshoot <= 0.012 * 1.3
+        assert found.protrusion <= 0.012 * 1.3
 
 
 def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solids = [solid.solid_of(drake.Box(0.05, 0.1, 0.06))]
-    expected = cover(solids, 0.01)
+    geometries = [geometry.geometry_of(drake.Box(0.05, 0.1, 0.06))]
+    expected = cover(geometries, 0.01)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
-        found = known_cover(solids, 0.01, 200, "covering")
+        found = known_cover(geometries, 0.01, 200, "covering")
         np.testing.assert_array_equal(found.radii, expected.radii)
         (file,) = (tmp_path / "drake_oa" / "spheres").iterdir()
     # Unreadable files are replaced, and a cover that cannot be written is not kept.
     file.write_bytes(b"PK")
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
-    np.testing.assert_array_equal(known_cover(solids, 0.01, 200, "").radii, expected.radii)
+    np.testing.assert_array_equal(known_cover(geometries, 0.01, 200, "").radii, expected.radii)
 
 
 def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: RobotPlant) -> None:
     plant, inspector = panda.plant, panda.scene_graph.model_inspector()
-    shipped, asked = read_arrays(SHIPPED), SphereParameters()
+    shipped, requested = read_arrays(SHIPPED), SphereParameters()
     for body in map(plant.get_body, plant.GetBodyIndices(panda.instance)):
-        geometries = plant.GetCollisionGeometriesForBody(body)
-        if not geometries:
+        geometry_ids = plant.GetCollisionGeometriesForBody(body)
+        if not geometry_ids:
             continue
-        overshoot = asked.overshoot
+        protrusion = requested.protrusion
         if body.name() == "panda_link0":
-            overshoot = asked.fixed_overshoot
+            protrusion = requested.max_fixed_protrusion
         elif body.name() in Robot().tool_links:
-            overshoot = asked.tool_overshoot
-        solids = [solid.read_solid(inspector, geometry) for geometry in geometries]
+            protrusion = requested.max_tool_protrusion
+        geometries = [
+            geometry.read_geometry(inspector, geometry_id) for geometry_id in geometry_ids
+        ]
         # Removed, so that none is left that no body has.
-        spheres = shipped.pop(cover_key(solids, overshoot))
-        for shape in solids:
+        spheres = shipped.pop(cover_key(geometries, protrusion))
+        for shape in geometries:
             check_encloses(shape, spheres)
-        assert known_cover(solids, overshoot, 200, "").overshoot <= 1.25 * overshoot
+        assert known_cover(geometries, protrusion, 200, "").protrusion <= 1.25 * protrusion
     assert not shipped
 
 
@@ -164,11 +166,11 @@ def check_against_scene_graph(
     context = plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
     random = np.random.default_rng(seed)
-    geometries = [
+    geometry_ids = [
         plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)) for name in spheres.bodies
     ]
     moves = arrays.group_joint >= 0
-    moving = {g for of, m in zip(geometries, moves, strict=True) if m for g in of}
+    moving = {g for of, m in zip(geometry_ids, moves, strict=True) if m for g in of}
     bounds = arrays._replace(joint=arrays.group_joint, p_JS=arrays.bound[:, :3].copy())
     for _ in range(count):
         full[:n] = random.uniform(chain.lower, chain.upper)
@@ -183,7 +185,7 @@ def check_against_scene_graph(
             true = min(each.distance for each in found if each.id_G in moving)
             assert by_spheres <= max(true, 0.0) + 1e-6
             if true > 0.0:
-                assert true <= by_spheres + spheres.overshoot[moves].max() + 1e-6
+                assert true <= by_spheres + spheres.protrusion[moves].max() + 1e-6
         for g, bound in enumerate(arrays.bound):
             mine = slice(arrays.first[g], arrays.first[g + 1])
             away = np.linalg.norm(centers[mine] - middles[g], axis=1)
@@ -191,8 +193,8 @@ def check_against_scene_graph(
         true = min(
             query.ComputeSignedDistancePairClosestPoints(a, b).distance
             for i, j in arrays.pairs
-            for a in geometries[i]
-            for b in geometries[j]
+            for a in geometry_ids[i]
+            for b in geometry_ids[j]
         )
         assert self_distance(chain, arrays, full[:n].copy()) <= max(true, 0.0) + 1e-4
 
@@ -206,7 +208,7 @@ def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
     assert (arrays.of_tool == (np.arange(count) >= arrays.first[len(links)])).all()
     names = {tuple(spheres.bodies[g] for g in pair) for pair in spheres.arrays.pairs}
     assert ("panda_link0", "panda_hand") in names
-    # Neighbours; fixed to one another; excluded by the model.
+    # Neighbors; fixed to one another; excluded by the model.
     for absent in (
         ("panda_link3", "panda_link4"),
         ("panda_link6", "panda_hand"),
@@ -233,7 +235,7 @@ def test_six_joints_and_a_base_that_leans(tmp_path: Path) -> None:
     check_against_scene_graph(robot, np.zeros(6), found, 5, 15)
     assert [0, 6] in found.arrays.pairs.tolist()
     # Spheres so coarse that links overlap which are kept apart by the one between them.
-    coarse = SphereParameters(overshoot=0.05, tool_overshoot=0.05)
+    coarse = SphereParameters(protrusion=0.05, max_tool_protrusion=0.05)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
     assert (found.arrays.allowance > 0.0).any()
     # Also in postures that were not drawn.

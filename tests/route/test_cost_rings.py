@@ -35,7 +35,7 @@ def scene_of(
     ellipsoids: EllipsoidSet, table: TablePlane | None = TABLE, delta: float = 0.15, width: int = 36
 ) -> RingScene:
     return ring_scene(
-        START, GOAL, np.eye(3), ellipsoids, table, asked_clearance=delta, n_directions=width
+        START, GOAL, np.eye(3), ellipsoids, table, requested_clearance=delta, n_directions=width
     )
 
 
@@ -63,7 +63,7 @@ def total_cost(scene: RingScene, sides: tuple[int, ...]) -> tuple[float, float]:
     for leg, (a, b) in enumerate(pairwise(points)):
         seen = np.ones(len(some), dtype=bool)
         seen[[rows[0]] * (leg == 0) + [rows[-1]] * (leg == len(some))] = False
-        met = obstruction(a[None], b[None], some, seen, scene.asked_clearance)
+        met = obstruction(a[None], b[None], some, seen, scene.requested_clearance)
         cost += 2.0 * float(met[0, 0])
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()), cost
 
@@ -99,7 +99,7 @@ def test_the_choice_depends_on_neither_frame_nor_order(seed: int, order: tuple[i
     moved = replace(moved, **{name: getattr(moved, name)[rows] for name in names})
     table = TablePlane(normal_W=R @ TABLE.normal_W, offset=float(R[:, 2] @ p))
     here = scene_of(some, delta=0.05)
-    there = ring_scene(R @ START + p, R @ GOAL + p, R, moved, table, asked_clearance=0.05)
+    there = ring_scene(R @ START + p, R @ GOAL + p, R, moved, table, requested_clearance=0.05)
     index, other = (select_directions(scene, RINGS)[0] for scene in (here, there))
     # By rounding another choice may cost as much.
     back = tuple(other[np.argsort(rows)].tolist())

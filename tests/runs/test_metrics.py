@@ -10,7 +10,7 @@ from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.metrics import free_point_metrics, robot_metrics
-from drake_oa.runs.report import feasible_clearance_of
+from drake_oa.runs.report import achievable_clearance_of
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from tests.builders import balls
@@ -96,9 +96,9 @@ def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
     assert both.resting_clearance[0] == alone.tool_clearance[0]
     assert both.tool_clearance[0] < alone.tool_clearance[0]
     # Start and goal leave what rests there leaves.
-    assert feasible_clearance_of(scenario) == pytest.approx(scenario.task.clearance)
+    assert achievable_clearance_of(scenario) == pytest.approx(scenario.task.clearance)
     scenario.task.clearance = 1.0
-    assert feasible_clearance_of(scenario) <= both.resting_clearance[0]
+    assert achievable_clearance_of(scenario) <= both.resting_clearance[0]
 
 
 def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArray]) -> None:

@@ -50,11 +50,11 @@ def log(straight_log: LogOf) -> MotionLog:
 def test_what_is_written_is_read_back(log: MotionLog, straight_log: LogOf, tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
     for one in (log, straight_log(0)):
-        save_logs(file, {"preplanned": straight_log(2), "modulated": one})
+        save_logs(file, {"nominal": straight_log(2), "avoiding": one})
         back = load_logs(file)
-        assert list(back) == ["preplanned", "modulated"]
+        assert list(back) == ["nominal", "avoiding"]
         for name, before in vars(one).items():
-            after = getattr(back["modulated"], name)
+            after = getattr(back["avoiding"], name)
             assert type(after) is type(before)
             np.testing.assert_array_equal(after, before)
 
@@ -75,7 +75,7 @@ def test_another_schema_and_missing_keys_are_named(
     version: int | None, said: str, tmp_path: Path
 ) -> None:
     keys = {} if version is None else {"schema_version": version}
-    np.savez(tmp_path / "run.npz", **{"modulated/stop_reason": "goal"}, **keys)
+    np.savez(tmp_path / "run.npz", **{"avoiding/stop_reason": "goal"}, **keys)
     with pytest.raises(ValueError, match=said):
         load_logs(tmp_path / "run.npz")
 
@@ -83,7 +83,7 @@ def test_another_schema_and_missing_keys_are_named(
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_what_is_no_log_is_refused_by_name(share: float, log: MotionLog, tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
-    save_logs(file, {"modulated": log})
+    save_logs(file, {"avoiding": log})
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
     with pytest.raises(ValueError, match=r"run.npz is not a motion log"):
@@ -94,12 +94,12 @@ def test_optional_keys_may_be_missing_and_unknown_keys_are_ignored(
     log: MotionLog, tmp_path: Path
 ) -> None:
     file = tmp_path / "run.npz"
-    save_logs(file, {"modulated": log})
+    save_logs(file, {"avoiding": log})
     with np.load(file) as archive:
-        arrays = dict(archive) | {"modulated/confidence": np.full((2, 1), 0.3)}
-    del arrays["modulated/guard_claim"]
+        arrays = dict(archive) | {"avoiding/confidence": np.full((2, 1), 0.3)}
+    del arrays["avoiding/guard_claim"]
     np.savez(file, **arrays)
-    assert load_logs(file)["modulated"].guard_claim.shape == (0,)
+    assert load_logs(file)["avoiding"].guard_claim.shape == (0,)
 
 
 def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer(log: MotionLog) -> None:

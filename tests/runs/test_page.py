@@ -86,7 +86,7 @@ def test_the_page_names_a_motion_without_avoidance_and_its_contacts(
     shown: tuple[MotionLog, str],
 ) -> None:
     scenario = parse_scenario(TEXT.replace("[0.6, 0.0, 0.2]", "[0.45, -0.2, 0.3]"))
-    text = label_page(PAGE, "mine", scenario, replace(shown[0], modulated=False))
+    text = label_page(PAGE, "mine", scenario, replace(shown[0], avoid_obstacles=False))
     assert "<title>mine: nominal motion (without avoidance)</title>" in text
     assert re.search(r'"contact: panda_\w+ - obstacle_ball', text)
 

@@ -13,7 +13,7 @@ from drake_oa.world.world_model import flat_directives
 
 SCENARIO = """
 task: {start: [0.45, -0.3, 0.3], goal: [0.45, 0.3, 0.3], duration: 1.5, clearance: 0.05}
-thinking: null
+compute_latency: null
 obstacles:
 - {name: post, shapes: [!Cylinder {radius: 0.03, length: 0.4}], translation: [0.7, 0.0, 0.2]}
 """

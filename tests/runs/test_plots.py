@@ -28,7 +28,7 @@ def test_a_run_is_drawn_with_pauses_and_moved_obstacles(
         observation_time=0.1 * np.arange(20),
         **pack_ellipsoids(frames),
     )
-    logs = {"preplanned": straight_log(instants), "modulated": log}
+    logs = {"nominal": straight_log(instants), "avoiding": log}
     plot_run(tmp_path / "run.png", "title", load_scenario("free_space"), logs)
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "run.png").stat().st_size > 10_000

@@ -60,24 +60,24 @@ def test_obstacles_are_those_that_had_arrived(player: LogPlayer) -> None:
 
 
 def test_the_motion_is_the_modulated_one_unless_requested(straight_log: LogOf) -> None:
-    logs = {"preplanned": straight_log(), "modulated": straight_log()}
-    assert choose_motion(FILE, logs, None) == "modulated"
-    assert choose_motion(FILE, {"preplanned": straight_log()}, None) == "preplanned"
-    assert choose_motion(FILE, logs, "preplanned") == "preplanned"
-    with pytest.raises(ValueError, match=r"run.npz has no motion 'x'; it has preplanned, modul"):
+    logs = {"nominal": straight_log(), "avoiding": straight_log()}
+    assert choose_motion(FILE, logs, None) == "avoiding"
+    assert choose_motion(FILE, {"nominal": straight_log()}, None) == "nominal"
+    assert choose_motion(FILE, logs, "nominal") == "nominal"
+    with pytest.raises(ValueError, match=r"run.npz has no motion 'x'; it has nominal, avoid"):
         choose_motion(FILE, logs, "x")
     with pytest.raises(ValueError, match="ended before its first instant: interrupted"):
-        choose_motion(FILE, {"modulated": straight_log(0, stop_reason="interrupted")}, None)
+        choose_motion(FILE, {"avoiding": straight_log(0, stop_reason="interrupted")}, None)
 
 
 def test_a_demonstrated_path_is_that_of_the_preplanned_motion(straight_log: LogOf) -> None:
     shown = load_scenario("free_space")
-    assert planned_path(shown, {"preplanned": straight_log()}) is None
+    assert planned_path(shown, {"nominal": straight_log()}) is None
     shown.task.demonstration = ["path.npz"]
-    path = planned_path(shown, {"preplanned": straight_log(450)})
+    path = planned_path(shown, {"nominal": straight_log(450)})
     assert path is not None
     assert 100 < len(path) <= 200
-    assert planned_path(shown, {"preplanned": straight_log(ended="cut short")}) is None
+    assert planned_path(shown, {"nominal": straight_log(ended="interrupted")}) is None
 
 
 def test_the_world_is_posed_by_what_the_log_has(straight_log: LogOf) -> None:

@@ -38,9 +38,9 @@ def log_of(straight_log: Callable[..., MotionLog]) -> LogOf:
 def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
     events = {"event_time": np.array([1.0, 2.0]), "event": ("obstacles not seen", "")}
     events["event_hold"] = ("obstacles", "none")
-    logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND, **events)}
+    logs = {"nominal": log_of(THROUGH), "avoiding": log_of(AROUND, **events)}
     report = json.loads(json.dumps(run_report("free_space", FREE, logs), allow_nan=False))
-    blind, found = report["preplanned"], report["modulated"]
+    blind, found = report["nominal"], report["avoiding"]
     assert {"scenario", "seed", "real_time_factor", "versions"} <= set(report)
     assert report["real_time_factor"] == 2.0
     assert report["versions"] == {"drake": "1.51.1", "source_digest": "abc"}
@@ -51,41 +51,43 @@ def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
     assert found["tool_clearance_min"] > 0.15
     assert found["path_length"] == pytest.approx(2.0 * np.sqrt(0.5))
     heading, collisions, *_ = str(report_table(report)).splitlines()
-    assert heading.split() == ["preplanned", "modulated"]
+    assert heading.split() == ["nominal", "avoiding"]
     assert collisions.split() == ["collisions", "1", "0"]
 
 
 def test_what_regulation_believes_is_told_apart_from_what_was_kept(log_of: LogOf) -> None:
     believed = {
         "shortfall": np.array([0.0, 0.0123, 0.002]),
-        "lowered": np.array([0.0, 0.02, 0.0]),
+        "clearance_reduction": np.array([0.0, 0.02, 0.0]),
     }
     logs = {
-        "preplanned": log_of(THROUGH, regulation=""),
-        "modulated": log_of(AROUND, **believed),
+        "nominal": log_of(THROUGH, inference=""),
+        "avoiding": log_of(AROUND, **believed),
     }
     report = run_report("free_space", FREE, logs)
-    keys = ("regulation", "believed_shortfall", "lowered", "short_of_feasible")
+    keys = ("inference", "believed_shortfall", "clearance_reduction", "clearance_shortfall")
     # The truth is that the clearance was kept.
-    assert [report["modulated"][key] for key in keys] == ["Verified", 0.0123, 0.02, 0.0]
-    assert [report["preplanned"][key] for key in keys[:3]] == [None, None, None]
-    assert report["preplanned"]["short_of_feasible"] > report["preplanned"]["feasible_clearance"]
-    *_, lowered = str(report_table(report)).splitlines()
-    assert lowered.startswith("note: modulated: regulation lowered the asked clearance")
+    assert [report["avoiding"][key] for key in keys] == ["Verified", 0.0123, 0.02, 0.0]
+    assert [report["nominal"][key] for key in keys[:3]] == [None, None, None]
+    assert report["nominal"]["clearance_shortfall"] > report["nominal"]["achievable_clearance"]
+    *_, clearance_reduction = str(report_table(report)).splitlines()
+    assert clearance_reduction.startswith(
+        "note: avoiding: inference reduced the requested clearance"
+    )
 
 
 def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told(
     log_of: LogOf,
 ) -> None:
     far = parse_scenario(scenario_text(FREE), ["task.clearance=1.0"])
-    report = run_report("far", far, {"modulated": log_of(AROUND)})
-    found = report["modulated"]
-    assert found["asked_clearance"] == 1.0
-    assert found["feasible_clearance"] < 0.5
-    assert found["short_of_feasible"] > TOLD
-    asked, kept = str(report_table(report)).splitlines()[-2:]
-    assert asked.startswith(f"note: start and goal leave {found['feasible_clearance']:.3f} m")
-    assert kept.startswith(f"warning: modulated: kept {found['resting_clearance_min']:.3f} m")
+    report = run_report("far", far, {"avoiding": log_of(AROUND)})
+    found = report["avoiding"]
+    assert found["requested_clearance"] == 1.0
+    assert found["achievable_clearance"] < 0.5
+    assert found["clearance_shortfall"] > TOLD
+    requested, kept = str(report_table(report)).splitlines()[-2:]
+    assert requested.startswith(f"note: start and goal leave {found['achievable_clearance']:.3f} m")
+    assert kept.startswith(f"warning: avoiding: kept {found['resting_clearance_min']:.3f} m")
 
 
 def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
@@ -93,11 +95,11 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
     log = log_of(
         AROUND,
         decision_time=np.array([0.0, 0.1, 0.1, 0.4, 1.0, 5.5]),
-        decision_cost=costs,
-        decision_layer=("regulation", "regulation", "guard", "regulation", "guard", "regulation"),
+        decision_latency=costs,
+        decision_layer=("inference", "inference", "guard", "inference", "guard", "inference"),
     )
     found = motion_report(FREE, log)
-    assert found["decision_cost"] == {
+    assert found["decision_latency"] == {
         "median": 0.1,
         "p99": pytest.approx(0.296),
         "max": 0.3,
@@ -105,5 +107,5 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         "share_over_period": pytest.approx(2.0 / 3.0),
         "count": 3,
     }
-    assert found["guard_cost"]["max"] == 0.004
-    assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None
+    assert found["guard_latency"]["max"] == 0.004
+    assert motion_report(FREE, log_of(AROUND))["decision_latency"] is None

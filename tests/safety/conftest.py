@@ -5,7 +5,7 @@ import pytest
 from drake_oa.robot.config import Robot, SphereParameters
 from tests.planning.arms import ArmAlone, arm_alone
 
-COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03)
+COARSE = SphereParameters(protrusion=0.015, max_tool_protrusion=0.012, max_fixed_protrusion=0.03)
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,13 @@ from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import PlannedMotion, PolicyState
-from drake_oa.geometry.solids import Solid, SolidScene, solid_of, solids_of
-from drake_oa.planning.arm_world import group_distances
+from drake_oa.geometry.collision_scene import (
+    CollisionGeometry,
+    CollisionScene,
+    geometries_of,
+    geometry_of,
+)
+from drake_oa.planning.collision_model import group_distances
 from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
@@ -58,22 +63,22 @@ class Bench:
             ("desired_posture", np.append(self.q, np.zeros(7))),
             ("policy_state", Value(policy)),
             ("motion", Value(motion)),
-            ("solids_W", Value(SolidScene.of(0.0, []))),
+            ("collision_scene_W", Value(CollisionScene.of(0.0, []))),
         ):
             self.system.GetInputPort(name).FixValue(self.context, value)
 
-    def run(self, duration: float, *balls: Solid) -> dict[str, np.ndarray]:
+    def run(self, duration: float, *balls: CollisionGeometry) -> dict[str, np.ndarray]:
         """Runs beside balls, which are where they are at the beginning."""
         found: dict[str, list] = {"x": [], "scale": [], "action": []}
         begin = self.context.get_time()
-        solids = [replace(ball, stamp=begin) for ball in balls]
+        geometries = [replace(ball, stamp=begin) for ball in balls]
         for k in range(round(duration / STEP)):
-            self.fix("solids_W", Value(SolidScene.of(begin + k * STEP, solids)))
+            self.fix("collision_scene_W", Value(CollisionScene.of(begin + k * STEP, geometries)))
             self.simulator.AdvanceTo(begin + (k + 1) * STEP)
             x = self.read("desired_joint_state")
             self.x[self.index], self.x[self.size + self.index] = np.split(x, 2)
             self.fix("robot_state", self.x)
-            self.p_WE = self.p_WE + STEP * self.read("evasion")
+            self.p_WE = self.p_WE + STEP * self.read("evasion_velocity")
             self.fix("desired_position", self.p_WE)
             found["x"].append(x)
             found["scale"].append(self.read("speed_scale")[0])
@@ -86,18 +91,20 @@ class Bench:
     def read(self, name: str) -> np.ndarray:
         return np.array(self.system.GetOutputPort(name).Eval(self.context))
 
-    def arriving(self, after: float, *v_WO: float) -> Solid:
+    def arriving(self, after: float, *v_WO: float) -> CollisionGeometry:
         """A ball that arrives at the hand after a time [s]."""
         X_WO = np.eye(4)
         X_WO[:3, 3] = self.X_WE[9:] + [0.0, 0.0, 0.05] - after * np.array(v_WO)
-        return replace(solid_of(drake.Sphere(RADIUS)), X_WO=X_WO, v_WO=np.array(v_WO), label="ball")
+        return replace(
+            geometry_of(drake.Sphere(RADIUS)), X_WO=X_WO, v_WO=np.array(v_WO), label="ball"
+        )
 
-    def gap(self, x: np.ndarray, ball: Solid) -> float:
+    def gap(self, x: np.ndarray, ball: CollisionGeometry) -> float:
         """Least distance of the moving links to a ball along joint states (T, 2n) [m]."""
         chain, spheres, q = self.arm.chain, self.arm.covered.arrays, np.ascontiguousarray(x[:, :7])
-        solids, moves = solids_of([ball]), spheres.group_joint >= 0
+        geometries, moves = geometries_of([ball]), spheres.group_joint >= 0
         return min(
-            group_distances(chain, spheres, solids, q[k : k + 1], STEP * (k + 1), np.inf)[
+            group_distances(chain, spheres, geometries, q[k : k + 1], STEP * (k + 1), np.inf)[
                 moves
             ].min()
             for k in range(len(q))
@@ -133,7 +140,7 @@ def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(panda: 
     p_WE = tool_poses(panda.chain, found["x"][-1:, :7].copy())[0, 9:]
     assert np.linalg.norm(p_WE - bench.X_WE[9:]) > 0.03
     np.testing.assert_allclose(bench.p_WE, p_WE, atol=1e-3)
-    np.testing.assert_array_equal(bench.read("evasion"), 0.0)
+    np.testing.assert_array_equal(bench.read("evasion_velocity"), 0.0)
 
 
 @pytest.mark.parametrize("limit", [0.1, None])

@@ -6,8 +6,8 @@ import numpy as np
 import pydrake.geometry as drake
 import pytest
 
+from drake_oa.geometry.collision_scene import CollisionScene, geometry_of
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.solids import SolidScene, solid_of
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.safety.passive_safety import violated_claim
 from tests.planning.arms import ArmAlone
@@ -20,7 +20,9 @@ X_WC = np.array(
 K = np.array([100.0, 100.0, 159.5, 119.5])
 
 
-def claim_of(arm: ArmAlone, rate: float, scene: SolidScene, space: FreeSpace | None = None) -> str:
+def claim_of(
+    arm: ArmAlone, rate: float, scene: CollisionScene, space: FreeSpace | None = None
+) -> str:
     """Claim that is violated if joint 1 turns at a rate for 0.1 s, then brakes."""
     t = np.arange(0.0, 0.6, 0.03)
     braked = np.clip(t - 0.1, 0.0, abs(rate) / BRAKING)
@@ -31,12 +33,12 @@ def claim_of(arm: ArmAlone, rate: float, scene: SolidScene, space: FreeSpace | N
     return violated_claim(arm.chain, spheres, t, course, scene, space, V=0.8, v_unseen=0.25)
 
 
-def moving_ball(panda: ArmAlone, way: float, speed: float) -> SolidScene:
+def moving_ball(panda: ArmAlone, way: float, speed: float) -> CollisionScene:
     """A ball so far from the tool in the direction in which joint 1 turns [m], that rises."""
     X_WO, p_WE = np.eye(4), panda.X_WE[9:]
     X_WO[:3, 3] = p_WE + way * np.array([-p_WE[1], p_WE[0], 0.0]) / np.hypot(*p_WE[:2])
-    ball = replace(solid_of(drake.Sphere(0.05)), X_WO=X_WO, v_WO=np.array([0.0, 0.0, speed]))
-    return SolidScene.of(0.0, [ball])
+    ball = replace(geometry_of(drake.Sphere(0.05)), X_WO=X_WO, v_WO=np.array([0.0, 0.0, speed]))
+    return CollisionScene.of(0.0, [ball])
 
 
 @pytest.mark.parametrize(
@@ -63,4 +65,4 @@ def test_claim_b(panda: ArmAlone, depth: float, rate: float, claim: str) -> None
     # Every pixel has this depth.
     image = np.full((240, 320), depth, dtype=np.float32)
     space = FreeSpace((View(image, K, X_WC),), 0.0)
-    assert claim_of(panda, rate, SolidScene.of(0.0, []), space) == claim
+    assert claim_of(panda, rate, CollisionScene.of(0.0, []), space) == claim

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from drake_oa.geometry.solids import SolidScene
+from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.safety.maneuvers import GuardDecision
 from drake_oa.safety.supervision import (
     RECOVERY_TIME,
-    Demand,
+    SpeedLimit,
     Supervision,
+    monitor_guard,
+    monitor_observation,
+    monitor_path,
+    monitor_torque,
     supervise,
-    watch_guard,
-    watch_observation,
-    watch_path,
-    watch_torque,
 )
 
 STEP = 0.008
@@ -22,55 +22,59 @@ STEP = 0.008
 def test_guard_path_and_old_observations_slow() -> None:
     for action, scale, reason in (("follow", 1.0, ""), ("slow", 0.3, "near 4, contact in 0.50 s")):
         decision = GuardDecision(action, scale, contact=1.5, obstacle="4")
-        demand = watch_guard(decision, 1.0, late=False, moves=True)
-        assert (demand.scale, demand.reason, demand.lasting) == (scale, reason, False)
-        assert watch_guard(decision, 1.0, late=True, moves=True).scale == 0.0
-    assert [watch_path(d).scale for d in (0.0, 0.02, 0.06, 0.2)] == pytest.approx([1, 1, 0.5, 0])
-    seen = SolidScene(1.0)
-    scales = [watch_observation(seen, 1.0 + age, 0.1, 0.5).scale for age in (0.1, 0.3, 0.5, 0.51)]
+        limit = monitor_guard(decision, 1.0, late=False, moves=True)
+        assert (limit.scale, limit.reason, limit.lasting) == (scale, reason, False)
+        assert monitor_guard(decision, 1.0, late=True, moves=True).scale == 0.0
+    assert [monitor_path(d).scale for d in (0.0, 0.02, 0.06, 0.2)] == pytest.approx([1, 1, 0.5, 0])
+    seen = CollisionScene(1.0)
+    scales = [monitor_observation(seen, 1.0 + age, 0.1, 0.5).scale for age in (0.1, 0.3, 0.5, 0.51)]
     assert scales == pytest.approx([1.0, 0.5, 0.1, 0.0])
-    assert watch_observation(SolidScene(), 0.0, 0.1, 0.5).scale == 0.0
+    assert monitor_observation(CollisionScene(), 0.0, 0.1, 0.5).scale == 0.0
 
 
 def test_lasting_saturation_slows_and_is_forgiven() -> None:
     state, scales = Supervision(), []
     for step in range(60):
-        state, demand = watch_torque(state, step < 40, step * STEP, STEP)
-        scales.append(demand.scale)
+        state, limit = monitor_torque(state, step < 40, step * STEP, STEP)
+        scales.append(limit.scale)
     assert (scales[12], min(scales)) == (1.0, pytest.approx(0.7**3))
     assert scales[-1] == pytest.approx(0.7**3 + 20 * STEP / RECOVERY_TIME)
 
 
 def run(
-    demands: list[Demand], count: int, state: Supervision, begin: float = 0.0, waits: bool = False
+    limits: list[SpeedLimit],
+    count: int,
+    state: Supervision,
+    begin: float = 0.0,
+    waits: bool = False,
 ) -> list[Supervision]:
     found = [state]
     for step in range(count):
-        found.append(supervise(found[-1], demands, begin + step * STEP, STEP, waits=waits))
+        found.append(supervise(found[-1], limits, begin + step * STEP, STEP, waits=waits))
     return found[1:]
 
 
 def test_speed_falls_at_once_and_rises_slowly() -> None:
-    (held,) = run([Demand(0.0, "why", "why, 3 m")], 1, Supervision())
+    (held,) = run([SpeedLimit(0.0, "why", "why, 3 m")], 1, Supervision())
     assert held.action == "hold"
     assert (held.speed_scale, held.reason) == (0.0, "why, 3 m")
-    back = run([Demand()], 200, held, 1.0)
+    back = run([SpeedLimit()], 200, held, 1.0)
     scales = [state.speed_scale for state in back]
     np.testing.assert_allclose(np.diff(scales[:30]), STEP / RECOVERY_TIME)
     slow = [state.action == "slow" for state in back]
     assert slow == sorted(slow, reverse=True)
     assert [state.reason for state in back] == [is_slow * "why, 3 m" for is_slow in slow]
     # A hold ends only well above where it began.
-    assert run([Demand(0.2, "why", "why")], 5, held)[-1].action == "hold"
-    assert run([Demand(0.4, "why", "why")], 5, held)[-1].action == "slow"
+    assert run([SpeedLimit(0.2, "why", "why")], 5, held)[-1].action == "hold"
+    assert run([SpeedLimit(0.4, "why", "why")], 5, held)[-1].action == "slow"
 
 
 def test_flickering_demands_and_new_causes_are_told_after_a_while() -> None:
     state, told = Supervision(), []
     for step in range(250):
-        flickering = Demand(0.9, "near", "near") if step % 2 else Demand()
-        demand = flickering if step < 125 else Demand(0.4, "two", "two")
-        after = supervise(state, [demand], step * STEP, STEP)
+        flickering = SpeedLimit(0.9, "near", "near") if step % 2 else SpeedLimit()
+        limit = flickering if step < 125 else SpeedLimit(0.4, "two", "two")
+        after = supervise(state, [limit], step * STEP, STEP)
         if (after.action, after.cause) != (state.action, state.cause):
             told.append((after.action, after.cause))
         state = after
@@ -82,7 +86,7 @@ def test_flickering_demands_and_new_causes_are_told_after_a_while() -> None:
     [(True, False, "stop"), (False, False, "hold"), (True, True, "hold")],
 )
 def test_a_lasting_hold_becomes_a_stop(lasting: bool, waits: bool, action: str) -> None:
-    held = run([Demand(0.0, "why", "why", lasting)], 400, Supervision(), waits=waits)
+    held = run([SpeedLimit(0.0, "why", "why", lasting)], 400, Supervision(), waits=waits)
     assert held[-1].action == action
-    after = run([Demand()], 300, held[-1], 10.0)
+    after = run([SpeedLimit()], 300, held[-1], 10.0)
     assert (after[0].action, after[-1].action) == ("slow", "run")

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from drake_oa.common.config import ScenarioError
+from drake_oa.inference.config import Paper, Verified
 from drake_oa.perception.config import CameraNoise, GroundTruth, RecordedClouds
-from drake_oa.regulation.config import Paper, Verified
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
@@ -17,7 +17,7 @@ def test_a_shipped_scenario_has_a_description_and_reads_back_from_its_text(name:
     scenario = load_scenario(name)
     assert scenario.description
     again = parse_scenario(scenario_text(scenario))
-    for block in ("task", "obstacles", "faults", "perception", "regulation"):
+    for block in ("task", "obstacles", "faults", "perception", "inference"):
         assert getattr(again, block) == getattr(scenario, block)
     if name != "free_space":
         assert scenario.perception.noise == CameraNoise()
@@ -30,13 +30,13 @@ def test_defaults_are_a_valid_scenario() -> None:
 
 
 def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:
-    assert isinstance(parse_scenario("{}").regulation, Verified)
+    assert isinstance(parse_scenario("{}").inference, Verified)
     # Without a tag it is the default one.
-    assert parse_scenario("regulation: {rounds: 7}").regulation == Verified(rounds=7)
-    assert parse_scenario("regulation: !Verified {slack: 0.001}").regulation == Verified(slack=1e-3)
-    paper = load_scenario("free_space", ["regulation=!Paper {}"])
-    assert isinstance(paper.regulation, Paper)
-    assert isinstance(parse_scenario(scenario_text(paper)).regulation, Paper)
+    assert parse_scenario("inference: {generations: 7}").inference == Verified(generations=7)
+    assert parse_scenario("inference: !Verified {slack: 0.001}").inference == Verified(slack=1e-3)
+    paper = load_scenario("free_space", ["inference=!Paper {}"])
+    assert isinstance(paper.inference, Paper)
+    assert isinstance(parse_scenario(scenario_text(paper)).inference, Paper)
 
 
 TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamera"
@@ -136,19 +136,19 @@ def test_an_override_that_is_none_is_named(override: str, said: str) -> None:
     assert said in str(error.value)
 
 
-FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.chain=f"]
+FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "inference.chain=f"]
 
 
 def files(scenario: Scenario) -> set[str]:
     assert isinstance(scenario.perception, RecordedClouds)
-    return {scenario.perception.folder, *scenario.task.demonstration, scenario.regulation.chain}
+    return {scenario.perception.folder, *scenario.task.demonstration, scenario.inference.chain}
 
 
 def test_files_in_a_scenario_are_relative_to_it(tmp_path: Path) -> None:
     path = tmp_path / "mine.scenario.yaml"
     path.write_text(
         "{perception: !RecordedClouds {folder: f}, task: {demonstration: f}, "
-        "regulation: !Verified {chain: f}}"
+        "inference: !Verified {chain: f}}"
     )
     assert files(load_scenario(str(path))) == {str(tmp_path / "f")}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drake_oa.common.files import source_digest
-from drake_oa.regulation.regressor import load_chain, save_chain
+from drake_oa.inference.regressor import load_chain, save_chain
 from drake_oa.training.lattice import PaperLattice
 from drake_oa.training.networks import Round
 from drake_oa.training.paper import (

@@ -3,7 +3,7 @@
 import pytest
 
 from drake_oa.app.main import main
-from drake_oa.regulation.regressor import load_chain
+from drake_oa.inference.regressor import load_chain
 from drake_oa.training import paper
 from drake_oa.training.lattice import PaperLattice
 

@@ -26,7 +26,7 @@ def uncompressed(message: lcmt_image_array) -> lcmt_image_array:
 
 
 @pytest.mark.parametrize("message", [packed(), uncompressed(packed())])
-def test_depth_comes_back_to_half_a_millimetre(message: lcmt_image_array) -> None:
+def test_depth_comes_back_to_half_a_millimeter(message: lcmt_image_array) -> None:
     depth, stamp = unpack_depth(message)
     np.testing.assert_allclose(depth, DEPTH, atol=0.51e-3)
     assert stamp == pytest.approx(123e-6)

@@ -23,7 +23,7 @@ EPOCH, STEP = 1.7e9, 0.01
 INFO = CameraInfo(8, 6, 10.0, 10.0, 3.5, 2.5)
 
 
-class Cell:
+class StationModel:
     """A live camera whose plant moves at 1 rad/s; a wall clock that goes with its time."""
 
     def __init__(
@@ -75,69 +75,75 @@ class Cell:
 
 
 def test_time_and_state_are_those_when_the_image_was_taken() -> None:
-    cell = Cell()
-    cell.simulator.Initialize()
-    cell.go(0.195)
-    cell.send(0.153, 2.0)
-    cell.go(0.2)
-    np.testing.assert_allclose(cell.seen(), [2.0, 0.153, 0.153], atol=1e-6)
+    station_model = StationModel()
+    station_model.simulator.Initialize()
+    station_model.go(0.195)
+    station_model.send(0.153, 2.0)
+    station_model.go(0.2)
+    np.testing.assert_allclose(station_model.seen(), [2.0, 0.153, 0.153], atol=1e-6)
     # Of several that have come the newest; one that is older than the last is none.
     for taken, depth in ((0.17, 3.0), (0.19, 4.0), (0.18, 5.0)):
-        cell.send(taken, depth)
-        cell.go(cell.simulator.get_context().get_time() + STEP)
-    np.testing.assert_allclose(cell.seen(), [4.0, 0.19, 0.19], atol=1e-6)
+        station_model.send(taken, depth)
+        station_model.go(station_model.simulator.get_context().get_time() + STEP)
+    np.testing.assert_allclose(station_model.seen(), [4.0, 0.19, 0.19], atol=1e-6)
 
 
 def test_a_simulation_that_falls_behind_for_a_moment_keeps_the_times() -> None:
-    cell = Cell()
-    cell.simulator.Initialize()
-    cell.go(0.3)
+    station_model = StationModel()
+    station_model.simulator.Initialize()
+    station_model.go(0.3)
     # It stood still for 50 ms, in which an image came.
-    cell.late = 0.05
-    cell.send(0.29)
-    cell.go(0.31)
-    assert cell.seen()[1] == pytest.approx(0.29)
+    station_model.late = 0.05
+    station_model.send(0.29)
+    station_model.go(0.31)
+    assert station_model.seen()[1] == pytest.approx(0.29)
     # One that was taken in what is its future is of the present at most.
-    cell.send(0.36)
-    cell.go(0.32)
-    assert cell.seen()[1] == pytest.approx(0.315)
+    station_model.send(0.36)
+    station_model.go(0.32)
+    assert station_model.seen()[1] == pytest.approx(0.315)
 
 
 def test_simulated_time_is_what_the_arm_is_said_to_be_at() -> None:
-    cell = Cell(to_simulated=lambda stamp: 0.5 * (stamp - EPOCH))
-    cell.simulator.Initialize()
-    cell.go(0.195)
-    cell.send(0.18)
-    cell.go(0.2)
+    station_model = StationModel(to_simulated=lambda stamp: 0.5 * (stamp - EPOCH))
+    station_model.simulator.Initialize()
+    station_model.go(0.195)
+    station_model.send(0.18)
+    station_model.go(0.2)
     # The state is of the wall clock's time, as it was known then.
-    np.testing.assert_allclose(cell.seen()[1:], [0.09, 0.18], atol=1e-6)
+    np.testing.assert_allclose(station_model.seen()[1:], [0.09, 0.18], atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("spoil", "why"),
     [
-        (lambda cell: cell.send(0.0), "are more than 0.2 s old"),
-        (lambda cell: cell.send(0.3, shape=(6, 9)), "9 x 6 pixels, the scenario has 8 x 6"),
-        (lambda cell: cell.bus.Publish(CHANNEL.format("eye"), b"noise"), "no lcmt_image_array"),
+        (lambda station_model: station_model.send(0.0), "are more than 0.2 s old"),
+        (
+            lambda station_model: station_model.send(0.3, shape=(6, 9)),
+            "9 x 6 pixels, the scenario has 8 x 6",
+        ),
+        (
+            lambda station_model: station_model.bus.Publish(CHANNEL.format("eye"), b"noise"),
+            "no lcmt_image_array",
+        ),
     ],
 )
 def test_what_does_not_fit_is_passed_over_and_said_once(
-    spoil: Callable[[Cell], None], why: str, caplog: pytest.LogCaptureFixture
+    spoil: Callable[[StationModel], None], why: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    cell = Cell()
-    cell.simulator.Initialize()
-    cell.go(0.2)
-    cell.send(0.2, 2.0)
+    station_model = StationModel()
+    station_model.simulator.Initialize()
+    station_model.go(0.2)
+    station_model.send(0.2, 2.0)
     for end in (0.25, 0.31, 0.32):
-        cell.go(end)
+        station_model.go(end)
         if end > 0.3:
-            spoil(cell)
-    cell.go(0.33)
-    np.testing.assert_allclose(cell.seen()[:2], [2.0, 0.2], atol=1e-6)
-    cell.send(0.33, 3.0)
-    cell.go(0.34)
-    assert cell.seen()[0] == pytest.approx(3.0)
+            spoil(station_model)
+    station_model.go(0.33)
+    np.testing.assert_allclose(station_model.seen()[:2], [2.0, 0.2], atol=1e-6)
+    station_model.send(0.33, 3.0)
+    station_model.go(0.34)
+    assert station_model.seen()[0] == pytest.approx(3.0)
     said = [record.getMessage() for record in caplog.records]
     assert len(said) == 2
     assert why in said[0]
@@ -145,17 +151,17 @@ def test_what_does_not_fit_is_passed_over_and_said_once(
 
 
 def test_the_first_image_is_waited_for_and_after_a_release_again() -> None:
-    cell = Cell(wait=30.0)
-    cell.send(-0.02, 2.0)
-    cell.simulator.Initialize()
-    np.testing.assert_allclose(cell.seen()[:2], [2.0, -0.02], atol=1e-6)
-    release_cameras(cell.simulator.get_system())
-    cell.send(0.0, 3.0)
-    cell.go(0.05)
-    assert cell.seen()[0] == pytest.approx(2.0)
-    cell = Cell(wait=0.01)
+    station_model = StationModel(wait=30.0)
+    station_model.send(-0.02, 2.0)
+    station_model.simulator.Initialize()
+    np.testing.assert_allclose(station_model.seen()[:2], [2.0, -0.02], atol=1e-6)
+    release_cameras(station_model.simulator.get_system())
+    station_model.send(0.0, 3.0)
+    station_model.go(0.05)
+    assert station_model.seen()[0] == pytest.approx(2.0)
+    station_model = StationModel(wait=0.01)
     with pytest.raises(ScenarioError, match=r"live_eye: no image came within 0\.01 s from LCM"):
-        cell.simulator.Initialize()
+        station_model.simulator.Initialize()
 
 
 # In scenarios -----------------------------------------------------------------------------
@@ -173,8 +179,8 @@ def test_it_stands_where_the_simulated_camera_stands_and_nothing_renders() -> No
     simulated, rendering = camera()
     live, others = camera("perception=!LcmCamera {lcm_url: 'memq://'}")
     assert live.IsNearlyEqualTo(simulated, 1e-12)
-    assert "late_camera" in rendering
-    assert "late_camera" not in others
+    assert "delayed_camera" in rendering
+    assert "delayed_camera" not in others
 
 
 def test_a_camera_on_the_arm_is_refused() -> None:

@@ -138,8 +138,8 @@ def played(
     free = plant.AddRigidBody("block", blocks, inertia)
     for body, z, size in ((plant.world_body(), -0.5, [2.0, 2.0, 1.0]), (free, 0.0, [0.1] * 3)):
         if floor or body is free:
-            solid = geometry.Box(*size)
-            plant.RegisterCollisionGeometry(body, RigidTransform([0, 0, z]), solid, "c", friction)
+            shape = geometry.Box(*size)
+            plant.RegisterCollisionGeometry(body, RigidTransform([0, 0, z]), shape, "c", friction)
     plant.SetDefaultFloatingBaseBodyPose(free, RigidTransform(block))
     plant.set_gravity_enabled(blocks, floor)
     plant.Finalize()

@@ -10,7 +10,7 @@ from drake_oa.scenario.loading import parse_scenario
 from drake_oa.world.world_model import add_world
 
 SDF = """<sdf version="1.9"><model name="m"><link name="lamp">{mass}
-<collision name="c"><geometry>{solid}</geometry></collision></link></model></sdf>"""
+<collision name="c"><geometry>{shape}</geometry></collision></link></model></sdf>"""
 BOX = "<box><size>1 1 {z}</size></box>"
 MASS = "<inertial><mass>-3</mass></inertial>"
 NESTED = "directives:\n- add_directives: {{file: {} }}\n"
@@ -24,16 +24,16 @@ def refused(folder: Path, directive: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("mass", "solid", "said"),
+    ("mass", "shape", "said"),
     [
         ("", BOX.format(z=0), "link 'lamp': size of <box> must be positive [m], not 1 1 0"),
         (MASS, BOX.format(z=1), "link 'lamp': <mass> must be at least 0 kg, not -3"),
     ],
 )
 def test_a_wrong_model_is_refused_with_its_file_and_link(
-    tmp_path: Path, mass: str, solid: str, said: str
+    tmp_path: Path, mass: str, shape: str, said: str
 ) -> None:
-    (tmp_path / "m.sdf").write_text(SDF.format(mass=mass, solid=solid))
+    (tmp_path / "m.sdf").write_text(SDF.format(mass=mass, shape=shape))
     text = refused(tmp_path, "add_model: {name: obstacle_m, file: m.sdf}")
     assert text.startswith("directives: ")
     assert "m.sdf'" in text

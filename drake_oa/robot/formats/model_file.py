@@ -90,12 +90,12 @@ def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model
             text = mass.get("value", mass.text)
             if not all(value >= 0.0 for value in _numbers(text)):
                 raise ScenarioError(f"{where}: <mass> must be at least 0 kg, not {text}")
-        for solid in link.findall("*/geometry/*"):
+        for geometry in link.findall("*/geometry/*"):
             for name in _LENGTHS:
-                text = solid.get(name, solid.findtext(name))
+                text = geometry.get(name, geometry.findtext(name))
                 if not all(value > 0.0 for value in _numbers(text)):
                     raise ScenarioError(
-                        f"{where}: {name} of <{solid.tag}> must be positive [m], not {text}"
+                        f"{where}: {name} of <{geometry.tag}> must be positive [m], not {text}"
                     )
 
 

@@ -1,0 +1,360 @@
+"""Drake's differential inverse kinematics on the simulated station, along the nominal motion.
+
+    goal -> dmp_integrator [-> orientation_integrator] -> commanded_joints
+    commanded_joints -> differential_ik -> commanded_joints -> controller -> plant
+
+It is the layer `safety` of a diagram that perceives nothing (`drake_oa.diagrams.avoidance`).
+The program starts from the commanded positions. At each step of
+`DifferentialInverseKinematicsSystem` a quadratic program finds the joint velocity that brings the
+tool nearest to the asked pose, subject to joint velocity limits and, for every pair (robot link,
+thing) with padded distance phi = d - p below the influence distance, to
+
+    phi + (dphi/dq) v dt >= s,
+
+so that a pair keeps s + p. The safety distance s is the smaller of what tool and arm keep, and
+the padding p is what a pair keeps besides. Between d = 0 and d = p the gradient of Drake 1.51
+has the wrong sign (RobotLocomotion/drake#25016), and the program would drive such a pair
+further in: with s > 0 this region lies s inside of what is kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsSystem
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.planning import DofMask, JointLimits, RobotDiagramBuilder, SceneGraphCollisionChecker
+from pydrake.systems.framework import BasicVector, BusValue, Context, DiscreteValues, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+from scipy.spatial.transform import Rotation
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.signal_builder import SignalBuilder
+from drake_oa.diagrams.avoidance import Layers, without_avoidance
+from drake_oa.diagrams.control import add_control
+from drake_oa.diagrams.motion import make_dmp
+from drake_oa.diagrams.station import StationModel
+from drake_oa.policy.dmp import trajectory
+from drake_oa.robot.grasped_object import part_carried, tool_links
+from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import achievable_clearance_of
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.scenario import Scenario, robot_of
+from drake_oa.world.obstacles import obstacle_instances
+from drake_oa.world.world_model import add_world
+
+_EDGE_STEP = 0.1
+"""Step of the collision checker's checks of edges, which are not used here [rad]."""
+SELF_DISTANCE = 0.005
+"""Distance that links keep from one another [m]. Not 0, where the gradient's sign changes; links of
+the UR5 that cannot come apart are 13 mm from one another."""
+INFLUENCE = 0.2
+"""Pairs whose distance exceeds the safety distance by more than this are left out [m]."""
+HORIZON = 0.3
+"""dt of the collision constraint [s]: a link may use up the distance that is left to it within this
+time, and no faster. With the policy's step of 8 ms for it, the program was left without a solution
+in 8 of 9 scenes; with 0.3 s in 1."""
+GAIN = 0.2
+"""Share of the pose error that the asked velocity makes up in a step."""
+SPEED_SHARE = 1.2
+"""Largest asked tool velocity along an axis, as a multiple of the planned motion's greatest
+speed."""
+ANGULAR_LIMIT = 2.5
+"""Largest asked tool rate about an axis [rad/s]."""
+WEIGHT = 100.0
+"""Weight of the tool's velocity error against the posture's."""
+KP, KD = 2500.0, 100.0
+"""Stiffness [1/s^2] and damping [1/s] of the joint controller."""
+
+
+ARM_DISTANCE = 0.02
+"""Maximum distance that links other than the tool keep from obstacles, and every link from the rest
+of the world [m]."""
+METHOD = "DifferentialInverseKinematics"
+"""The log's `inference`."""
+
+
+def make_collision_checker(
+    scenario: Scenario, *, tool: float, links: float, world: float, own: float
+) -> SceneGraphCollisionChecker:
+    """Makes the collision model of a scenario's world, the same as the station's.
+
+    Links that no joint moves are left out: no velocity changes their distances.
+
+    Args:
+        scenario: with a robot.
+        tool: padding of the tool and obstacles [m].
+        links: padding of the other links and obstacles [m].
+        world: padding of the robot and the rest of the world [m].
+        own: padding of the links among each other [m].
+    """
+    builder = RobotDiagramBuilder(time_step=0.0)
+    plant = builder.plant()
+    instance = add_world(plant, scenario)
+    plant.Finalize()
+    part_carried(plant, builder.scene_graph(), scenario.robot)
+    obstacles = obstacle_instances(plant)
+    checker = SceneGraphCollisionChecker(
+        model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP
+    )
+    plant, of_tool = checker.plant(), tool_links(robot_of(scenario))
+    checker.SetPaddingAllRobotEnvironmentPairs(world)
+    checker.SetPaddingAllRobotRobotPairs(own)
+    for link in map(plant.get_body, plant.GetBodyIndices(instance)):
+        if plant.IsAnchored(link):
+            checker.SetCollisionFilteredWithAllBodies(link.index())
+            continue
+        padding = tool if link.name() in of_tool else links
+        for obstacle in obstacles:
+            for index in plant.GetBodyIndices(obstacle):
+                checker.SetPaddingBetween(link.index(), index, padding)
+    return checker
+
+
+def make_differential_ik(
+    scenario: Scenario, checker: SceneGraphCollisionChecker, safety: float
+) -> DifferentialInverseKinematicsSystem:
+    """Makes the system with its program, which runs every `scenario.policy.period`.
+
+    Args:
+        scenario: with a robot.
+        checker: collision model with paddings.
+        safety: distance that every pair keeps besides its padding [m].
+    """
+    System, plant = DifferentialInverseKinematicsSystem, checker.plant()
+    dmp = make_dmp(scenario)
+    planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
+    speed = SPEED_SHARE * float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
+    active = DofMask.MakeFromModel(plant, plant.GetFrameByName(TOOL_FRAME).model_instance())
+    cost, limits = System.LeastSquaresCost, System.JointVelocityLimitConstraint
+    centering, collision = System.JointCenteringCost, System.CollisionConstraint
+    distances = collision.Config(safety_distance=safety, influence_distance=safety + INFLUENCE)
+    recipe = System.Recipe()
+    recipe.AddIngredient(cost(cost.Config(cartesian_qp_weight=WEIGHT)))
+    recipe.AddIngredient(centering(centering.Config()))
+    recipe.AddIngredient(limits(limits.Config(), JointLimits(plant, active)))
+    recipe.AddIngredient(collision(distances))
+    return System(
+        recipe=recipe,
+        task_frame=plant.world_frame().scoped_name().get_full(),
+        collision_checker=checker,
+        active_dof=active,
+        time_step=HORIZON,
+        # The system asks for gain (X - X_now) / time_step; the step is the policy's.
+        K_VX=GAIN * HORIZON / scenario.policy.period,
+        Vd_TG_limit=SpatialVelocity(w=np.full(3, ANGULAR_LIMIT), v=np.full(3, speed)),
+    )
+
+
+class CommandedJoints(LeafSystem):
+    """Joint motion that the program commands, and the program's inputs.
+
+    .. pydrake_system::
+
+      name: CommandedJoints
+      input_ports:
+      - joint_velocity
+      - desired_position
+      - desired_velocity
+      - desired_orientation (optional)
+      - desired_angular_velocity (optional)
+      - desired_posture (optional)
+      - plant_state
+      output_ports:
+      - desired_joint_state
+      - desired_cartesian_poses
+      - position
+      - nominal_posture
+
+    - joint_velocity: (n,) solution of the program [rad/s, m/s].
+    - desired_position: (3,) p_WE [m].
+    - desired_velocity: (3,) v_WE [m/s].
+    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Without it the
+      orientation is that of the robot's block.
+    - desired_angular_velocity (optional): (3,) w_WE [rad/s].
+    - desired_posture (optional): (2m,) posture of the arm's m joints [rad, rad/s]; without it that
+      of the start.
+    - plant_state: state of the station's plant, of which the obstacles' positions are used.
+    - desired_joint_state: (2m,) commanded positions [rad] and velocities [rad/s] of the arm.
+    - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame a moment
+      later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
+    - position: positions of the whole world, those of the robot as commanded [rad, m].
+    - nominal_posture: positions of the whole world, the robot in its posture [rad, m].
+
+    The state is the commanded positions and velocities. Each period the velocity becomes the
+    solution, and the position advances by it at once.
+    """
+
+    def __init__(self, scenario: Scenario, plant: MultibodyPlant, q_start: FloatArray) -> None:
+        """Declares the ports.
+
+        Args:
+            scenario: with a robot.
+            plant: of the collision checker; its positions are those of the station's plant.
+            q_start: (n,) all positions of the robot at the start.
+        """
+        super().__init__()
+        robot, self._q_start, n = robot_of(scenario), np.array(q_start), len(q_start)
+        self._R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
+        # Making up the share g of an error at each step h, the command follows a steady motion
+        # h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so
+        # that it is half a step early there.
+        self._period = scenario.policy.period
+        self._look_ahead = self._period * (1.0 / GAIN - 0.5)
+        self._plant, self._arm = plant, len(robot.q_seed)
+        tool_frame = plant.GetFrameByName(TOOL_FRAME)
+        self._robot, self._tool = tool_frame.model_instance(), tool_frame.scoped_name().get_full()
+        sizes = {
+            "joint_velocity": n,
+            "desired_position": 3,
+            "desired_velocity": 3,
+            "desired_orientation": 4,
+            "desired_angular_velocity": 3,
+            "desired_posture": 2 * self._arm,
+            "plant_state": plant.num_multibody_states(),
+        }
+        self._inputs = {name: self.DeclareVectorInputPort(name, sizes[name]) for name in sizes}
+        # Without feedthrough of the velocity, which the program computes from these outputs.
+        needed = {port.ticket() for name, port in self._inputs.items() if name != "joint_velocity"}
+        needed.add(self.xd_ticket())
+        self.DeclareDiscreteState(np.append(q_start, np.zeros(n)))
+        self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, self._advance)
+        for name, size, calc, tickets in (
+            ("desired_joint_state", 2 * self._arm, self._calc_state, {self.xd_ticket()}),
+            ("position", plant.num_positions(), self._calc_position, needed),
+            ("nominal_posture", plant.num_positions(), self._calc_posture, needed),
+        ):
+            self.DeclareVectorOutputPort(name, size, calc, tickets)
+        self.DeclareAbstractOutputPort(
+            "desired_cartesian_poses", lambda: Value(BusValue()), self._calc_poses, needed
+        )
+
+    def _advance(self, context: Context, values: DiscreteValues) -> None:
+        q, _ = np.split(context.get_discrete_state_vector().value(), 2)
+        v = self._inputs["joint_velocity"].Eval(context)
+        values.set_value(np.append(q + self._period * v, v))
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        parts = np.split(context.get_discrete_state_vector().value(), 2)
+        output.SetFromVector(np.concatenate([part[: self._arm] for part in parts]))
+
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        R_WE = self._R_WE
+        if self._inputs["desired_orientation"].HasValue(context):
+            turning = self._inputs["desired_angular_velocity"].Eval(context)
+            quaternion = self._inputs["desired_orientation"].Eval(context)
+            ahead = Rotation.from_rotvec(self._look_ahead * turning)
+            R_WE = (ahead * Rotation.from_quat(quaternion, scalar_first=True)).as_matrix()
+        v_WE = self._inputs["desired_velocity"].Eval(context)
+        p_WE = self._inputs["desired_position"].Eval(context) + self._look_ahead * v_WE
+        poses = BusValue()
+        poses.Set(self._tool, Value(RigidTransform(RotationMatrix(R_WE), p_WE)))
+        output.set_value(poses)
+
+    def _calc_position(self, context: Context, output: BasicVector) -> None:
+        q_robot, _ = np.split(context.get_discrete_state_vector().value(), 2)
+        self._set_positions(context, q_robot, output)
+
+    def _calc_posture(self, context: Context, output: BasicVector) -> None:
+        q_robot = self._q_start.copy()
+        if self._inputs["desired_posture"].HasValue(context):
+            desired = self._inputs["desired_posture"].Eval(context)
+            q_robot[: self._arm] = desired[: self._arm]
+        self._set_positions(context, q_robot, output)
+
+    def _set_positions(self, context: Context, q_robot: FloatArray, output: BasicVector) -> None:
+        """Sets an output to positions of the robot among the obstacles."""
+        q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
+        self._plant.SetPositionsInArray(self._robot, q_robot, q)
+        output.set_value(q)
+
+
+@contextlib.contextmanager
+def _without_solver_messages() -> Iterator[None]:
+    """Suppresses messages of Drake and OSQP on steps without solution or active constraint."""
+    logger = logging.getLogger("drake")
+    level, out = logger.level, os.dup(1)
+    logger.setLevel(logging.ERROR)
+    sys.stdout.flush()
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        # What is printed from C waits in a buffer of its own.
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(out, 1)
+        os.close(out)
+        logger.setLevel(level)
+
+
+def simulate_differential_ik(scenario: Scenario, duration: float | None = None) -> MotionLog:
+    """Runs one motion of the peer until it has ended as one of `simulate` does.
+
+    Until the planned duration is over the tool is asked along the planned motion, and then to the
+    goal. Where the program has no solution the robot is held. The tool keeps the requested
+    clearance as far as start and goal have it, the other links `ARM_DISTANCE` at most.
+
+    Args:
+        scenario: with a robot; its perception and inference are not used.
+        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
+
+    Returns:
+        The log; `inference` is `METHOD`, and there are no observations.
+
+    Raises:
+        ScenarioError: if the scenario has no robot, or its start or goal is out of reach.
+        MotionInterruptedError: if the simulation raised or was interrupted; it
+            carries the log until then, and the cause.
+    """
+    robot = robot_of(scenario)
+    # No arm starts where it would have to keep more than it has.
+    tool, arm = achievable_clearance_of(scenario), min(ARM_DISTANCE, scenario.task.clearance)
+    safety = min(tool, arm)
+    gains = replace(robot.gains, kp_position=KP, kd_position=KD, ki_position=0.0)
+    stiff = replace(scenario, robot=replace(robot, gains=gains))
+
+    def add_program(
+        signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+    ) -> None:
+        if station_model is None:
+            return
+        checker = make_collision_checker(
+            scenario,
+            tool=tool - safety,
+            links=arm - safety,
+            world=arm - safety,
+            own=SELF_DISTANCE - safety,
+        )
+        signals.add(
+            "commanded_joints", CommandedJoints(scenario, checker.plant(), station_model.q_start)
+        )
+        steady = ConstantVectorSource(np.zeros(len(robot.q_seed)))
+        signals.add("steady", steady, outputs={"y0": "desired_joint_acceleration"})
+        program = make_differential_ik(scenario, checker, safety)
+        signals.add("differential_ik", program, outputs={"commanded_velocity": "joint_velocity"})
+
+    layers = replace(
+        without_avoidance(Layers()),
+        safety=add_program,
+        control=lambda signals, _, station_model: add_control(signals, stiff, station_model),
+    )
+    with _without_solver_messages():
+        log = replace(simulate(scenario, duration=duration, layers=layers), inference=METHOD)
+    if not len(log.desired_orientation):
+        return log
+    poses = make_robot_plant(robot).tool_poses(log.q)
+    actual = Rotation.from_matrix([X_WE.rotation().matrix() for X_WE in poses])
+    desired = Rotation.from_quat(log.desired_orientation, scalar_first=True)
+    return replace(log, orientation_error=(desired * actual.inv()).as_rotvec())

@@ -1,0 +1,195 @@
+"""Arm of the random scenes: straight motions of its tool, and its distances to obstacles.
+
+The arm is that of the planner: its joints and the spheres that enclose its links
+(`drake_oa.planning.collision_model`). Distances between true shapes are up to 4 mm larger, of the base
+2 cm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pydrake.geometry as drake
+from numpy.typing import ArrayLike
+from pydrake.math import RollPitchYaw
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
+from drake_oa.diagrams.station import covered_arm
+from drake_oa.evaluation.cameras import obstacle_geometries
+from drake_oa.geometry.collision_scene import geometries_of, geometry_of
+from drake_oa.planning.collision_model import (
+    ArmCollisionModel,
+    ClearanceRequirements,
+    group_distances,
+)
+from drake_oa.planning.search import ToolPaths, roll_out_arm
+from drake_oa.policy.dmp import minimum_jerk_share
+from drake_oa.robot.arm import inverse_kinematics, make_chain
+from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.robot.spheres import sphere_centers
+from drake_oa.scenario.end_poses import end_positions
+from drake_oa.scenario.loading import load_scenario, parse_scenario
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.scenario.scenario import Scenario, robot_of
+
+LIKE = "tabletop_box"
+"""Name of the shipped scenario with the robot, camera and parameters of most scenes."""
+ELBOW_LIKE = "shelf_elbow"
+"""Name of the shipped scenario with the camera of elbow scenes, which looks higher."""
+_CELL = """\
+directives:
+- add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
+- add_directives: {file: package://drake_oa/scenes/camera_xtion.dmd.yaml}
+"""
+_STEPS = 60
+"""Steps of a straight motion."""
+_LIMIT_MARGIN = 0.03
+"""Minimum distance of a straight motion to the joint limits [rad]."""
+_MAX_ERROR = 1e-3
+"""Maximum pose error of a straight motion [m, rad]."""
+
+
+@lru_cache(maxsize=4)
+def base_scenario(like: str = LIKE) -> Scenario:
+    """Loads a shipped scenario and removes all but table and camera from its world."""
+    scenario = load_scenario(like)
+    scenario.directives = parse_scenario(_CELL).directives
+    scenario.obstacles = []
+    return scenario
+
+
+class Motion(NamedTuple):
+    """Planned motion of a scene.
+
+    Attributes:
+        start: (3,) tool point at the start [m].
+        goal: (3,) tool point at the goal [m].
+        t: (T,) times [s].
+        q: (T, n) joints [rad].
+        ends: (3, n) joints at both ends of q, and those that a run at the goal begins with [rad].
+        rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
+    """
+
+    start: FloatArray
+    goal: FloatArray
+    t: FloatArray
+    q: FloatArray
+    ends: FloatArray
+    rpy_WE: list[float] | None = None
+
+
+class SceneArm:
+    """Arm of the random scenes, whose tool points down unless another orientation is given.
+
+    Attributes:
+        tool: (G,) whether each link is of the tool.
+        joint: (G,) index of the joint that moves each link; -1: fixed.
+    """
+
+    def __init__(self) -> None:
+        """Reads the arm of the default scenario."""
+        robot = robot_of(base_scenario())
+        robot_plant, q_home = make_robot_plant(robot), home_positions(robot)
+        self._spheres = covered_arm(robot).arrays
+        plant, tool_frame = robot_plant.plant, robot_plant.tool_frame
+        self._chain = make_chain(plant, tool_frame, q_home, self._spheres)
+        self._q_home = q_home[self._chain.q_index]
+        self._R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix().ravel()
+        self.joint = self._spheres.group_joint
+        self.tool = self._spheres.of_tool[self._spheres.first[:-1]]
+
+    def postures(self, p_WE: FloatArray) -> FloatArray:
+        """Computes (m, n) joints with the tool at a point (3,) [rad]."""
+        return inverse_kinematics(self._chain, np.append(self._R_WE, p_WE), self._q_home)
+
+    def straight_motion(
+        self,
+        start: FloatArray,
+        goal: FloatArray,
+        aside: FloatArray | None = None,
+        rpy_WE: list[float] | None = None,
+    ) -> Motion | None:
+        """Computes the motion along the straight minimum-jerk path of the tool.
+
+        Args:
+            start: (3,) tool point at the start [m].
+            goal: (3,) tool point at the goal [m].
+            aside: (n,) joints that the null space is led to in the middle and back [rad]; None:
+                it stays at the posture of the start.
+            rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
+
+        Returns:
+            The motion; None if the arm cannot follow the line or touches the table.
+        """
+        scenario = base_scenario()
+        task = replace(scenario.task, start=start.tolist(), goal=goal.tolist())
+        R_WE = self._R_WE
+        if rpy_WE is not None:
+            task.rpy_start = task.rpy_goal = rpy_WE
+            R_WE = RollPitchYaw(rpy_WE).ToRotationMatrix().matrix().ravel()
+        try:
+            q_ends = np.stack(end_positions(replace(scenario, task=task)))[:, self._chain.q_index]
+        except ScenarioError:
+            return None
+        q_start, s = q_ends[0], np.linspace(0.0, 1.0, _STEPS + 1)
+        led = np.sin(np.pi * s[:, None]) ** 2 * (0.0 if aside is None else aside - q_start)
+        paths = ToolPaths(
+            s=s,
+            p_WE=(start + minimum_jerk_share(s)[:, None] * (goal - start))[None],
+            R_WE=np.tile(R_WE, (1, len(s), 1)),
+            posture=(q_start + led)[None],
+            seconds=task.duration,
+        )
+        off_table = np.where(self.joint < 0, -np.inf, 0.0)[:, None]
+        requested = ClearanceRequirements(off_table, 0.0, self.tool)
+        table = geometries_of([geometry_of(drake.HalfSpace())])
+        world = ArmCollisionModel(self._chain, self._spheres, table, requested, 0.0)
+        rolled = roll_out_arm(world, q_start, paths)
+        q, margin = rolled.q[0], _LIMIT_MARGIN
+        within = (q > self._chain.lower + margin) & (q < self._chain.upper - margin)
+        if rolled.error[0] > _MAX_ERROR or not within.all() or rolled.least[0] < 0.0:
+            return None
+        ends = np.vstack([q[[0, -1]], q_ends[1:]])
+        return Motion(start, goal, task.duration * s, q, ends, rpy_WE)
+
+    def distances(
+        self, q: FloatArray, obstacles: Iterable[Obstacle], t: ArrayLike = 0.0
+    ) -> FloatArray:
+        """Computes (T, G, K) distances of G links to the K shapes of obstacles [m].
+
+        Args:
+            q: (T, n) joints [rad], or (1, n) for all times.
+            obstacles: at rest or moving.
+            t: T times [s], or one for all joints.
+        """
+        placed = [obstacle_geometries(obstacles, time) for time in np.atleast_1d(t)]
+        return np.stack(
+            [
+                group_distances(
+                    self._chain,
+                    self._spheres,
+                    placed[row % len(placed)],
+                    q[None, row % len(q)],
+                    0.0,
+                    np.inf,
+                )
+                for row in range(max(len(q), len(placed)))
+            ]
+        )
+
+    def centers(self, q: FloatArray, joints: range) -> FloatArray:
+        """Computes centers (N, 3) of the spheres of some joints' links at joints (T, n) [m]."""
+        mine = np.isin(self._spheres.joint, joints)
+        p_WS = sphere_centers(self._chain, self._spheres, q)[:, mine]
+        return np.asarray(p_WS.reshape(-1, 3))
+
+
+@lru_cache(maxsize=1)
+def scene_arm() -> SceneArm:
+    """Returns the arm of the random scenes, made once a process."""
+    return SceneArm()

@@ -1,0 +1,657 @@
+"""Collision shapes as solids, and their signed distances to points at a time.
+
+Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud
+is a `DistanceField`. Each solid moves with a constant velocity: p_WO(t) = p_WO + v_WO (t - stamp).
+`CollisionGeometry` is one of them, to read; `CollisionGeometries` is a scene of them, as kernels take it. `read_geometry` is
+the only reader of Drake's geometries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pydrake.geometry as drake
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.systems.framework import Context
+from scipy.spatial import ConvexHull, QhullError
+
+from drake_oa.common.compiled import compiled, leaf
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
+from drake_oa.geometry.directions import lattice, sphere_points
+from drake_oa.geometry.distance_field import OFFSET, DistanceField
+from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
+
+PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
+"""Kinds of solids; a primitive is a rounded box (a sphere or capsule included) or a cylinder."""
+
+ENVIRONMENT = -1
+"""Name of what belongs to the cell itself: a table, a stand. It is no obstacle to keep far from."""
+
+CORNERS = lattice(*[(-1.0, 1.0)] * 3)
+"""(8, 3) corners of a cube."""
+
+
+class CollisionGeometries(NamedTuple):
+    """K solids as kernels take them: C-contiguous arrays of one type each, and few of them.
+
+    Attributes:
+        ball: (K, 8) center, in the world at the stamp, and radius of a sphere that holds the
+            solid (inf: a half-space) [m]; velocity [m/s]; stamp [s].
+        X_WO: (K, 3, 4) upper rows of the poses at the stamp.
+        size: (K, 7) of a primitive the half extents of its inner box, its rounding radius [m], and
+            1 for a cylinder about z, else 0; the semi-axes of an ellipsoid [m]; of a field see
+            `_interpolated`.
+        layout: (K, 6) kind; of a hull its first face and one past the last, of a field where it
+            begins among the voxels, and nx, ny, nz; name.
+        faces: (F, 13) triangles: unit normal and offset, and corners a, b, c in O [m].
+        voxels: float32 values of all fields [m].
+    """
+
+    ball: FloatArray
+    X_WO: FloatArray
+    size: FloatArray
+    layout: IntArray
+    faces: FloatArray
+    voxels: NDArray[np.float32]
+
+    @property
+    def moving(self) -> BoolArray:
+        """(K,) whether each of them moves."""
+        return np.asarray(self.ball[:, 4:7].any(axis=1))
+
+    def chosen(self, rows: BoolArray) -> CollisionGeometries:
+        """Returns the solids of some rows (K,)."""
+        parts = {name: getattr(self, name)[rows] for name in ("ball", "X_WO", "size", "layout")}
+        return self._replace(**parts)
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionGeometry(Frozen):
+    """One solid, made by `geometry_of`, `hull` or `cloud_geometry`; place it with `replace`.
+
+    Attributes:
+        kind: `PRIMITIVE` and so on.
+        name: an integer; solids of one obstacle share it.
+        label: what to call it in a message.
+        X_WO: (4, 4) its pose at the stamp.
+        v_WO: (3,) velocity of its origin, and of all of it, in the world [m/s].
+        stamp: when it is there [s].
+        size: see `CollisionGeometries.size`.
+        center, radius: sphere that holds it, in O [m]; inf: a half-space.
+        faces: (F, 13) of a hull, see `CollisionGeometries.faces`.
+        grid: distance field of a cloud.
+    """
+
+    kind: int = PRIMITIVE
+    name: int = 0
+    label: str = ""
+    X_WO: FloatArray = field(default_factory=lambda: np.eye(4))
+    v_WO: FloatArray = zeros(3)
+    stamp: float = 0.0
+    size: tuple[float, ...] = ()
+    center: FloatArray = zeros(3)
+    radius: float = math.inf
+    faces: FloatArray = zeros(0, 13)
+    grid: DistanceField | None = None
+
+    def placed(self, p_OQ: FloatArray) -> FloatArray:
+        """Returns points (N, 3) of the solid's frame in the frame that its pose refers to [m]."""
+        return np.asarray(p_OQ @ self.X_WO[:3, :3].T + self.X_WO[:3, 3])
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """Half extents (3,) of the box round the solid, about `center` and along its axes [m].
+
+        Raises:
+            ValueError: for a half-space or a field, naming it.
+        """
+        if self.kind == HULL:
+            return np.asarray(np.abs(outline_corners(self) - self.center).max(axis=0))
+        if self.kind in (PRIMITIVE, ELLIPSOID):
+            return np.array(self.size[:3]) + self.size[3]
+        raise ValueError(
+            f"{self.label} is not bounded; it must be a sphere, box, capsule, cylinder, ellipsoid, "
+            "convex shape or mesh"
+        )
+
+
+def hull(vertices: FloatArray) -> CollisionGeometry:
+    """The convex hull of points (N, 3) in its frame [m], flat ones included."""
+    points = np.asarray(vertices, dtype=float)
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        found = ConvexHull(points, qhull_options="QJ")
+    # Coplanar triangles follow each other.
+    order = np.lexsort(np.round(found.equations, 9).T[::-1])
+    planes, corners = found.equations[order], points[found.simplices[order]]
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return CollisionGeometry(
+        HULL,
+        center=center,
+        radius=float(np.linalg.norm(points - center, axis=1).max()),
+        faces=np.column_stack([planes[:, :3], -planes[:, 3], corners.reshape(-1, 9)]),
+    )
+
+
+def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
+    """The solid of a cloud's field; `more` are the fields of `CollisionGeometry` (name, v_WO, stamp, ...)."""
+    X_WO = np.eye(4)
+    X_WO[:3, 3] = grid.p_WO
+    geometry = CollisionGeometry(
+        FIELD,
+        X_WO=X_WO,
+        size=(grid.voxel, *grid.low, *grid.high),
+        center=0.5 * (grid.low + grid.high),
+        # A point is up to half a diagonal from its node.
+        radius=0.5 * float(np.linalg.norm(grid.high - grid.low)) + 0.87 * grid.voxel,
+        grid=grid,
+    )
+    return replace(geometry, **more)
+
+
+def table_geometry(table: TablePlane) -> CollisionGeometry:
+    """All that is below a table's plane."""
+    z_W = table.normal_W
+    X_WO = RigidTransform(RotationMatrix.MakeFromOneVector(z_W, 2), table.offset * z_W)
+    return CollisionGeometry(HALF_SPACE, ENVIRONMENT, "the table", X_WO.GetAsMatrix4())
+
+
+def shape_geometries(
+    shapes: Sequence[Box | Cylinder | Sphere], X_WO: FloatArray, **more: Any
+) -> list[CollisionGeometry]:
+    """The solids of a scenario's obstacle at a pose (4, 4); `more` as in `cloud_geometry`."""
+    X_WG = [np.asarray(X_WO, dtype=float) @ pose(shape).GetAsMatrix4() for shape in shapes]
+    return [
+        replace(geometry_of(shape_geometry(shape)), X_WO=X, **more)
+        for shape, X in zip(shapes, X_WG, strict=True)
+    ]
+
+
+def read_geometry(
+    inspector: drake.SceneGraphInspector, geometry_id: drake.GeometryId
+) -> CollisionGeometry:
+    """A collision geometry at its pose in its body; a mesh counts as its convex hull.
+
+    Args:
+        inspector: of the scene graph that holds the geometry.
+        geometry_id: its name is the label.
+
+    Raises:
+        ValueError: naming the geometry, for a shape that is not known.
+    """
+    shape, label = inspector.GetShape(geometry_id), inspector.GetName(geometry_id)
+    try:
+        if isinstance(shape, (drake.Mesh, drake.Convex)):
+            drakes = inspector.GetConvexHull(geometry_id)
+            geometry = hull(np.array([drakes.vertex(i) for i in range(drakes.num_vertices())]))
+        else:
+            geometry = geometry_of(shape)
+    except ValueError as error:
+        raise ValueError(f"{label}: {error}") from error
+    return replace(geometry, X_WO=inspector.GetPoseInFrame(geometry_id).GetAsMatrix4(), label=label)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotGeometries:
+    """Collision geometry of a robot, posed by the robot's state.
+
+    Attributes:
+        plant: finalized plant; it is only read.
+        model_instance: the robot in it.
+        bodies: those that carry geometry.
+        geometries: K solids at their poses in their bodies, named by the rows of these.
+        context: of the plant, to compute poses in.
+    """
+
+    plant: MultibodyPlant
+    model_instance: ModelInstanceIndex
+    bodies: tuple[RigidBody, ...]
+    geometries: CollisionGeometries
+    context: Context
+
+    @property
+    def num_states(self) -> int:
+        """Size of the robot's state [q, v]."""
+        return int(self.plant.num_multibody_states(self.model_instance))
+
+    def posed(self, states: Sequence[FloatArray]) -> CollisionGeometries:
+        """Computes the solids in the world, at rest, at each of S states.
+
+        Args:
+            states: (num_states,) each, [q, v].
+
+        Returns:
+            S K solids.
+
+        Raises:
+            ValueError: for a state of the wrong size or one that is not finite.
+        """
+        fixed, context = self.geometries, self.context
+        in_body = np.dstack([fixed.X_WO, fixed.ball[:, :3]])
+        posed = [in_body[:0]]
+        for state in states:
+            if np.shape(state) != (self.num_states,) or not np.isfinite(state).all():
+                raise ValueError(
+                    f"the robot state must be {self.num_states} finite numbers [q, v], not {state}"
+                )
+            self.plant.SetPositionsAndVelocities(context, self.model_instance, state)
+            poses = [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self.bodies]
+            X_WB = np.reshape(poses, (-1, 3, 4))[fixed.layout[:, 5]]
+            posed.append(X_WB[:, :, :3] @ in_body)
+            posed[-1][:, :, 3:] += X_WB[:, :, 3:]
+        columns = np.concatenate(posed)
+        ball = np.tile(fixed.ball, (len(states), 1))
+        ball[:, :3] = columns[:, :, 4]
+        return fixed._replace(
+            ball=ball,
+            X_WO=np.ascontiguousarray(columns[:, :, :4]),
+            size=np.tile(fixed.size, (len(states), 1)),
+            layout=np.tile(fixed.layout, (len(states), 1)),
+        )
+
+
+def robot_geometries(
+    plant: MultibodyPlant,
+    inspector: drake.SceneGraphInspector,
+    model_instance: ModelInstanceIndex,
+) -> RobotGeometries:
+    """Reads the collision geometries of a model instance.
+
+    Args:
+        plant: finalized and registered with the scene graph of `inspector`.
+        inspector: of that scene graph.
+        model_instance: the robot.
+
+    Raises:
+        ValueError: naming the geometry, for a half-space or a shape that is not known.
+    """
+    bodies, geometries = list[RigidBody](), list[CollisionGeometry]()
+    for body in map(plant.get_body, plant.GetBodyIndices(model_instance)):
+        if geometry_ids := plant.GetCollisionGeometriesForBody(body):
+            read = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids]
+            geometries += [replace(geometry, name=len(bodies)) for geometry in read]
+            bodies.append(body)
+    for geometry in geometries:
+        if not math.isfinite(geometry.radius):
+            raise ValueError(f"{geometry.label} is a half-space; a robot's shapes must be bounded")
+    context = plant.CreateDefaultContext()
+    return RobotGeometries(plant, model_instance, tuple(bodies), geometries_of(geometries), context)
+
+
+def geometry_of(shape: drake.Shape) -> CollisionGeometry:
+    """Returns the solid of a shape, of which none is a mesh.
+
+    Raises:
+        ValueError: for a shape that is not known.
+    """
+    if isinstance(shape, drake.Sphere):
+        return CollisionGeometry(size=(0.0, 0.0, 0.0, shape.radius(), 0.0), radius=shape.radius())
+    if isinstance(shape, drake.Box):
+        half = 0.5 * shape.size()
+        return CollisionGeometry(size=(*half, 0.0, 0.0), radius=math.hypot(*half))
+    if isinstance(shape, drake.Capsule):
+        half, radius = 0.5 * shape.length(), shape.radius()
+        return CollisionGeometry(size=(0.0, 0.0, half, radius, 0.0), radius=half + radius)
+    if isinstance(shape, drake.Cylinder):
+        half, radius = 0.5 * shape.length(), shape.radius()
+        return CollisionGeometry(
+            size=(radius, radius, half, 0.0, 1.0), radius=math.hypot(radius, half)
+        )
+    if isinstance(shape, drake.Ellipsoid):
+        size = shape.a(), shape.b(), shape.c()
+        return CollisionGeometry(ELLIPSOID, size=(*size, 0.0, 0.0), radius=max(size))
+    if isinstance(shape, drake.HalfSpace):
+        return CollisionGeometry(HALF_SPACE)
+    raise ValueError(
+        f"a {type(shape).__name__} is no solid; it must be a sphere, box, capsule, cylinder, "
+        "ellipsoid, half-space, convex shape or mesh"
+    )
+
+
+def geometries_of(items: Sequence[CollisionGeometry]) -> CollisionGeometries:
+    """A scene of solids as kernels take it; rows in their order.
+
+    Raises:
+        ValueError: for a pose or velocity that is not finite.
+    """
+    count = len(items)
+    X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 8))
+    size, layout = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
+    count_faces = cells = 0
+    grids: list[DistanceField] = []
+    for row, item in enumerate(items):
+        moves = bool(np.any(item.v_WO))
+        if not (np.isfinite(item.X_WO).all() and np.isfinite(item.v_WO).all()):
+            raise ValueError(f"the pose or velocity of solid {row} ({item.label}) is not finite")
+        X_WO[row] = item.X_WO[:3]
+        ball[row, :3] = X_WO[row, :, :3] @ item.center + X_WO[row, :, 3]
+        ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0
+        size[row, : len(item.size)] = item.size
+        layout[row, [0, 5]] = item.kind, item.name
+        if item.kind == HULL:
+            layout[row, 1:3] = count_faces, count_faces + len(item.faces)
+            count_faces += len(item.faces)
+        if item.grid is not None:
+            layout[row, 1:5] = cells, *item.grid.values.shape
+            grids.append(item.grid)
+            cells += item.grid.values.size
+    faces = np.concatenate([np.zeros((0, 13)), *(item.faces for item in items)])
+    return CollisionGeometries(ball, X_WO, size, layout, faces, _voxels(*grids))
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionScene(Frozen):
+    """The solids of one observation.
+
+    Attributes:
+        stamp: when the world was so [s]; -inf before the first observation.
+        geometries: K of them.
+        labels: what to call each in a message.
+        note: empty, or why there is no newer observation.
+    """
+
+    stamp: float = -math.inf
+    geometries: CollisionGeometries = field(default_factory=lambda: geometries_of([]))
+    labels: tuple[str, ...] = ()
+    note: str = ""
+
+    @staticmethod
+    def of(stamp: float, geometries: Sequence[CollisionGeometry], note: str = "") -> CollisionScene:
+        """Makes a scene of solids, with their labels."""
+        return CollisionScene(
+            stamp, geometries_of(geometries), tuple(geometry.label for geometry in geometries), note
+        )
+
+    def __post_init__(self) -> None:
+        """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def at_rest(self) -> CollisionScene:
+        """Returns the scene without the solids that move."""
+        if not self.moves:
+            return self
+        rows = ~self.geometries.moving
+        labels = tuple(label for label, rests in zip(self.labels, rows, strict=True) if rests)
+        return replace(self, geometries=self.geometries.chosen(rows), labels=labels)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all places and velocities are; the radius of a half-space is not."""
+        geometries = self.geometries
+        return bool(
+            np.isfinite(geometries.X_WO).all() and np.isfinite(geometries.ball[:, 4:]).all()
+        )
+
+    @property
+    def moves(self) -> bool:
+        """Whether any of them does."""
+        return bool(self.geometries.moving.any())
+
+    def same_as(self, other: CollisionScene) -> bool:
+        """Whether nothing has moved or changed since another observation."""
+        if self is other:
+            return True
+        if self.moves or other.moves or self.labels != other.labels:
+            return False
+        if self.geometries is other.geometries:
+            return True
+        # Those at rest have no stamp.
+        pairs = zip(self.geometries, other.geometries, strict=True)
+        return all(np.array_equal(np.asarray(one), np.asarray(two)) for one, two in pairs)
+
+
+@lru_cache(maxsize=2)
+def _voxels(*grids: DistanceField) -> NDArray[np.float32]:
+    """Values of all fields, one after the other: megabytes, and the same while all only move."""
+    none = np.zeros(0, dtype=np.float32)
+    return np.concatenate([none, *(grid.values.ravel() for grid in grids)])
+
+
+def outline_corners(geometry: CollisionGeometry) -> FloatArray:
+    """Points whose convex hull encloses a solid.
+
+    They are the vertices of a box or a hull, and the corners of the box round any other shape.
+
+    Returns:
+        (K, 3) points in the solid's frame O [m].
+
+    Raises:
+        ValueError: for a half-space or a field, naming it.
+    """
+    if geometry.kind == HULL:
+        return np.unique(geometry.faces[:, 4:].reshape(-1, 3), axis=0)
+    return np.asarray(CORNERS * geometry.half_extents)
+
+
+def surface_points(geometry: CollisionGeometry, count: int = 300) -> FloatArray:
+    """About `count` points on a solid's surface, always the same ones.
+
+    Corners, rims and poles are among them, so that their convex hull is the solid (to the sampling
+    for curved ones).
+
+    Args:
+        geometry: a primitive, an ellipsoid or a hull.
+        count: wanted number of points, at least 30.
+
+    Returns:
+        (N, 3) points in the solid's frame O [m].
+
+    Raises:
+        ValueError: for another solid, naming it.
+    """
+    shell = geometry
+    if geometry.kind != HULL:
+        half, (*inner, radius, is_cylinder) = geometry.half_extents, geometry.size
+        if geometry.kind == ELLIPSOID or not any(inner):
+            return np.asarray(sphere_points(count) * half)
+        corners = CORNERS * half
+        if is_cylinder or radius:
+            angle = np.arange(24) * (np.pi / 12.0)
+            rim = half[0] * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+            corners = np.concatenate([rim - [0.0, 0.0, inner[2]], rim + [0.0, 0.0, inner[2]]])
+        if radius:
+            caps = radius * sphere_points(count // 4)
+            caps[:, 2] += np.copysign(inner[2], caps[:, 2])
+            corners = np.concatenate([corners, caps])
+        shell = hull(corners)
+    # The vertices, and points spread over the faces by area.
+    vertices = outline_corners(shell)
+    a, b, c = shell.faces[:, 4:].reshape(-1, 3, 3).swapaxes(0, 1)
+    area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    k = np.arange(max(0, count - len(vertices))) + 0.5
+    chosen = np.searchsorted(area, k / max(1, len(k)) * area[-1])
+    # Low-discrepancy barycentric coordinates, folded into the triangle.
+    s, t = np.mod(k * 0.7548776662466927, 1.0), np.mod(k * 0.5698402909980532, 1.0)
+    fold = s + t > 1.0
+    s, t = np.where(fold, 1.0 - s, s)[:, None], np.where(fold, 1.0 - t, t)[:, None]
+    within = a[chosen] + s * (b - a)[chosen] + t * (c - a)[chosen]
+    return np.concatenate([vertices, within])
+
+
+@leaf
+def geometry_distance(
+    geometries: CollisionGeometries, k: int, x: float, y: float, z: float, t: float
+) -> float:
+    """Signed distance [m] of a point (x, y, z) of the world to solid k at time t [s].
+
+    Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`).
+    """
+    ball, X = geometries.ball, geometries.X_WO
+    since = t - ball[k, 7]
+    x -= X[k, 0, 3] + since * ball[k, 4]
+    y -= X[k, 1, 3] + since * ball[k, 5]
+    z -= X[k, 2, 3] + since * ball[k, 6]
+    a = X[k, 0, 0] * x + X[k, 1, 0] * y + X[k, 2, 0] * z
+    b = X[k, 0, 1] * x + X[k, 1, 1] * y + X[k, 2, 1] * z
+    c = X[k, 0, 2] * x + X[k, 1, 2] * y + X[k, 2, 2] * z
+    # Numbers, not rows: what is a view of an array here is one more argument there.
+    s, layout = geometries.size, geometries.layout
+    size = (s[k, 0], s[k, 1], s[k, 2], s[k, 3], s[k, 4], s[k, 5], s[k, 6])
+    span = (layout[k, 1], layout[k, 2], layout[k, 3], layout[k, 4])
+    kind = layout[k, 0]
+    if kind == PRIMITIVE:
+        return _to_primitive(a, b, c, size)
+    if kind == FIELD:
+        return _interpolated(a, b, c, size, span, geometries.voxels)
+    if kind == HALF_SPACE:
+        return c
+    if kind == ELLIPSOID:
+        return to_ellipsoid(a, b, c, size)
+    return _to_hull(geometries.faces, span, a, b, c)
+
+
+@leaf
+def ball_bound(
+    geometries: CollisionGeometries, k: int, x: float, y: float, z: float, t: float
+) -> float:
+    """A lower bound of `geometry_distance`, from the sphere that holds the solid [m]."""
+    ball = geometries.ball
+    since = t - ball[k, 7]
+    x -= ball[k, 0] + since * ball[k, 4]
+    y -= ball[k, 1] + since * ball[k, 5]
+    z -= ball[k, 2] + since * ball[k, 6]
+    return math.sqrt(x * x + y * y + z * z) - ball[k, 3]
+
+
+@compiled
+def least_distances(
+    geometries: CollisionGeometries, points: FloatArray, t: float, upper: float, enough: float
+) -> FloatArray:
+    """Signed distances [m] of points to the nearest of the solids at a time.
+
+    Args:
+        geometries: the scene.
+        points: (N, 3) in the world [m]; near what is none (NaN) nothing is found.
+        t: when [s].
+        upper: what is no nearer than this is not looked at [m].
+        enough: where the distance to one solid is below it, no nearer one is looked for [m].
+
+    Returns:
+        (N,), negative inside; `upper` where no solid is nearer.
+    """
+    found, ball = np.full(len(points), upper), geometries.ball
+    for k in range(len(ball)):
+        since, radius = t - ball[k, 7], ball[k, 3]
+        a = ball[k, 0] + since * ball[k, 4]
+        b = ball[k, 1] + since * ball[k, 5]
+        c = ball[k, 2] + since * ball[k, 6]
+        for i in range(len(points)):
+            if found[i] < enough:
+                continue
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            reach = found[i] + radius
+            square = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
+            if reach > 0.0 and square < reach * reach:
+                found[i] = min(found[i], geometry_distance(geometries, k, x, y, z, t))
+    return found
+
+
+@leaf
+def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
+    """Signed distance to a rounded box or a cylinder; size as in `CollisionGeometries`."""
+    a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+    if size[4] != 0.0:
+        a = math.sqrt(x * x + y * y) - size[0]
+        b = min(a, 0.0)
+    most = max(a, b, c)
+    if most > 0.0:
+        a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+        most = math.sqrt(a * a + b * b + c * c)
+    return most - size[3]
+
+
+@leaf
+def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> float:
+    """Signed distance to the hull of the faces `span` of f (F, 13), see `CollisionGeometries`."""
+    most, best = -np.inf, np.inf
+    for n in range(span[0], span[1]):
+        most = max(most, f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3])
+    if most <= 0.0:
+        return most
+    # Outside: the nearest of the triangles that the point is above.
+    for n in range(span[0], span[1]):
+        above = f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3]
+        if above <= 0.0 or above * above >= best:
+            continue
+        ax, ay, az = x - f[n, 4], y - f[n, 5], z - f[n, 6]
+        ux, uy, uz = f[n, 7] - f[n, 4], f[n, 8] - f[n, 5], f[n, 9] - f[n, 6]
+        vx, vy, vz = f[n, 10] - f[n, 4], f[n, 11] - f[n, 5], f[n, 12] - f[n, 6]
+        uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+        uv = ux * vx + uy * vy + uz * vz
+        au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz
+        # Barycentric coordinates of the second and third corner, times the determinant.
+        det = uu * vv - uv * uv
+        s, t = vv * au - uv * av, uu * av - uv * au
+        if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
+            best = above * above
+            continue
+        # The nearest of the points of the three edges.
+        first = min(max(au / uu, 0.0), 1.0)
+        second = min(max(av / vv, 0.0), 1.0)
+        third = min(max((av - au - uv + uu) / (uu + vv - 2.0 * uv), 0.0), 1.0)
+        for p, q in ((first, 0.0), (0.0, second), (1.0 - third, third)):
+            bx, by, bz = ax - p * ux - q * vx, ay - p * uy - q * vy, az - p * uz - q * vz
+            best = min(best, bx * bx + by * by + bz * bz)
+    return math.sqrt(best)
+
+
+@leaf
+def _interpolated(
+    x: float,
+    y: float,
+    z: float,
+    size: FloatArray,
+    span: IntArray,
+    voxels: NDArray[np.float32],
+) -> float:
+    """Distance at a point of the frame O; outside the grid a lower bound.
+
+    For a point q outside and the nearest point c of the grid's box, which is convex and holds
+    the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
+
+    Args:
+        x, y, z: the point [m].
+        size: (7,) voxel, and the box of what is occupied, low and high [m].
+        span: (4,) where the field begins among the voxels, and nx, ny, nz.
+        voxels: values of all fields, one after the other [m].
+    """
+    scale, ny, nz = 1.0 / size[0], span[2], span[3]
+    u, v, w = x * scale, y * scale, z * scale
+    # 0 for what is no number, so that no index is out of range.
+    a = min(u, span[1] - 1.0) if u > 0.0 else 0.0
+    b = min(v, ny - 1.0) if v > 0.0 else 0.0
+    c = min(w, nz - 1.0) if w > 0.0 else 0.0
+    i, j, k = min(int(a), span[1] - 2), min(int(b), ny - 2), min(int(c), nz - 2)
+    fa, fb, fc = a - i, b - j, c - k
+    at = span[0] + (i * ny + j) * nz + k
+    beside = at + ny * nz
+    v00, v01 = np.float64(voxels[at]), np.float64(voxels[at + 1])
+    v10, v11 = np.float64(voxels[at + nz]), np.float64(voxels[at + nz + 1])
+    w00, w01 = np.float64(voxels[beside]), np.float64(voxels[beside + 1])
+    w10, w11 = np.float64(voxels[beside + nz]), np.float64(voxels[beside + nz + 1])
+    v0, v1 = v00 + fc * (v01 - v00), v10 + fc * (v11 - v10)
+    w0, w1 = w00 + fc * (w01 - w00), w10 + fc * (w11 - w10)
+    low, high = v0 + fb * (v1 - v0), w0 + fb * (w1 - w0)
+    d = low + fa * (high - low)
+    if u == a and v == b and w == c:
+        return d
+    # Beyond the grid: along an axis that was cut the rest counts, along the others the field.
+    away = max(d, 0.0)
+    ex, ey, ez = (u - a) * size[0], (v - b) * size[0], (w - c) * size[0]
+    far = math.sqrt(away * away + ex * ex + ey * ey + ez * ez)
+    # The distance to the box of what is occupied is a lower bound too.
+    px, py = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5])
+    pz = z - min(max(z, size[3]), size[6])
+    return max(far, math.sqrt(px * px + py * py + pz * pz) - OFFSET * size[0])

@@ -1,0 +1,63 @@
+"""Inference layer: coupling parameters from the obstacles' descriptors, by the regressor chain."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet, PolicyState
+from drake_oa.common.ports import AbstractInput
+from drake_oa.inference.regressor import ChainWeights, section_extents
+
+
+class RegressorChain(LeafSystem):
+    """Computation of coupling parameters by the paper's regressor chain.
+
+    .. pydrake_system::
+
+      name: RegressorChain
+      input_ports:
+      - ellipsoids_W
+      - policy_state
+      output_ports:
+      - coupling_parameters
+
+    - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles; may be empty.
+    - policy_state: abstract `PolicyState` of the movement primitive. The P-plane through it
+      cuts the obstacles: lambda'.
+    - coupling_parameters: abstract `CouplingParameters`, M rows: alpha, psi, kappa about the
+      obstacles' centers, and whether the query lay in the range that the chain was trained for.
+
+    There is no state. The output is computed when it is asked for, once for each
+    change of the inputs. While start and goal coincide (no motion has been set yet)
+    alpha is 0 and no row is in range.
+    """
+
+    def __init__(self, weights: ChainWeights, requested_clearance: float) -> None:
+        """Declares the ports.
+
+        Args:
+            weights: the trained chain, see `drake_oa.inference.regressor.load_chain`.
+            requested_clearance: asked distance Delta between tool and obstacle [m].
+        """
+        super().__init__()
+        self._weights, self._asked_clearance = weights, requested_clearance
+        self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
+        self.DeclareAbstractOutputPort(
+            "coupling_parameters",
+            lambda: Value(CouplingParameters()),
+            self._calc_parameters,
+        )
+
+    def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
+        ellipsoids = self._ellipsoids.read(context)
+        policy = self._policy.read(context)
+        if policy.baseline == 0.0:
+            zeros = np.zeros(len(ellipsoids))
+            output.set_value(CouplingParameters(zeros, zeros + 1.0, zeros, zeros > 0.0))
+            return
+        extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
+        clearance = self._asked_clearance
+        output.set_value(self._weights.parameters(extents, clearance, policy.baseline))

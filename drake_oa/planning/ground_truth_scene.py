@@ -1,0 +1,112 @@
+"""Collision geometry of the simulated world, known exactly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import QueryObject, SceneGraphInspector
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from drake_oa.common.messages import OUT_OF_WORLD
+from drake_oa.common.ports import AbstractInput, valid_period
+from drake_oa.geometry.collision_scene import (
+    ENVIRONMENT,
+    CollisionScene,
+    read_geometry,
+)
+
+_AT_REST = 1e-3
+"""A slower body is taken to rest [m/s]: contact lets a standing one tremble."""
+
+
+class GroundTruthScene(LeafSystem):
+    """Knows the collision geometry of bodies, and asks SceneGraph where they are.
+
+    .. pydrake_system::
+
+      name: GroundTruthScene
+      input_ports:
+      - query_object
+      output_ports:
+      - collision_scene_W
+
+    - query_object: of the scene graph that holds the bodies.
+    - collision_scene_W: abstract `CollisionScene`: their solids, with the velocity of each body's origin since
+      the reading before, 0 below 1 mm/s; those farther from the world's origin than
+      `messages.OUT_OF_WORLD` are left out.
+
+    The poses are read at initialization and then every `period`.
+    """
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
+        bodies: Sequence[BodyIndex],
+        *,
+        names: Mapping[BodyIndex, int],
+        period: float = 1.0 / 15.0,
+    ) -> None:
+        """Reads the geometry.
+
+        Args:
+            plant: finalized plant that holds the bodies.
+            inspector: of its scene graph.
+            bodies: which; what has no collision geometry adds nothing.
+            names: of the obstacles that bodies belong to, as perception names them; the others
+                are `drake_oa.geometry.collision_scene.ENVIRONMENT`.
+            period: time between readings [s].
+
+        Raises:
+            ValueError: naming the geometry, for a shape that is no solid, or for a period that is
+                not positive.
+        """
+        super().__init__()
+        self._bodies = []
+        for index in bodies:
+            body = plant.get_body(index)
+            name = names.get(index, ENVIRONMENT)
+            label = f"obstacle {name}" if name >= 0 else body.scoped_name().get_full()
+            geometry_ids = plant.GetCollisionGeometriesForBody(body)
+            read = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids]
+            of_body = [replace(geometry, name=name, label=label) for geometry in read]
+            self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
+        period = valid_period(period)
+        self._query = AbstractInput(self, "query_object", QueryObject)
+        self._origins = self.DeclareDiscreteState(3 * len(self._bodies))
+        self._scene = self.DeclareAbstractState(Value(CollisionScene()))
+        self.DeclareStateOutputPort("collision_scene_W", self._scene)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
+
+    def _update(self, context: Context, state: State) -> None:
+        query = self._query.read(context)
+        time = context.get_time()
+        before: CollisionScene = context.get_abstract_state(self._scene).get_value()
+        was = context.get_discrete_state(self._origins).value().reshape(-1, 3)
+        dt = time - before.stamp
+        origins, geometries = np.array(was), []
+        for row, (frame, of_body) in enumerate(self._bodies):
+            X_WB = query.GetPoseInWorld(frame).GetAsMatrix4()
+            origins[row] = X_WB[:3, 3]
+            if np.abs(origins[row]).max() > OUT_OF_WORLD:
+                continue
+            velocity = np.zeros(3)
+            appeared = np.abs(was[row]).max() > OUT_OF_WORLD
+            if 0.0 < dt < math.inf and not appeared:
+                velocity = (origins[row] - was[row]) / dt
+            if np.linalg.norm(velocity) < _AT_REST:
+                velocity = np.zeros(3)
+            geometries += [
+                replace(geometry, X_WO=X_WB @ geometry.X_WO, v_WO=velocity, stamp=time)
+                for geometry in of_body
+            ]
+        scene = CollisionScene.of(time, geometries)
+        state.get_mutable_discrete_state(self._origins).SetFromVector(origins.ravel())
+        state.get_mutable_abstract_state(self._scene).set_value(scene)

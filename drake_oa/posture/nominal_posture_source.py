@@ -1,0 +1,100 @@
+"""What the null space of the arm is drawn to while its tool moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_oa.common.messages import FloatArray, PlannedMotion, PolicyState
+from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, valid_period
+from drake_oa.policy.dmp import normalized_time
+from drake_oa.posture.posture_trajectory import PostureTrajectory, trajectory_of
+
+
+class NominalPostureSource(LeafSystem):
+    """Follows the posture that is planned along the motion of the tool.
+
+    .. pydrake_system::
+
+      name: NominalPostureSource
+      input_ports:
+      - motion
+      - policy_state
+      output_ports:
+      - desired_posture
+
+    - motion: abstract `PlannedMotion` with the arm's positions, or without.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - desired_posture: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints, for
+      `CartesianInverseDynamics`.
+
+    The posture is that of the plan at the policy's normalized time, so that it rests while the
+    motion is held, and where it begins anew until there is a plan for that. A new plan is
+    taken over smoothly (`drake_oa.posture.posture_trajectory`); without one it is the posture given
+    here, at rest. The plan under way is abstract state.
+    """
+
+    def __init__(
+        self,
+        q_rest: FloatArray,
+        alpha_k: float,
+        *,
+        period: float = 0.008,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            q_rest: (n,) posture while none is planned [rad].
+            alpha_k: decay of the policy's phase.
+            period: time between looks at the plan [s].
+
+        """
+        super().__init__()
+        period = valid_period(period)
+        self._rest, self._alpha_k = np.array(q_rest, dtype=float), alpha_k
+        self._motion = AbstractInput(self, "motion", PlannedMotion)
+        self._policy = AbstractInput(self, "policy_state", PolicyState)
+        self._course = self.DeclareAbstractState(Value(trajectory_of(PlannedMotion(), self._rest)))
+        self.DeclareVectorOutputPort(
+            "desired_posture",
+            2 * len(self._rest),
+            self._calc,
+            {self.time_ticket(), self._policy.ticket(), self.abstract_state_ticket(self._course)},
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._take_over)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 2.0 * DECISION_OFFSET, self._take_over)
+
+    def _read(self, context: Context) -> PostureTrajectory:
+        return context.get_abstract_state(self._course).get_value()
+
+    def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
+        """Normalized time of a motion, its rate [1/s], and the time [s]."""
+        policy = self._policy.read(context)
+        time = context.get_time()
+        if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():
+            # The policy has begun anew since: where it rested.
+            off = np.linalg.norm(motion.p_WE - policy.p_WE, axis=1)
+            return float(motion.s[off.argmin()]), 0.0, time
+        s = normalized_time(policy.phase, self._alpha_k)
+        # Between two of its steps the policy goes on at its rate.
+        return s + policy.speed * max(time - policy.stamp, 0.0), policy.speed, time
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        before = self._read(context)
+        motion = self._motion.read(context)
+        if motion is before.motion or not (len(motion.q) or len(before.motion.q)):
+            return EventStatus.DidNothing()
+        after = trajectory_of(motion, self._rest)
+        left = before.at(*self._now(context, before.motion))
+        left -= after.at(*self._now(context, motion))
+        state.get_mutable_abstract_state(self._course).set_value(
+            replace(after, away=left, since=context.get_time())
+        )
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        trajectory = self._read(context)
+        output.SetFromVector(trajectory.at(*self._now(context, trajectory.motion)))

@@ -1,0 +1,171 @@
+"""Contacts of runs: speeds, escapes, and when the obstacle was known."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_oa.common.messages import EllipsoidSet
+from drake_oa.evaluation.panda.contacts import contact_events, sightings
+from drake_oa.evaluation.panda.evaluation import run_and_evaluate
+from drake_oa.evaluation.panda.scenes import draw_panda_scene
+from drake_oa.evaluation.panda.true_world import make_true_world
+from drake_oa.runs.motion_log import pack_ellipsoids
+from drake_oa.runs.simulation import log_of
+from drake_oa.scenario.end_poses import end_positions
+from drake_oa.scenario.loading import load_scenario
+
+KEYS = [
+    "time",
+    "link",
+    "obstacle",
+    "closing_speed",
+    "closing_speed_max",
+    "arm_at_rest",
+    "receding",
+    "energy",
+    "avoidable_by_physics",
+    "avoidable_by_view",
+    "parked_contact",
+]
+
+
+def _scenario(waypoints, radius=0.1, at=(0.5, -1.5, 0.5)):
+    ball = f"{{name: ball, shapes: [!Sphere {{radius: {radius}}}], translation: {list(at)}"
+    return load_scenario(
+        "tabletop_box",
+        [
+            "cameras=[]",
+            "perception=!GroundTruth {}",
+            f"obstacles=[{ball}, waypoints: {waypoints}}}]",
+        ],
+    )
+
+
+def _log(scenario, q, v, frames=()):
+    """A log of a robot at q (T, nq), an instant every 4 ms."""
+    from drake_oa.runs.metrics import clearance_evaluator
+
+    evaluator, t = clearance_evaluator(scenario), 0.004 * np.arange(len(q))
+    world = np.array([evaluator.positions_at(time) for time in t])
+    observed = {"observation_time": np.array([frame.stamp + 0.05 for frame in frames])}
+    return log_of(
+        scenario,
+        t,
+        {"robot_state": np.hstack([q, v])},
+        q_world=world,
+        stop_reason="",
+        ended="goal",
+        wall_time=1.0,
+        avoid_obstacles=True,
+        inference="",
+        **(observed | pack_ellipsoids(list(frames))),
+        out_of_range=np.zeros(len(frames), dtype=np.int64),
+    )
+
+
+@pytest.fixture(scope="module")
+def struck():
+    """An arm at rest at the start that a ball of 1 m/s touches and then leaves."""
+    p_WE = load_scenario("tabletop_box").task.start
+    way = [[0, 0, 0, 0], [0.75, 0, 0.75, 0], [1.5, 0, 0, 0]]
+    scenario = _scenario(way, at=[p_WE[0], p_WE[1] - 0.8, p_WE[2]])
+    q = np.tile(end_positions(scenario)[0], (500, 1))
+    return scenario, q
+
+
+def test_a_resting_arm_that_is_struck(struck):
+    scenario, q = struck
+    log = _log(scenario, q, 0.0 * q)
+    events = contact_events(scenario, log, make_true_world(scenario))
+    assert events
+    for event in events:
+        assert list(event) == KEYS
+        assert event["obstacle"] == "obstacle_ball"
+        assert event["closing_speed"] == event["closing_speed_max"] == event["energy"] == 0.0
+        assert event["arm_at_rest"]
+        assert event["receding"]
+        assert event["avoidable_by_physics"]
+        # Nothing was ever observed.
+        assert not event["avoidable_by_view"]
+        assert event["parked_contact"] == ["start"]
+    assert 0.3 < events[0]["time"] < 0.9
+    assert json.loads(json.dumps(events)) == events
+
+
+def test_closing_speed_is_of_the_arm_along_the_normal(struck):
+    scenario, q = struck
+    world, speeds = make_true_world(scenario), {}
+    for rate in (-0.2, 0.2):
+        v = 0.0 * q
+        v[:, 0] = rate
+        speeds[rate] = contact_events(scenario, _log(scenario, q, v), world)[0]
+    # The hand is pushed along +y, as a positive rate of joint 1 moves it.
+    assert speeds[0.2]["receding"]
+    assert not speeds[-0.2]["receding"]
+    assert 0.02 < speeds[-0.2]["closing_speed"] < 0.2
+    assert speeds[0.2]["closing_speed"] == pytest.approx(-speeds[-0.2]["closing_speed"])
+    assert speeds[0.2]["energy"] > 0.0
+    assert not speeds[0.2]["arm_at_rest"]
+
+
+@pytest.mark.parametrize(
+    ("late", "wrong_after", "is_known"), [(0.0, 9.0, True), (0.0, 0.15, False), (9.0, 9.0, False)]
+)
+def test_an_obstacle_observed_right_just_before_the_deadline_was_avoidable_by_view(
+    struck, late, wrong_after, is_known
+):
+    scenario, q = struck
+    (ball,) = scenario.obstacles
+    frames = [
+        _seen(ball, stamp, [0.0, 1.0 if stamp < wrong_after else 0.0, 0.0])
+        for stamp in (0.0, 0.1, 0.2, 0.3, 0.4)
+        if stamp >= late
+    ]
+    log = _log(scenario, q, 0.0 * q, frames)
+    (event, *_) = contact_events(scenario, log, make_true_world(scenario))
+    assert event["avoidable_by_view"] == is_known
+    assert event["parked_contact"] == ["start", *["first_sight"] * bool(frames)]
+
+
+def _seen(obstacle, stamp, velocity):
+    center = np.array(obstacle.translation) + obstacle.offset_at(stamp)
+    return EllipsoidSet(
+        stamp=stamp,
+        p_WO=center[None],
+        R_WO=np.eye(3)[None],
+        semi_axes=np.full((1, 3), 0.1),
+        v_WO=np.array([velocity]),
+        ids=np.zeros(1, dtype=np.int64),
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "aside", "is_known"), [(0.19, 0.0, True), (-0.21, 0.0, False), (0.0, 0.15, False)]
+)
+def test_a_velocity_is_right_within_a_fifth(struck, error, aside, is_known):
+    scenario, q = struck
+    (ball,) = scenario.obstacles
+    wrong = _seen(ball, 0.1, [0.0, -1.0, 0.0])
+    right = _seen(ball, 0.3, [0.0, 1.0 + error, 0.0])
+    right = replace(right, p_WO=right.p_WO + [aside, 0.0, 0.0])
+    seen, known = sightings(_log(scenario, q[:2], 0.0 * q[:2], [wrong, right]), ball)
+    assert seen == pytest.approx(0.15)
+    assert known == pytest.approx([0.35] if is_known else [])
+
+
+def test_a_blind_run_is_judged_end_to_end():
+    scenario = draw_panda_scene(0, 0, kind="moving_hard", perception="truth")
+    touched = run_and_evaluate(scenario, "nominal", "truth")
+    assert touched["outcome"] == "contact"
+    events = touched["contact_events"]
+    pairs = {f"{event['link']} - {event['obstacle']}" for event in events}
+    assert pairs == set(touched["contacts"])
+    assert [event["time"] for event in events] == sorted(event["time"] for event in events)
+    assert events[0]["avoidable_by_physics"]
+    assert not events[0]["avoidable_by_view"]
+    # It observes nothing, and is faster than 0.25 m/s.
+    claims = touched["claim_violations"]
+    assert 0 < claims["B"] < claims["instants"]
+    assert claims["A"] == 0

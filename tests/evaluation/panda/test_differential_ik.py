@@ -1,0 +1,72 @@
+"""The peer: differential inverse kinematics with collision constraints on the Panda."""
+
+import numpy as np
+import pytest
+
+from drake_oa.evaluation.panda.differential_ik import (
+    METHOD,
+    simulate_differential_ik,
+)
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.scenario.end_poses import follow_joints
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+
+_BARE = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
+_ACROSS = [
+    "task.clearance=0.03",
+    "task.duration=2.0",
+    "task.start=[0.45,-0.2,0.3]",
+    "task.goal=[0.45,0.2,0.3]",
+]
+
+
+def scene(*overrides: str) -> Scenario:
+    return load_scenario("tabletop_box", [*_BARE, *overrides])
+
+
+def test_follows_the_planned_motion_where_nothing_stands_and_the_same_twice() -> None:
+    scenario = scene(
+        "task.duration=1.5", "task.start=[0.45,-0.15,0.3]", "task.goal=[0.45,0.15,0.3]"
+    )
+    log, again = simulate_differential_ik(scenario), simulate_differential_ik(scenario)
+    assert log.stop_reason == "goal"
+    assert log.inference == METHOD
+    assert log.duration == pytest.approx(1.5, abs=0.1)
+    assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() < 1e-3
+    assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 6e-4
+    assert log.event == ()
+    assert not log.saturated.any()
+    np.testing.assert_array_equal(log.q, again.q)
+    np.testing.assert_array_equal(log.torque, again.torque)
+
+
+@pytest.mark.parametrize(
+    "trajectory",
+    [
+        "translation: [0.62, 0.0, 0.3]",
+        "translation: [0.62, 0.3, 0.3], waypoints: [[0, 0, 0, 0], [0.5, 0, -0.3, 0]]",
+    ],
+)
+def test_goes_round_a_ball_beside_the_line(trajectory: str) -> None:
+    ball = f"{{name: ball, shapes: [!Sphere {{radius: 0.05}}], {trajectory}}}"
+    scenario = scene(*_ACROSS, f"obstacles=[{ball}]")
+    log = simulate_differential_ik(scenario)
+    assert robot_metrics(scenario, log.q[::10], log.q_world[::10]).contacts == ()
+    assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() > 0.01
+    assert log.stop_reason == "goal"
+
+
+def test_turns_the_tool_and_leads_the_posture_to_the_joints_of_the_goal() -> None:
+    given = scene(
+        "task.duration=1.5",
+        "task.q_start=[0.0,-0.785,0.0,-2.356,0.0,1.571,0.785]",
+        "task.q_goal=[0.3,-0.6,0.2,-2.2,0.1,1.8,1.2]",
+    )
+    follow_joints(given)
+    log = simulate_differential_ik(given)
+    assert log.stop_reason == "goal"
+    assert np.linalg.norm(log.orientation_error, axis=1).max() < 0.04
+    assert np.linalg.norm(log.orientation_error[-1]) < 2e-3
+    assert given.task.q_goal is not None
+    np.testing.assert_allclose(log.q[-1, :7], given.task.q_goal, atol=0.1)

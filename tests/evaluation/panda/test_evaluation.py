@@ -1,0 +1,164 @@
+"""Scenes of the Panda: judged one by one, evaluated in parallel, stored and resumed."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from drake_oa.evaluation.panda.evaluation import (
+    PandaResults,
+    evaluate_panda,
+    panda_suite,
+    run_and_evaluate,
+)
+from drake_oa.evaluation.panda.tables import panda_metrics, panda_table, run_metrics
+from drake_oa.scenario.loading import load_scenario
+
+_SUITE = panda_suite("tabletop", 2, 0, ("nominal", "verified"), "truth", 0.05)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """An evaluation in this process, and its folder."""
+    folder = tmp_path_factory.mktemp("results")
+    return evaluate_panda(_SUITE, folder=folder), folder
+
+
+def _same(one, other, methods=_SUITE.methods):
+    assert one.scenarios == other.scenarios
+    for method in methods:
+        assert list(one.runs[method]) == list(other.runs[method]) == [0, 1]
+        for scene in (0, 1):
+            clock = dict.fromkeys(("wall_time", "real_time_factor"))
+            assert one.runs[method][scene] | clock == other.runs[method][scene] | clock
+
+
+def test_each_run_is_on_disk(stored):
+    results, folder = stored
+    for scene in (0, 1):
+        assert (folder / f"{_SUITE.scene_name(scene)}.json").is_file()
+        for method in _SUITE.methods:
+            name = _SUITE.run_name(scene, method)
+            on_disk = json.loads((folder / f"{name}.json").read_text())
+            assert on_disk["content"] == results.runs[method][scene]
+
+
+def test_an_evaluation_resumes_and_repeats_what_is_damaged(stored, caplog):
+    results, folder = stored
+    damaged = folder / f"{_SUITE.run_name(1, 'nominal')}.json"
+    damaged.write_text(damaged.read_text()[:40])
+    again = evaluate_panda(_SUITE, folder=folder)
+    assert again.resumed == 3
+    assert "is unreadable" in caplog.text
+    _same(results, again)
+
+
+@pytest.mark.slow
+def test_processes_and_a_dask_cluster_give_the_same(stored, tmp_path):
+    _same(stored[0], evaluate_panda(_SUITE, workers=2))
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        spread = evaluate_panda(
+            replace(_SUITE, methods=("verified",)),
+            workers=cluster.scheduler_address,
+            folder=tmp_path,
+        )
+    _same(stored[0], spread, ("verified",))
+    assert len(list(tmp_path.glob("*.json"))) == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "maze"}, "unknown kind of scenes 'maze'"),
+        ({"methods": ("mine",)}, "unknown method 'mine'"),
+    ],
+)
+def test_bad_settings_are_refused(changes, message):
+    settings = {"kind": "tabletop", "scenes": 1, "seed": 0, "methods": ("verified",), **changes}
+    with pytest.raises(ValueError, match=message):
+        panda_suite(**settings)
+
+
+def _run(outcome, reason="", contacts=(), clearance=0.1, **more):
+    return {
+        "outcome": outcome,
+        "reason": reason,
+        "failed": False,
+        "contacts": list(contacts),
+        "tool_clearance_min": clearance,
+        "robot_clearance_min": clearance,
+        "goal_error": 1e-4,
+        "real_time_factor": 1.0,
+        "self_contacts": [],
+        "clearance_shortfall": 0.0,
+        "decision_latency": None,
+        "duration": 5.0,
+        "ended": "goal",
+        "contact_events": None,
+        "claim_violations": None,
+        "sources": None,
+        **more,
+    }
+
+
+@pytest.mark.parametrize("solved", [("verified", "planner"), ("verified",), ("planner",)])
+def test_success_is_a_fraction_of_the_scenes_that_any_method_solves(solved):
+    suite = panda_suite("tabletop", 3, 0, ("verified", "planner"), "truth")
+    yes, no = _run("success"), _run("stopped", "held")
+    runs = {method: {0: yes if method in solved else no, 1: no, 2: no} for method in suite.methods}
+    results = PandaResults(suite, {}, runs)
+    metrics = panda_metrics(results)
+    assert metrics["solved"] == 1
+    for method, found in metrics["methods"].items():
+        assert found["success_rate_solved"] == (method in solved)
+    assert "scenes that a method solves: 1" in str(panda_table([metrics]))
+    # Unknown without the planner.
+    del results.runs["planner"]
+    metrics = panda_metrics(results)
+    assert metrics["solved"] is metrics["methods"]["verified"]["success_rate_solved"] is None
+
+
+def test_figures_count_outcomes_reasons_pairs_and_claims():
+    contacts = ["hand - obstacle_box1", "hand - obstacle_box12", "link6 - table"]
+    events = [{"avoidable_by_physics": True, "avoidable_by_view": view} for view in (True, False)]
+    claims = {"instants": 100, "A": 3, "B": 7}
+    touched = {"contact_events": events, "claim_violations": claims, "goal_error": 2e-3}
+    metrics = run_metrics(
+        [
+            _run("success", clearance_shortfall=0.02, claim_violations=claims | {"A": 0}),
+            _run("stopped", "held", goal_error=0.5, clearance=None, real_time_factor=None),
+            _run("stopped", "held", goal_error=0.4, ended="time limit", sources={"search": 1.0}),
+            _run("contact", "goal", contacts=contacts, clearance=-0.01, **touched),
+        ]
+    )
+    expected = {
+        "scenes": 4,
+        "success": 1,
+        "success_rate": 0.25,
+        "contacts": 1,
+        "stopped": 2,
+        "stop_reasons": {"held": 2},
+        "contact_pairs": {"hand - obstacle_box": 1, "link6 - table": 1},
+        "avoidable_by_physics": 2,
+        "avoidable_by_view": 1,
+        "claim_A": 3,
+        "claim_B": 14,
+        "time_limits": 1,
+        "clearance_shortfall": 1,
+        "sources": {"search": 1},
+        "goal_error_max": 2e-3,
+        "robot_clearance_min": -0.01,
+        "real_time_factor": 1.0,
+    }
+    assert {key: metrics[key] for key in expected} == expected
+    assert run_metrics([_run("success")])["claim_A"] is None
+
+
+def test_a_scene_that_cannot_be_run_is_a_result():
+    scenario = load_scenario("tabletop_box", ["task.goal=[2.0, 0.0, 0.3]"])
+    result = run_and_evaluate(scenario, "nominal", "truth")
+    assert result["failed"]
+    assert result["reason"].startswith("ScenarioError: task.goal: out of reach")

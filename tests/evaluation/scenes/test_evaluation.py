@@ -1,0 +1,99 @@
+"""Batches, failures, figures and tables of an evaluation, on a method with a known result."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drake_oa.evaluation.scenes import evaluation
+from drake_oa.evaluation.scenes.evaluation import (
+    compare_terms,
+    evaluate,
+    evaluation_metrics,
+    evaluation_tables,
+    matched_term,
+    motion_statistics,
+    term_table,
+)
+from drake_oa.evaluation.scenes.ground_truth import GroundTruthResult
+from drake_oa.evaluation.scenes.paper_method import BETA
+from drake_oa.evaluation.scenes.scenes import Motions, Scenes, Setting
+from drake_oa.evaluation.scenes.suites import SUITES, draw_scenes
+from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
+
+Method = Callable[[Scenes, Setting], Motions]
+NOVEL = SUITES["novel"].settings
+
+
+def test_figures_and_tables_are_of_each_baseline(
+    straight: Method, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "BATCH", 15)
+    outcome = evaluate("straight", straight, draw_scenes("novel", 40), NOVEL)
+    metrics = evaluation_metrics("novel", 0, NOVEL, {"straight": outcome})
+    found = metrics["methods"]["straight"]
+    assert found["scenes"] == 40
+    assert [row["scenes"] for row in found["by_baseline"]] == [10, 10, 10, 10]
+    lines = "\n".join(map(str, evaluation_tables(metrics))).splitlines()
+    assert sum(line.startswith("goal at") for line in lines) == 4
+
+
+def judgement(**changes: float) -> GroundTruthResult:
+    values = {
+        "min_clearance": 0.15,
+        "achievable_clearance": 0.15,
+        "goal_error": 0.0,
+        "path_ratio": 1.0,
+        "baseline": 1.0,
+        "requested": 0.15,
+    }
+    return GroundTruthResult(
+        **{name: np.array([value]) for name, value in (values | changes).items()}
+    )
+
+
+def test_figures_count_what_they_say() -> None:
+    parts = [
+        judgement(),
+        judgement(min_clearance=0.1495),
+        judgement(min_clearance=0.1485),
+        judgement(min_clearance=0.06, achievable_clearance=0.06, goal_error=0.002),
+        judgement(min_clearance=0.0, path_ratio=1.5),
+        judgement(min_clearance=-0.02),
+        judgement(min_clearance=np.inf),
+    ]
+    expected = {
+        "scenes": 7,
+        "collisions": 2,
+        "clearance_shortfall": 3,
+        "clearance_min": -0.02,
+        "clearance_mean": 0.488 / 6,
+        "clearance_mean_feasible": 0.428 / 5,
+        "goal_error_max": 0.002,
+        "path_ratio_mean": 7.5 / 7,
+    }
+    metrics = motion_statistics(GroundTruthResult.joined(parts))
+    assert {key: metrics[key] for key in expected} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1000.0])
+def test_matched_terms_have_one_peak_and_one_area(gamma: float) -> None:
+    alpha, psi = matched_term(gamma)
+    theta = np.linspace(0.0, 6.0, 600_001)
+    original = original_rate(theta, gamma, BETA)
+    free = dead_zone_free_rate(theta, 0.0, alpha, psi, 0.0)
+    assert original.max() == pytest.approx(free.max(), rel=1e-6)
+    assert original.sum() == pytest.approx(free.sum(), rel=1e-4)
+
+
+def test_head_on_only_the_dead_zone_free_term_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluation, "GAMMAS", (30.0, 1000.0))
+    rows = compare_terms(draw_scenes("dead-zone", 9))
+    for row in rows:
+        # Straight through the middle of the sphere of 2.5 cm.
+        assert row["original_head_on"] == pytest.approx(-0.025, abs=1e-6)
+        assert row["dead_zone_free_head_on"] > row["original_head_on"] + 0.01
+    assert rows[1]["dead_zone_free_head_on"] > 0.03
+    assert rows[1]["original_collisions"] == 1
+    assert rows[1]["dead_zone_free_collisions"] == 0
+    assert len(term_table(rows).rows) == 2

@@ -1,0 +1,80 @@
+"""The paper's method and Hoffmann's term: action level, chain at the section, temporal scaling."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drake_oa.evaluation.scenes import paper_method
+from drake_oa.evaluation.scenes.ground_truth import evaluate_motions
+from drake_oa.evaluation.scenes.methods import Setting
+from drake_oa.evaluation.scenes.paper_method import (
+    ARRIVED,
+    SHIPPED,
+    paper_chain,
+    released_motions,
+    run,
+    run_original,
+    time_scale,
+)
+from drake_oa.evaluation.scenes.scenes import make_scenes
+from drake_oa.evaluation.scenes.suites import draw_scenes
+from drake_oa.training import released_law
+from drake_oa.training.released_law import STEPS, Steps, released_forcing
+
+DEMO = Steps(500, 0.005)
+"""Time steps of the released demonstration program."""
+
+
+def test_the_forcing_term_is_the_released_one(reference):
+    data = np.load(reference("authors_action_level.npz"))
+    expected = data["forcing"][:, :, 0] / data["baseline"][:, None]
+    fitted = np.broadcast_to(released_forcing(DEMO), expected.shape)
+    np.testing.assert_allclose(fitted, expected, atol=5e-9)
+
+
+@pytest.mark.parametrize("name", ["trajectory", "trajectory_original_term"])
+def test_released_trajectories_are_reproduced(reference, name, monkeypatch):
+    data = np.load(reference("authors_action_level.npz"))
+    monkeypatch.setattr(paper_method, "time_scale", lambda scenes: tau)
+    for row in range(len(data["tau"])):
+        # Each has its forcing term and tau as the authors' code computed them.
+        i, tau = slice(row, row + 1), data["tau"][row : row + 1]
+        forcing = data["forcing"][row, :, 0] / data["baseline"][row]
+        monkeypatch.setattr(released_law, "released_forcing", lambda steps, f=forcing: f)
+        scenes = make_scenes(data["baseline"][row], data["center"][i], data["semi_axes"][i])
+        original = name != "trajectory"
+        parameters = np.array([data[key][row] for key in ("alpha", "psi", "kappa")])
+        if original:
+            parameters = np.array((1000.0, 20.0 / math.pi, 0.0))
+        motions = released_motions(scenes, Setting(), parameters, original=original, steps=DEMO)
+        np.testing.assert_allclose(motions.path[0, 1:501], data[name][row], atol=1e-9)
+
+
+def test_tau_of_one_obstacle():
+    scenes = make_scenes(1.0, [[0.5, 0.12, 0.0]], [[0.1, 0.2, 0.05]], clearance=0.15)
+    way = 2.0 * math.hypot(0.5, 0.12) + 2.0 * (0.2 + 0.15)
+    assert time_scale(scenes)[0] == pytest.approx(way)
+
+
+@pytest.mark.parametrize("constrained", [True, False])
+def test_the_shipped_chains_are_used_until_arrival(constrained):
+    assert len(paper_chain(SHIPPED[0] if constrained else SHIPPED[1]).lower) == 2 + constrained
+    scenes, number = draw_scenes("novel", 40, seed=0), STEPS.number
+    motions = run(scenes, Setting(constrained=constrained))
+    steps = motions.path.shape[1] - 1
+    assert number <= steps <= 2 * number
+    np.testing.assert_allclose(motions.duration, STEPS.length * steps)
+    assert evaluate_motions(scenes, motions).collided.mean() < 0.1
+    error = np.linalg.norm(motions.path - scenes.goal[:, None], axis=2)
+    has_arrived = error[:, -1] <= ARRIVED
+    assert has_arrived.mean() > 0.4
+    assert (error[~has_arrived, number:] > ARRIVED).all()
+
+
+def test_hoffmanns_term_does_not_turn_head_on():
+    scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
+    motions = run_original(scenes, Setting())
+    # Beyond the goal it turns round, and sees the obstacle ahead again.
+    assert np.abs(motions.path[0, : STEPS.number, 1:]).max() < 1e-9
+    assert evaluate_motions(scenes, motions).collided[0]

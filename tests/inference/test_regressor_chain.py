@@ -1,0 +1,35 @@
+"""The system that computes the coupling parameters."""
+
+import numpy as np
+from pydrake.common.value import Value
+
+from drake_oa.common.files import package_file
+from drake_oa.common.messages import PolicyState
+from drake_oa.inference.regressor import load_chain, section_extents
+from drake_oa.inference.regressor_chain import RegressorChain
+from tests.builders import balls
+
+WEIGHTS = load_chain(package_file("package://drake_oa/weights/paper_chain_running.safetensors"))
+OBSTACLES = balls((0.5, 0.0, 0.1), (0.55, 0.05, 0.15), radius=[0.1, 0.15, 0.2])
+
+
+def evaluate(policy: PolicyState):
+    system = RegressorChain(WEIGHTS, 0.1)
+    context = system.CreateDefaultContext()
+    system.GetInputPort("ellipsoids_W").FixValue(context, Value(OBSTACLES))
+    system.GetInputPort("policy_state").FixValue(context, Value(policy))
+    return system.GetOutputPort("coupling_parameters").Eval(context)
+
+
+def test_output_is_the_pure_functions_answer():
+    state = PolicyState(z_W=np.array([0.5, 0.1, 0.0]), p_WG=np.array([0.8, 0.0, 0.0]))
+    extents = section_extents(state.p_WE, state.z_W, state.R_WL, OBSTACLES)
+    expected = WEIGHTS.parameters(extents, 0.1, 0.8)
+    np.testing.assert_array_equal(evaluate(state).as_array(), expected.as_array())
+
+
+def test_without_a_motion_nothing_is_coupled():
+    found = evaluate(PolicyState())
+    assert found.alpha.tolist() == [0.0, 0.0]
+    assert not found.in_range.any()
+    assert np.isfinite(found.as_array()).all()

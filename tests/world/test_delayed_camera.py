@@ -1,0 +1,159 @@
+"""DelayedCamera: what it shows when, and that rendering in the background changes nothing."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.systems.sensors import CameraInfo
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_oa.scenario.faults import CameraDropout
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.cameras import add_camera
+from drake_oa.world.delayed_camera import BackgroundCamera, DelayedCamera
+from drake_oa.world.depth_noise import add_depth_noise
+
+PERIOD, DELAY = 0.1, 0.08
+READY = np.array([-0.74, 0.19, 0.01, -1.9, 0.0, 2.09, 0.06, 0.005, 0.005])
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    scenario = load_scenario("tabletop_box")
+    scenario.cameras[0].width, scenario.cameras[0].height = 64, 48
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def camera(scenario: Scenario) -> BackgroundCamera:
+    return BackgroundCamera(scenario, scenario.cameras[0])
+
+
+def moving(
+    scenario: Scenario, camera: BackgroundCamera, delay: float, *dropouts: CameraDropout
+) -> Diagram:
+    """A camera; the first joint turns by 1 rad/s."""
+    builder = DiagramBuilder()
+    _, depth = scenario.cameras[0].MakeCameras()
+    late = DelayedCamera(
+        camera,
+        depth.core().intrinsics(),
+        num_states=18,
+        period=PERIOD,
+        delay=delay,
+        dropouts=dropouts,
+    )
+    builder.AddNamedSystem("late", late)
+    ends = np.zeros((18, 2))
+    ends[:9] = READY[:, None]
+    ends[0, 1] += 1.0
+    source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.FirstOrderHold([0, 1], ends)))
+    builder.Connect(source.get_output_port(), late.get_input_port())
+    return builder.Build()
+
+
+def outputs(diagram: Diagram, root: Context) -> tuple[float, np.ndarray, np.ndarray]:
+    late = diagram.GetSubsystemByName("late")
+    context = late.GetMyContextFromRoot(root)
+    return (
+        float(late.GetOutputPort("image_time").Eval(context)[0]),
+        np.array(late.GetOutputPort("plant_state").Eval(context)),
+        np.array(late.GetOutputPort("depth_image").Eval(context).data[:, :, 0]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("time", "taken", "delay"),
+    [
+        (0.0, 0.0, DELAY),
+        (0.17, 0.0, DELAY),
+        (0.19, 0.1, DELAY),
+        (0.27, 0.1, DELAY),
+        (0.3, 0.2, DELAY),
+        (0.17, 0.17, 0.0),
+    ],
+)
+def test_an_image_comes_after_the_delay_and_the_first_at_once(
+    scenario: Scenario, camera: BackgroundCamera, time: float, taken: float, delay: float
+) -> None:
+    diagram = moving(scenario, camera, delay)
+    simulator = Simulator(diagram)
+    simulator.Initialize()
+    simulator.AdvanceTo(time)
+    stamp, state, image = outputs(diagram, simulator.get_context())
+    assert stamp == pytest.approx(taken)
+    assert state[0] == pytest.approx(READY[0] + taken)
+    assert np.isfinite(image).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("delay", "times"), [(0.0, [0.15, 0.2, 0.2, 0.2, 0.55]), (0.05, [0.1, 0.2, 0.2, 0.2, 0.5])]
+)
+def test_during_a_dropout_the_last_image_before_it_stays(
+    scenario: Scenario, camera: BackgroundCamera, delay: float, times: list[float]
+) -> None:
+    dropouts = CameraDropout(0.25, 0.15), CameraDropout(0.4, 0.05)
+    diagram = moving(scenario, camera, delay, *dropouts)
+    simulator = Simulator(diagram)
+    for time, taken in zip((0.15, 0.25, 0.35, 0.44, 0.55), times, strict=True):
+        simulator.AdvanceTo(time)
+        stamp, state, _ = outputs(diagram, simulator.get_context())
+        assert (stamp, state[0] - READY[0]) == (pytest.approx(taken), pytest.approx(taken))
+
+
+def test_a_camera_that_is_dead_from_the_start_shows_nothing(
+    scenario: Scenario, camera: BackgroundCamera
+) -> None:
+    diagram = moving(scenario, camera, DELAY, CameraDropout(0.0, 0.25))
+    simulator = Simulator(diagram)
+    for time, is_dead in ((0.2, True), (0.35, False)):
+        simulator.AdvanceTo(time)
+        stamp, _, image = outputs(diagram, simulator.get_context())
+        assert (stamp == -np.inf) == is_dead == np.isnan(image).all()
+
+
+def test_it_shows_what_a_sensor_of_the_present_shows(
+    scenario: Scenario, camera: BackgroundCamera
+) -> None:
+    builder = DiagramBuilder()
+    sensor = add_camera(builder, scenario, scenario.cameras[0])
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    state = np.concatenate([READY, np.zeros(9)])
+    diagram.get_input_port().FixValue(root, state)
+    image = sensor.depth_image_32F_output_port().Eval(sensor.GetMyContextFromRoot(root))
+    X_WC = sensor.body_pose_in_world_output_port().Eval(sensor.GetMyContextFromRoot(root))
+    rendered = camera.ask(state, 0.0).result()
+    np.testing.assert_array_equal(rendered.depth, image.data[:, :, 0])
+    assert rendered.X_WC.IsExactlyEqualTo(X_WC)
+
+
+def test_asked_again_or_released_the_image_is_the_same(camera: BackgroundCamera) -> None:
+    states = [np.concatenate([READY + 0.05 * k, np.zeros(9)]) for k in range(6)]
+    first = [camera.ask(state, 0.0).result().depth for state in states]
+    again = [camera.ask(state, 0.0).result().depth for state in states[::-1]]
+    for one, other in zip(first, again[::-1], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not np.array_equal(first[0], first[-1])
+    camera.release()
+    np.testing.assert_array_equal(camera.ask(states[0], 0.0).result().depth, first[0])
+
+
+def test_a_delay_must_be_shorter_than_the_period(camera: BackgroundCamera) -> None:
+    with pytest.raises(ValueError, match="delay must be between 0 and the period"):
+        DelayedCamera(camera, CameraInfo(8, 6, 1.0), num_states=18, period=0.1, delay=0.1)
+
+
+def test_noise_is_of_the_time_the_image_was_taken(
+    scenario: Scenario, camera: BackgroundCamera
+) -> None:
+    noise = partial(add_depth_noise, K=[60.0, 60.0, 31.5, 23.5], seed=3)
+    state = np.concatenate([READY, np.zeros(9)])
+    ideal = camera.ask(state, 0.0).result().depth
+    noisy = BackgroundCamera(scenario, scenario.cameras[0], noise).ask(state, 0.1).result().depth
+    np.testing.assert_array_equal(noisy, noise(ideal, 0.1))
+    assert not np.array_equal(noisy, noise(ideal, 0.2), equal_nan=True)
