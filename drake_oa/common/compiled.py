@@ -47,6 +47,14 @@ class KernelCacheLocator(InTreeCacheLocator):
         is_own = py_func.__module__.startswith(f"{__package__.partition('.')[0]}.")
         return cls(py_func, py_file) if is_own and not numba.config.CACHE_DIR else None
 
+    def get_disambiguator(self) -> str:
+        """Returns a part of the file name, so that code of another source is never unpickled.
+
+        Numba compares stamps after it has unpickled the types of arguments, which fails where one
+        of them has been renamed.
+        """
+        return self.get_source_stamp()[:16]
+
     def get_source_stamp(self) -> str:
         """Computes a digest of the source that the compiled code depends on."""
         stamps = [super().get_source_stamp()]

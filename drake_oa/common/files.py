@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
@@ -231,11 +232,16 @@ def installed_package(name: str) -> Path | None:
     return Path(places[0]) if places else None
 
 
+_TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)', re.MULTILINE)
+"""Comment lines and docstrings of a Python file, and blank lines before them."""
+
+
 @cache
 def source_digest() -> str:
-    """SHA-256 of the source and model files that a simulated motion depends on, in hex.
+    """Returns the SHA-256 of the source and model files that a simulated motion depends on, in hex.
 
-    Computed once per process, so that files edited during a run do not change it.
+    Comment lines and docstrings do not count. Computed once per process, so that files edited
+    during a run do not change it.
     """
     digest = hashlib.sha256()
     for package, patterns in _SOURCES.items():
@@ -243,8 +249,10 @@ def source_digest() -> str:
         for path in sorted(p for pattern in patterns for p in folder.rglob(pattern)):
             relative = path.relative_to(folder)
             if relative.parts[0] not in _NOT_IN_DIGEST:
+                content = path.read_bytes()
+                code = _TEXT.sub(b"", content) if path.suffix == ".py" else content
                 digest.update(str(relative).encode())
-                digest.update(hashlib.sha256(path.read_bytes()).digest())
+                digest.update(hashlib.sha256(code).digest())
     return digest.hexdigest()
 
 

@@ -103,7 +103,7 @@ import numpy as np
 from drake_oa.common.files import read_arrays, replace_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Schema of the files that are written and read; a file without a number has schema 1."""
 
 _SCHEMA_KEY = "schema_version"
@@ -303,9 +303,11 @@ def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
         raise ValueError("it has no key MOTION/stop_reason")
     version = int(arrays.get(_SCHEMA_KEY, 1))
     if version != SCHEMA_VERSION:
+        made_by = arrays.get(f"{motions[0]}/versions", np.array(["an earlier version"]))
+        reader = " ".join(str(made_by[0]).split()[:2])
         raise ValueError(
-            f"it has schema {version}; this version of drake_oa reads {SCHEMA_VERSION}: run the "
-            "scenario again, or use the version named in the log's versions"
+            f"it has schema {version}, this version of drake_oa reads schema {SCHEMA_VERSION}: "
+            f"read it with {reader}, or run the scenario again"
         )
     logs = {}
     for motion in motions:

@@ -98,3 +98,10 @@ def test_the_source_digest_covers_what_a_motion_depends_on(
         found.append(source_digest.__wrapped__())
     assert len(set(found[:3])) == 3
     assert found[3] == found[2]
+    code = 'def f():\n{}    return """x"""\n'
+    texts = ('    """Returns x."""\n', '    """Returns\n    x.\n    """\n\n    # Why.\n', "    g()\n")
+    digests = []
+    for text in texts:
+        (tmp_path / "drake_oa/policy/dmp.py").write_text(code.format(text))
+        digests.append(source_digest.__wrapped__())
+    assert digests[0] == digests[1] != digests[2]

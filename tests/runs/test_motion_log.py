@@ -69,13 +69,14 @@ def test_the_table_lists_every_key_and_no_other() -> None:
 
 @pytest.mark.parametrize(
     ("version", "said"),
-    [(None, "schema 1; this version"), (2, r"missing .*'q'"), (3, "schema 3; this version")],
+    [(None, "schema 1, this"), (3, r"missing .*'q'"), (2, "read it with drake_oa 0.0.9")],
 )
 def test_another_schema_and_missing_keys_are_named(
     version: int | None, said: str, tmp_path: Path
 ) -> None:
     keys = {} if version is None else {"schema_version": version}
-    np.savez(tmp_path / "run.npz", **{"avoiding/stop_reason": "goal"}, **keys)
+    motion = {"avoiding/stop_reason": "goal", "avoiding/versions": ["drake_oa 0.0.9"]}
+    np.savez(tmp_path / "run.npz", **motion, **keys)
     with pytest.raises(ValueError, match=said):
         load_logs(tmp_path / "run.npz")
 
