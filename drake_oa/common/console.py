@@ -18,21 +18,26 @@ from rich.table import Table
 from rich.text import Text
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
-"""Exit statuses other than 0."""
+"""Exit statuses of a failed command, of invalid input, and of the signals SIGINT and SIGTERM."""
 
-_LONGEST = 2000
-_WIDE = 100_000
+_MAX_LINE_LENGTH = 2000
+"""Length at which a line of an error message is truncated [characters]."""
+_TABLE_WIDTH = 100_000
+"""Width of the virtual console on which tables are laid out, so that no line wraps [characters]."""
 
 
 def complain(message: str) -> None:
-    """Prints an error on stderr; of very long lines, the first `_LONGEST` characters."""
-    lines = [textwrap.shorten(line, _LONGEST, placeholder=" ...") for line in message.splitlines()]
+    """Prints an error message on stderr; lines over `_MAX_LINE_LENGTH` are truncated."""
+    lines = [
+        textwrap.shorten(line, _MAX_LINE_LENGTH, placeholder=" ...")
+        for line in message.splitlines()
+    ]
     print("drake-oa: error: " + "\n  ".join(lines), file=sys.stderr)
 
 
 @cache
 def announce_first_use(work: str) -> None:
-    """Prints a line on stderr about work whose result is kept; once a process for the same work."""
+    """Prints a line on stderr about slow work whose result is cached; once per process and work."""
     print(f"{work} (first use only) ...", file=sys.stderr)
 
 
@@ -42,7 +47,7 @@ class Column(NamedTuple):
     Attributes:
         key: key of the values in the rows.
         heading: quantity and unit; None: the key.
-        form: format of the values, texts excepted.
+        form: format of the values; texts are printed as they are.
         scale: factor of the values before they are formatted.
         side: alignment; None: "left" in the first column, "right" in others.
     """
@@ -54,7 +59,7 @@ class Column(NamedTuple):
     side: Literal["left", "right"] | None = None
 
     def cell(self, row: Mapping[str, Any]) -> str:
-        """Returns the text of a row's value; "-" for a value that is missing or not finite."""
+        """Returns the formatted value of a row; "-" if it is missing or not finite."""
         value = row.get(self.key)
         if isinstance(value, str):
             return value
@@ -82,19 +87,21 @@ class TextTable:
 
     def __str__(self) -> str:
         """Returns the table as aligned text, as wide as its columns."""
-        known = [of for of in self.columns if any(of.key in row for row in self.rows)]
+        used = [of for of in self.columns if any(of.key in row for row in self.rows)]
         columns = [
-            [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)] for of in known
+            [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)] for of in used
         ]
         header, *cells = columns if self.transposed else list(zip(*columns, strict=True)) or [()]
         table = Table(box=None, show_header=any(header), pad_edge=False, padding=(0, 2, 0, 0))
         for number, heading in enumerate(header):
-            side = None if self.transposed else known[number].side
-            # Text, as a cell's brackets are no markup.
+            side = None if self.transposed else used[number].side
+            # A plain string would have its brackets interpreted as markup.
             table.add_column(Text(heading), justify=side or ("right" if number else "left"))
         for row in cells:
             table.add_row(*map(Text, row))
-        console = Console(file=io.StringIO(), width=_WIDE, color_system=None, force_terminal=False)
+        console = Console(
+            file=io.StringIO(), width=_TABLE_WIDTH, color_system=None, force_terminal=False
+        )
         with console.capture() as captured:
             console.print(*[table] * bool(header), *map(Text, self.notes), sep="\n")
         return "\n".join(line.rstrip() for line in captured.get().rstrip("\n").splitlines())
@@ -107,30 +114,30 @@ def show(*tables: TextTable) -> None:
 
 @contextmanager
 def progress_bar(total: float) -> Iterator[Callable[[str, float], None]]:
-    """A bar with an estimate of the time left on a terminal's stderr; nothing elsewhere.
+    """Shows a progress bar with the remaining time on stderr, if that is a terminal.
 
     Args:
-        total: of the work.
+        total: total amount of work, in any unit.
 
     Yields:
-        What to call with a few words and how much of the work is done.
+        Function that updates the bar: its arguments are a description and the completed amount.
     """
-    # Not at the top: `drake-oa --help` shows none.
+    # Imported here because it would slow down `drake-oa --help`.
     from rich.progress import Progress
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=total)
 
-        def update(words: str, done: float) -> None:
-            progress.update(task, description=words, completed=done)
+        def update(description: str, completed: float) -> None:
+            progress.update(task, description=description, completed=completed)
 
         yield update
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppresses log messages up to warnings, where others tell the same."""
+    """Suppresses log messages up to level WARNING in the block."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

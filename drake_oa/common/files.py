@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# Where it is used: commands that compute nothing answer at once.
+# Slow modules are imported where they are used, so that commands without them start quickly.
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -26,53 +26,55 @@ _SOURCES = {
     "drake_oa.diagrams": ("*.py", "*.scenario.yaml"),
     "drake_oa.models": ("*.sdf", "*.yaml", "*.urdf", "*.obj", "*.npz", "*.safetensors"),
 }
-"""Patterns of the files of each package that `source_digest` covers."""
+"""Package -> patterns of its files that `source_digest` covers."""
 _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
-"""Parts of drake_oa that no simulated motion depends on, or that are packages of `_SOURCES`."""
+"""Parts of drake_oa that do not affect simulated motions, or are packages of `_SOURCES`."""
 
 _PLOT_STYLE: tuple[Any, ...] = ("tableau-colorblind10", {"axes.grid": True, "legend.fontsize": 7})
 """Matplotlib styles of all figures; color-blind readers can distinguish the colors."""
 
 
 class OutputError(OSError):
-    """A file that could not be written; the message names the file."""
+    """Error of a file that cannot be written; the message names the file."""
 
 
 def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
-    """Makes the folders of files that are to be written; leaves the files as they are.
+    """Creates the folders of output files and checks that the files can be written.
+
+    Existing files stay unchanged.
 
     Args:
-        paths: the files; None for one that is not asked for.
-        read: files that the command reads, which no output may replace.
+        paths: output files; None: no output.
+        read: input files of the command, which no output may replace.
 
     Raises:
-        ValueError: naming the first that cannot be written, and why.
+        ValueError: names the first file that cannot be written, and the reason.
     """
-    taken = dict.fromkeys((path.resolve() for path in read), "the command reads this file")
+    conflicts = dict.fromkeys((path.resolve() for path in read), "the command reads this file")
     for path in filter(None, paths):
-        if why := taken.get(path.resolve()):
+        if reason := conflicts.get(path.resolve()):
             raise ValueError(
-                f"cannot write {path}: {why}; inputs and outputs must name different files"
+                f"cannot write {path}: {reason}; inputs and outputs must name different files"
             )
-        taken[path.resolve()] = "another output names this file"
+        conflicts[path.resolve()] = "another output names this file"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            known = path.exists()
+            existed = path.exists()
             path.open("ab").close()
         except OSError as error:
-            why = f"{error.strerror}: {error.filename}"
-            raise ValueError(f"cannot write {path}: {why}") from None
-        if not known:
+            reason = f"{error.strerror}: {error.filename}"
+            raise ValueError(f"cannot write {path}: {reason}") from None
+        if not existed:
             path.unlink()
 
 
 def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
-    """Makes an empty file `folder/stem-TIME suffix` that no other process has or will get.
+    """Creates an empty file <folder>/<stem>-<time><suffix> whose name is unique among processes.
 
-    TIME is UTC, to a microsecond.
+    The time is UTC, to a microsecond.
 
     Raises:
-        ValueError: if the folder or the file cannot be made; names it, and why.
+        ValueError: if the file cannot be created; names the folder and the reason.
     """
     path = folder / f"{stem}-{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}{suffix}"
     try:
@@ -84,47 +86,48 @@ def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes a file, and its folder, in one piece: an earlier file stays whole until then.
+    """Replaces a file atomically: readers see the old content until the new one is complete.
 
-    A file that is not regular, as /dev/stdout, is written to.
+    Missing folders are created. A file that is not regular, such as /dev/stdout, is written
+    directly.
 
     Args:
-        path: the file.
-        write: called with the path to write to.
+        path: file to replace.
+        write: function that writes the content to the path it is called with.
 
     Raises:
         OutputError: if the file cannot be written.
     """
     try:
-        # Before the link is followed: that of /dev/stdout may lead to no path at all.
+        # Checked before the link is resolved: that of /dev/stdout may not be a valid path.
         if path.exists() and not path.is_file():
             write(path)
             return
         target = path.resolve()
         target.parent.mkdir(parents=True, exist_ok=True)
-        # Of this process alone: another may be writing the same file.
-        beside = target.with_name(f"{target.name}.{os.getpid()}.part")
+        # The process ID makes the name unique: another process may be writing the same file.
+        temporary = target.with_name(f"{target.name}.{os.getpid()}.part")
         try:
-            write(beside)
-            os.replace(beside, target)
+            write(temporary)
+            os.replace(temporary, target)
         except BaseException:
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Writes a text file in one piece; see `replace_file`."""
-    replace_file(path, lambda beside: beside.write_text(text))
+    """Replaces a text file atomically, see `replace_file`."""
+    replace_file(path, lambda temporary: temporary.write_text(text))
 
 
 def replace_json(path: Path | None, content: object) -> None:
-    """Writes plain data as JSON in one piece; see `replace_file`.
+    """Replaces a JSON file atomically, see `replace_file`.
 
     Args:
-        path: the file; None: nothing is written.
-        content: plain data.
+        path: file to replace; None: nothing is written.
+        content: dictionaries, lists, texts, numbers and None.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -135,12 +138,12 @@ def replace_json(path: Path | None, content: object) -> None:
 
 
 def replace_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Writes arrays by name as a compressed .npz archive in one piece; see `replace_file`."""
+    """Replaces a compressed .npz archive of named arrays atomically, see `replace_file`."""
     import numpy as np
 
-    def write(beside: Path) -> None:
-        # An open file, as NumPy adds .npz to the name of a path.
-        with beside.open("wb") as file:
+    def write(temporary: Path) -> None:
+        # NumPy would append .npz to the name of a path, but not to an open file.
+        with temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
 
     replace_file(path, write)
@@ -151,7 +154,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     Raises:
         OSError: if the file cannot be opened.
-        ValueError: if it is not such an archive, is damaged, or holds Python objects.
+        ValueError: if it is not an .npz archive, is damaged, or contains Python objects.
     """
     import numpy as np
 
@@ -160,19 +163,19 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             with np.load(file, allow_pickle=False) as arrays:
                 return dict(arrays)
         except Exception as error:
-            # Damage shows in the archive, in its decompression, or in the headers of arrays.
+            # Depending on the damage, zipfile, zlib or NumPy raises, each with its own errors.
             raise ValueError(f"{path} cannot be read as .npz: {error}") from None
 
 
 @contextlib.contextmanager
 def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
-    """Provides an empty figure in the common style, and writes it in one piece after the block.
+    """Provides an empty figure in the common style, and saves it atomically after the block.
 
     Args:
-        path: the file; its suffix gives the format.
-        width: of the figure [inch].
-        height: of the figure [inch].
-        title: of the figure.
+        path: output file; its suffix determines the format.
+        width: width of the figure [inch].
+        height: height of the figure [inch].
+        title: title of the figure.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -185,11 +188,11 @@ def saved_figure(path: Path, width: float, height: float, title: str = "") -> It
         figure.suptitle(title)
         yield figure
         kind = path.suffix.removeprefix(".")
-        replace_file(path, lambda beside: figure.savefig(beside, format=kind, dpi=140))
+        replace_file(path, lambda temporary: figure.savefig(temporary, format=kind, dpi=140))
 
 
 def user_cache(name: str) -> Path:
-    """Returns the folder of the user's cache for a kind of results; it need not exist."""
+    """Returns the user's cache folder for one kind of results; it may not exist yet."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "drake_oa" / name
 
@@ -206,7 +209,7 @@ def import_extra(module: str, extra: str) -> Any:
     """Imports a module of an optional dependency.
 
     Raises:
-        ValueError: naming the package that is not installed, and the extra to install.
+        ValueError: if the package is not installed; names it and the extra to install.
     """
     try:
         return import_module(module)
@@ -217,31 +220,31 @@ def import_extra(module: str, extra: str) -> Any:
 
 
 def installed_package(name: str) -> Path | None:
-    """The folder behind package://NAME of something that is installed for this Python.
+    """Returns the folder of package://<name> for a name installed in this Python environment.
 
-    That is share/NAME of the distribution NAME, or the package that is imported as NAME; which
-    is not imported here. None: there is neither.
+    It is share/<name> of the distribution of that name, otherwise the folder of the Python package
+    of that name; None if there is neither. The package is not imported.
     """
     with contextlib.suppress(PackageNotFoundError, ValueError):
         for file in distribution(name).files or ():
             prefix, share, _ = str(file.locate()).partition(f"/share/{name}/")
             if share:
                 return Path(prefix) / "share" / name
-    found = find_spec(name) if name.isidentifier() else None
-    places = list(found.submodule_search_locations or ()) if found else []
+    spec = find_spec(name) if name.isidentifier() else None
+    places = list(spec.submodule_search_locations or ()) if spec else []
     return Path(places[0]) if places else None
 
 
 _TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)', re.MULTILINE)
-"""Comment lines and docstrings of a Python file, and blank lines before them."""
+"""Regular expression of comment lines and docstrings, with blank lines before them."""
 
 
 @cache
 def source_digest() -> str:
-    """Returns the SHA-256 of the source and model files that a simulated motion depends on, in hex.
+    """Returns the hexadecimal SHA-256 of all source and model files that affect simulated motions.
 
-    Comment lines and docstrings do not count. Computed once per process, so that files edited
-    during a run do not change it.
+    Comment lines and docstrings are ignored. The digest is computed once per process, so that
+    editing files during a run does not change it.
     """
     digest = hashlib.sha256()
     for package, patterns in _SOURCES.items():
@@ -257,7 +260,7 @@ def source_digest() -> str:
 
 
 def provenance() -> dict[str, str]:
-    """Version of this package, today's date (UTC) and source digest, to be kept with a result."""
+    """Returns version of this package, date (UTC) and source digest, to be saved with a result."""
     return {
         "version": version("drake_oa"),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
@@ -266,10 +269,10 @@ def provenance() -> dict[str, str]:
 
 
 def software_versions() -> dict[str, str]:
-    """Returns versions of packages, date and source digest, on which a result depends."""
-    found = {}
+    """Returns the versions of the packages that affect a result, the date and the source digest."""
+    versions = {}
     for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
         with contextlib.suppress(PackageNotFoundError):
-            found[name] = version(name)
-    made = provenance()
-    return found | {key: made[key] for key in ("date", "source_digest")}
+            versions[name] = version(name)
+    source = provenance()
+    return versions | {key: source[key] for key in ("date", "source_digest")}

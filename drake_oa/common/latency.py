@@ -1,8 +1,8 @@
-"""Decisions that take time: their work, its duration, and the decision in force meanwhile.
+"""Simulated compute latency: work counters, duration of a decision, and the decision in progress.
 
-A clock would make no two runs alike; a count is the same on every machine. `counted` opens an
-account, and what dominates the decisions adds to it by `count`: roll-outs of motions,
-configurations of the arm along them. `LatencyModel` makes seconds of it.
+A measured time would differ between runs; counted work is the same on every machine. `counted`
+opens a counter, and the roll-outs and clearance computations of a decision add to it by `count`.
+`LatencyModel` converts the counts to seconds.
 """
 
 import dataclasses as dc
@@ -22,20 +22,20 @@ from drake_oa.common.messages import Frozen
 
 @dataclass(config=BLOCK)
 class LatencyModel:
-    """Simulated duration of decisions: a model of processor time on two cores at 2.5 GHz."""
+    """Model of the processor time of a decision on two cores at 2.5 GHz."""
 
     decision: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Time of one decision, independent of its work [s]. Raising it makes every decision later."""
+    """Time of one decision, independent of its work [s]. Raising it delays every decision."""
     search: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Time of one batch of rolled-out motions [s]. Raising it makes searches later."""
+    """Time of one batch of rolled-out motions [s]. Raising it delays searches."""
     step: float = Field(default=1e-7, ge=0.0, le=1.0)
-    """Time of one time step of one rolled-out motion [s]. Raising it makes searches later."""
+    """Time of one time step of one rolled-out motion [s]. Raising it delays searches."""
     configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
-    """Time of one clearance computation of the whole arm [s]. Raising it makes searches and
-    maneuvers later."""
+    """Time of one clearance computation of the whole arm [s]. Raising it delays searches and
+    maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
-        """Time that a decision takes [s]."""
+        """Returns the compute latency of a decision [s] from its work, counted by `counted`."""
         return (
             self.decision
             + self.search * work["searches"]
@@ -45,15 +45,16 @@ class LatencyModel:
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
+"""Counters of the innermost `counted` block."""
 
 
 @contextmanager
 def counted() -> Iterator[Counter[str]]:
-    """Opens an account of the work in the block, which an outer account receives, too.
+    """Counts the work in the block; the counts are also added to an enclosing `counted` block.
 
     Yields:
-        Numbers of "searches" (batches of motions that were rolled out), "steps" (of all of these
-        motions) and "configurations" (of the arm that were measured against the solids).
+        Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs) and
+        "configurations" (clearance computations of the arm among the collision geometry).
     """
     work = Counter[str]()
     token = _account.set(work)
@@ -64,9 +65,9 @@ def counted() -> Iterator[Counter[str]]:
         count(**work)
 
 
-def count(**done: int) -> None:
-    """Adds to the account that is open, if one is, by the names that `counted` lists."""
-    _account.get(Counter()).update(done)
+def count(**work: int) -> None:
+    """Adds to the counters of the innermost `counted` block, if any; keys are listed there."""
+    _account.get(Counter()).update(work)
 
 
 T = TypeVar("T")
@@ -74,17 +75,24 @@ T = TypeVar("T")
 
 @dc.dataclass(frozen=True, eq=False)
 class PendingDecision(Frozen, Generic[T]):
-    """Decision in force and decision being made; one core makes one after the other.
+    """Active decision, and the decision in progress; only one is computed at a time.
 
-    A decision is computed when it begins, from what is known then, and is in force from
-    `due` on; until then what was in force stays so.
+    A decision uses the inputs at its start, and becomes active at `due`.
+
+    =========  ===========================  ==============================================
+    State      Condition                    Next state
+    =========  ===========================  ==============================================
+    idle       `pending` is None            `start`: computing; idle again without latency
+    computing  `pending` set, time < due    `discarded`: idle
+    completed  `pending` set, time >= due   `activated` or `discarded`: idle
+    =========  ===========================  ==============================================
 
     Attributes:
-        active: the decision to go by.
-        pending: the one that is being made; None: none is.
-        due: when that is made [s].
-        begun: when the last one began [s]; NaN: none has.
-        cost: time that it takes [s].
+        active: decision that is executed.
+        pending: decision in progress; None: no decision is in progress.
+        due: time at which the pending decision is completed [s]; inf without one.
+        begun: start of the last decision [s]; NaN before the first.
+        cost: compute latency of the last decision [s].
     """
 
     active: T
@@ -96,12 +104,12 @@ class PendingDecision(Frozen, Generic[T]):
     def start(
         self, decide: Callable[[T], T], time: float, compute_latency: LatencyModel | None
     ) -> Self:
-        """Begins a decision, unless one is being made.
+        """Starts a decision, unless one is in progress; returns the new state.
 
         Args:
-            decide: makes it, given the one in force.
-            time: now [s].
-            compute_latency: what it costs; None: it is in force at once.
+            decide: function that computes the decision from the active one.
+            time: current time [s].
+            compute_latency: model of its duration; None: the decision is active at once.
         """
         if self.pending is not None:
             return self
@@ -113,20 +121,20 @@ class PendingDecision(Frozen, Generic[T]):
         return dc.replace(self, pending=after, due=time + cost, begun=time, cost=cost)
 
     def completed(self, time: float) -> T | None:
-        """The decision that has been made by now and is not in force yet [s]; None: none."""
+        """Returns the pending decision if it is completed at a time [s], otherwise None."""
         return self.pending if self.due <= time else None
 
     def activated(self) -> Self:
-        """The pending decision in force."""
+        """Returns the state in which the pending decision, if any, is active."""
         if self.pending is None:
             return self
         return dc.replace(self, active=self.pending, pending=None, due=math.inf)
 
     def discarded(self) -> Self:
-        """Without the pending decision."""
+        """Returns the state without the pending decision."""
         return dc.replace(self, pending=None, due=math.inf)
 
     @property
     def last(self) -> tuple[float, float]:
-        """Begin and duration of the last decision [s], for a port of size 2."""
+        """Start time and compute latency of the last decision [s]."""
         return (self.begun, self.cost)

@@ -1,8 +1,9 @@
-"""Frozen values that travel between the layers on abstract ports.
+"""Immutable messages that the layers exchange on abstract ports.
 
-Every value is one immutable struct of arrays. Copying it is free
-(``__deepcopy__`` returns the value itself), so a Drake Context that holds one
-clones in constant time, and no receiver can change what another one reads.
+A message is a frozen dataclass of read-only arrays. Copying it is free (``__deepcopy__`` returns
+the message itself): a Drake Context that holds one clones in constant time, and no receiver can
+change the input of another. Suffix _W: in the world frame; p_WO: position of O in W; R_WO:
+orientation of O in W; E: tool point, the end effector; S, G: start and goal of the motion.
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ BoolArray = NDArray[np.bool_]
 
 
 PART_ID_STRIDE = 2**20
-"""Rows that describe parts of one obstacle have names that differ by multiples of this."""
+"""Difference between the IDs of consecutive parts of one obstacle; ID % stride is the track ID."""
 
 
 class Frozen:
-    """Shares itself on copy and locks its arrays on construction."""
+    """Base class of immutable dataclasses: arrays are read-only, copies are the object itself."""
 
     def __post_init__(self) -> None:
-        own = self.__dict__
-        for name, value in own.items():
+        fields = self.__dict__
+        for name, value in fields.items():
             if value.__class__ is np.ndarray and value.flags.writeable:
                 locked = value.view()
                 locked.flags.writeable = False
-                own[name] = locked
+                fields[name] = locked
 
     def __copy__(self) -> Self:
         return self
@@ -43,46 +44,47 @@ class Frozen:
 
 
 def zeros(*shape: int, kind: Any = float) -> Any:
-    """Field of a frozen value that by default is an array of zeros."""
+    """Returns a dataclass field with an array of zeros as default: shape `shape`, dtype `kind`."""
     return field(default_factory=lambda: np.zeros(shape, dtype=kind))
 
 
 @dataclass(frozen=True, eq=False)
 class TablePlane(Frozen):
-    """The supporting plane ``normal_W . p_WQ = offset``.
+    """Support plane of the objects, usually a table: points Q with ``normal_W . p_WQ = offset``.
 
     Attributes:
         normal_W: (3,) unit normal in the world frame, pointing to free space.
-        offset: distance of the plane from the world origin along it [m].
+        offset: signed distance of the plane from the world origin along the normal [m].
     """
 
     normal_W: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     offset: float = 0.0
 
     def height(self, p_WQ: FloatArray) -> FloatArray:
-        """Signed height [m] above the plane of points p_WQ, (..., 3) -> (...)."""
+        """Computes the signed heights [m] of points p_WQ above the plane: (..., 3) -> (...)."""
         return np.asarray(p_WQ @ self.normal_W - self.offset)
 
     def distance_to(self, other: TablePlane) -> float:
-        """Bound on the distance of two planes below the origin and up to 1 m from there [m]."""
+        """Computes an upper bound of the height difference of two planes within 1 m of the origin.
+
+        The bound [m] is ``|offset_1 - offset_2| + |normal_1 - normal_2| * 1 m``.
+        """
         turn = np.linalg.norm(self.normal_W - other.normal_W)
         return abs(self.offset - other.offset) + float(turn)
 
 
 @dataclass(frozen=True, eq=False)
 class ObstacleClouds(Frozen):
-    """Observation of the obstacles at one instant.
+    """Point clouds of the M obstacles at one instant.
 
     Attributes:
-        stamp: simulation time at which the scene looked so [s]; -inf before the
-            first frame.
-        clouds_W: one (N_i, 3) array of surface points in the world frame [m] an
-            obstacle; empty when nothing stands on the table.
-        ids: (M,) integers that name the obstacles.
-        table: the supporting plane, or None when no plane was found or known.
-        note: empty, or why this frame is degraded (for example "no valid pixel").
+        stamp: time of the observation [s]; -inf before the first frame.
+        clouds_W: for each obstacle an (N_i, 3) array of surface points in the world frame [m].
+        ids: (M,) track IDs of the obstacles.
+        table: support plane; None if none was found.
+        note: reason why this frame is degraded, such as "no valid pixel"; otherwise empty.
         v_WO: (M, 3) velocities in the world frame [m/s], exactly zero for an obstacle
-            that does not move significantly; zeros when not given.
+            without significant motion; zeros by default.
     """
 
     stamp: float = -np.inf
@@ -103,21 +105,20 @@ class ObstacleClouds(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class EllipsoidSet(Frozen):
-    """The unified system-obstacle descriptors: M ellipsoids.
+    """Obstacle descriptors: M ellipsoids, each of an obstacle dilated by the tool.
 
-    Each is the obstacle dilated by the tool, so that the tool may be treated as
-    the point E.
+    Because of the dilation, the tool is treated as the point E.
 
     Attributes:
-        stamp: stamp of the observation it was made from [s].
+        stamp: time of the observation that is described [s].
         p_WO: (M, 3) centers in the world frame [m].
         R_WO: (M, 3, 3) rotations; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes along those columns [m].
         v_WO: (M, 3) velocities of the centers in the world frame [m/s].
-        ids: (M,) integers that name the rows, each different: the obstacle's name, and a
-            multiple of `PART_ID_STRIDE` more for the second and further parts of it.
-        table: the supporting plane, handed through from perception, or None.
-        note: empty, or why the observation is degraded.
+        ids: (M,) unique IDs of the rows: track ID + part * `PART_ID_STRIDE`, with part 0 for the
+            first ellipsoid of an obstacle.
+        table: support plane from perception, or None.
+        note: reason why the observation is degraded; otherwise empty.
     """
 
     stamp: float = -np.inf
@@ -134,37 +135,37 @@ class EllipsoidSet(Frozen):
 
 
 class HoldReason(StrEnum):
-    """Reason for which the motion is held, for decisions; a note states it in words."""
+    """Reason for which the motion is held (stopped on its path); a separate note explains it."""
 
     NONE = "none"
+    """The motion is not held."""
     DECIDING = "deciding"
-    """The first motion is being decided on."""
+    """The first decision of the motion is being computed."""
     SPEED_SCALE = "speed_scale"
-    """The speed is scaled to nothing from outside."""
+    """The input `speed_scale` is 0."""
     SUPERVISOR = "supervisor"
-    """The speed is scaled to nothing by the supervisor; set by the monitor of a run."""
+    """The supervisor holds the motion. Set by the run monitor; the policy reports SPEED_SCALE."""
     OBSTACLES = "obstacles"
-    """They are not seen, in the way, or no way past them is known."""
+    """Obstacles are not observed, contain the tool or goal, or cannot be passed on any side."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyState(Frozen):
-    """State of the dynamic movement primitive.
+    """State of the dynamic movement primitive (DMP) that generates the motion.
 
     Attributes:
-        p_WE: (3,) position of the end effector E in the world frame [m].
+        p_WE: (3,) position of the tool point E in the world frame [m].
         z_W: (3,) scaled velocity, the derivative of p_WE by normalized time
-            s = t / (tau T), in the world frame [m].
-        phase: canonical phase k, 1 at the start and falling to 0.
-        tau: temporal scaling (1: the demonstrated duration).
-        p_WS: (3,) start of the motion [m].
-        p_WG: (3,) goal, or the point that the motion goes to first [m].
+            s = t / (tau T), in the world frame [m]; T is the demonstrated duration [s].
+        phase: phase k of the canonical system, 1 at the start and decaying to 0.
+        tau: temporal scaling of the duration T [1].
+        p_WS: (3,) start of the motion in the world frame [m].
+        p_WG: (3,) goal in the world frame [m].
         R_WL: (3, 3) local frame: x from start to goal, z up.
         stamp: time of this state [s].
-        speed: ds/dt, the rate of normalized time [1/s]; 1 / (tau T) when running
-            freely, 0 when held.
-        hold: what holds the motion.
-        note: the same in words; empty where nothing does.
+        speed: ds/dt, the rate of normalized time [1/s]; 1 / (tau T) at full speed, 0 when held.
+        hold: reason for holding the motion.
+        note: explanation of `hold`; empty if the motion is not held.
     """
 
     p_WE: FloatArray = zeros(3)
@@ -187,14 +188,14 @@ class PolicyState(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion(Frozen):
-    """The motion that the inference expects, from now to the goal or to a point before it.
+    """Predicted motion of the tool point and the arm from now on, as the inference layer plans it.
 
     Attributes:
-        s: (T,) normalized times, increasing; (0,): no motion is known.
-        p_WE: (T, 3) the tool point there in the world frame [m].
-        q: (T, n) positions of the arm's joints there [rad]; (0, n): none are planned.
-        p_WS: (3,) start of the motion that the times belong to, in the world frame [m]; (0,):
-            they belong to the one under way.
+        s: (T,) normalized times, increasing; (0,): no motion is planned.
+        p_WE: (T, 3) positions of the tool point at these times in the world frame [m].
+        q: (T, n) joint positions at these times [rad]; (0, n): no joint positions are planned.
+        p_WS: (3,) start of the planned motion in the world frame [m]; (0,): the plan belongs to
+            the current motion.
     """
 
     s: FloatArray = zeros(0)
@@ -206,34 +207,36 @@ class PlannedMotion(Frozen):
         return len(self.s)
 
     def joints(self, s: float | FloatArray) -> FloatArray:
-        """Interpolates positions of the joints (..., n) at normalized times (...) [rad]."""
+        """Interpolates the joint positions (..., n) [rad] linearly at normalized times (...)."""
         return np.stack([np.interp(s, self.s, joint) for joint in self.q.T], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Route(Frozen):
-    """The side to pass each obstacle on, the rings it was chosen from, and the ranked sides.
+    """Selected passing side of each of M obstacles, and the cost rings it was selected from.
 
-    Rows follow the rows of the EllipsoidSet that it was made for.
+    A cost ring (Pairet et al., RA-L 2019) rates K directions of passing, evenly spaced on a circle
+    around the baseline (the straight line from start to goal). Rows are those of the EllipsoidSet
+    of the decision.
 
     Attributes:
-        direction_W: (M, 3) chosen direction omega_d on the local YZ circle, as a
+        direction_W: (M, 3) selected direction omega_d on the circle in the local YZ plane, as a
             unit vector in the world frame.
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle
-            is passed: turning about it turns from the baseline toward the chosen side.
-        remaining_clearance: (M,) clearance to keep on that side [m]; 0: no guidance needed.
-        index: (M,) the chosen column of the rings.
-        angles: (K,) angles of the circle [rad], 0 along local y, pi/2 along z.
-        costs: name of a ring -> (M, K) its cost in [0, 1] on that circle.
+            is passed; a positive rotation about it turns the baseline toward the selected side.
+        remaining_clearance: (M,) clearance that guidance aims at on that side [m]; 0: no guidance.
+        index: (M,) selected column of the rings.
+        angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
+        costs: ring name -> (M, K) costs in [0, 1].
         path_length: estimated length of the avoiding path [m].
-        p_WS: (3,) start of the motion that it was decided for [m].
+        p_WS: (3,) start of the motion for which the route was decided [m].
         p_WG: (3,) goal of that motion [m].
         R_WL: (3, 3) local frame of that motion.
-        ids: (M,) the obstacles' names.
-        blocked: whether no side is allowed for one of them.
-        note: empty, or why no side is allowed.
-        side_cost: (N,) costs that user-supplied rings add to N evenly spread sides, as path length
-            over the baseline; inf: forbidden.
+        ids: (M,) IDs of the ellipsoids.
+        blocked: whether every side of some obstacle is forbidden.
+        note: reason why every side is forbidden; otherwise empty.
+        side_cost: (N,) costs of N evenly spaced sides by user-supplied rings, as additional path
+            length over the baseline; inf: forbidden.
     """
 
     direction_W: FloatArray = zeros(0, 3)
@@ -253,38 +256,39 @@ class Route(Frozen):
 
     @property
     def baseline(self) -> float:
-        """Distance from start to goal [m]; 0 when nothing was decided yet."""
+        """Distance from start to goal [m]; 0 before the first decision."""
         return math.dist(self.p_WG, self.p_WS)
 
 
 OUT_OF_WORLD = 25.0
-"""Distance from the world's origin beyond which a thing counts as absent [m]."""
+"""Coordinate in the world frame beyond which an obstacle counts as absent [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CouplingParameters(Frozen):
-    """Parameters of avoidance terms: one row an obstacle, then one a candidate side.
+    """Parameters of M coupling terms, which turn the motion away from obstacles.
+
+    With the angle theta between heading and obstacle, and the distance d, the turning rate is
+    alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2).
 
     Attributes:
-        alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated
-            duration.
+        alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated duration.
         psi: (M,) width of the response to the heading [rad].
         kappa: (M,) decay with the squared distance [1/m^2].
-        in_range: (M,) False where the query lay outside what the chain was trained
-            for: it was then evaluated at the nearest input inside.
-        center_W: (M, 3) the points the terms act about [m]; (0, 3): the obstacles'
-            centers.
-        normal_W: (M, 3) normals of the planes in which to pass; they go before the
-            route's, and where there is one the route does not guide. A zero row, or
-            (0, 3): not given.
-        tau: temporal scaling of the motion, which goes before the one from the route's
-            length; 0: not given.
-        hold: whether the motion must not go on, and what for.
-        note: the same in words.
-        restart: whether it is to begin anew from where it rests.
-        verified: whether the rows are terms of their own, about `center_W`, which a look at the
-            true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
-        ellipsoids: obstacles of verified rows of the chain, past which guidance leads.
+        in_range: (M,) False if the input of the regressor chain was outside its trained range and
+            was clipped to it.
+        center_W: (M, 3) centers of the terms in the world frame [m]; (0, 3): the centers of the
+            ellipsoids.
+        normal_W: (M, 3) normals of the planes in which the obstacles are passed. A nonzero row
+            replaces the normal of the route and switches guidance off for it; (0, 3): no normals.
+        tau: temporal scaling of the motion, replaces the scaling by the route's path length; 0:
+            not set.
+        hold: reason for holding the motion; NONE: it is not held.
+        note: explanation of `hold`.
+        restart: whether a motion at rest restarts from its current position.
+        verified: whether roll-outs have verified the motion. The terms then act about `center_W`,
+            do not belong to the perceived ellipsoids, and these do not hold the motion.
+        ellipsoids: ellipsoids of verified terms that guidance steers past.
     """
 
     alpha: FloatArray = zeros(0)
@@ -304,9 +308,9 @@ class CouplingParameters(Frozen):
         return len(self.alpha)
 
     def as_array(self) -> FloatArray:
-        """(M, 3) rows of alpha, psi, kappa."""
+        """Returns the parameters as an (M, 3) array with columns alpha, psi, kappa."""
         return np.column_stack((self.alpha, self.psi, self.kappa))
 
 
 DECIDING = "no motion from here is verified yet"
-"""The note of a motion that is held while its first one is being decided on."""
+"""Note of a motion that is held until its first decision is active."""

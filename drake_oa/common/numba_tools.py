@@ -1,6 +1,6 @@
-"""Processor target of compiled kernels, and a message when they have to be compiled.
+"""Processor target of the numba kernels, and a message while kernels are compiled.
 
-`drake_oa` imports this before numba, and at every start: nothing slow is imported at the top.
+`drake_oa` imports this module at every start, before numba: it must not import slow modules.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _TARGET = "x86-64-v3"
-"""Processor that kernels are compiled for: those since 2013 (Intel) and 2015 (AMD) have it."""
+"""Processor level that kernels are compiled for: Intel since 2013, AMD since 2015."""
 _TARGET_FLAGS = frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"])
-"""Flags of /proc/cpuinfo of a processor that has `_TARGET` (System V ABI, AMD64 supplement)."""
+"""Flags in /proc/cpuinfo that `_TARGET` requires (System V ABI, AMD64 supplement)."""
 
 
 def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
-    """Makes numba compile for `x86-64-v3` where the processor has it, else for the native one.
+    """Makes numba compile for `x86-64-v3` if the processor supports it, else for the native target.
 
-    The same instructions on each machine give the same trajectory to the last bit, and kernels
-    compiled on one machine load on another. Must be called before numba is imported. Does nothing
-    where `NUMBA_CPU_NAME` is set.
+    Equal instructions on all machines give bit-identical trajectories, and kernels compiled on one
+    machine load on another. Must be called before numba is imported. Does nothing if
+    `NUMBA_CPU_NAME` is set.
 
     Args:
-        cpuinfo: description of the processor by the Linux kernel.
+        cpuinfo: file in which the Linux kernel lists the flags of the processor.
     """
     if os.environ.get("NUMBA_CPU_NAME"):
         return
@@ -35,17 +35,17 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
         return
     if _TARGET_FLAGS.issubset(flags):
         os.environ["NUMBA_CPU_NAME"] = _TARGET
-        # Empty: those that the name implies. Unset, numba takes those of this machine.
+        # An empty value selects the features of the target; unset, numba adds the machine's.
         os.environ.setdefault("NUMBA_CPU_FEATURES", "")
 
 
 @contextmanager
 def announced_compilation() -> Iterator[None]:
-    """Prints a line on stderr when kernels are compiled in the block rather than read from files.
+    """Prints a line on stderr if kernels are compiled in the block instead of loaded from files.
 
-    That is so in a checkout, and after an update of the package or of numba.
+    Kernels are compiled at the first use in a checkout, and after an update of numba or drake_oa.
     """
-    # Not at the top: see the module.
+    # Imported here because it is slow, see the module docstring.
     from numba.core import event
 
     class Announcement(event.TimingListener):

@@ -1,4 +1,4 @@
-"""Helpers of systems: typed abstract inputs and periods."""
+"""Helpers of Drake systems: typed abstract inputs, periods, output ports of an abstract state."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pydrake.systems.framework import AbstractStateIndex, Context, DependencyTic
 T = TypeVar("T")
 
 DECISION_OFFSET = 1e-3
-"""Delay of a layer's decision after the beginning of a period [s], so that inputs are new."""
+"""Delay of a layer's decision after the start of a period [s]: inputs are up to date by then."""
 
 
 class AbstractInput(Generic[T]):
-    """Abstract input port of a system, with a check of the type of its values."""
+    """Abstract input port of a system that checks the type of its values."""
 
     def __init__(self, system: LeafSystem, name: str, kind: type[T]) -> None:
         """Declares the port.
 
         Args:
-            system: under construction.
-            name: of the port.
+            system: system under construction.
+            name: name of the port.
             kind: class of its values.
         """
         self.port, self._kind = system.DeclareAbstractInputPort(name, Value(kind())), kind
@@ -34,7 +34,7 @@ class AbstractInput(Generic[T]):
         """Evaluates the port.
 
         Raises:
-            TypeError: naming system, port, the type found and the type expected.
+            TypeError: for a value of another class; names system, port and both classes.
             RuntimeError: from Drake, if the port is not connected.
         """
         value = self.port.Eval(context)
@@ -48,20 +48,20 @@ class AbstractInput(Generic[T]):
         return value
 
     def find(self, context: Context) -> T | None:
-        """Evaluates the port; None where it is not connected."""
+        """Evaluates the port; returns None if it is not connected."""
         return self.read(context) if self.port.HasValue(context) else None
 
     def read_or_empty(self, context: Context) -> T:
-        """Evaluates the port; a default value where it is not connected."""
+        """Evaluates the port; returns a default-constructed value if it is not connected."""
         return self.read(context) if self.port.HasValue(context) else self._kind()
 
     def ticket(self) -> DependencyTicket:
-        """Returns the ticket for values that depend on the port."""
+        """Returns the dependency ticket of the port, for cache entries and outputs."""
         return self.port.ticket()
 
 
 def valid_period(period: float) -> float:
-    """The period [s] if it is positive and finite; ValueError otherwise."""
+    """Returns the period [s]; raises ValueError unless it is positive and finite."""
     if not 0.0 < period < math.inf:
         raise ValueError(f"period must be positive and finite [s], not {period}")
     return float(period)
@@ -70,13 +70,13 @@ def valid_period(period: float) -> float:
 def declare_state_outputs(
     system: LeafSystem, state: AbstractStateIndex, *ports: tuple[str, int | type, str]
 ) -> None:
-    """Declares output ports that hold parts of an abstract state.
+    """Declares output ports that publish attributes of an abstract state.
 
     Args:
-        system: under construction.
-        state: row of the state.
-        ports: name of each, the size of a vector or the class of an abstract value, and the path of
-            attributes that leads to it.
+        system: system under construction.
+        state: index of the abstract state.
+        ports: for each port its name, the size of its vector or the class of its abstract value,
+            and the dotted path of the attribute in the state.
     """
     tickets = {system.abstract_state_ticket(state)}
     for name, kind, path in ports:

@@ -1,8 +1,6 @@
-"""Signals of a diagram by name: their sources, their readers, and systems put between.
+"""Builder of diagrams that connects output and input ports by the names of their signals.
 
-A system offers its outputs, and reads its inputs, under the names of their ports; all is
-connected at the end, so that the order in which systems are added does not matter. A signal
-that nobody offers leaves the inputs open that would read it: optional ones are meant to be.
+A signal is a named value: one output port is its source, and any number of input ports read it.
 """
 
 from __future__ import annotations
@@ -15,74 +13,104 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, Output
 from pydrake.systems.primitives import LogVectorOutput
 
 LOG_PERIOD = 0.004
-"""Time between logged instants [s]."""
+"""Sampling period of logged signals [s]."""
 
 _Added = TypeVar("_Added", bound=System)
 _Port = TypeVar("_Port", InputPort, OutputPort)
 
 Names = Mapping[str, str | None]
-"""Port -> signal, where it is not the port's own name; None: it is left open."""
+"""Port name -> signal name, for ports whose signal has another name; None: not connected."""
 
 
 @dataclass
 class _SignalSystem:
-    """A system, and the signals of its ports."""
+    """System with the signals of its ports.
+
+    Attributes:
+        system: the system.
+        inputs: input port -> signal, as for `SignalBuilder.add`.
+        outputs: output port -> signal, as for `SignalBuilder.add`.
+        interposed: signals that the system reads and replaces; empty: it replaces none.
+    """
 
     system: System
     inputs: Names = field(default_factory=dict)
     outputs: Names = field(default_factory=dict)
-    behind: tuple[str, ...] = ()
+    interposed: tuple[str, ...] = ()
 
     def input_ports(self) -> dict[str, InputPort]:
-        """Returns signal -> input port."""
+        """Returns the input port of each signal that the system reads."""
         count = self.system.num_input_ports()
         return self._named(list(map(self.system.get_input_port, range(count))), self.inputs)
 
     def output_ports(self) -> dict[str, OutputPort]:
-        """Returns signal -> output port."""
+        """Returns the output port of each signal that the system outputs."""
         count = self.system.num_output_ports()
         return self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
 
     def _named(self, ports: list[_Port], names: Names) -> dict[str, _Port]:
-        if len(ports) == 1 == len(self.behind) and not names:
-            return {self.behind[0]: ports[0]}
+        """Returns signal -> port; an interposed system's only port carries its only signal."""
+        if len(ports) == 1 == len(self.interposed) and not names:
+            return {self.interposed[0]: ports[0]}
         signals = {names.get(port.get_name(), port.get_name()): port for port in ports}
         return {signal: port for signal, port in signals.items() if signal is not None}
 
 
 class SignalBuilder:
-    """Adds systems to a builder and connects them by the names of their signals."""
+    """Builder of a diagram whose ports are connected by signal names.
+
+    A port reads, or is the source of, the signal of its own name, unless `inputs` or `outputs` map
+    the port to another signal. `connect` makes all connections at the end::
+
+        builder = DiagramBuilder()
+        signals = SignalBuilder(builder)
+        signals.add("policy", policy)  # Has an output port desired_position.
+        signals.add("controller", controller)  # Its input port desired_position reads it.
+        signals.add("camera", camera, outputs={"depth_image_32f": "depth_image"})
+        signals.interpose("desired_position", "filter", low_pass)  # policy -> filter -> controller
+        signals.log("desired_position")
+        signals.export("actuation")
+        signals.connect()
+        diagram = builder.Build()
+
+    An input of a signal without a source stays unconnected, as optional ports may be. The order
+    of adding determines the order of interposed systems, and of events at equal times. It does not
+    matter for other connections, but ``signal in signals`` only knows the sources added before.
+
+    The resulting edges are listed in tests/golden/<scenario>.connections.txt, one
+    ``system.port -> system.port`` a line, and printed by ``drake-oa graph <scenario> --signals``.
+    """
 
     def __init__(self, builder: DiagramBuilder) -> None:
-        """SignalBuilder nothing yet.
+        """Starts without systems.
 
         Args:
-            builder: receives the systems with `connect`.
+            builder: diagram builder to which `connect` adds the systems.
         """
         self.builder = builder
         self._systems: dict[str, _SignalSystem] = {}
-        self._offered: dict[str, OutputPort] = {}
-        self._taken: list[tuple[str, InputPort]] = []
-        self._otherwise: dict[str, str] = {}
+        self._sources: dict[str, OutputPort] = {}
+        self._sinks: list[tuple[str, InputPort]] = []
+        self._fallbacks: dict[str, str] = {}
         self._logged: list[str] = []
         self._exported: list[str] = []
 
     def add_source(self, signal: str, port: OutputPort) -> None:
-        """Makes the port of a system that is in the builder already the source of a signal.
+        """Makes an output port of a system already in the diagram builder the source of a signal.
 
         Raises:
-            ValueError: if the signal has a source.
+            ValueError: if the signal already has a source.
         """
-        self._refuse_second(signal)
-        self._offered[signal] = port
+        self._check_no_source(signal)
+        self._sources[signal] = port
 
     def add_sink(self, signal: str, port: InputPort) -> None:
-        """Has an input of a system that is in the builder already read a signal."""
-        self._taken.append((signal, port))
+        """Connects a signal to an input port of a system already in the diagram builder."""
+        self._sinks.append((signal, port))
 
-    def set_fallback(self, signal: str, instead: str) -> None:
-        """Connects readers of a signal without a source to another signal."""
-        self._otherwise[signal] = instead
+    def set_fallback(self, signal: str, fallback: str) -> None:
+        """Connects the readers of `signal` to the signal `fallback` if `signal` has no source."""
+        self._fallbacks[signal] = fallback
 
     def add(
         self,
@@ -92,19 +120,19 @@ class SignalBuilder:
         inputs: Names | None = None,
         outputs: Names | None = None,
     ) -> _Added:
-        """Adds a system, which offers and reads signals by the names of its ports.
+        """Adds a system that reads and outputs the signals named as its ports.
 
         Args:
-            name: of the subsystem.
-            system: that is added.
-            inputs: input port -> signal, where it is another name; None leaves the port open.
+            name: name of the subsystem.
+            system: system to add.
+            inputs: input port -> signal, for signals of another name; None: not connected.
             outputs: output port -> signal, likewise.
 
         Returns:
             The system.
 
         Raises:
-            ValueError: if there is a subsystem of that name, or a signal has a source.
+            ValueError: if the name is in use, or a signal already has a source.
         """
         self._add(name, _SignalSystem(system, inputs or {}, outputs or {}))
         return system
@@ -117,16 +145,19 @@ class SignalBuilder:
         inputs: Names | None = None,
         outputs: Names | None = None,
     ) -> _Added:
-        """Puts a system in the place of one that was added under this name.
+        """Replaces the system of a name.
 
         Args:
-            name: of the subsystem.
-            system: that is there from now on.
-            inputs: as for `add`; None: as of the system before.
+            name: name of the subsystem.
+            system: new system.
+            inputs: as for `add`; None: those of the replaced system.
             outputs: likewise.
 
+        Returns:
+            The new system.
+
         Raises:
-            ValueError: if there is none of that name, or a signal has another source.
+            ValueError: if no system has that name, or a signal already has another source.
         """
         if name not in self._systems:
             raise ValueError(f"there is no system '{name}'; there are {', '.join(self._systems)}")
@@ -134,8 +165,8 @@ class SignalBuilder:
         before = self._systems.pop(name)
         inputs = before.inputs if inputs is None else inputs
         outputs = before.outputs if outputs is None else outputs
-        self._add(name, _SignalSystem(system, inputs, outputs, before.behind))
-        # In the place of the one before, which is that of its events at equal times.
+        self._add(name, _SignalSystem(system, inputs, outputs, before.interposed))
+        # The position in the diagram is preserved: it is the order of events at equal times.
         self._systems = {each: self._systems[each] for each in names}
         return system
 
@@ -148,63 +179,67 @@ class SignalBuilder:
         inputs: Names | None = None,
         outputs: Names | None = None,
     ) -> _Added:
-        """Puts a system between a signal's source and all that read it.
+        """Inserts a system between the source of a signal and all its readers.
 
-        The system reads the signal as it was and offers what it is from now on, by ports of the
-        signal's name, or by its only ones. What is interposed later comes behind.
+        The system reads the original signal and outputs its replacement, by ports of the signal's
+        name or by its only input and output port. Of several systems interposed on one signal, the
+        first is next to the source.
 
         Args:
-            signal: which, or several.
-            name: of the subsystem.
-            system: that is added.
+            signal: one or several signals.
+            name: name of the subsystem.
+            system: system to insert.
             inputs: as for `add`.
             outputs: as for `add`.
 
+        Returns:
+            The system.
+
         Raises:
-            ValueError: if there is a subsystem of that name, or it does not offer the signal.
+            ValueError: if the name is in use, or the system does not output the signal.
         """
         signals = (signal,) if isinstance(signal, str) else tuple(signal)
-        wired = _SignalSystem(system, inputs or {}, outputs or {}, signals)
+        entry = _SignalSystem(system, inputs or {}, outputs or {}, signals)
         for one in signals:
-            if one not in wired.output_ports():
+            if one not in entry.output_ports():
                 raise ValueError(
-                    f"'{name}' cannot be put behind '{one}': it offers "
-                    f"{', '.join(wired.output_ports()) or 'nothing'}"
+                    f"'{name}' cannot be interposed on '{one}': its output signals are "
+                    f"{', '.join(entry.output_ports()) or 'none'}; map its port by outputs="
                 )
-        self._add(name, wired)
+        self._add(name, entry)
         return system
 
     def log(self, *signals: str) -> None:
-        """Logs vector signals every `LOG_PERIOD` in sinks log_<signal>, those that are offered."""
+        """Logs vector signals every `LOG_PERIOD` in sinks log_<signal>; skips absent signals."""
         self._logged += signals
 
     def export(self, *signals: str) -> None:
-        """Makes signals outputs of the diagram."""
+        """Exports signals as output ports of the diagram; skips signals without a source."""
         self._exported += signals
 
     def __contains__(self, signal: str) -> bool:
-        """Returns whether a signal has a source so far."""
+        """Checks whether a signal has a source among the systems added so far."""
         return self._source(signal) is not None
 
     def connect(self) -> None:
-        """Adds the systems to the builder and connects the readers of signals to their sources.
+        """Adds the systems to the diagram builder and connects each signal to its readers.
 
         Raises:
-            ValueError: if a system is put behind a signal that nobody offers.
+            ValueError: if a system is interposed on a signal without a source.
         """
-        for name, wired in self._systems.items():
-            self.builder.AddNamedSystem(name, wired.system)
-        for name, wired in self._systems.items():
-            for signal, port in wired.input_ports().items():
-                source = self._source(signal, name if signal in wired.behind else None)
+        for name, entry in self._systems.items():
+            self.builder.AddNamedSystem(name, entry.system)
+        for name, entry in self._systems.items():
+            for signal, port in entry.input_ports().items():
+                source = self._source(signal, name if signal in entry.interposed else None)
                 if source is not None:
                     self.builder.Connect(source, port)
-                elif signal in wired.behind:
+                elif signal in entry.interposed:
                     raise ValueError(
-                        f"'{name}' is put behind '{signal}', which nothing offers; there are "
-                        f"{', '.join(sorted(self._signals()))}"
+                        f"'{name}' is interposed on '{signal}', which has no source; signals with "
+                        f"a source are {', '.join(sorted(self._signals()))}"
                     )
-        for signal, port in self._taken:
+        for signal, port in self._sinks:
             if (source := self._source(signal)) is not None:
                 self.builder.Connect(source, port)
         for signal in filter(self.__contains__, self._logged):
@@ -213,47 +248,59 @@ class SignalBuilder:
         for signal in filter(self.__contains__, self._exported):
             self.builder.ExportOutput(self._source(signal), signal)
 
-    def _add(self, name: str, wired: _SignalSystem) -> None:
+    def _add(self, name: str, entry: _SignalSystem) -> None:
+        """Registers a system; raises ValueError if its name or a source of its signals exists."""
         if name in self._systems or self.builder.HasSubsystemNamed(name):
             raise ValueError(
-                f"there is a system '{name}' already; SignalBuilder.replace takes its place"
+                f"there is already a system '{name}'; use SignalBuilder.replace to replace it"
             )
-        for signal in wired.output_ports():
-            if signal not in wired.behind:
-                self._refuse_second(signal)
-        self._systems[name] = wired
+        for signal in entry.output_ports():
+            if signal not in entry.interposed:
+                self._check_no_source(signal)
+        self._systems[name] = entry
 
-    def _refuse_second(self, signal: str) -> None:
+    def _check_no_source(self, signal: str) -> None:
+        """Raises ValueError if a signal already has a source."""
         if signal in self._signals():
             raise ValueError(
-                f"the signal '{signal}' has a source already; SignalBuilder.interpose puts a system behind "
-                "it, SignalBuilder.replace in its place"
+                f"the signal '{signal}' already has a source; use SignalBuilder.interpose to "
+                "modify the signal, or SignalBuilder.replace to replace its source"
             )
 
     def _signals(self) -> set[str]:
-        offered = set(self._offered)
-        for wired in self._systems.values():
-            offered |= wired.output_ports().keys() - set(wired.behind)
-        return offered
+        """Returns the signals that have a source."""
+        signals = set(self._sources)
+        for entry in self._systems.values():
+            signals |= entry.output_ports().keys() - set(entry.interposed)
+        return signals
 
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
-        """The port that a signal comes from; as `before` reads it, which is put behind it."""
-        found = self._offered.get(signal)
-        for wired in self._systems.values():
-            if signal not in wired.behind and signal in (output_ports := wired.output_ports()):
-                found = output_ports[signal]
-        if found is None and signal in self._otherwise:
-            found = self._source(self._otherwise[signal], before)
-        for name, wired in self._systems.items():
+        """Returns the port that readers of a signal are connected to; None without a source.
+
+        That is the port of the last system interposed on the signal, otherwise the signal's source,
+        otherwise the source of its fallback.
+
+        Args:
+            signal: name of the signal.
+            before: name of an interposed system that reads the signal: only systems interposed
+                before it count.
+        """
+        port = self._sources.get(signal)
+        for entry in self._systems.values():
+            if signal not in entry.interposed and signal in (output_ports := entry.output_ports()):
+                port = output_ports[signal]
+        if port is None and signal in self._fallbacks:
+            port = self._source(self._fallbacks[signal], before)
+        for name, entry in self._systems.items():
             if name == before:
                 break
-            if signal in wired.behind:
-                found = wired.output_ports()[signal]
-        return found
+            if signal in entry.interposed:
+                port = entry.output_ports()[signal]
+        return port
 
 
 def connections(diagram: Diagram) -> list[tuple[str, str]]:
-    """Source and reader of each connection of a diagram, as "system.port", sorted."""
+    """Returns the connections of a diagram, sorted: output port and input port as "system.port"."""
     return sorted(
         (
             f"{source.get_name()}.{source.get_output_port(out).get_name()}",

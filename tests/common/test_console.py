@@ -1,4 +1,4 @@
-"""Tables are aligned text, and progress is shown on a terminal."""
+"""Tests of the tables of the commands."""
 
 import pytest
 

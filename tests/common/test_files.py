@@ -1,4 +1,4 @@
-"""Checking and replacing the files that commands write."""
+"""Tests of output checks, atomic replacement of files and the source digest."""
 
 import os
 from pathlib import Path
@@ -15,25 +15,25 @@ from drake_oa.common.files import (
 )
 
 
-def test_checking_leaves_nothing_behind_but_the_folder(tmp_path: Path) -> None:
-    kept = tmp_path / "kept.json"
-    kept.write_text("before")
-    check_outputs(kept, tmp_path / "new" / "fresh.json", None)
-    assert kept.read_text() == "before"
-    assert sorted(tmp_path.rglob("*")) == [kept, tmp_path / "new"]
+def test_checking_creates_folders_and_leaves_files_unchanged(tmp_path: Path) -> None:
+    existing = tmp_path / "existing.json"
+    existing.write_text("before")
+    check_outputs(existing, tmp_path / "new" / "fresh.json", None)
+    assert existing.read_text() == "before"
+    assert sorted(tmp_path.rglob("*")) == [existing, tmp_path / "new"]
 
 
 @pytest.mark.parametrize(
-    ("name", "why"),
+    ("name", "reason"),
     [("", "Is a directory"), ("file/x.json", "File exists"), ("a" * 300, "too long")],
 )
-def test_what_cannot_be_written_is_named(name: str, why: str, tmp_path: Path) -> None:
+def test_the_error_names_path_and_reason(name: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     path = tmp_path / name
     with pytest.raises(ValueError, match="cannot write") as error:
         check_outputs(path)
     assert str(path) in str(error.value)
-    assert why in str(error.value)
+    assert reason in str(error.value)
 
 
 def test_an_output_that_is_also_an_input_or_another_output_is_refused(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_file_is_replaced_also_through_a_link(tmp_path: Path) -> None:
     assert sorted(item.name for item in tmp_path.iterdir()) == ["link.json", "x.json"]
 
 
-def test_what_is_no_regular_file_is_written_to(tmp_path: Path) -> None:
+def test_a_pipe_is_written_directly(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -67,41 +67,41 @@ def test_what_is_no_regular_file_is_written_to(tmp_path: Path) -> None:
     assert pipe.is_fifo()
 
 
-def test_a_reserved_file_is_nobody_elses(tmp_path: Path) -> None:
+def test_reserved_files_have_unique_names(tmp_path: Path) -> None:
     files = [reserve_file(tmp_path / "runs", "box", ".npz") for _ in range(3)]
     assert len(set(files)) == 3
     assert all(file.is_file() and file.name.startswith("box-") for file in files)
 
 
-def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -> None:
-    file = tmp_path / "kept"
+def test_a_failed_write_leaves_only_the_old_file(tmp_path: Path) -> None:
+    file = tmp_path / "existing"
     file.write_text("before")
 
     def fail(path: Path) -> None:
         path.write_text("half")
         raise OSError("full")
 
-    with pytest.raises(OutputError, match=r"cannot write .*kept: full"):
+    with pytest.raises(OutputError, match=r"cannot write .*existing: full"):
         replace_file(file, fail)
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_the_source_digest_covers_what_a_motion_depends_on(
+def test_the_source_digest_covers_code_and_models_of_motions_but_no_comments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.resources.files", tmp_path.joinpath)
-    found = [source_digest.__wrapped__()]
+    digests = [source_digest.__wrapped__()]
     for name in ("drake_oa/policy/dmp.py", "drake_oa.models/box.sdf", "drake_oa/app/run.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
-        found.append(source_digest.__wrapped__())
-    assert len(set(found[:3])) == 3
-    assert found[3] == found[2]
+        digests.append(source_digest.__wrapped__())
+    assert len(set(digests[:3])) == 3
+    assert digests[3] == digests[2]
     code = 'def f():\n{}    return """x"""\n'
-    texts = ('    """Returns x."""\n', '    """Returns\n    x.\n    """\n\n    # Why.\n', "    g()\n")
+    docstring, comment = '    """Returns x."""\n', '    """Returns\n    x.\n    """\n\n    # Why.\n'
     digests = []
-    for text in texts:
+    for text in (docstring, comment, "    g()\n"):
         (tmp_path / "drake_oa/policy/dmp.py").write_text(code.format(text))
         digests.append(source_digest.__wrapped__())
     assert digests[0] == digests[1] != digests[2]

@@ -1,4 +1,4 @@
-"""Decisions that take simulated time: when they are in force, and when they are dropped."""
+"""Tests of decisions with compute latency: when they become active, and when they are discarded."""
 
 from dataclasses import replace
 
@@ -24,25 +24,25 @@ SLOW = LatencyModel(decision=0.01, search=0.02, step=0.0, configuration=0.0)
 
 
 class Scripted:
-    """A search that answers what it is told to, with so much work."""
+    """Search that returns given motions one after the other, with a given amount of work each."""
 
     def __init__(self, searches: int, *answers: SelectedMotion) -> None:
         self.searches, self.answers = searches, answers
         self.requested: list[SelectedMotion] = []
-        self.late: tuple[float, ...] = ()
+        self.invalid_taus: tuple[float, ...] = ()
 
     def decide(self, before: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
         self.requested.append(before)
         count(searches=self.searches)
-        found = self.answers[min(len(self.requested), len(self.answers)) - 1]
-        return replace(found, p_WS=inputs.policy.p_WS, p_WG=inputs.p_WG)
+        answer = self.answers[min(len(self.requested), len(self.answers)) - 1]
+        return replace(answer, p_WS=inputs.policy.p_WS, p_WG=inputs.p_WG)
 
-    def still_holds(self, made: SelectedMotion, inputs: PlanningInputs) -> bool:
-        return made.command.tau not in self.late
+    def still_holds(self, motion: SelectedMotion, inputs: PlanningInputs) -> bool:
+        return motion.command.tau not in self.invalid_taus
 
 
 class Bench:
-    """The selector alone, with a scripted search."""
+    """Simulation of a `MotionVerifier` with a scripted search."""
 
     def __init__(self, search: Scripted, compute_latency: LatencyModel | None = SLOW) -> None:
         self.system = MotionVerifier(
@@ -81,7 +81,7 @@ def choices(*taus: float) -> list[SelectedMotion]:
     return [choice(tau) for tau in taus]
 
 
-def test_work_is_counted_where_an_account_is_open() -> None:
+def test_work_is_added_to_all_enclosing_counters() -> None:
     count(searches=1)
     with counted() as outer:
         count(searches=2, steps=10)
@@ -94,44 +94,44 @@ def test_work_is_counted_where_an_account_is_open() -> None:
     assert costs.seconds(outer) == pytest.approx(1.0 + 0.5 + 0.1 + 2.0)
 
 
-def test_a_decision_is_in_force_when_its_work_is_done() -> None:
-    # 0.01 s + 2 x 0.02 s.
+def test_a_decision_is_active_after_its_latency() -> None:
+    # The latency is 0.01 s + 2 x 0.02 s.
     bench = Bench(Scripted(2, *choices(1.1, 1.2, 1.3)))
-    found = bench.at(0.045)
-    assert (found.tau, found.note) == (0.0, DECIDING)
+    output = bench.at(0.045)
+    assert (output.tau, output.note) == (0.0, DECIDING)
     assert bench.decision == pytest.approx([0.0, 0.05])
     # The first step of the policy after t = 0.05.
-    found = bench.at(0.06)
-    assert (found.tau, found.note) == (1.1, "")
-    # The next one begins with the period, and what was in force stays so.
+    output = bench.at(0.06)
+    assert (output.tau, output.note) == (1.1, "")
+    # The next decision starts with the next period; the first one stays active meanwhile.
     assert bench.at(0.145).tau == 1.1
     assert bench.decision == pytest.approx([0.101, 0.05])
     assert bench.at(0.16).tau == 1.2
 
 
-def test_without_a_cost_a_decision_is_in_force_at_once() -> None:
+def test_without_a_latency_model_a_decision_is_active_at_once() -> None:
     bench = Bench(Scripted(12, *choices(1.1, 1.2)), compute_latency=None)
     bench.simulator.Initialize()
-    found = bench.at(0.0)
-    assert (found.tau, found.note) == (1.1, "")
+    output = bench.at(0.0)
+    assert (output.tau, output.note) == (1.1, "")
     assert bench.at(0.102).tau == 1.2
     assert np.isnan(bench.decision[0])
 
 
-@pytest.mark.parametrize("what", ["goal", "start", "obstacles"])
-def test_a_decision_that_no_longer_fits_is_dropped(what: str) -> None:
+@pytest.mark.parametrize("change", ["goal", "start", "obstacles"])
+def test_a_pending_decision_is_discarded_after_a_change(change: str) -> None:
     search = Scripted(2, *choices(1.1, 1.2, 1.3))
     bench = Bench(search)
     bench.at(0.12)
-    if what == "goal":
+    if change == "goal":
         bench.system.GetInputPort("goal").FixValue(bench.context, ELSEWHERE)
-    elif what == "start":
+    elif change == "start":
         bench.fix(policy_state=replace(bench.policy, p_WS=ELSEWHERE))
     else:
-        search.late = (1.2,)
+        search.invalid_taus = (1.2,)
     assert bench.at(0.195).tau == 1.1
     assert len(search.requested) == 2
-    # It is made again, from what is in force.
+    # The next decision starts from the active one.
     assert bench.at(0.245).tau == 1.1
     assert search.requested[2].command.tau == 1.1
     assert bench.at(0.27).tau == 1.3

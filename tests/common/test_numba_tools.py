@@ -1,4 +1,4 @@
-"""Compiled kernels have a place and a stamp, and their compilation is announced."""
+"""Tests of the cache of compiled kernels, its messages, and the processor target."""
 
 import os
 import subprocess
@@ -36,21 +36,22 @@ if __name__ == "drake_oa.caller":
 
 
 def run(folder: Path, **environment: str) -> tuple[str, bool]:
-    """Runs the kernels in a folder; returns the result, and whether they were compiled."""
+    """Runs the kernels of a folder; returns their output, and whether they were compiled."""
     extend = f"import drake_oa; drake_oa.__path__.append({str(folder)!r}); import drake_oa.caller"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", extend],
         capture_output=True,
         text=True,
         check=True,
         env=os.environ | environment,
     )
-    assert ("kernels compiled in" in done.stderr) == ("compiling kernels, once ..." in done.stderr)
-    return done.stdout.strip(), "compiling kernels" in done.stderr
+    messages = process.stderr
+    assert ("kernels compiled in" in messages) == ("compiling kernels, once ..." in messages)
+    return process.stdout.strip(), "compiling kernels" in messages
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_kernels_are_compiled_again_where_they_or_their_callees_change(tmp_path: Path) -> None:
+def test_kernels_are_recompiled_after_a_change_of_them_or_their_callees(tmp_path: Path) -> None:
     (tmp_path / "caller.py").write_text(CALLER)
     callee = tmp_path / "callee.py"
     callee.write_text(CALLEE)
@@ -60,7 +61,7 @@ def test_kernels_are_compiled_again_where_they_or_their_callees_change(tmp_path:
     assert run(tmp_path) == ("6", False)
     callee.write_text(CALLEE.replace("FACTOR = 2", "FACTOR = 10"))
     assert run(tmp_path) == ("22", True)
-    # Where nothing can be written beside the source, its compiled code is copied.
+    # If the folder of the source is read-only, compiled code is stored in the user's cache.
     cache, read_only = tmp_path / "cache", tmp_path / "read_only"
     read_only.mkdir()
     for file in ("caller.py", "callee.py"):
@@ -71,12 +72,12 @@ def test_kernels_are_compiled_again_where_they_or_their_callees_change(tmp_path:
     assert run(read_only, XDG_CACHE_HOME=os.devnull) == ("22", True)
 
 
-def test_kernels_are_compiled_for_one_processor_on_all_that_have_it(
+def test_the_processor_target_is_used_on_all_processors_that_support_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cpuinfo = tmp_path / "cpuinfo"
     for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"):
-        # Set first, so that what the function sets is undone afterwards.
+        # Set and deleted, so that pytest restores the variables that the function sets.
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     for older in ("flags\t\t: fpu sse4_2 avx\n", "Features\t: fp asimd\n"):

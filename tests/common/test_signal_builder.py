@@ -1,4 +1,4 @@
-"""Signals by name: offered, read, put between, replaced, left open."""
+"""Tests of `SignalBuilder`: sources, readers, interposed and replaced systems, fallbacks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def value(diagram: Diagram, name: str) -> float:
     return float(diagram.GetOutputPort(name).Eval(context)[0])
 
 
-def test_what_is_put_between_changes_what_all_read(signals: SignalBuilder) -> None:
+def test_interposed_systems_change_the_signal_for_all_readers(signals: SignalBuilder) -> None:
     signals.add("reader", PassThrough(1), inputs={"u": "x"}, outputs={"y": "read"})
     signals.interpose("x", "twice", Gain(2.0, 1))
     signals.add("in", source(3.0), outputs={"y0": "x"})
@@ -40,17 +40,17 @@ def test_what_is_put_between_changes_what_all_read(signals: SignalBuilder) -> No
     assert ("twice.y0", "tenfold.u0") in connections(diagram)
 
 
-def test_a_signal_has_another_where_nobody_offers_it(signals: SignalBuilder) -> None:
-    signals.set_fallback("solid", "seen")
-    signals.add("in", source(3.0), outputs={"y0": "seen"})
-    signals.add("reader", PassThrough(1), inputs={"u": "solid"}, outputs={"y": "read"})
-    signals.interpose("solid", "twice", Gain(2.0, 1))
-    signals.export("seen", "read")
+def test_readers_of_a_signal_without_source_read_its_fallback(signals: SignalBuilder) -> None:
+    signals.set_fallback("absent", "x")
+    signals.add("in", source(3.0), outputs={"y0": "x"})
+    signals.add("reader", PassThrough(1), inputs={"u": "absent"}, outputs={"y": "read"})
+    signals.interpose("absent", "twice", Gain(2.0, 1))
+    signals.export("x", "read")
     diagram = built(signals)
-    assert (value(diagram, "seen"), value(diagram, "read")) == (3.0, 6.0)
+    assert (value(diagram, "x"), value(diagram, "read")) == (3.0, 6.0)
 
 
-def test_a_system_takes_the_place_of_another(signals: SignalBuilder) -> None:
+def test_a_replaced_system_keeps_its_connections(signals: SignalBuilder) -> None:
     signals.add("in", source(3.0), outputs={"y0": "x"})
     signals.add("reader", PassThrough(1), inputs={"u": "x"}, outputs={"y": "read"})
     signals.replace("in", source(4.0))
@@ -58,7 +58,7 @@ def test_a_system_takes_the_place_of_another(signals: SignalBuilder) -> None:
     assert value(built(signals), "read") == 4.0
 
 
-def test_inputs_that_nobody_offers_stay_open(signals: SignalBuilder) -> None:
+def test_inputs_without_a_source_stay_unconnected(signals: SignalBuilder) -> None:
     signals.add("sum", Adder(2, 1), inputs={"u0": "x", "u1": None})
     signals.add("read", source(1.0), outputs={"y0": "x"})
     signals.log("x", "absent")
@@ -67,7 +67,7 @@ def test_inputs_that_nobody_offers_stay_open(signals: SignalBuilder) -> None:
     assert "absent" not in signals
 
 
-def test_ports_of_systems_that_are_there_take_part(signals: SignalBuilder) -> None:
+def test_ports_of_systems_already_in_the_diagram_are_connected(signals: SignalBuilder) -> None:
     first = signals.builder.AddNamedSystem("first", source(2.0))
     last = signals.builder.AddNamedSystem("last", Gain(np.array([5.0])))
     signals.add_source("x", first.get_output_port())
@@ -78,24 +78,25 @@ def test_ports_of_systems_that_are_there_take_part(signals: SignalBuilder) -> No
     assert value(built(signals), "y") == 30.0
 
 
-def test_mistakes_are_named(signals: SignalBuilder) -> None:
+def test_errors_name_system_and_signal(signals: SignalBuilder) -> None:
     signals.add("in", source(3.0), outputs={"y0": "x"})
-    with pytest.raises(ValueError, match="'x' has a source already"):
+    with pytest.raises(ValueError, match="'x' already has a source"):
         signals.add("other", source(4.0), outputs={"y0": "x"})
-    with pytest.raises(ValueError, match="'x' has a source already"):
+    with pytest.raises(ValueError, match="'x' already has a source"):
         signals.add_source("x", source(1.0).get_output_port())
-    with pytest.raises(ValueError, match="there is a system 'in' already"):
+    with pytest.raises(ValueError, match="there is already a system 'in'"):
         signals.add("in", source(4.0), outputs={"y0": "z"})
     with pytest.raises(ValueError, match=r"no system 'absent'; there are in$"):
         signals.replace("absent", source(4.0))
-    with pytest.raises(ValueError, match="'bad' cannot be put behind 'x': it offers y0, y1"):
-        signals.interpose("x", "bad", _two())
+    with pytest.raises(ValueError, match=r"'bad' cannot be interposed on 'x': .* are y0, y1;"):
+        signals.interpose("x", "bad", _two_outputs())
     signals.interpose("nowhere", "lost", Gain(2.0, 1))
-    with pytest.raises(ValueError, match="'lost' is put behind 'nowhere', which nothing offers"):
+    with pytest.raises(ValueError, match="'lost' is interposed on 'nowhere', which has no source"):
         signals.connect()
 
 
-def _two() -> Diagram:
+def _two_outputs() -> Diagram:
+    """Returns a diagram with output ports y0 and y1."""
     builder = DiagramBuilder()
     for number in range(2):
         builder.ExportOutput(builder.AddSystem(source(1.0)).get_output_port(), f"y{number}")
