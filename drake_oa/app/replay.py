@@ -70,7 +70,7 @@ def replay(
         simulator.set_monitor(show_readings(page, readings(scenario, shown)))
     with recording(viewer):
         simulator.AdvanceTo(shown.simulated_time)
-    print(f"{chosen}: {shown.duration:.2f} s, ended by {shown.stop_reason}")
+    print(f"{chosen}: {shown.duration:.2f} s, terminated by {shown.stop_reason}")
     if html is not None:
         replace_text(html, label_page(viewer.StaticHtml(), log.stem, scenario, shown))
     if meshcat:

@@ -173,7 +173,7 @@ def run(
         complain(str(this.failure) or "interrupted")
         return TERMINATED if isinstance(this.failure, Terminated) else INTERRUPTED
     if this.failure is not None:
-        complain(f"cut short: {next(reversed(this.logs.values())).stop_reason}")
+        complain(f"interrupted: {next(reversed(this.logs.values())).stop_reason}")
         return FAILED
     if meshcat:
         from drake_oa.viewing.viewer import wait_for_viewer
@@ -243,7 +243,7 @@ def station(
         if contact := contact_error(report):
             complain(contact)
     if isinstance(failure, Exception):
-        complain(f"cut short: {type(failure).__name__}: {failure}")
+        complain(f"interrupted: {type(failure).__name__}: {failure}")
         return FAILED
     return TERMINATED if isinstance(failure, Terminated) else FAILED if contact else 0
 

@@ -51,7 +51,7 @@ class MotionVerifier(LeafSystem):
       - motion
       - sides
       - shortfall
-      - lowered
+      - clearance_reduction
       - decision
       - source
       - candidates

@@ -72,8 +72,8 @@ guard_contact          (T,)           s        time of the first contact that it
                                                verified motion; inf: none; (0,) likewise
 guard_claim            (T,)           1        claim of passive motion safety that limits the speed:
                                                0 none, 1 (A), 2 (B); (0,) likewise
-lowered                (T,)           m        by how much inference had lowered the asked
-                                               clearance; (0,) where a file does not tell
+clearance_reduction    (T,)           m        reduction of the requested clearance, because the
+                                               start or the goal leaves no more; (0,): unknown
 motion_source          (T,)           1        source of the motion: -1 none, 0 nominal, 1 chain,
                                                2 search, 3 joint_path; (0,) likewise
 motion_end             ()             s        when the motion ended; the world goes on after it

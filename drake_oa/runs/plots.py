@@ -43,7 +43,7 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
     start, goals = np.asarray(task.start), goal_steps(task)[:, 1:]
     along = int(np.argmax(np.abs(goals[0] - start)[:2]))
     for name, log in logs.items():
-        title += f"\n{name}: {log.duration:.2f} s, ended by {log.stop_reason}"
+        title += f"\n{name}: {log.duration:.2f} s, terminated by {log.stop_reason}"
     with saved_figure(path, 14.0, 10.0, title) as figure:
         left, right = cast("list[SubFigure]", figure.subfigures(1, 2, width_ratios=[1.35, 1.0]))
         panels, views = left.subplots(3, 1, sharex=True), right.subplots(2, 1)

@@ -95,7 +95,7 @@ def test_set_replaces_fields_of_a_file_and_the_motion_arrives(
     assert (report["scenario"], report["seed"]) == ("mine", 7)
     assert report["avoiding"]["tool_clearance_min"] is None
     *_, ended = (line for line in capsys.readouterr().out.splitlines() if "termination" in line)
-    assert ended.split() == ["ended", "by", "goal", "goal"]
+    assert ended.split() == ["termination", "goal", "goal"]
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_a_run_that_is_stopped_leaves_the_motion_under_way(
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "whole = simulation.simulate\n"
         "def simulate(scenario, **options):\n"
-        "    if options['modulated']:\n"
+        "    if options['avoid_obstacles']:\n"
         "        options['duration'] = 1e4\n"
         "        print('under way', flush=True)\n"
         "    return whole(scenario, **options)\n"
@@ -123,7 +123,7 @@ def test_a_replay_is_one_page_and_can_be_repeated(
     pages = [Path(name) for name in ("a.html", "b.html")]
     for page in pages:
         assert run("replay", box_log, "--html", page) == 0
-        assert capsys.readouterr().out == "modulated: 0.25 s, ended by time limit of 0.25 s\n"
+        assert capsys.readouterr().out == "avoiding: 0.25 s, terminated by time limit of 0.25 s\n"
     assert "set_animation" in pages[0].read_text()
     assert pages[0].read_bytes() == pages[1].read_bytes()
 

@@ -50,8 +50,8 @@ obstacles:
 _THOROUGH = """
 inference: !Verified
   candidates: 256
-  rounds: 24
-  frame: 10
+  generations: 24
+  compute_budget: 10
 """
 
 _SEEN = """
