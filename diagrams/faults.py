@@ -68,7 +68,7 @@ def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, Obst
     """Makes the mover of each obstacle that moves, appears or vanishes, by its model instance."""
     movers = {}
     for obstacle in scenario.obstacles:
-        if obstacle.driven:
+        if obstacle.is_driven:
             name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
             body = station.plant.GetBodyByName("body", station.plant.GetModelInstanceByName(name))
             movers[name] = ObstacleMover(

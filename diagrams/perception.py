@@ -31,7 +31,7 @@ from drake_oa.perception.visibility import ImageRange
 from drake_oa.planning.ground_truth_scene import GroundTruthScene
 from drake_oa.planning.perceived_scene import PerceivedScene
 from drake_oa.robot.plant import tool_link_corners
-from drake_oa.scenario.end_poses import held_robots
+from drake_oa.scenario.end_poses import robots_along_motion
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, allow_perception
 from drake_oa.scenario.sources import (
@@ -254,7 +254,7 @@ def add_descriptor(
 def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
     """Makes the descriptor, which dilates by the robot's tool in each of the ways it is held."""
     task = scenario.task
-    held = list(map(tool_link_corners, held_robots(scenario)))
+    held = list(map(tool_link_corners, robots_along_motion(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
     inference = scenario.inference
     fitted = isinstance(inference, Paper) and inference.shape == "superquadric"

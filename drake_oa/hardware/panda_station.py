@@ -34,7 +34,7 @@ from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.scenario.sources import simulated
+from drake_oa.scenario.sources import with_simulated_cameras
 from drake_oa.world.cameras import Camera
 from drake_oa.world.delayed_camera import DelayedCamera
 from drake_oa.world.depth_messages import CHANNEL, pack_depth
@@ -131,7 +131,7 @@ class PandaStation:
             raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
         self._arm, limits = arm_of(scenario)
         builder = DiagramBuilder()
-        station = make_station(builder, simulated(scenario))
+        station = make_station(builder, with_simulated_cameras(scenario))
         self._q_start = start_positions(scenario)
         plant, self._robot = station.plant, station.robot
         plant.SetDefaultPositions(self._robot, self._q_start)

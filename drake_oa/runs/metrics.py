@@ -234,7 +234,7 @@ class ClearanceEvaluator:
         """
         q_world = np.array(self._q_world)
         for obstacle in self._trajectories:
-            if obstacle.driven:
+            if obstacle.is_driven:
                 name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
                 instance = self._plant.GetModelInstanceByName(name)
                 self._plant.SetPositionsInArray(instance, obstacle.offset_at(time), q_world)

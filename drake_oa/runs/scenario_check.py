@@ -46,7 +46,7 @@ def end_contacts(scenario: Scenario) -> str:
     if scenario.robot is None:
         return ""
     start, goal = _ends(scenario)
-    moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in scenario.obstacles if item.driven}
+    moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in scenario.obstacles if item.is_driven}
     tool = tool_links(scenario.robot)
     at_goal = [
         pair

@@ -35,7 +35,7 @@ from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.loading import scenario_text
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task import goal_at, last_move
+from drake_oa.scenario.task import goal_at, last_move_time
 from drake_oa.world.station import release_cameras
 
 LONGEST_HOLD = 5.0
@@ -167,7 +167,7 @@ class MotionMonitor:
         self._on_look = on_look
         self.phase = 1.0
         self._next_time = 0.0
-        self._last_move = last_move(scenario.task)
+        self._last_move = last_move_time(scenario.task)
         usual = make_dmp(scenario).duration * LONGEST_SCALING + self._last_move
         self._end_time = usual if duration is None else duration
         self._goal = goal_at(scenario.task, self._last_move)
@@ -342,7 +342,7 @@ class MotionMonitor:
 
 def _last_change(scenario: Scenario, end_time: float) -> float:
     """When all courses, pushes, moves of the goal and passing faults are over [s]."""
-    changes = [last_change(scenario.obstacles), last_move(scenario.task)]
+    changes = [last_change(scenario.obstacles), last_move_time(scenario.task)]
     for fault in scenario.faults:
         if isinstance(fault, Push):
             changes.append(fault.start + fault.duration)

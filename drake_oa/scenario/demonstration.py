@@ -1,4 +1,4 @@
-"""Demonstrated motions of a scenario: read from their files, and averaged."""
+"""Reading and averaging of a scenario's demonstrated motions, as movement primitives."""
 
 from __future__ import annotations
 
@@ -23,20 +23,24 @@ from drake_oa.policy.dmp import (
     imitate_orientation,
 )
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task import LONGEST, Task
+from drake_oa.scenario.task import MAX_DURATION, Task
 
-MOST_SAMPLES = 1_000_000
-"""Files of more are refused before they are read whole."""
-_CONTENTS = (
+MAX_SAMPLES = 1_000_000
+"""Maximum number of samples in a file; a longer CSV is rejected before it is read completely."""
+_NPZ_FORMAT = (
     "it must be an .npz with `path` (T, 3), optionally `t` (T,), and optionally the "
     "orientations R_WE as `quaternion` (T, 4), w first, or `R` (T, 3, 3)"
 )
-_TURN = ("qw", "qx", "qy", "qz")
+"""Required content of an .npz file, for error messages."""
+_QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+"""CSV columns of the orientation quaternion."""
 _HEADER = "x,y,z in any order, optionally with t, and optionally with qw,qx,qy,qz"
-_CSV = (
+"""Valid column names of a CSV file, for error messages."""
+_CSV_FORMAT = (
     f"it must be a CSV whose first line names its columns, {_HEADER}, and every other line has a "
     "number for each of them"
 )
+"""Required content of a CSV file, for error messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +48,9 @@ class Demonstration:
     """One demonstrated motion.
 
     Attributes:
-        path: (T, 3) positions [m].
-        t: (T,) stamps [s].
-        orientations: (T, 3, 3) R_WE; None: the file has none.
+        path: (T, 3) positions of the tool point in the world [m].
+        t: (T,) times of the samples [s].
+        orientations: (T, 3, 3) R_WE; None if the file has no orientations.
     """
 
     path: FloatArray
@@ -55,25 +59,27 @@ class Demonstration:
 
 
 def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration:
-    """Reads one demonstration.
+    """Reads and checks one demonstration file.
 
     Args:
         file: .npz with `path` (T, 3), optionally `t` (T,), and optionally `quaternion` (T, 4), w
             first, of any sign and length, or `R` (T, 3, 3); or .csv whose header names columns of
             t, x, y, z, qw, qx, qy, qz. May be a package:// URL.
-        duration: what it spans where it has no stamps [s].
+        duration: duration of a motion whose file has no times [s].
 
     Raises:
-        ValueError: if it cannot be read, or not imitated; says what is wrong at which sample, and
-            what it must be.
-        OSError: if there is none.
+        ValueError: if the file cannot be read or imitated; the message names the sample and the
+            valid format.
+        OSError: if the file does not exist.
     """
     path = package_file(str(file))
     is_csv = path.suffix.lower() == ".csv"
     try:
-        arrays = _of_csv(path) if is_csv else _of_archive(path)
+        arrays = _read_csv(path) if is_csv else _read_archive(path)
     except (OSError, ValueError) as error:
-        raise ValueError(f"cannot read it: {error}; {_CSV if is_csv else _CONTENTS}") from None
+        raise ValueError(
+            f"cannot read it: {error}; {_CSV_FORMAT if is_csv else _NPZ_FORMAT}"
+        ) from None
     try:
         return _checked(arrays, duration)
     except (ValueError, TypeError) as error:
@@ -81,117 +87,130 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
 
 
 def read_demonstrations(task: Task) -> list[Demonstration]:
-    """Reads the files of `task.demonstration`.
+    """Reads the demonstration files of `task.demonstration`.
 
     Raises:
-        ScenarioError: naming the file, if it cannot be read or imitated; or if some have
-            orientations and some have none.
+        ScenarioError: naming the file, if it cannot be read or imitated, or if it has no
+            orientations while other files have them.
     """
-    shown = []
+    demonstrations = []
     for file in task.demonstration:
         with field_errors(f"task.demonstration: '{file}'", ValueError, OSError):
-            shown.append(read_demonstration(file, task.duration))
-    turning = [item.orientations is not None for item in shown]
-    if any(turning) and not all(turning):
-        file = task.demonstration[turning.index(False)]
+            demonstrations.append(read_demonstration(file, task.duration))
+    has_orientations = [item.orientations is not None for item in demonstrations]
+    if any(has_orientations) and not all(has_orientations):
+        file = task.demonstration[has_orientations.index(False)]
         raise ScenarioError(
-            f"task.demonstration: '{file}' has no orientations, others have; give them in all or "
-            "in none"
+            f"task.demonstration: '{file}' has no orientations, other files have; state "
+            "orientations in all files or in none"
         )
-    return shown
+    return demonstrations
 
 
 def demonstrated_path(scenario: Scenario) -> Dmp:
-    """Makes the movement primitive of the demonstrated positions.
+    """Fits the movement primitive of the demonstrated positions, averaged over the files.
 
     Raises:
         ScenarioError: naming the files, if they cannot be imitated.
     """
-    shown, policy = read_demonstrations(scenario.task), scenario.policy
-    with field_errors(_files(scenario.task), ValueError):
+    demonstrations, policy = read_demonstrations(scenario.task), scenario.policy
+    with field_errors(_file_field(scenario.task), ValueError):
         path, t = average_paths(
-            [item.path for item in shown], [item.t for item in shown], n_basis=policy.n_basis
+            [item.path for item in demonstrations],
+            [item.t for item in demonstrations],
+            n_basis=policy.n_basis,
         )
         return imitate(path, t, **primitive_constants(policy))
 
 
 def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
-    """Makes the movement primitive of the demonstrated orientations; None: there are none.
+    """Fits the movement primitive of the demonstrated orientations; None without orientations.
 
     Raises:
         ScenarioError: naming the files, if they cannot be imitated.
     """
-    shown, policy = read_demonstrations(scenario.task), scenario.policy
-    given = [(item.orientations, item.t) for item in shown if item.orientations is not None]
+    demonstrations, policy = read_demonstrations(scenario.task), scenario.policy
+    given = [
+        (item.orientations, item.t) for item in demonstrations if item.orientations is not None
+    ]
     if not given:
         return None
-    with field_errors(_files(scenario.task), ValueError):
+    with field_errors(_file_field(scenario.task), ValueError):
         R_WE, t = average_orientations(*zip(*given, strict=True), n_basis=policy.n_basis)
         return imitate_orientation(R_WE, t, **primitive_constants(policy))
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:
-    """Returns the constants that position and orientation share."""
+    """Returns the policy constants shared by the position and orientation primitives, by name."""
     names = ("n_basis", "alpha_x", "beta_x", "alpha_k")
     return {name: getattr(policy, name) for name in names}
 
 
-def _files(task: Task) -> str:
+def _file_field(task: Task) -> str:
+    """Returns the field name and the file names, for error messages."""
     return f"task.demonstration: {', '.join(map(repr, task.demonstration))}"
 
 
-def _of_archive(path: Path) -> dict[str, FloatArray]:
-    """Returns the arrays of an .npz that are of a demonstration."""
+def _read_archive(path: Path) -> dict[str, FloatArray]:
+    """Reads the arrays of an .npz demonstration, by name; other arrays are ignored."""
     arrays = read_arrays(path)
     if "path" not in arrays:
         raise ValueError("it has no `path`")
     return {name: arrays[name] for name in ("path", "t", "quaternion", "R") if name in arrays}
 
 
-def _of_csv(path: Path) -> dict[str, FloatArray]:
-    """Returns the columns of a CSV, as an .npz would have them."""
+def _read_csv(path: Path) -> dict[str, FloatArray]:
+    """Reads a CSV demonstration into the arrays of the .npz format, by name."""
     with path.open(encoding="utf-8-sig") as file:
         header = file.readline(1000).strip()
         names = [name.strip() for name in header.split(",")]
         known = ("x y z", "t x y z", "x y z qw qx qy qz", "t x y z qw qx qy qz")
         if sorted(names) not in [sorted(columns.split()) for columns in known]:
             raise ValueError(f"its first line is {header[:80]!r}")
-        table = np.loadtxt(islice(file, MOST_SAMPLES + 1), delimiter=",", ndmin=2)
+        table = np.loadtxt(islice(file, MAX_SAMPLES + 1), delimiter=",", ndmin=2)
     column = dict(zip(names, table.T, strict=True))
-    groups = {"path": tuple("xyz"), "quaternion": _TURN}
-    found = {
+    groups = {"path": tuple("xyz"), "quaternion": _QUATERNION_COLUMNS}
+    arrays = {
         field: np.stack([column[name] for name in group], axis=1)
         for field, group in groups.items()
         if group[0] in column
     }
     if "t" in column:
-        found["t"] = column["t"]
-    return found
+        arrays["t"] = column["t"]
+    return arrays
 
 
 def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
-    """Returns the arrays of a file as a demonstration that can be imitated."""
+    """Checks the arrays of a file and returns the demonstration.
+
+    Args:
+        arrays: arrays by name, in the .npz format.
+        duration: duration of a motion without times [s].
+
+    Raises:
+        ValueError: if the arrays cannot be imitated.
+    """
     path = arrays["path"]
     if path.ndim != 2 or path.shape[1] != 3:
-        raise ValueError(f"its path is {path.shape}; {_CONTENTS}")
-    if len(path) > MOST_SAMPLES:
+        raise ValueError(f"its path has shape {path.shape}; {_NPZ_FORMAT}")
+    if len(path) > MAX_SAMPLES:
         raise ValueError(
-            f"it has more than {MOST_SAMPLES} samples, which is {MOST_SAMPLES // 1000} s at 1 kHz: "
-            "cut it, or keep every so many"
+            f"it has more than {MAX_SAMPLES} samples, which is {MAX_SAMPLES // 1000} s at 1 kHz: "
+            "cut it, or reduce its sampling rate"
         )
     given = [arrays[name] for name in ("quaternion", "R") if name in arrays]
     if len(given) > 1:
-        raise ValueError("it has both `quaternion` and `R`; leave one of the two out")
+        raise ValueError("it has both `quaternion` and `R`; remove one of the two arrays")
     t = arrays["t"] if "t" in arrays else np.linspace(0.0, duration, len(path))
     path, t = checked_demonstration(path, t)
-    if not t[-1] - t[0] <= LONGEST:
+    if not t[-1] - t[0] <= MAX_DURATION:
         raise ValueError(
-            f"its stamps span {t[-1] - t[0]:g} s, at most {LONGEST:g}: they must be in seconds"
+            f"its times span {t[-1] - t[0]:g} s, at most {MAX_DURATION:g}: they must be in seconds"
         )
     if given and np.shape(given[0])[:1] != (len(path),):
         count = np.shape(given[0])[:1]
         raise ValueError(
             f"it has {len(path)} positions and {count[0] if count else 'no'} orientations; "
-            f"{_CONTENTS}"
+            f"{_NPZ_FORMAT}"
         )
     return Demonstration(path, t, checked_rotations(given[0]) if given else None)

@@ -1,4 +1,4 @@
-"""Poses and joint positions of a task at start and goal, and the tool orientation between them."""
+"""Configurations and tool poses at start and goal, and the tool orientation in between."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_constants
 from drake_oa.scenario.scenario import Scenario, robot_of
 
-_APART = math.radians(10.0)
-"""Orientations of the way that stand for all of it are no further apart, on average."""
-_FEWEST = 5
+_MAX_ANGLE_STEP = math.radians(10.0)
+"""Maximum mean angle between neighboring sampled tool orientations of a motion [rad]."""
+_MIN_SAMPLES = 5
+"""Minimum number of sampled tool orientations of a motion."""
 
 
 @dc.dataclass(frozen=True, eq=False)
 class ToolOrientation:
-    """Orientation of the tool along the motion.
+    """Orientation of the tool frame E along the motion.
 
     Attributes:
-        primitive: its movement primitive.
+        primitive: movement primitive of the orientation.
         R_WS: (3, 3) R_WE at the start.
         R_WG: (3, 3) R_WE at the goal.
     """
@@ -44,99 +45,106 @@ class ToolOrientation:
     R_WG: FloatArray
 
     def along(self, s: FloatArray) -> FloatArray:
-        """Returns orientations (T, 3, 3) at normalized times (T,)."""
+        """Returns the orientations R_WE (T, 3, 3) at normalized times s (T,)."""
         return orientation_along(self.primitive, self.R_WS, self.R_WG, s)
 
     def samples(self) -> FloatArray:
-        """Returns orientations (N, 3, 3) of the whole way, from start to goal."""
+        """Samples the orientations R_WE (N, 3, 3) from start to goal, evenly spaced in angle."""
         R = self.along(np.linspace(0.0, 1.0, 201))
-        # The angle between one and the next, from the trace of the rotation between them.
+        # The trace of the relative rotation gives the angle between neighboring samples.
         cosine = 0.5 * (np.einsum("tij,tij->t", R[1:], R[:-1]) - 1.0)
         angle = np.append(0.0, np.cumsum(np.arccos(np.clip(cosine, -1.0, 1.0))))
-        count = max(_FEWEST, math.ceil(angle[-1] / _APART) + 1)
+        count = max(_MIN_SAMPLES, math.ceil(angle[-1] / _MAX_ANGLE_STEP) + 1)
         rows = np.searchsorted(angle, np.linspace(0.0, angle[-1], count))
         return R[np.minimum(rows, len(R) - 1)]
 
 
 def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
-    """Returns the orientation along the motion; None: it is constant, or there is no robot.
+    """Returns the tool orientation along the motion; None if it is constant, or without a robot.
 
-    Start and goal are `task.rpy_start` and `task.rpy_goal`; where one is not given, what the
-    demonstration has there, or without orientations in it `robot.rpy_WE`.
+    The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing one is
+    that of the demonstration, or `robot.rpy_WE` if the demonstration has no orientations.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
+        ScenarioError: naming the inconsistent field.
     """
     task, robot = scenario.task, scenario.robot
     requested = {"rpy_start": task.rpy_start, "rpy_goal": task.rpy_goal}
     given = [name for name, rpy in requested.items() if rpy is not None]
     if robot is None:
         if given:
-            raise ScenarioError(f"task.{given[0]}: needs a robot; this scenario has null")
+            raise ScenarioError(f"task.{given[0]}: requires a robot; the scenario has null")
         return None
-    shown = demonstrated_orientation(scenario)
-    if shown is None and not given:
+    demonstration = demonstrated_orientation(scenario)
+    if demonstration is None and not given:
         return None
     ends = []
-    demonstrated = (None, None) if shown is None else (shown.first, shown.last)
+    demonstrated = (
+        (None, None) if demonstration is None else (demonstration.first, demonstration.last)
+    )
     for rpy, R_WE in zip(requested.values(), demonstrated, strict=True):
         if rpy is not None or R_WE is None:
             R_WE = RollPitchYaw(robot.rpy_WE if rpy is None else rpy).ToRotationMatrix().matrix()
         ends.append(R_WE)
-    primitive = shown or minimum_jerk_orientation(**primitive_constants(scenario.policy))
+    primitive = demonstration or minimum_jerk_orientation(**primitive_constants(scenario.policy))
     with field_errors("task.rpy_goal", ValueError):
         demonstrated_goal(primitive, *ends)
     return ToolOrientation(primitive, *ends)
 
 
 def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
-    """Returns R_WE at start and goal.
+    """Returns the orientations R_WE of the tool frame at start and goal.
 
     Raises:
-        ScenarioError: if the scenario has no robot, or as `tool_orientation`.
+        ScenarioError: if the scenario has no robot, or as in `tool_orientation`.
     """
-    held = tool_orientation(scenario)
-    if held is None:
+    orientation = tool_orientation(scenario)
+    if orientation is None:
         R_WE = RollPitchYaw(robot_of(scenario).rpy_WE).ToRotationMatrix()
         return R_WE, R_WE
     return (
-        RotationMatrix.ProjectToRotationMatrix(held.R_WS),
-        RotationMatrix.ProjectToRotationMatrix(held.R_WG),
+        RotationMatrix.ProjectToRotationMatrix(orientation.R_WS),
+        RotationMatrix.ProjectToRotationMatrix(orientation.R_WG),
     )
 
 
-def held_robots(scenario: Scenario) -> list[Robot]:
-    """Returns the robot with orientations of the whole way as its `rpy_WE`; the start's first.
+def robots_along_motion(scenario: Scenario) -> list[Robot]:
+    """Returns one copy of the robot per sampled tool orientation of the motion, start first.
 
-    Empty without a robot, of one item where the orientation stays.
+    The orientation of each copy is its `rpy_WE`. The list is empty without a robot, and has one
+    item for a constant orientation.
     """
     robot = scenario.robot
     if robot is None:
         return []
-    held = tool_orientation(scenario)
-    if held is None:
+    orientation = tool_orientation(scenario)
+    if orientation is None:
         return [robot]
     return [
         dc.replace(
             robot,
             rpy_WE=RollPitchYaw(RotationMatrix.ProjectToRotationMatrix(R)).vector().tolist(),
         )
-        for R in held.samples()
+        for R in orientation.samples()
     ]
 
 
-_TOLERANCE = 1e-3
-"""Maximum difference of the elements of a given pose from those of the given joints [m, 1]."""
+_POSE_TOLERANCE = 1e-3
+"""Maximum element-wise difference between a given pose and that of the given configuration [m, 1].
+"""
 _ENDS = ("start", "goal")
+"""Ends of the motion, as in the field names `q_start` and `q_goal`."""
 
 
 def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
-    """Returns the (nq,) positions at those of "start" and "goal" that are given as joints.
+    """Returns the given configurations (nq,) by end, "start" or "goal" [rad, m].
+
+    Only `task.q_start` and `task.q_goal` that are not null are included.
 
     Raises:
-        ScenarioError: for another number of joints than the arm has, or one beyond its limits.
+        ScenarioError: for a wrong number of joints, or a joint outside its limits.
     """
-    found = {}
+    q_ends = {}
     for end in _ENDS:
         joints = getattr(scenario.task, f"q_{end}")
         if joints is None:
@@ -145,7 +153,7 @@ def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
         count = len(robot.q_seed)
         if len(joints) != count:
             raise ScenarioError(
-                f"task.q_{end}: expected {count} numbers, as robot.q_seed has, not {len(joints)}"
+                f"task.q_{end}: expected {count} numbers, as in robot.q_seed, not {len(joints)}"
             )
         plant = make_robot_plant(robot).plant
         lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
@@ -157,26 +165,26 @@ def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
                 )
         q = home_positions(robot)
         q[:count] = joints
-        found[end] = q
-    return found
+        q_ends[end] = q
+    return q_ends
 
 
 def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
-    """Puts start, goal and their orientations where `q_start` and `q_goal` have the tool.
+    """Sets position and orientation at start and goal from `task.q_start` and `task.q_goal`.
 
     Args:
-        scenario: to be changed.
-        stated: names of fields of the task that are to be left: `end_positions` checks them.
+        scenario: scenario, modified in place.
+        stated: names of task fields that remain unchanged; `end_positions` checks them.
 
     Raises:
-        ScenarioError: as `joint_ends`, and if there is no robot.
+        ScenarioError: as in `joint_ends`, and if the scenario has no robot.
     """
     task = scenario.task
     if task.q_start is None and task.q_goal is None:
         return
     if scenario.robot is None:
         end = "goal" if task.q_start is None else "start"
-        raise ScenarioError(f"task.q_{end}: needs a robot; this scenario has null")
+        raise ScenarioError(f"task.q_{end}: requires a robot; the scenario has null")
     for end, q in joint_ends(scenario).items():
         (X_WE,) = make_robot_plant(scenario.robot).tool_poses(q[None])
         if end not in stated:
@@ -186,44 +194,48 @@ def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
 
 
 def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> FloatArray:
-    """Returns postures (T, n) from start to goal at normalized times (T,), of minimum jerk."""
+    """Computes nominal postures (T, n) at normalized times s (T,) [rad].
+
+    q(s) = q_start + m(s) (q_goal - q_start), with the minimum-jerk profile m from 0 to 1.
+    """
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)
 
 
 def start_positions(scenario: Scenario) -> FloatArray:
-    """Returns (nq,) positions with E at the start; raises as `end_positions` does."""
+    """Returns the configuration (nq,) at the start [rad, m]; raises as `end_positions` does."""
     return end_positions(scenario)[0]
 
 
 def end_positions(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Returns (nq,) positions with E at the start, and at the last goal.
+    """Computes the configurations (nq,) at the start and at the last goal [rad, m].
 
-    They are `task.q_start` and `task.q_goal` where these are given; each goal must be in reach.
+    They are `task.q_start` and `task.q_goal` if given, otherwise solutions of the inverse
+    kinematics. All goals of `task.goal_moves` are checked, too.
 
     Raises:
-        ScenarioError: naming start, goal or the move of the goal that is out of reach, or that
-            does not agree with `task.q_start` or `task.q_goal`.
+        ScenarioError: naming the start, goal or move of the goal that is out of reach, or that
+            contradicts `task.q_start` or `task.q_goal`.
     """
     robot_plant = make_robot_plant(robot_of(scenario))
     R_WS, R_WG = end_rotations(scenario)
-    seed, found = home_positions(robot_of(scenario)), joint_ends(scenario)
+    seed, q_ends = home_positions(robot_of(scenario)), joint_ends(scenario)
     places = {"start": scenario.task.start, "goal": scenario.task.goal}
     places |= {f"goal_moves[{row}]": move[1:] for row, move in enumerate(scenario.task.goal_moves)}
     for name, place in places.items():
         X_WE = RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place))
-        if name in found:
-            (of_joints,) = robot_plant.tool_poses(found[name][None])
-            if not of_joints.IsNearlyEqualTo(X_WE, _TOLERANCE):
+        if name in q_ends:
+            (of_joints,) = robot_plant.tool_poses(q_ends[name][None])
+            if not of_joints.IsNearlyEqualTo(X_WE, _POSE_TOLERANCE):
                 p = np.round(of_joints.translation(), 4).tolist()
                 rpy = np.round(RollPitchYaw(of_joints.rotation()).vector(), 4).tolist()
                 raise ScenarioError(
                     f"task.{name}, task.rpy_{name}: task.q_{name} has the tool at {p} m, {rpy} "
-                    "rad; leave one of the two out"
+                    "rad; remove one of the two"
                 )
             continue
         with field_errors(f"task.{name}", ValueError):
-            found[name] = solve_tool_pose(
+            q_ends[name] = solve_tool_pose(
                 robot_plant.plant, robot_plant.tool_frame.name(), X_WE, seed
             )
-    return found["start"], found[name]
+    return q_ends["start"], q_ends[name]

@@ -8,12 +8,14 @@ from pydantic.dataclasses import dataclass
 from drake_oa.common.config import BLOCK, Vector3
 
 _Time = Annotated[float, Field(ge=0.0, le=1e6)]
+"""Type of a simulated time [s]."""
 _Duration = Annotated[float, Field(gt=0.0, le=1e6)]
+"""Type of a duration [s]."""
 
 
 @dataclass(config=BLOCK)
 class CameraDropout:
-    """Missing images: the camera's driver repeats the last one."""
+    """Fault of a camera: no new images; the driver repeats the last image."""
 
     start: _Time = 1.0
     """Time at which the images stop [s]. Raising it makes the fault later."""
@@ -25,7 +27,7 @@ class CameraDropout:
 
 @dataclass(config=BLOCK)
 class TorqueSaturation:
-    """Reduced effort limits of the actuators, unknown to the controller."""
+    """Fault of the actuators: reduced effort limits, unknown to the controller."""
 
     start: _Time = 1.0
     """Time at which the limits drop [s]. Raising it makes the fault later."""
@@ -37,7 +39,7 @@ class TorqueSaturation:
 
 @dataclass(config=BLOCK)
 class ModelError:
-    """Wrong inertial parameters in the controller; the simulated robot keeps the model's own."""
+    """Fault of the controller: inertial parameters that differ from the simulated robot's."""
 
     inertias: str = "package://drake_oa/panda/uniform_density.yaml"
     """File of inertial parameters (see `drake_oa.robot.inertias`): a package:// URL or a path. The
@@ -46,18 +48,19 @@ class ModelError:
 
 @dataclass(config=BLOCK)
 class Push:
-    """External wrench on a link of the robot, constant for a time."""
+    """Fault of the environment: constant external wrench on a robot link for a limited time."""
 
     start: _Time = 1.0
     """Time at which the wrench begins [s]. Raising it makes the fault later."""
     duration: _Duration = 0.2
     """Duration of the wrench [s]. Raising it makes the fault longer."""
     force: Vector3 = Field(default=[0.0, 20.0, 0.0])
-    """Force at the origin of the link, in the world [N]. Raising it pushes harder."""
+    """Force at the origin of the link, in the world [N]. Raising it makes the push stronger."""
     torque: Vector3 = Field(default=[0.0, 0.0, 0.0])
-    """Torque on the link, in the world [N m]. Raising it twists harder."""
+    """Torque on the link, in the world [N m]. Raising it makes the push stronger."""
     body: str = ""
     """Name of the link; empty: the robot's `hand_link`."""
 
 
 Fault = CameraDropout | TorqueSaturation | ModelError | Push
+"""Union of the fault blocks."""

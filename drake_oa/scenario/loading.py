@@ -1,7 +1,7 @@
-"""Reading of scenarios from files, and writing as text.
+"""Reading of scenarios from YAML files, and writing of scenarios as YAML text.
 
-The YAML text becomes plain data, overrides are merged into them, and pydantic checks every field
-while it builds the `Scenario`; checks that involve several blocks follow.
+The text is read as plain data, overrides are merged into the data, and pydantic checks every field
+while it builds the `Scenario`. Checks across several blocks follow.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,10 +30,10 @@ from drake_oa.scenario.task import goal_problems
 
 
 def scenario_path(name_or_file: str) -> Path:
-    """Finds a scenario by shipped name or by file.
+    """Finds the file of a scenario by shipped name or by path.
 
     Raises:
-        ScenarioError: if it is neither; lists the shipped names.
+        ScenarioError: if no such scenario exists; lists the shipped names.
     """
     shipped = shipped_scenarios()
     if name_or_file in shipped:
@@ -53,11 +53,11 @@ def load_scenario(name_or_file: str, overrides: Sequence[str] = ()) -> Scenario:
 
     Args:
         name_or_file: a shipped name (see `shipped_scenarios`) or a path.
-        overrides: texts "a.b=c": c, read as YAML, replaces field b of block a.
+        overrides: texts "a.b=c": the YAML value c replaces field b of block a.
             A value with a tag ("perception=!GroundTruth {}") replaces the block.
 
     Raises:
-        ScenarioError: naming the field and what would be valid.
+        ScenarioError: naming each wrong field and its valid values.
     """
     path = scenario_path(name_or_file)
     try:
@@ -85,9 +85,9 @@ def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[
 def parse_scenario(
     text: str, overrides: Sequence[str] = (), *, folder: Path | None = None
 ) -> Scenario:
-    """Builds a `Scenario` from YAML text; see `load_scenario`.
+    """Builds a `Scenario` from YAML text and overrides; see `load_scenario`.
 
-    Relative file names in it are relative to `folder` (None: the current directory),
+    Relative file names in the text are relative to `folder` (None: the current directory),
     those in overrides to the current directory.
 
     Raises:
@@ -125,35 +125,40 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def _robot_problems(scenario: Scenario) -> Iterator[str]:
+    """Yields an error line if a scenario without a robot has a perception that requires one."""
     if scenario.robot is None and not isinstance(scenario.perception, GivenEllipsoids):
         yield (
-            "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
-            f"it has !{type(scenario.perception).__name__}"
+            "robot: null (a free point) requires 'perception: !GivenEllipsoids'; "
+            f"the scenario has !{type(scenario.perception).__name__}"
         )
 
 
 def _fault_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields one line for each fault of a part that the scenario does not have."""
+    """Yields one error line for each fault of a component that the scenario does not have."""
     source = scenario.perception
     for row, fault in enumerate(scenario.faults):
         name = f"faults[{row}]: !{type(fault).__name__}"
         if scenario.robot is None:
-            yield f"{name} needs a robot; this scenario has null"
+            yield f"{name} requires a robot; the scenario has null"
         if not isinstance(fault, CameraDropout):
             continue
         if not isinstance(source, DepthCamera):
-            yield f"{name} needs 'perception: !DepthCamera'; it has !{type(source).__name__}"
+            yield (
+                f"{name} requires 'perception: !DepthCamera'; the scenario has "
+                f"!{type(source).__name__}"
+            )
         elif fault.camera and fault.camera not in source.names:
             yield (
-                f"faults[{row}].camera: perception does not use camera '{fault.camera}', but "
+                f"faults[{row}].camera: perception does not use camera '{fault.camera}'; valid: "
                 f"{', '.join(source.names)}"
             )
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
-    """Makes relative file names absolute, those of models URLs; URLs and other values stay.
+    """Makes relative file names in the data absolute; those of model directives become URLs.
 
-    Where a list of files is asked for, one alone stands for a list of it, and "" for none.
+    URLs and other values remain unchanged. A single file in `task.demonstration` becomes a list of
+    one file, and an empty text an empty list.
     """
     for name, field in (
         ("perception", "folder"),
@@ -177,20 +182,21 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
             if isinstance(block, dict) and isinstance(
                 file := _absolute(block.get("file"), base), str
             ):
-                # Drake takes a text's model files as URLs only.
+                # In directives that are parsed from text, Drake accepts model files as URLs only.
                 block["file"] = file if "://" in file else Path(file).as_uri()
 
 
 def _absolute(file: Any, base: Path) -> Any:
+    """Returns a relative file name as absolute path in `base`; URLs and other values unchanged."""
     if isinstance(file, str) and file and "://" not in file:
         return str(base.absolute() / Path(file).expanduser())
     return file
 
 
 def scenario_text(scenario: Scenario) -> str:
-    """Returns the scenario as YAML, defaults included, as it is written into a log.
+    """Returns a scenario as YAML text with all defaults, as it is written into a log.
 
-    `parse_scenario` builds the same scenario from it.
+    `parse_scenario` builds the same scenario from the text.
     """
     text: str = yaml_dump(plain_data(scenario))
     return text

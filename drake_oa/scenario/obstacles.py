@@ -1,4 +1,4 @@
-"""The obstacles of a scenario: primitive shapes that stand, move, appear or vanish."""
+"""Obstacles of a scenario: primitive shapes at rest, moving, appearing or vanishing."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,27 +13,31 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 OBSTACLE_PREFIX = "obstacle"
-"""Obstacles are the model instances whose name starts with this."""
+"""Prefix of the names of model instances that are obstacles."""
 
 
-_FARTHEST = 10.0
+_MAX_OFFSET = 10.0
+"""Maximum offset of a waypoint along each axis [m]."""
 ABSENT_HEIGHT = 50.0
-"""Height above its place of an obstacle that is absent [m]: out of any camera's sight."""
-_ROUNDING = 1e-9  # of a time [s]
+"""Height by which an absent obstacle is raised, outside the view of all cameras [m]."""
+_ROUNDING = 1e-9
+"""Rounding error of a time [s]."""
 
 
 def _check_trajectory(waypoints: list[list[float]]) -> list[list[float]]:
+    """Checks that waypoints (t, x, y, z) are in order of time and near the obstacle."""
     before = -math.inf
     for row, (time, *offset) in enumerate(waypoints):
         if time <= before:
             raise ValueError(f"[{row}]: its time {time:g} s must be later than {before:g} s")
-        if max(map(abs, offset)) > _FARTHEST:
-            raise ValueError(f"[{row}]: {offset} is outside [-{_FARTHEST:g}, {_FARTHEST:g}]")
+        if max(map(abs, offset)) > _MAX_OFFSET:
+            raise ValueError(f"[{row}]: {offset} is outside [-{_MAX_OFFSET:g}, {_MAX_OFFSET:g}] m")
         before = time
     return waypoints
 
 
 def _check_presence(present: list[float]) -> list[float]:
+    """Checks that an obstacle vanishes later than it appears."""
     if present != sorted(set(present)):
         raise ValueError(f"the obstacle must vanish later than it appears, not at {present}")
     return present
@@ -41,10 +45,10 @@ def _check_presence(present: list[float]) -> list[float]:
 
 @dataclass(config=BLOCK)
 class Obstacle:
-    """An obstacle of primitive shapes; several shapes form one obstacle."""
+    """Obstacle of one or several primitive shapes."""
 
     name: str = Field(min_length=1)
-    """Name of the obstacle, without a namesake; the model instance is named "obstacle_<name>"."""
+    """Unique name of the obstacle; the model instance is named "obstacle_<name>"."""
     shapes: list[Annotated[Box | Cylinder | Sphere, Tagged()]] = Field(min_length=1)
     """Shapes in the frame of the obstacle."""
     translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
@@ -67,27 +71,27 @@ class Obstacle:
         Field(max_length=2),
         AfterValidator(_check_presence),
     ] = Field(default_factory=list)
-    """Time at which the obstacle appears, or times at which it appears and vanishes [s]; empty: it
-    is always present. Raising them makes the change later."""
+    """Time at which the obstacle appears, or times at which it appears and vanishes [s]; empty:
+    always present. Raising a time makes the change later."""
     stiffness: float | None = Field(default=None, gt=0.0, le=1e12)
-    """Stiffness of the surface in a point contact [N/m]; null: Drake's default, which is hard.
+    """Stiffness of the surface in a point contact [N/m]; null: Drake's default, a hard surface.
     Raising it makes contacts harder."""
 
     @property
-    def driven(self) -> bool:
-        """Whether it moves, appears or vanishes: then it hangs on slides."""
+    def is_driven(self) -> bool:
+        """Whether the obstacle moves, appears or vanishes, and thus has prismatic joints."""
         return bool(self.waypoints or self.present)
 
     @property
     def last_change(self) -> float:
-        """When it has ended its course, and comes and goes no more [s]; 0: it never moves."""
+        """Time of the last waypoint, appearance or disappearance [s]; 0 for a static obstacle."""
         return max([0.0, *(waypoint[0] for waypoint in self.waypoints), *self.present])
 
     def offset_at(self, time: float) -> FloatArray:
         """Returns the offset (3,) from `translation` at a time [s], in the world [m].
 
-        It is straight and at constant speed between waypoints, at rest outside, and
-        `ABSENT_HEIGHT` higher while the obstacle is absent.
+        The offset is interpolated linearly between waypoints, constant before the first and after
+        the last, and `ABSENT_HEIGHT` higher while the obstacle is absent.
         """
         times, *axes = np.array(self.waypoints or [[0.0] * 4], dtype=float).T
         offset = np.array([np.interp(time, times, axis) for axis in axes])
@@ -98,12 +102,12 @@ class Obstacle:
 
 
 def last_change(obstacles: Iterable[Obstacle]) -> float:
-    """When all have ended their courses, and come and go no more [s]; 0: none ever moves."""
+    """Returns the time of the last change of all obstacles [s]; 0 if all are static."""
     return max((obstacle.last_change for obstacle in obstacles), default=0.0)
 
 
 def obstacle_problems(obstacles: Sequence[Obstacle]) -> Iterator[str]:
-    """Yields one line for each obstacle whose name another one has."""
+    """Yields one error line for each obstacle with the name of an earlier one."""
     names = [obstacle.name for obstacle in obstacles]
     for row, name in enumerate(names):
         if name in names[:row]:

@@ -1,4 +1,4 @@
-"""Given obstacles, and checks of a scenario's cameras and perception."""
+"""Block of given ellipsoids, and checks of a scenario's cameras and perception block."""
 
 from collections.abc import Iterator, Sequence
 from typing import Annotated
@@ -16,7 +16,7 @@ _MAX_PIXELS = 4096
 
 @dataclass(config=BLOCK)
 class EllipsoidConfig:
-    """A given ellipsoid, already dilated."""
+    """Given ellipsoid that contains an obstacle, already dilated by the tool."""
 
     center: Vector3 = Field(default=[0.0, 0.0, 0.0])
     """Center in the world [m]. Raising it moves the ellipsoid along the axis."""
@@ -30,14 +30,14 @@ class EllipsoidConfig:
 
 @dataclass(config=BLOCK)
 class GivenEllipsoids:
-    """Given obstacle descriptors, without perception."""
+    """Perception block of given obstacle ellipsoids, without sensing."""
 
     ellipsoids: list[EllipsoidConfig] = Field(default_factory=list)
-    """The ellipsoids."""
+    """Ellipsoids, one per obstacle."""
 
 
 def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one line for each wrong camera and each wrong reference to a camera."""
+    """Yields one error line for each wrong camera and each wrong reference to a camera."""
     names = [camera.name for camera in cameras]
     for row, camera in enumerate(cameras):
         if camera.name in names[:row]:
@@ -49,11 +49,11 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
     if isinstance(perception, CameraSource):
         yield from _camera_problems(perception, cameras)
     if isinstance(perception, LcmCamera) and perception.noise is not None:
-        yield "perception.noise: images of !LcmCamera have their own; leave it out, or null"
+        yield "perception.noise: images of !LcmCamera have real noise; remove it, or set null"
 
 
 def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one line for each camera that is missing, named twice, or not synchronized."""
+    """Yields one error line for each used camera that is missing, repeated or not synchronized."""
     names = perception.cameras
     if names and perception.camera != CameraSource.camera:
         yield (
@@ -76,5 +76,5 @@ def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) 
             if own != first:
                 yield (
                     f"cameras[{known[name]}].{field}: '{name}' has {own:g}, '{used[0]}' {first:g} "
-                    f"[{unit}]; cameras named by perception.cameras must be synchronized"
+                    f"[{unit}]; all cameras of perception.cameras must have the same value"
                 )

@@ -1,6 +1,6 @@
-"""The scenario: all parameters of a run, composed of the layers' blocks.
+"""Configuration block of all parameters of a run, composed of the blocks of the layers.
 
-`drake_oa.scenario.loading` reads it from a YAML file.
+`drake_oa.scenario.loading` reads a scenario from a YAML file.
 """
 
 import dataclasses as dc
@@ -32,43 +32,44 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
 
 Layer = Literal["perception", "descriptor", "decision", "motion"]
+"""Name of a layer that a viewer can display."""
 LAYERS = typing.get_args(Layer)
 """Layers of a viewer, as folders of its scene tree: clouds and cameras; ellipsoids and their
-sections; cost rings and chosen sides; planned and executed path."""
+sections; cost rings and selected sides; planned and executed path."""
 
 
 @dataclass(config=BLOCK)
 class View:
-    """Layers that a viewer shows at first; its user may change them."""
+    """Initial settings of a viewer; its user can change them."""
 
     show: list[Layer] | None = None
-    """Layers to show; null: decision and motion, and for !Paper also the descriptor."""
+    """Names of the displayed layers; null: decision and motion, and the descriptor for !Paper."""
 
 
 @dataclass(config=BLOCK)
 class Scenario:
-    """All parameters of a run. Each field has a default."""
+    """Parameters of a run. Each field has a default."""
 
     description: str = ""
-    """One line for `drake-oa scenarios`."""
+    """One-line description, listed by `drake-oa scenarios`."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
-    """Seed of the camera noise [1]. A scenario with the same seed gives the same trajectory."""
+    """Seed of the camera noise [1]. Runs with the same seed give the same trajectory."""
     plant_step: float = Field(default=0.002, ge=1e-5, le=0.01)
     """Time step of the simulated plant and the controller [s]. Raising it makes the simulation
-    quicker and less accurate."""
+    faster and less accurate."""
     task: Task = Field(default_factory=Task)
-    """The nominal motion."""
+    """Nominal motion: start, goal, duration, demonstrations, and requested clearance."""
     policy: Policy = Field(default_factory=Policy)
     """Constants of the dynamic movement primitive."""
     robot: Robot | None = Field(default_factory=Robot)
-    """The robot; null: the motion drives a free point."""
+    """Robot model, tool and gains; null: a free point executes the motion."""
     directives: list[Annotated[ModelDirective, DrakeStruct()]] = Field(default_factory=list)
-    """Models in the world beside the robot, as Drake model directives. Obstacles are the model
-    instances whose name starts with "obstacle"."""
+    """Models in the world in addition to the robot, as Drake model directives. Model instances
+    whose name starts with "obstacle" are obstacles."""
     obstacles: list[Obstacle] = Field(default_factory=list)
     """Obstacles of primitive shapes."""
     cameras: list[Annotated[CameraConfig, DrakeStruct()]] = Field(default_factory=list)
-    """Drake's camera configurations, each with its own name."""
+    """Drake's camera configurations, with unique names."""
     perception: Annotated[
         DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera,
         Tagged(),
@@ -77,26 +78,27 @@ class Scenario:
     inference: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
     """Source of the coupling parameters."""
     guard: GuardParameters = Field(default_factory=GuardParameters)
-    """Maneuvers away from moving obstacles, reaction to contact, and monitors."""
+    """Maneuvers away from moving obstacles, contact reaction, and monitors."""
     compute_latency: LatencyModel | None = Field(default_factory=LatencyModel)
-    """Simulated duration of decisions; null: decisions act immediately."""
+    """Simulated compute latency of decisions; null: decisions are active immediately."""
     table_height: float | None = 0.0
-    """Height of the table in the world [m]; null: no table. Raising it raises the table."""
+    """Height of the support plane, the table, in the world [m]; null: no table. Raising it raises
+    the table."""
     view: View = Field(default_factory=View)
-    """Layers that a viewer shows."""
+    """Initial settings of a viewer."""
     faults: list[Annotated[Fault, Tagged()]] = Field(default_factory=list)
     """Faults injected into the simulation."""
 
 
 def allow_perception(block: type) -> None:
-    """Makes a dataclass a valid block of `perception`, with its class name as the tag."""
+    """Registers a dataclass as a valid block of `perception`, with its class name as the tag."""
     field = next(item for item in dc.fields(Scenario) if item.name == "perception")
     union, tagged = typing.get_args(field.type)
     field.type = Annotated[union | block, tagged]
     fields = vars(Scenario)["__pydantic_fields__"]
     descriptions = {name: item.description for name, item in fields.items()}
     rebuild_dataclass(Scenario, force=True)  # type: ignore[arg-type]
-    # A rebuilt block has lost the strings below its fields.
+    # Rebuilding discards the descriptions of the fields.
     for name, item in vars(Scenario)["__pydantic_fields__"].items():
         item.description = descriptions[name]
 
@@ -108,5 +110,5 @@ def robot_of(scenario: Scenario) -> Robot:
         ScenarioError: if it has none.
     """
     if scenario.robot is None:
-        raise ScenarioError("robot: must be set for this; the scenario has null")
+        raise ScenarioError("robot: must be set for this command; the scenario has null")
     return scenario.robot

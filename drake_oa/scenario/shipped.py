@@ -1,4 +1,4 @@
-"""Scenarios of the package: their files, descriptions and required packages."""
+"""Shipped scenarios: their files, descriptions and required Python packages."""
 
 from importlib import resources
 from pathlib import Path
@@ -6,23 +6,24 @@ from pathlib import Path
 from drake_oa.common.files import installed_package
 
 _SUFFIX = ".scenario.yaml"
+"""File name suffix of scenarios."""
 
 
 def shipped_scenarios() -> dict[str, Path]:
-    """Name -> file of the scenarios that come with the package."""
+    """Returns the files of the scenarios that come with the package, by name."""
     folder = Path(str(resources.files("drake_oa.diagrams")))
     return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
 
 
 def description(path: Path) -> str:
-    """A scenario file's field `description`, read without building the scenario."""
+    """Reads the field `description` of a scenario file, without building the scenario."""
     return _text(path, "description")
 
 
 def missing_package(path: Path) -> str:
-    """The package of the robot's model where it is not installed, else "".
+    """Returns the Python package of the robot model if it is not installed, otherwise "".
 
-    Read without building the scenario.
+    The scenario file is read without building the scenario.
     """
     url = _text(path, "robot", "model")
     name = url.removeprefix("package://").partition("/")[0]
@@ -32,10 +33,11 @@ def missing_package(path: Path) -> str:
 
 
 def _text(path: Path, *fields: str) -> str:
-    # Not at the top: `drake-oa --help` reads no file.
+    """Reads a text from nested fields of a YAML file; "" if it is missing or no scalar."""
+    # Not at the top, so that `drake-oa --help` starts faster: it reads no file.
     import yaml
 
-    # Nodes, as the tags of blocks mean nothing to YAML itself.
+    # Nodes are composed, not loaded, because YAML cannot construct the tagged blocks.
     node = yaml.compose(
         path.read_text("utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     )

@@ -1,4 +1,4 @@
-"""Values that follow from a scenario's perception block: periods, margins, given ellipsoids."""
+"""Values derived from a scenario's perception block: periods, margins, given ellipsoids."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 _SURFACE_GAP = 0.01
-"""Maximum depth of a link in a surface between the points that ground truth has of it [m]."""
+"""Maximum penetration of a link into a surface between its ground-truth points [m]."""
 
 
 _GIVEN_PERIOD = 1.0 / 15.0
 """Time between observations of given ellipsoids [s]."""
-_ODD = 0x9E3779B97F4A7C15
-"""The golden ratio's 64 bits: seeds apart by multiples of it have little in common."""
+_SEED_INCREMENT = 0x9E3779B97F4A7C15
+"""Difference between the noise seeds of two cameras: 2^64 over the golden ratio, so that the seeds
+are uncorrelated."""
 
 
 def noise_seed(scenario: Scenario, camera: str) -> int:
-    """Returns the seed of a camera's noise; that of the first camera is the scenario's."""
+    """Returns the noise seed of a camera; the first camera has the seed of the scenario."""
     source = scenario.perception
     row = source.names.index(camera) if isinstance(source, CameraSource) else 0
-    return (scenario.seed + row * _ODD) % 2**63
+    return (scenario.seed + row * _SEED_INCREMENT) % 2**63
 
 
 def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfig]:
-    """Returns the configurations of the cameras of perception, in its order."""
+    """Returns the configurations of the cameras used by perception, in the order of `source`."""
     named = {config.name: config for config in scenario.cameras}
     return [named[name] for name in source.names]
 
 
-def simulated(scenario: Scenario) -> Scenario:
-    """The scenario with simulated cameras in the place of those outside the simulation."""
+def with_simulated_cameras(scenario: Scenario) -> Scenario:
+    """Returns the scenario with `!DepthCamera` instead of `!LcmCamera`, otherwise unchanged."""
     source = scenario.perception
     if not isinstance(source, LcmCamera):
         return scenario
@@ -46,7 +47,7 @@ def simulated(scenario: Scenario) -> Scenario:
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
-    """The ellipsoids of a `!GivenEllipsoids` block; they are never out of date."""
+    """Returns the ellipsoids of a `!GivenEllipsoids` block, with an infinite stamp: never stale."""
     items = source.ellipsoids
     return EllipsoidSet(
         stamp=np.inf,
@@ -61,12 +62,12 @@ def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
 
 
 def table_plane(scenario: Scenario) -> TablePlane | None:
-    """The table that the scenario tells of, in the world; None where it has none."""
+    """Returns the configured table plane in the world; None if the scenario has no table."""
     return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
 
 
 def perception_period(scenario: Scenario) -> float:
-    """Time between observations [s]."""
+    """Returns the time between two observations of the obstacles [s]."""
     source = scenario.perception
     if isinstance(source, CameraSource):
         return 1.0 / camera_configs(scenario, source)[0].fps
@@ -76,7 +77,7 @@ def perception_period(scenario: Scenario) -> float:
 
 
 def padding(source: object) -> float:
-    """Returns the maximum distance of an obstacle's surface outside its observed points [m]."""
+    """Returns the padding of observed obstacles: distance of the surface from its points [m]."""
     if isinstance(source, (CameraSource, RecordedClouds)):
         return 0.5 * source.segmentation.voxel
     return _SURFACE_GAP

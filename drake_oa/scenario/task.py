@@ -1,4 +1,4 @@
-"""The task block of a scenario, and where its goal is, which may be moved during the motion."""
+"""Task block of a scenario, and positions of a goal that moves during the motion."""
 
 import math
 from collections.abc import Iterator
@@ -12,13 +12,13 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_oa.common.config import BLOCK, Angles, Vector3, length
 from drake_oa.common.messages import FloatArray
 
-LONGEST = 600.0
+MAX_DURATION = 600.0
 """Maximum duration of a demonstrated motion [s]."""
 
 
 @dataclass(config=BLOCK)
 class Task:
-    """The nominal motion, planned without knowledge of the obstacles."""
+    """Block of the nominal motion, which is planned without knowledge of the obstacles."""
 
     start: Vector3 = Field(default=[0.45, -0.45, 0.3])
     """Start of the tool point in the world [m]. Raising it moves the start along the axis."""
@@ -27,14 +27,14 @@ class Task:
     goal_moves: list[Annotated[list[float], length(4)]] = Field(default_factory=list)
     """Moves of the goal during the motion: rows t, x, y, z [s, m]; from time t on, the goal is at
     this position in the world."""
-    duration: float = Field(default=5.0, gt=0.0, le=LONGEST)
-    """Duration T of the nominal motion [s]; the avoiding motion takes tau T. Ignored if the
-    demonstration has its own times. Raising it moves more slowly."""
+    duration: float = Field(default=5.0, gt=0.0, le=MAX_DURATION)
+    """Duration T of the nominal motion [s]; the avoiding motion lasts tau T, with temporal scaling
+    tau. Ignored if the demonstration has times. Raising it makes the motion slower."""
     clearance: float = Field(default=0.15, gt=0.0, le=2.0)
     """Requested clearance Delta between the tool and the obstacles [m]. Raising it makes the detour
     around obstacles wider."""
     turn_limit: float | None = Field(default=None, ge=0.0, le=math.pi)
-    """Maximum angle by which a maneuver away from an obstacle turns the tool [rad]; null: any.
+    """Maximum rotation of the tool in a maneuver away from an obstacle [rad]; null: no limit.
     Raising it allows more maneuvers."""
     rpy_start: Angles | None = None
     """Roll, pitch and yaw of the tool frame E in the world at the start [rad]; null: those of the
@@ -43,13 +43,13 @@ class Task:
     """Roll, pitch and yaw of the tool frame E in the world at the goal [rad]; null: those of the
     demonstration, or `robot.rpy_WE`."""
     q_start: list[float] | None = None
-    """Positions of the arm's joints at the start, as many as `robot.q_seed` has [rad]; null: a
-    solution of the inverse kinematics close to it. Start position and orientation that are not
-    given follow from the joints; given ones must agree."""
+    """Configuration of the arm at the start, as many joints as in `robot.q_seed` [rad]; null: a
+    solution of the inverse kinematics close to `robot.q_seed`. Missing fields `start` and
+    `rpy_start` follow from it; given ones must agree with it."""
     q_goal: list[float] | None = None
-    """Positions of the arm's joints at the goal [rad]; null: a solution of the inverse kinematics.
-    Goal position and orientation that are not given follow from the joints; given ones must agree.
-    The posture changes from `q_start` to `q_goal` along the motion."""
+    """Configuration of the arm at the goal [rad]; null: a solution of the inverse kinematics.
+    Missing fields `goal` and `rpy_goal` follow from it; given ones must agree with it. The nominal
+    posture changes from `q_start` to `q_goal` along the motion."""
     demonstration: list[str] = Field(default_factory=list)
     """Demonstrations to reproduce: a file, or a list of files with repetitions of one motion, which
     are averaged; relative to the scenario file, or package:// URLs. Empty: a minimum-jerk motion on
@@ -61,47 +61,47 @@ class Task:
     qw, qx, qy, qz."""
 
 
-_LATER = 1e-6
-"""Least time between two moves of the goal [s]."""
-_APART = 1e-3
-"""Least distance of a goal from the start [m]."""
+_MIN_MOVE_INTERVAL = 1e-6
+"""Minimum time between two moves of the goal [s]."""
+_MIN_TRAVEL = 1e-3
+"""Minimum distance between start and goal [m]."""
 
 
 def goal_problems(task: Task) -> Iterator[str]:
-    """Yields one line for each goal that no motion from the start can have."""
-    if math.dist(task.start, task.goal) < _APART:
+    """Yields one error line for each goal too close to the start or out of temporal order."""
+    if math.dist(task.start, task.goal) < _MIN_TRAVEL:
         yield f"task.goal: {task.goal} is the start; they must be at least 1 mm apart"
     before = 0.0
     for row, (time, *goal) in enumerate(task.goal_moves):
         where = f"task.goal_moves[{row}]"
-        if time < before + _LATER:
+        if time < before + _MIN_MOVE_INTERVAL:
             earlier = "0" if row == 0 else "that of the previous move"
             yield f"{where}: its time {time:g} s must be later than {earlier}, by at least 1 us"
-        if math.dist(task.start, goal) < _APART:
+        if math.dist(task.start, goal) < _MIN_TRAVEL:
             yield f"{where}: {goal} is the start; they must be at least 1 mm apart"
         before = time
 
 
 def goal_steps(task: Task) -> FloatArray:
-    """(N, 4) rows t, x, y, z from which times on the goal is where; the first t is 0 [s, m]."""
+    """Returns rows (N, 4) t, x, y, z: position of the goal from time t on; t = 0 first [s, m]."""
     return np.array([[0.0, *task.goal], *task.goal_moves], dtype=float)
 
 
 def goal_at(task: Task, time: float) -> FloatArray:
-    """(3,) the goal at a time [s]: that of the last step at or before it [m]."""
+    """Returns the goal position (3,) at a time [s] in the world [m]."""
     steps = goal_steps(task)
     row = int(np.searchsorted(steps[:, 0], time, side="right")) - 1
     return np.array(steps[max(row, 0), 1:])
 
 
 def goal_trajectory(task: Task) -> PiecewisePolynomial:
-    """The goal as a trajectory of steps (3,), which is constant after the last one [m]."""
+    """Returns the goal position (3,) as a piecewise constant trajectory in the world [m]."""
     steps = goal_steps(task)
-    # Drake's last sample holds for no time at all.
+    # Drake's last sample only ends the trajectory: it is repeated 1 s later.
     steps = np.vstack([steps, steps[-1] + [1.0, 0.0, 0.0, 0.0]])
     return PiecewisePolynomial.ZeroOrderHold(steps[:, 0], steps[:, 1:].T)
 
 
-def last_move(task: Task) -> float:
-    """When the goal moves for the last time [s]; 0: it never does."""
+def last_move_time(task: Task) -> float:
+    """Returns the time of the last move of the goal [s]; 0 for a goal at rest."""
     return float(task.goal_moves[-1][0]) if task.goal_moves else 0.0

@@ -25,7 +25,7 @@ from drake_oa.common.files import saved_figure
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import simulated
+from drake_oa.scenario.sources import with_simulated_cameras
 from drake_oa.viewing.viewer import looking_pose
 from drake_oa.world.cameras import give_normals
 from drake_oa.world.station import make_station
@@ -48,7 +48,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     Raises:
         ScenarioError: naming the field that does not fit.
     """
-    scenario = simulated(copy.deepcopy(scenario))
+    scenario = with_simulated_cameras(copy.deepcopy(scenario))
     for config in scenario.cameras:
         config.output_delay = 0.0
     builder = DiagramBuilder()

@@ -99,7 +99,7 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
         X_OG, shape = pose(item), shape_geometry(item)
         plant.RegisterVisualGeometry(body, X_OG, shape, f"visual{row}", obstacle.color)
         plant.RegisterCollisionGeometry(body, X_OG, shape, f"collision{row}", properties)
-    if obstacle.driven:
+    if obstacle.is_driven:
         hang_on_slides(plant, body, pose(obstacle), obstacle.offset_at(0.0).tolist())
     else:
         plant.WeldFrames(plant.world_frame(), body.body_frame(), pose(obstacle))

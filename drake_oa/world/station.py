@@ -203,7 +203,7 @@ def _refuse_movable(
     plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], driven: list[Obstacle]
 ) -> None:
     """An obstacle that nothing drives would fall, or be pushed away, unlike a real one."""
-    on_course = {f"{OBSTACLE_PREFIX}_{item.name}" for item in driven if item.driven}
+    on_course = {f"{OBSTACLE_PREFIX}_{item.name}" for item in driven if item.is_driven}
     for instance in obstacles:
         name = plant.GetModelInstanceName(instance)
         if name in on_course:

@@ -1,4 +1,4 @@
-"""Demonstrations as files: what is read, what is refused, and those that are shipped."""
+"""Reading of demonstration files: valid formats, errors, and the shipped demonstrations."""
 
 from __future__ import annotations
 
@@ -25,41 +25,46 @@ PATH = np.column_stack([0.1 * np.sin(np.pi * S), S, 0.0 * S])
 SHIPPED = Path(__file__).resolve().parents[2] / "models" / "demonstrations"
 
 
-def taught(*files: Path | str) -> Scenario:
+def scenario_with_demonstrations(*files: Path | str) -> Scenario:
+    """Loads a shipped scenario with other demonstration files."""
     return load_scenario("tabletop_box", [f"task.demonstration=[{', '.join(map(str, files))}]"])
 
 
 def csv(folder: Path, *lines: str, name: str = "shown.csv") -> Path:
+    """Writes a CSV file of the given lines."""
     file = folder / name
     file.write_text("\n".join(lines) + "\n")
     return file
 
 
 def rows(*columns: FloatArray) -> list[str]:
+    """Returns the CSV rows of the given columns."""
     return [",".join(f"{value:.9g}" for value in row) for row in np.column_stack(columns)]
 
 
-# What is read -------------------------------------------------------------------------
+# Valid formats ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("header", ["t,x,y,z", "z, t ,x,y", "\ufefft,x,y,z"])
-def test_a_csv_is_what_its_header_says(header: str, tmp_path: Path) -> None:
+def test_columns_of_a_csv_follow_its_header(header: str, tmp_path: Path) -> None:
     columns = {"t": 3.0 * S, "x": PATH[:, 0], "y": PATH[:, 1], "z": PATH[:, 2]}
     names = [name.strip("\ufeff ") for name in header.split(",")]
-    shown = read_demonstration(csv(tmp_path, header, *rows(*(columns[n] for n in names)), "", ""))
-    np.testing.assert_allclose(shown.path, PATH, atol=1e-8)
-    np.testing.assert_allclose(shown.t, 3.0 * S, atol=1e-8)
-    assert shown.orientations is None
+    demonstration = read_demonstration(
+        csv(tmp_path, header, *rows(*(columns[n] for n in names)), "", "")
+    )
+    np.testing.assert_allclose(demonstration.path, PATH, atol=1e-8)
+    np.testing.assert_allclose(demonstration.t, 3.0 * S, atol=1e-8)
+    assert demonstration.orientations is None
 
 
-def test_csv_and_npz_teach_the_same(tmp_path: Path) -> None:
+def test_csv_and_npz_give_the_same_primitives(tmp_path: Path) -> None:
     half = 0.25 * np.pi + 0.2 * S
     q = np.column_stack([np.cos(half), 0.0 * S, 0.0 * S, np.sin(half)])
-    # Signs and lengths are the recorder's.
+    # Quaternions of any sign and length are valid.
     q *= np.where(np.arange(11) % 2, -2.0, 1.0)[:, None]
     np.savez(tmp_path / "shown.npz", path=PATH, quaternion=q)
     file = csv(tmp_path, "x,y,z,qw,qx,qy,qz", *rows(PATH, q))
-    one, other = (taught(each) for each in (tmp_path / "shown.npz", file))
+    one, other = (scenario_with_demonstrations(each) for each in (tmp_path / "shown.npz", file))
     a, b = (demonstrated_path(each) for each in (one, other))
     np.testing.assert_allclose(a.weights, b.weights, atol=1e-4)
     assert a.duration == b.duration == one.task.duration
@@ -84,7 +89,7 @@ def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
         parse_scenario("task: {demonstration: [3]}")
 
 
-# What is refused ----------------------------------------------------------------------
+# Errors -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -102,44 +107,49 @@ def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
         ),
     ],
 )
-def test_a_bad_csv_says_what_is_wrong_where(
+def test_error_of_an_invalid_csv_names_the_sample_and_the_problem(
     lines: list[str], words: list[str], tmp_path: Path
 ) -> None:
     with pytest.raises(ScenarioError) as error:
-        demonstrated_path(taught(csv(tmp_path, *lines)))
+        demonstrated_path(scenario_with_demonstrations(csv(tmp_path, *lines)))
     for word in ("task.demonstration: ", "shown.csv", *words):
         assert word in str(error.value)
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_of_several_the_bad_one_is_named(tmp_path: Path) -> None:
+def test_error_names_the_invalid_file_of_several(tmp_path: Path) -> None:
     np.savez(tmp_path / "good.npz", path=PATH)
     np.savez(tmp_path / "nan.npz", path=np.where(S[:, None] == S[4], np.nan, PATH))
     np.savez(tmp_path / "turns.npz", path=PATH, R=np.tile(np.eye(3), (11, 1, 1)))
     with pytest.raises(ScenarioError, match=r"nan\.npz': path and t must be finite: sample 4 is"):
-        demonstrated_path(taught(tmp_path / "good.npz", tmp_path / "nan.npz"))
-    with pytest.raises(ScenarioError, match=r"good\.npz' has no orientations, others have"):
-        demonstrated_path(taught(tmp_path / "turns.npz", tmp_path / "good.npz"))
+        demonstrated_path(scenario_with_demonstrations(tmp_path / "good.npz", tmp_path / "nan.npz"))
+    with pytest.raises(ScenarioError, match=r"good\.npz' has no orientations, other files have"):
+        demonstrated_path(
+            scenario_with_demonstrations(tmp_path / "turns.npz", tmp_path / "good.npz")
+        )
     np.savez(tmp_path / "back.npz", path=PATH * np.sin(np.pi * S)[:, None])
     with pytest.raises(ScenarioError, match=r"good\.npz', '.*back\.npz': the path must end"):
-        demonstrated_path(taught(tmp_path / "good.npz", tmp_path / "back.npz"))
+        demonstrated_path(
+            scenario_with_demonstrations(tmp_path / "good.npz", tmp_path / "back.npz")
+        )
 
 
 @pytest.mark.parametrize("kind", ["npz", "csv"])
-def test_too_many_samples_are_refused(kind: str, tmp_path: Path) -> None:
+def test_too_many_samples_are_rejected(kind: str, tmp_path: Path) -> None:
     file = tmp_path / f"shown.{kind}"
     if kind == "npz":
         np.savez(file, path=np.zeros((1_000_001, 3), dtype=np.int8))
     else:
         file.write_bytes(b"x,y,z\n" + b"0,0,0\n" * 1_000_001)
-    with pytest.raises(ScenarioError, match=r"more than 1000000 samples.*keep every so many"):
-        read_demonstrations(taught(file).task)
+    with pytest.raises(ScenarioError, match=r"more than 1000000 samples.*reduce its sampling rate"):
+        read_demonstrations(scenario_with_demonstrations(file).task)
 
 
-# What is shipped ----------------------------------------------------------------------
+# Shipped demonstrations ---------------------------------------------------------------
 
 
 def generator() -> ModuleType:
+    """Imports the script that generates the shipped demonstrations."""
     file = SHIPPED / "generate_demonstrations.py"
     spec = importlib.util.spec_from_file_location(file.stem, file)
     assert spec is not None
@@ -149,14 +159,14 @@ def generator() -> ModuleType:
     return module
 
 
-def test_the_shipped_recordings_are_those_of_the_script(tmp_path: Path) -> None:
+def test_script_reproduces_the_shipped_demonstrations(tmp_path: Path) -> None:
     module = generator()
     module.FOLDER = tmp_path
     module.main()
-    made = sorted(path.name for path in tmp_path.iterdir())
-    assert made == sorted(p.name for p in SHIPPED.iterdir() if p.suffix in (".csv", ".npz"))
-    assert made == ["arc_1.npz", "arc_2.npz", "arc_3.npz", "pour.csv", "wipe.npz"]
-    for name in made:
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == sorted(p.name for p in SHIPPED.iterdir() if p.suffix in (".csv", ".npz"))
+    assert names == ["arc_1.npz", "arc_2.npz", "arc_3.npz", "pour.csv", "wipe.npz"]
+    for name in names:
         one, other = (read_demonstration(folder / name) for folder in (tmp_path, SHIPPED))
         np.testing.assert_allclose(one.path, other.path, atol=2e-6)
         np.testing.assert_allclose(one.t, other.t, atol=2e-6)

@@ -1,4 +1,4 @@
-"""Reading scenarios: what is valid, and what each error says."""
+"""Reading of scenarios: valid texts, overrides, relative files, and texts of errors."""
 
 from pathlib import Path
 
@@ -29,9 +29,9 @@ def test_defaults_are_a_valid_scenario() -> None:
     assert isinstance(scenario.perception, GroundTruth)
 
 
-def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:
+def test_inference_is_verified_unless_paper_is_selected() -> None:
     assert isinstance(parse_scenario("{}").inference, Verified)
-    # Without a tag it is the default one.
+    # A block without a tag is the default one.
     assert parse_scenario("inference: {generations: 7}").inference == Verified(generations=7)
     assert parse_scenario("inference: !Verified {slack: 0.001}").inference == Verified(slack=1e-3)
     paper = load_scenario("free_space", ["inference=!Paper {}"])
@@ -43,9 +43,9 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "words"),
     [
-        # Fields that do not agree.
+        # Inconsistent fields.
         ("task: {goal: [0.45, -0.45, 0.3]}", ["task.goal", "start"]),
         ("task: {goal_moves: [[2, 0, 0, 1], [2, 0, 0, 1]]}", ["goal_moves[1]", "later"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
@@ -62,17 +62,17 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
         ),
         (
             "faults: [!CameraDropout {}]",
-            ["faults[0]: !CameraDropout needs 'perception: !DepthCamera'", "!GroundTruth"],
+            ["faults[0]: !CameraDropout requires 'perception: !DepthCamera'", "!GroundTruth"],
         ),
         (
             "{robot: null, perception: !GivenEllipsoids {}, faults: [!TorqueSaturation {}]}",
-            ["!TorqueSaturation needs a robot"],
+            ["!TorqueSaturation requires a robot"],
         ),
-        # Blocks by their tags.
+        # Tagged blocks.
         ("perception: !Sonar {}", ["perception", "!Sonar", "!DepthCamera", "!GroundTruth"]),
         ("perception: !GroundTruth", ["perception", "!GroundTruth {}"]),
         ("task: !Foo {}", ["task", "!Foo"]),
-        # Blocks of Drake.
+        # Blocks defined by Drake.
         ("cameras: [{width: 100000}]", ["cameras[0].width", "100000"]),
         ("cameras: [{X_PB: {translation: [a, 0, 0]}}]", ["cameras[0]", "'a'"]),
         ("directives: [{add_model: {nam: a}}]", ["directives[0]", "'nam'"]),
@@ -82,34 +82,36 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
         ("{1: 2}", ["name must be text", "'1'"]),
     ],
 )
-def test_a_bad_scenario_is_refused_with_the_field_and_what_is_valid(
-    text: str, said: list[str]
+def test_error_of_an_invalid_scenario_names_the_field_and_the_valid_values(
+    text: str, words: list[str]
 ) -> None:
     with pytest.raises(ScenarioError) as error:
         parse_scenario(text)
-    for words in said:
-        assert words in str(error.value)
+    for text in words:
+        assert text in str(error.value)
 
 
 @pytest.mark.parametrize("text", ["", "\n", "# nothing but words\n"])
-def test_a_file_that_states_nothing_is_all_defaults(text: str, tmp_path: Path) -> None:
+def test_empty_file_gives_all_defaults(text: str, tmp_path: Path) -> None:
     file = tmp_path / "empty.scenario.yaml"
     file.write_text(text)
     assert load_scenario(str(file)) == Scenario()
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "words"),
     [
         (b"task: &a {goal: *a}", "too many blocks or lists within each other"),
         (b"cameras: " + b"[" * 3000 + b"]" * 3000, "too many blocks or lists within each other"),
         (b"\x7fELF\xc5\x00", "can't decode byte 0xc5"),
     ],
 )
-def test_a_file_that_is_no_scenario_is_named(content: bytes, said: str, tmp_path: Path) -> None:
+def test_error_of_an_unreadable_scenario_names_the_file(
+    content: bytes, words: str, tmp_path: Path
+) -> None:
     file = tmp_path / "odd.scenario.yaml"
     file.write_bytes(content)
-    with pytest.raises(ScenarioError, match=said) as caught:
+    with pytest.raises(ScenarioError, match=words) as caught:
         load_scenario(str(file))
     assert str(caught.value).startswith(file.name)
 
@@ -121,7 +123,7 @@ def test_unknown_scenario_lists_the_shipped_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "words"),
     [
         ("task.goal=[", "YAML"),
         ("perception=!GroundTruth", "write '!GroundTruth {}'"),
@@ -129,17 +131,18 @@ def test_unknown_scenario_lists_the_shipped_ones() -> None:
         ("task.clearance.deep=1", "block"),
     ],
 )
-def test_an_override_that_is_none_is_named(override: str, said: str) -> None:
+def test_error_of_an_invalid_override_names_the_override(override: str, words: str) -> None:
     with pytest.raises(ScenarioError) as error:
         load_scenario("tabletop_box", [override])
     assert override.partition("=")[0] in str(error.value)
-    assert said in str(error.value)
+    assert words in str(error.value)
 
 
 FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "inference.chain=f"]
 
 
 def files(scenario: Scenario) -> set[str]:
+    """Returns the files named in perception, task and inference."""
     assert isinstance(scenario.perception, RecordedClouds)
     return {scenario.perception.folder, *scenario.task.demonstration, scenario.inference.chain}
 
@@ -160,7 +163,7 @@ def test_files_in_overrides_are_relative_to_the_current_directory(
     assert files(load_scenario("tabletop_box", FILES)) == {str(tmp_path / "f")}
 
 
-def test_the_pose_of_a_recording_s_camera_is_read_and_written() -> None:
+def test_camera_pose_of_recorded_clouds_is_read_and_written() -> None:
     block = "!RecordedClouds {folder: f, X_WC: {translation: [1, 2, 3]}}"
     scenario = parse_scenario(f"perception: {block}")
     for one in (scenario, parse_scenario(scenario_text(scenario))):

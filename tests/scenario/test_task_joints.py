@@ -1,4 +1,4 @@
-"""Start and goal of a task given as joints."""
+"""Start and goal of a task given as configurations."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ JOINTS = f"task: {{q_start: {Q_START}, q_goal: {Q_GOAL}"
 
 
 def start(scenario: Scenario) -> np.ndarray:
+    """Returns the configuration (nq,) at the start [rad, m]."""
     return start_positions(scenario)
 
 
-def test_start_goal_and_orientations_follow_from_joints() -> None:
+def test_start_goal_and_orientations_follow_from_configurations() -> None:
     scenario = parse_scenario(JOINTS + "}")
     robot = make_robot_plant(scenario.robot)
     q = start(scenario)
@@ -36,7 +37,7 @@ def test_start_goal_and_orientations_follow_from_joints() -> None:
     start(again)
 
 
-def test_what_is_stated_besides_must_agree() -> None:
+def test_poses_that_contradict_the_configurations_are_rejected() -> None:
     with pytest.raises(ScenarioError, match=r"task\.goal, .*: task\.q_goal has the tool at"):
         start(parse_scenario(JOINTS + ", goal: [0.5, 0.1, 0.4]}"))
     with pytest.raises(ScenarioError, match=r"task\.rpy_start: task\.q_start has the tool at"):
@@ -51,28 +52,28 @@ def test_what_is_stated_besides_must_agree() -> None:
         ("robot: {q_seed: [0, 0]}", r"robot\.q_seed: expected 7 numbers, of panda_joint1, .*not 2"),
     ],
 )
-def test_bad_joints_are_named(text: str, message: str) -> None:
+def test_error_of_invalid_joints_names_the_field(text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         start(parse_scenario(text))
 
 
-def test_joints_need_a_robot() -> None:
+def test_configurations_require_a_robot() -> None:
     text = "robot: null\nperception: !GivenEllipsoids {}\ntask: {q_goal: [0.0]}"
-    with pytest.raises(ScenarioError, match="needs a robot"):
+    with pytest.raises(ScenarioError, match="requires a robot"):
         parse_scenario(text)
 
 
-def test_the_guide_leads_from_start_to_goal() -> None:
+def test_nominal_posture_changes_from_start_to_goal() -> None:
     q = posture_guide(np.array([-0.1, 0.0, 0.5, 1.0, 1.3]), np.zeros(2), np.array([1.0, -2.0]))
     np.testing.assert_allclose(q[:, 0], [0.0, 0.0, 0.5, 1.0, 1.0])
     np.testing.assert_allclose(q[:, 1], -2.0 * q[:, 0])
 
 
-def test_the_arm_goes_from_the_joints_at_the_start_towards_those_at_the_goal() -> None:
+def test_arm_moves_from_the_start_configuration_to_the_goal_configuration() -> None:
     scenario = parse_scenario(JOINTS + ", duration: 2.0}\nperception: !GroundTruth {}")
     scenario.table_height = None
     log = simulate(scenario)
     assert log.stop_reason == "goal"
     np.testing.assert_array_equal(log.q[0, :7], Q_START)
-    # Drawn to the posture of the start alone it ends more than 0.13 rad away.
+    # With the start configuration as nominal posture the arm ends more than 0.13 rad away.
     assert np.abs(log.q[-1, :7] - Q_GOAL).max() < 0.02
