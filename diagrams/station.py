@@ -17,7 +17,7 @@ from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.world.live_camera import Outside
+from drake_oa.world.live_camera import ExternalInputs
 from drake_oa.world.station import Station, make_station
 
 
@@ -58,7 +58,7 @@ def add_station(
     scenario: Scenario,
     *,
     avoid_obstacles: bool = True,
-    outside: Outside | None = None,
+    external: ExternalInputs | None = None,
 ) -> StationModel | None:
     """Adds plant, scene graph and, where perception looks through them, the cameras.
 
@@ -70,7 +70,7 @@ def add_station(
         signals: that are added to.
         scenario: what to build.
         avoid_obstacles: whether anything is seen.
-        outside: what cameras outside the simulation go by.
+        external: state and clocks for cameras outside the simulation.
 
     Returns:
         None without a robot.
@@ -83,7 +83,7 @@ def add_station(
     robot_plant = make_robot_plant(scenario.robot)
     source = scenario.perception
     sees = avoid_obstacles and isinstance(source, CameraSource)
-    station = make_station(signals.builder, scenario, render=sees, outside=outside)
+    station = make_station(signals.builder, scenario, render=sees, external=external)
     q_start = start_positions(scenario)
     plant = station.plant
     plant.SetDefaultPositions(station.robot, q_start)

@@ -19,7 +19,7 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import perception_period, table_plane
-from drake_oa.world.live_camera import Outside
+from drake_oa.world.live_camera import ExternalInputs
 from drake_oa.world.world_model import flat_directives
 
 
@@ -103,8 +103,10 @@ def add_hardware(
     """
     arm, _ = arm_of(scenario)
     measured = signals.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
-    outside = Outside(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
-    station_model = add_station(signals, scenario, avoid_obstacles=avoid_obstacles, outside=outside)
+    external = ExternalInputs(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
+    station_model = add_station(
+        signals, scenario, avoid_obstacles=avoid_obstacles, external=external
+    )
     if station_model is None:
         raise ScenarioError("robot: hardware is a robot; this scenario has null")
     station_model.plant.SetDefaultPositions(station_model.robot, q_measured)

@@ -72,7 +72,7 @@ class _ImageSender:
         late = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
         waits = isinstance(self._system, DelayedCamera) and late <= _PATIENCE * self._period
         context = self._system.GetMyContextFromRoot(root)
-        return late >= 0.0 and (not waits or self._system.ready(context))
+        return late >= 0.0 and (not waits or self._system.is_ready(context))
 
     def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, stands: bool) -> None:
         """Sends the latest image."""

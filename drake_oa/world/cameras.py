@@ -1,7 +1,7 @@
-"""A scenario's cameras, and the world that they see.
+"""Depth cameras of a scenario, and the scene graph that they render.
 
-The world is a scene graph of its own that follows the positions of the simulated one: in the
-plant's scene graph every step of the plant would pose the renderer's geometry too.
+The cameras have a separate scene graph, with the positions of the simulated plant. In the scene
+graph of the plant, every step of the plant would also update the poses of the rendered geometry.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from drake_oa.world.world_model import add_world
 
 @dataclass(frozen=True)
 class Camera:
-    """A depth camera of the station.
+    """Intrinsics and output ports of a depth camera of the station.
 
     Attributes:
-        intrinsics: of its image.
+        intrinsics: intrinsics of the depth image.
         depth_image: port of ImageDepth32F [m], with the camera's noise.
         pose: port of RigidTransform X_WC.
-        delay: how long after it was taken an image comes [s]; 0: it shows the present.
-        image_time: port (1,) of the time at which the image was taken [s].
-        plant_state: port (n,) of the plant's state then.
+        delay: time from the capture to the output of an image [s]; 0: no delay.
+        image_time: port (1,) of the capture time of the image [s].
+        plant_state: port (n,) of the plant's state at the capture time.
     """
 
     intrinsics: CameraInfo
@@ -62,7 +62,7 @@ class Camera:
 
 
 class TimedCamera(LeafSystem):
-    """Base class of cameras whose images come with their time and the plant's state then.
+    """Base class of depth cameras that also output the time and the plant state of each image.
 
     .. pydrake_system::
 
@@ -75,71 +75,71 @@ class TimedCamera(LeafSystem):
       - image_time
       - plant_state
 
-    - plant_state (input): (num_states,) state of the plant now.
+    - plant_state (input): (num_states,) present state of the plant.
     - depth_image: (H, W) depths [m].
-    - camera_pose: X_WC of the image.
-    - image_time: (1,) time of the image [s].
-    - plant_state (output): (num_states,) state of the plant at that time.
+    - camera_pose: X_WC at the capture time of the image.
+    - image_time: (1,) capture time of the image [s].
+    - plant_state (output): (num_states,) state of the plant at the capture time.
     """
 
-    def __init__(self, intrinsics: CameraInfo, num_states: int, kept: object) -> None:
+    def __init__(self, intrinsics: CameraInfo, num_states: int, initial_state: object) -> None:
         """Declares the ports.
 
         Args:
-            intrinsics: of the images.
+            intrinsics: intrinsics of the images.
             num_states: size n of the plant's state.
-            kept: abstract state of the camera at first.
+            initial_state: initial abstract state of the camera.
         """
         super().__init__()
         self._intrinsics = intrinsics
         size = (intrinsics.width(), intrinsics.height())
         self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
-        self._kept = self.DeclareAbstractState(Value(kept))
-        shown = {
+        self._state_index = self.DeclareAbstractState(Value(initial_state))
+        prerequisites = {
             self.time_ticket(),
-            self.abstract_state_ticket(self._kept),
+            self.abstract_state_ticket(self._state_index),
             self._state_port.ticket(),
         }
         self.DeclareAbstractOutputPort(
-            "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, shown
+            "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, prerequisites
         )
         self.DeclareAbstractOutputPort(
             "camera_pose",
             lambda: Value(RigidTransform()),
             lambda context, output: output.set_value(self.pose(context)),
-            shown,
+            prerequisites,
         )
         self.DeclareVectorOutputPort(
             "image_time",
             1,
-            lambda context, output: output.SetAtIndex(0, self.moment(context)[0]),
-            shown,
+            lambda context, output: output.SetAtIndex(0, self.capture_state(context)[0]),
+            prerequisites,
         )
         self.DeclareVectorOutputPort(
             "plant_state",
             num_states,
-            lambda context, output: output.SetFromVector(self.moment(context)[1]),
-            shown,
+            lambda context, output: output.SetFromVector(self.capture_state(context)[1]),
+            prerequisites,
         )
 
     def release(self) -> None:
-        """Releases resources outside the diagram; the next image takes them again."""
+        """Releases resources outside the diagram; the next image acquires them again."""
         raise NotImplementedError
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """(H, W) the depth image that is handed out now, or one depth for all of it [m]."""
+        """Returns the present output image (H, W), or one depth for all pixels [m]."""
         raise NotImplementedError
 
     def pose(self, context: Context) -> RigidTransform:
-        """X_WC of that image."""
+        """Returns the camera pose X_WC of the present output image."""
         raise NotImplementedError
 
-    def moment(self, context: Context) -> tuple[float, FloatArray]:
-        """Time of that image [s], and the plant's state (n,) then."""
+    def capture_state(self, context: Context) -> tuple[float, FloatArray]:
+        """Returns capture time [s] and plant state (n,) of the present output image."""
         raise NotImplementedError
 
     def camera(self, delay: float = 0.0) -> Camera:
-        """The camera's ports."""
+        """Returns intrinsics and output ports, for images with a given delay [s]."""
         names = ("depth_image", "camera_pose", "image_time", "plant_state")
         image, pose, time, state = map(self.GetOutputPort, names)
         return Camera(self._intrinsics, image, pose, delay, time, state)
@@ -150,39 +150,39 @@ class TimedCamera(LeafSystem):
 
 
 def depth_intrinsics(config: CameraConfig) -> CameraInfo:
-    """Intrinsics of the depth image of one of Drake's configured cameras."""
+    """Returns the intrinsics of the depth image of a camera configuration of Drake."""
     return config.MakeCameras()[1].core().intrinsics()
 
 
 def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig) -> RgbdSensor:
-    """Adds one of Drake's configured cameras in a scene graph of its own, without a plant.
+    """Adds a camera configuration of Drake with a separate scene graph, without a simulated plant.
 
-    Exports the input of the scene graph: the state [q, v] of a scenario's plant.
+    Exports the input port "state": the state [q, v] of a scenario's plant.
 
     Raises:
-        ScenarioError: if the camera does not fit the world.
+        ScenarioError: if Drake rejects the camera, for example because of an unknown base frame.
     """
-    shown = MultibodyPlant(time_step=scenario.plant_step)
+    plant = MultibodyPlant(time_step=scenario.plant_step)
     scene_graph = builder.AddNamedSystem("camera_scene_graph", SceneGraph())
-    source = shown.RegisterAsSourceForSceneGraph(scene_graph)
-    add_world(shown, scenario)
-    shown.Finalize()
+    source = plant.RegisterAsSourceForSceneGraph(scene_graph)
+    add_world(plant, scenario)
+    plant.Finalize()
     with field_errors("directives", OSError, ValueError):
         give_normals(scene_graph, source)
     poses = builder.AddNamedSystem(
-        "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
+        "camera_world", MultibodyPositionToGeometryPose(plant, input_multibody_state=True)
     )
     builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(source))
     builder.ExportInput(poses.get_input_port(), "state")
-    # Drake would render late images in a thread of its own, in which its engines do not work.
+    # Drake would render delayed images in another thread, in which its render engines fail.
     config = copy.copy(config)
     config.output_delay = 0.0
     with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
-        # A null message queue: otherwise a publisher is added that renders each frame once more.
+        # With a null message queue Drake adds no publisher, which would render each image again.
         ApplyCameraConfig(
             config=config,
             builder=builder,
-            plant=shown,
+            plant=plant,
             scene_graph=scene_graph,
             lcm=DrakeLcm("memq://null"),
         )
@@ -191,13 +191,13 @@ def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig
 
 
 def give_normals(scene_graph: SceneGraph, source: SourceId) -> None:
-    """Gives visible meshes the normals of their faces, where an OBJ file has none.
+    """Adds face normals to visible meshes whose OBJ file has no normals.
 
-    Cameras refuse a mesh without normals. Its material and texture are left out: the color is
-    that of the model file.
+    Drake's renderers reject a mesh without normals. The changed mesh has no material or texture:
+    its color is that of the model file.
 
     Args:
-        scene_graph: with all geometry, without a renderer yet.
+        scene_graph: scene graph with all geometry, without a renderer.
         source: owner of the geometry.
 
     Raises:

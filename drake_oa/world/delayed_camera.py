@@ -1,8 +1,7 @@
-"""A depth camera whose images come late, as a real one's, and are rendered meanwhile.
+"""Depth camera with delayed images, which are rendered in the background during the delay.
 
-Rendering, and the noise, run in a thread beside the simulation. Drake's render engines work in
-the thread that made them, and only there: so one thread makes all of them, uses them and ends
-them.
+Rendering and noise run in one thread parallel to the simulation. Drake's render engines work only
+in the thread that created them, so that this thread creates, uses and destroys all engines.
 """
 
 from __future__ import annotations
@@ -32,18 +31,18 @@ from drake_oa.common.ports import valid_period
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import TimedCamera, add_camera
-from drake_oa.world.faults import lasts
+from drake_oa.world.faults import is_active
 
 _T = TypeVar("_T")
 
 Noise = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
-"""Makes a measured image of a true one and its time [s]."""
-_KEPT = 4
-"""Images that are kept for being asked for again."""
+"""Function that returns the measured image for a true image [m] and its time [s]."""
+_CACHE_SIZE = 4
+"""Number of rendered images in the cache of a camera."""
 
 
 class Rendered(NamedTuple):
-    """Depth image and the pose of its camera.
+    """Rendered depth image and the pose of its camera.
 
     Attributes:
         depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing.
@@ -55,12 +54,12 @@ class Rendered(NamedTuple):
 
 
 class _CameraWorld:
-    """Renders the world at one state after another."""
+    """Diagram that renders the scenario's world at given plant states."""
 
     def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
         builder = DiagramBuilder()
         self._sensor = add_camera(builder, scenario, config)
-        # Advancing a diagram does not hold Python's lock, evaluating a port would.
+        # `AdvanceTo` releases Python's global lock while it renders; evaluating a port would not.
         image = ImageDepth32F(config.width, config.height)
         puller = builder.AddNamedSystem("puller", ZeroOrderHold(1.0, Value(image)))
         builder.Connect(self._sensor.depth_image_32F_output_port(), puller.get_input_port())
@@ -70,7 +69,7 @@ class _CameraWorld:
         self._number = 0
 
     def render(self, state: FloatArray) -> Rendered:
-        """The image at a state [q, v]."""
+        """Renders the depth image at a plant state [q, v]."""
         context = self._simulator.get_mutable_context()
         self._diagram.get_input_port().FixValue(context, state)
         if self._number == 0:
@@ -84,53 +83,53 @@ class _CameraWorld:
 
 
 class BackgroundCamera:
-    """One camera of a scenario, rendered in the background.
+    """Camera of a scenario whose images are rendered in the background thread.
 
-    An image is a function of the state and the time that it is asked for, so that asking
-    early, twice or not at all changes nothing but the time it takes.
+    An image is a function of the requested state and time. Early, repeated or missing requests
+    therefore change the wall time only, not the images.
     """
 
     def __init__(
         self, scenario: Scenario, config: CameraConfig, noise: Noise | None = None
     ) -> None:
-        """Builds the world.
+        """Builds the rendered world in the background thread.
 
         Args:
-            scenario: with a robot.
-            config: of the camera.
-            noise: of its images; None: they are ideal.
+            scenario: scenario with a robot.
+            config: configuration of the camera.
+            noise: noise of the images; None: ideal images.
 
         Raises:
-            ScenarioError: if the camera does not fit the world.
+            ScenarioError: if Drake rejects the camera.
         """
         self._scenario, self._config, self._noise = scenario, config, noise
         self._images: OrderedDict[tuple[bytes, float], Future[Rendered]] = OrderedDict()
         self._name = str(next(_numbers))
         _submit(self._world).result()
-        # The engine must end in its own thread as well.
-        weakref.finalize(self, _end, self._name).atexit = False
+        # The render engine must also be destroyed in its thread.
+        weakref.finalize(self, _end_world, self._name).atexit = False
 
     def _world(self) -> _CameraWorld:
-        """Returns the world in the thread that renders; after a release it is made again."""
+        """Returns the rendered world of this thread; builds it again after a release."""
         worlds: dict[str, _CameraWorld] = vars(_worlds)
         if self._name not in worlds:
             worlds[self._name] = _CameraWorld(self._scenario, self._config)
         return worlds[self._name]
 
     def release(self) -> None:
-        """Ends the engine and forgets the images; asked again, the camera begins again.
+        """Destroys the render engine and the cached images; the next request builds it again.
 
-        A diagram of Python systems is never collected, and would keep them for ever.
+        Python never collects a diagram with Python systems, which would hold the engine forever.
         """
-        _end(self._name)
+        _end_world(self._name)
         self._images.clear()
 
-    def ask(self, state: FloatArray, time: float) -> Future[Rendered]:
-        """The image at a state [q, v] of the scenario's plant, when it is ready.
+    def request(self, state: FloatArray, time: float) -> Future[Rendered]:
+        """Requests an image of the scenario; the future holds it once it is rendered.
 
         Args:
-            state: (n,) what it shows.
-            time: when it was taken [s]: of that its noise is a function too.
+            state: (n,) state [q, v] of the scenario's plant.
+            time: capture time of the image, on which its noise depends [s].
         """
         key = (np.ascontiguousarray(state).tobytes(), float(time))
         if key not in self._images:
@@ -141,23 +140,24 @@ class BackgroundCamera:
                 return image._replace(depth=noise(image.depth, time)) if noise else image
 
             self._images[key] = _submit(measure)
-            if len(self._images) > _KEPT:
+            if len(self._images) > _CACHE_SIZE:
                 self._images.popitem(last=False)
         return self._images[key]
 
 
 _numbers = itertools.count()
-_thread = ThreadPoolExecutor(1, "render")
-"""The thread in which all worlds of cameras are made, used and ended."""
+"""Numbers of the background cameras of this process, which name their worlds."""
+_render_thread = ThreadPoolExecutor(1, "render")
+"""Thread that creates, uses and destroys all rendered worlds."""
 _worlds = threading.local()
-"""Worlds of cameras by name, of that thread alone: they end with it, in it."""
+"""Rendered worlds by camera name, local to the render thread so that they are destroyed in it."""
 
 
 def _submit(call: Callable[[], _T]) -> Future[_T]:
-    """Calls a function in the thread that renders."""
+    """Calls a function in the render thread."""
 
     def run() -> _T:
-        # The garbage collector would destroy other threads' render engines in this one.
+        # A garbage collection here would destroy render engines of other threads in this thread.
         collects = gc.isenabled()
         gc.disable()
         try:
@@ -166,26 +166,31 @@ def _submit(call: Callable[[], _T]) -> Future[_T]:
             if collects:
                 gc.enable()
 
-    return _thread.submit(run)
+    return _render_thread.submit(run)
 
 
-def _end(name: str) -> None:
-    """Ends a world; again, it does nothing."""
-    # After the interpreter has ended the thread, there is none.
+def _end_world(name: str) -> None:
+    """Destroys a rendered world, if it exists."""
+    # At the end of the interpreter the thread no longer exists.
     with suppress(RuntimeError):
         _submit(lambda: vars(_worlds).pop(name, None))
 
 
 @dataclass(frozen=True, eq=False)
-class _Taken(Frozen):
-    """When images were taken, and of which state: the one before the last, and the last."""
+class _Captures(Frozen):
+    """Times and plant states of the last two captured images, older one first.
+
+    Attributes:
+        stamp: capture times [s], at most two.
+        state: plant states (n,) at these times.
+    """
 
     stamp: tuple[float, ...] = ()
     state: tuple[FloatArray, ...] = ()
 
 
 class DelayedCamera(TimedCamera):
-    """Takes a depth image every period, and outputs it some time after, or images of the present.
+    """Simulated depth camera that captures an image every period and outputs it after a delay.
 
     .. pydrake_system::
 
@@ -198,18 +203,20 @@ class DelayedCamera(TimedCamera):
       - image_time
       - plant_state
 
-    - plant_state (in): (n,) vector [q, v] of the simulated plant, everything that moves.
-    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf too far; with
-      noise NaN is missing, for whatever reason.
-    - camera_pose: RigidTransform X_WC of the camera when the image was taken.
-    - image_time: (1,) time at which it was taken [s].
-    - plant_state (out): (n,) the state then.
+    - plant_state (in): (n,) state [q, v] of the simulated plant, moving obstacles included.
+    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf too far. With noise,
+      all pixels without a measurement are NaN.
+    - camera_pose: RigidTransform X_WC of the camera at the capture time.
+    - image_time: (1,) capture time of the image [s].
+    - plant_state (out): (n,) state of the plant at the capture time.
 
-    The first image is there at once: a camera runs before the robot does. The Context holds
-    times and states; the image is a function of them, rendered in the background from when it
-    is taken on, with its noise, and waited for where it is asked for before it is ready.
-    During a dropout no image is taken: the last one before it stays, all NaN with the time -inf
-    while there was none.
+    The first image is output without delay, because a camera runs before the robot moves. With a
+    delay of 0, each evaluation renders the present state. The Context holds times and states; the
+    image is a function of them. Its rendering begins at the capture, and an evaluation of the port
+    waits for the end of the rendering.
+
+    During a dropout no image is captured: the outputs keep the previous image. Without a previous
+    image, the depths are NaN and the time is -inf.
     """
 
     def __init__(
@@ -225,66 +232,71 @@ class DelayedCamera(TimedCamera):
         """Declares ports, state and events.
 
         Args:
-            camera: what renders.
-            intrinsics: of its image.
+            camera: camera that renders the images.
+            intrinsics: intrinsics of the images.
             num_states: size n of the plant's state.
-            period: time between images [s].
-            delay: time from taking an image to its coming [s]; 0: each image is of the present.
-            dropouts: when no image is taken.
+            period: time between two captures [s].
+            delay: time from the capture to the output of an image [s]; 0: present images.
+            dropouts: intervals without captures.
 
         Raises:
             ValueError: unless 0 <= delay < period.
         """
-        super().__init__(intrinsics, num_states, _Taken())
+        super().__init__(intrinsics, num_states, _Captures())
         period = valid_period(period)
         if not 0.0 <= delay < period:
             raise ValueError(f"delay must be between 0 and the period {period} s, not {delay}")
         self._camera, self._delay, self._dropouts = camera, delay, tuple(dropouts)
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._take)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._take)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._capture)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._capture)
 
     def release(self) -> None:
-        """See `BackgroundCamera.release`."""
+        """Releases the render engine, see `BackgroundCamera.release`."""
         self._camera.release()
 
-    def ready(self, context: Context) -> bool:
-        """Whether the image that it hands out now is rendered, so that nobody waits for it."""
-        return self._asked(context).done()
+    def is_ready(self, context: Context) -> bool:
+        """Checks whether the present output image is rendered, so that evaluations do not wait."""
+        return self._rendering(context).done()
 
-    def _read(self, context: Context) -> _Taken:
-        taken: _Taken = context.get_abstract_state(self._kept).get_value()
-        return taken
+    def _read(self, context: Context) -> _Captures:
+        """Returns the captures in the abstract state."""
+        captures: _Captures = context.get_abstract_state(self._state_index).get_value()
+        return captures
 
-    def _is_out(self, context: Context) -> bool:
-        return any(lasts(fault, context) for fault in self._dropouts)
+    def _is_dropped_out(self, context: Context) -> bool:
+        """Checks whether a dropout is active."""
+        return any(is_active(fault, context) for fault in self._dropouts)
 
-    def _take(self, context: Context, state: State) -> None:
-        if self._is_out(context):
+    def _capture(self, context: Context, state: State) -> None:
+        """Stores time and state of a new image and starts its rendering, except in a dropout."""
+        if self._is_dropped_out(context):
             return
         before = self._read(context)
         x = np.array(self._state_port.Eval(context))
-        self._camera.ask(x, context.get_time())
-        after = _Taken((*before.stamp[-1:], context.get_time()), (*before.state[-1:], x))
-        state.get_mutable_abstract_state(self._kept).set_value(after)
+        self._camera.request(x, context.get_time())
+        after = _Captures((*before.stamp[-1:], context.get_time()), (*before.state[-1:], x))
+        state.get_mutable_abstract_state(self._state_index).set_value(after)
 
-    def moment(self, context: Context) -> tuple[float, FloatArray]:
-        """Time and state of the image that has come last; -inf: none has come."""
-        taken, now, is_out = self._read(context), context.get_time(), self._is_out(context)
-        if not taken.stamp or (self._delay == 0.0 and not is_out):
+    def capture_state(self, context: Context) -> tuple[float, FloatArray]:
+        """Returns capture time [s] and plant state of the present output image; -inf: no image."""
+        captures, now = self._read(context), context.get_time()
+        is_out = self._is_dropped_out(context)
+        if not captures.stamp or (self._delay == 0.0 and not is_out):
             return -np.inf if is_out else now, self._state_port.Eval(context)
-        arrived = taken.stamp[-1] + self._delay <= now + 1e-9 or len(taken.stamp) == 1
+        arrived = captures.stamp[-1] + self._delay <= now + 1e-9 or len(captures.stamp) == 1
         row = -1 if arrived else 0
-        return taken.stamp[row], taken.state[row]
+        return captures.stamp[row], captures.state[row]
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """The image that has come last, when it is rendered; NaN: none has come."""
-        has_come = self.moment(context)[0] >= 0.0
-        return self._asked(context).result().depth if has_come else np.nan
+        """Returns the present output image, once it is rendered [m]; NaN: no image."""
+        has_come = self.capture_state(context)[0] >= 0.0
+        return self._rendering(context).result().depth if has_come else np.nan
 
     def pose(self, context: Context) -> RigidTransform:
-        """X_WC when it was taken."""
-        return self._asked(context).result().X_WC
+        """Returns the camera pose X_WC at the capture time."""
+        return self._rendering(context).result().X_WC
 
-    def _asked(self, context: Context) -> Future[Rendered]:
-        time, state = self.moment(context)
-        return self._camera.ask(state, max(time, 0.0))
+    def _rendering(self, context: Context) -> Future[Rendered]:
+        """Requests the present output image."""
+        time, state = self.capture_state(context)
+        return self._camera.request(state, max(time, 0.0))

@@ -1,7 +1,7 @@
-"""Depth images as LCM messages, and what receives them.
+"""Packing, unpacking and receiving of depth images as LCM messages.
 
-Drake's `LcmImageArrayToImages` copies only a part of an uncompressed image (Drake 1.51: half of
-16 bit, a quarter of 32 bit), so that they are unpacked here.
+Drake's `LcmImageArrayToImages` copies only a part of an uncompressed image (Drake 1.51: half of a
+16-bit, a quarter of a 32-bit image). This module unpacks images completely.
 """
 
 from __future__ import annotations
@@ -19,25 +19,29 @@ from pydrake.lcm import DrakeLcm
 from drake_oa.common.config import field_errors
 
 CHANNEL = "DRAKE_RGBD_CAMERA_IMAGES_{}"
-"""Of a camera's images."""
+"""LCM channel of the images of a camera, by its name."""
 
 _MILLIMETER = 1e-3
+"""Unit of 16-bit depths in messages [m]."""
 _MICROSECOND = 1e-6
+"""Unit of times in messages [s]."""
 _FAR = 65535
+"""16-bit depth of pixels that are too far [mm]."""
 _TYPES: dict[int, np.dtype[Any]] = {
     lcmt_image.CHANNEL_TYPE_UINT16: np.dtype(np.uint16),
     lcmt_image.CHANNEL_TYPE_FLOAT32: np.dtype(np.float32),
 }
+"""Types of depths in messages, by LCM channel type."""
 
 
 def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_image_array:
-    """A depth image in millimeters, compressed by zlib.
+    """Packs a depth image as a message in millimeters, compressed by zlib.
 
     Args:
-        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing. The
-            message has 0 for both the first and the last.
-        camera: name of the frame.
-        utime: when it was taken, by the wall clock [us].
+        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing. In the
+            message, too near and missing pixels are 0.
+        camera: name of the camera's frame.
+        utime: capture time by the wall clock [us].
     """
     near = np.nan_to_num(depth, nan=0.0, posinf=_FAR * _MILLIMETER)
     values = np.clip(np.rint(near / _MILLIMETER), 0, _FAR).astype("<u2")
@@ -58,11 +62,11 @@ def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_i
 
 
 class Frame(NamedTuple):
-    """Depth image of a camera.
+    """Received depth image of a camera.
 
     Attributes:
         depth: (H, W) along the optical axis [m]; inf is too far, NaN missing.
-        stamp: time at which it was taken, by the wall clock [s].
+        stamp: capture time by the wall clock [s].
     """
 
     depth: NDArray[np.float32]
@@ -70,14 +74,14 @@ class Frame(NamedTuple):
 
 
 def unpack_depth(message: lcmt_image_array) -> Frame:
-    """Reads the depth image of a message, zlib or uncompressed, 16U [mm] or 32F [m].
+    """Unpacks the depth image of a message, zlib or uncompressed, 16U [mm] or 32F [m].
 
     Raises:
-        ValueError: if it holds no depth image, or one that cannot be unpacked.
+        ValueError: if the message does not hold exactly one valid depth image.
     """
     depths = [i for i in message.images if i.pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH]
     if len(depths) != 1:
-        raise ValueError(f"message of {len(depths)} depth images; it must hold one")
+        raise ValueError(f"message with {len(depths)} depth images; it must hold exactly one")
     (image,) = depths
     data = bytes(image.data)
     try:
@@ -87,8 +91,8 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
         values = values.reshape(image.height, image.width)
     except (KeyError, ValueError, zlib.error) as error:
         raise ValueError(
-            f"depth image cannot be unpacked, must be {image.width} x {image.height} of 16U or "
-            f"32F, zlib or uncompressed: {error}"
+            f"depth image cannot be unpacked; it must have {image.width} x {image.height} pixels "
+            f"of 16U or 32F, zlib or uncompressed: {error}"
         ) from None
     depth = values.astype(np.float32)
     if values.dtype == np.uint16:
@@ -99,13 +103,14 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
 
 
 _buses: weakref.WeakValueDictionary[str, DrakeLcm] = weakref.WeakValueDictionary()
+"""Open LCM buses of this process, by URL."""
 
 
 def lcm_bus(url: str) -> DrakeLcm:
-    """Returns the bus of a URL; while it is in use, all cameras of this process share it.
+    """Returns the LCM bus of a URL, shared by all cameras of this process.
 
     Raises:
-        RuntimeError: from Drake, for a URL that it cannot open.
+        RuntimeError: from Drake, for a URL that cannot be opened.
     """
     bus = _buses.get(url)
     if bus is None:
@@ -114,18 +119,18 @@ def lcm_bus(url: str) -> DrakeLcm:
 
 
 class LcmFrames:
-    """A camera's images as they come by LCM.
+    """Receiver of a camera's depth images on an LCM channel.
 
     Attributes:
-        name: channel and URL.
+        name: channel and URL, for messages to the user.
     """
 
     def __init__(self, url: str, camera: str) -> None:
-        """Subscribes.
+        """Subscribes to the camera's channel.
 
         Args:
-            url: of the LCM bus.
-            camera: name of the camera, which the channel ends with.
+            url: URL of the LCM bus.
+            camera: name of the camera, which is the end of the channel's name.
 
         Raises:
             ScenarioError: for a URL that cannot be opened.
@@ -133,12 +138,12 @@ class LcmFrames:
         self._url, self._channel = url, CHANNEL.format(camera)
         self.name = f"LCM channel {self._channel} at {url}"
         self._bus: DrakeLcm | None = None
-        # Drake forbids a handler to raise: images are decoded when they are read.
+        # LCM handlers must not raise: `latest` decodes the images.
         self._received: deque[bytes] = deque(maxlen=1)
         self.open()
 
     def open(self) -> None:
-        """Subscribes again, where it was closed.
+        """Subscribes to the channel, unless the receiver is open.
 
         Raises:
             ScenarioError: for a URL that cannot be opened.
@@ -153,7 +158,7 @@ class LcmFrames:
         self._received.clear()
 
     def latest(self) -> Frame | None:
-        """Returns the newest image since the last call; None: none has come.
+        """Returns the newest image received since the last call; None without a new image.
 
         Raises:
             ValueError: for a message that cannot be read.
@@ -163,15 +168,16 @@ class LcmFrames:
             return None
         try:
             message = lcmt_image_array.decode(self._received.pop())
-        except Exception as error:  # The kind of exception depends on the damage.
+        except Exception as error:  # Invalid data raise exceptions of several types.
             raise ValueError(f"message is no lcmt_image_array: {error}") from None
         return unpack_depth(message)
 
     def close(self) -> None:
-        """Releases the bus, without its last image."""
+        """Releases the bus and discards the last image."""
         self._bus = None
         self._received.clear()
 
     def _receive(self) -> None:
+        """Handles all pending messages of the bus."""
         while self._bus is not None and self._bus.HandleSubscriptions(0):
             pass

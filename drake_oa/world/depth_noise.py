@@ -1,4 +1,4 @@
-"""Noise of structured-light depth cameras (Kinect, Xtion) on true depth images.
+"""Noise model of structured-light depth cameras (Kinect, Xtion), applied to true depth images.
 
 Sources of the model and its values:
 
@@ -33,40 +33,42 @@ _AXIAL_ANGLE = 0.0001
 """Growth of the standard deviation with the angle of incidence (Nguyen et al.) [m^1.5]."""
 _LATERAL = 0.8
 """Standard deviation of the position of a depth edge in the image (Nguyen et al., at normal
-incidence; its growth with the angle, below 0.1 up to 65 deg, is neglected) [pixel]. It acts on
-edges only; on a plane it is part of the deviation of depth."""
+incidence; its growth with the angle, below 0.1 up to 65 deg, is neglected) [pixel]. It is applied
+at edges only; on a plane the axial deviation includes it."""
 _BASELINE = 0.075
 """Distance from the camera to the projector on its right (Khoshelham and Oude Elberink) [m]."""
 _SUBPIXELS = 8.0
-"""Disparity steps of one pixel (Khoshelham and Oude Elberink) [1/pixel]. A step is
-z^2 / (8 f baseline) of depth, 2.9 mm at 1 m with f = 577 pixels."""
+"""Disparity steps per pixel (Khoshelham and Oude Elberink) [1/pixel]. A step changes the depth by
+z^2 / (8 f baseline), 2.9 mm at 1 m with f = 577 pixels."""
 _UNIT = 0.001
 """Resolution of the depth values of the driver (OpenNI) [m]."""
 _NEAR = 0.5
-"""Depth below which pixels are missing, that of the closest points of the real scans [m]."""
+"""Depth below which pixels are missing: minimum depth in the real scans [m]."""
 _FAR = 5.0
 """Depth above which pixels are missing (Khoshelham and Oude Elberink) [m]."""
 _GRAZING_START = math.radians(70.0)
 """Angle of incidence above which some pixels are missing [rad]."""
 _GRAZING_END = math.radians(80.0)
-"""Angle of incidence above which all pixels are missing (Nguyen et al. end at 80 deg) [rad]."""
+"""Angle of incidence above which all pixels are missing (upper limit of Nguyen et al.) [rad]."""
 _EDGE_JUMP = 0.02
-"""Relative difference in depth of neighboring pixels at an edge; that of a plane at 85 deg [1]."""
+"""Minimum relative depth difference of neighboring pixels at an edge; that of a plane at 85 deg
+[1]."""
 _EDGE_DROPOUT = 0.2
-"""Fraction of the pixels at an edge that are missing, in patches, as in the real scans [1]."""
+"""Fraction of edge pixels that are missing, in patches, as in the real scans [1]."""
 _FLYING = 0.1
-"""Fraction of the pixels at an edge with a depth between both, as in the real scans [1]."""
+"""Fraction of edge pixels with a depth between both surfaces, as in the real scans [1]."""
 _SMOOTH = 3, 5
 """Correlation lengths of the depth noise along columns and rows [pixel]. The residuals of the real
 scans, after subtraction of their mean over 21 x 21 pixels, are correlated along a row by 0.72 at
 one pixel, 0.38 at four and 0.08 at eight; along a column by 0.57 at one, 0.12 at three and -0.02 at
 four."""
 _PATCH = 4
-"""Side of the patches of pixels whose edges move, and are missing, together [pixel]."""
+"""Side of the square patches with common edge displacement and common missing pixels [pixel]."""
 _BAND = 2
-"""Maximum distance by which an edge moves along each axis [pixel]."""
+"""Maximum displacement of an edge along each axis [pixel]."""
 
 _Image = NDArray[np.float32]
+"""Type of an image (H, W)."""
 
 
 def add_depth_noise(
@@ -76,22 +78,22 @@ def add_depth_noise(
     K: Iterable[float],
     seed: int = 0,
 ) -> _Image:
-    """Returns the depth image that a structured-light camera would have measured.
+    """Returns the depth image that a structured-light camera would measure.
 
     The standard deviation of the depth z at angle of incidence theta (measured up to 80 deg) is
 
         _AXIAL_OFFSET + _AXIAL_GROWTH (z - _AXIAL_DEPTH)^2
         + _AXIAL_ANGLE / sqrt(z) (theta / (pi/2 - theta))^2
 
-    The result depends on the arguments only: the same seed, time and image have the same
-    noise; other times have independent noise.
+    The noise depends on the arguments only: the same seed, time and image have the same noise;
+    different times have independent noise.
 
     Args:
         depth: (H, W) true depth along the optical axis [m]; 0 is too near, inf too far,
             NaN missing.
-        time: time of the image, counted in whole microseconds [s].
+        time: time of the image, rounded to microseconds [s].
         K: (4,) fx, fy, cx, cy [pixel].
-        seed: integer >= 0.
+        seed: seed of the noise, an integer >= 0.
 
     Returns:
         (H, W) measured depth [m]; NaN is missing.
@@ -101,11 +103,11 @@ def add_depth_noise(
     depth = np.asarray(depth, dtype=np.float32)
     row, column = (np.arange(count, dtype=np.float32) for count in depth.shape)
     row = row[:, None]
-    # Pixels closer than `_NEAR` are missing, too, but still cast a shadow.
+    # Pixels closer than `_NEAR` are missing, too, but still occlude the projector.
     w = np.where(depth <= _FAR, 1.0 / np.maximum(depth, _NEAR), 0.0).astype(np.float32)
     valid = (depth >= _NEAR) & (depth <= _FAR)
-    # From the right, points are further and further left in the image of the projector on
-    # the right; otherwise a nearer surface intercepts its light.
+    # The projector is on the right of the camera. Along a row from right to left, the projector
+    # lights a point only if the point is left of all previous ones in the projector's image.
     position = column - fx * _BASELINE * w
     valid &= position <= np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
     (slope_x, jump_x), (slope_y, jump_y) = _differences(w, 1), _differences(w, 0)
@@ -114,7 +116,7 @@ def add_depth_noise(
     normal = fx * slope_x, fy * slope_y, w - fx * slope_x * x - fy * slope_y * y
     length = sum(part * part for part in normal) * (1.0 + x * x + y * y)
     theta = np.arccos(np.clip(w / np.sqrt(length + 1e-20), 0.02, 1.0))
-    # Pixels of grazing incidence are lost in squares of two by two.
+    # Pixels at grazing incidence are missing in patches of two by two pixels.
     lost = _patches(rng.random, depth.shape, 2) * (_GRAZING_END - _GRAZING_START)
     valid &= (theta <= _GRAZING_START) | (theta < _GRAZING_START + lost)
 
@@ -150,19 +152,34 @@ def add_depth_noise(
 
 
 def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
-    """Returns the smaller difference between neighbors, and that to the most different neighbor."""
+    """Computes the slope of an image along an axis, and its largest jump to a neighbor.
+
+    Args:
+        w: (H, W) image.
+        axis: axis of the image.
+
+    Returns:
+        (H, W) smaller one of the differences to the two neighbors, as in the direction of the
+        axis; (H, W) difference from the pixel to the more different neighbor.
+    """
     change = np.diff(w, axis=axis)
     before, after = (
         np.pad(change, [side if k == axis else (0, 0) for k in range(2)], "edge")
         for side in ((1, 0), (0, 1))
     )
-    # The smaller one is not across an edge. A product is quicker than a choice by pixel.
+    # The smaller difference is not across an edge. A product is faster than `np.where`.
     smaller = np.abs(before) < np.abs(after)
     return after + smaller * (before - after), smaller * (before + after) - before
 
 
 def _patches(draw: Any, shape: tuple[int, ...], size: int) -> _Image:
-    """Returns random numbers (H, W), one for each square of so many pixels."""
+    """Draws random numbers (H, W) that are constant in square patches.
+
+    Args:
+        draw: function that draws numbers of a given shape and type.
+        shape: shape (H, W) of the image.
+        size: side of the patches [pixel].
+    """
     count = [side // size + 1 for side in shape]
     drawn = draw(count, dtype=np.float32).repeat(size, axis=0).repeat(size, axis=1)
     return np.asarray(drawn[: shape[0], : shape[1]])

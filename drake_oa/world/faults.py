@@ -1,8 +1,8 @@
-"""Faults of a scenario as systems: of the actuators, and pushes from outside.
+"""Systems of the scenario's faults: weak actuators, and external pushes.
 
     faults: [!CameraDropout {start: 1.0, duration: 0.5}, !TorqueSaturation {start: 2.0}]
 
-A fault lasts for start <= t < start + duration. `CameraDropout` is one of `DelayedCamera`.
+A fault is active for start <= t < start + duration. `DelayedCamera` simulates `CameraDropout`.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _TIME_TOLERANCE = 1e-6
 """Rounding error of a time [s]."""
 
 
-def lasts(fault: CameraDropout | Push | TorqueSaturation, context: Context) -> bool:
-    """Checks whether a fault lasts at the time of a Context."""
+def is_active(fault: CameraDropout | Push | TorqueSaturation, context: Context) -> bool:
+    """Checks whether a fault is active at the time of a Context."""
     return 0.0 <= context.get_time() + _TIME_TOLERANCE - fault.start < fault.duration
 
 
 class ExternalPush(LeafSystem):
-    """Applies the wrenches of pushes to bodies of a plant.
+    """System that applies the wrenches of pushes to bodies of a plant.
 
     .. pydrake_system::
 
@@ -38,8 +38,8 @@ class ExternalPush(LeafSystem):
       output_ports:
       - spatial_forces
 
-    - spatial_forces: abstract list of `ExternallyAppliedSpatialForce`, one a push, at the
-      origin of its body, in the world frame [N, N m]; zero before and after it. For the port
+    - spatial_forces: abstract list of one `ExternallyAppliedSpatialForce` per push, at the origin
+      of the body, in the world frame [N, N m]; zero before and after the push. For the port
       `applied_spatial_force` of a `MultibodyPlant`.
     """
 
@@ -47,7 +47,7 @@ class ExternalPush(LeafSystem):
         """Declares the port.
 
         Args:
-            pushes: each with the body that it acts on.
+            pushes: pushes, each with the index of its body.
         """
         super().__init__()
         self._pushes = tuple(pushes)
@@ -61,7 +61,7 @@ class ExternalPush(LeafSystem):
     def _calc(self, context: Context, output: AbstractValue) -> None:
         forces = []
         for push, body in self._pushes:
-            scale = float(lasts(push, context))
+            scale = float(is_active(push, context))
             applied = ExternallyAppliedSpatialForce()
             applied.body_index = body
             applied.p_BoBq_B = np.zeros(3)
@@ -73,7 +73,7 @@ class ExternalPush(LeafSystem):
 
 
 class WeakActuators(LeafSystem):
-    """Cuts the actuation off at shrunken effort limits while a fault says so.
+    """System that limits the actuation to reduced effort limits while a fault is active.
 
     .. pydrake_system::
 
@@ -83,17 +83,17 @@ class WeakActuators(LeafSystem):
       output_ports:
       - actuation
 
-    - actuation (in): (n,) what the controller asks for [N m, N].
-    - actuation (out): (n,) what the actuators give: not more than `scale` of the effort
-      limits while a `TorqueSaturation` lasts, else all of it.
+    - actuation (in): (n,) efforts commanded by the controller [N m, N].
+    - actuation (out): (n,) efforts of the actuators [N m, N]: clipped to `scale` times the effort
+      limits while a `TorqueSaturation` is active, otherwise the commanded efforts.
     """
 
     def __init__(self, faults: Sequence[TorqueSaturation], effort_limits: FloatArray) -> None:
         """Declares the ports.
 
         Args:
-            faults: times and remaining shares of the effort limits.
-            effort_limits: (n,) of the actuators, in the plant's order [N m, N].
+            faults: times and remaining fractions of the effort limits.
+            effort_limits: (n,) effort limits of the actuators, in the plant's order [N m, N].
         """
         super().__init__()
         self._faults, self._limits = tuple(faults), effort_limits
@@ -106,6 +106,6 @@ class WeakActuators(LeafSystem):
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        scales = [fault.scale for fault in self._faults if lasts(fault, context)]
+        scales = [fault.scale for fault in self._faults if is_active(fault, context)]
         limit = min(scales, default=np.inf) * self._limits
         output.SetFromVector(np.clip(self._requested.Eval(context), -limit, limit))

@@ -1,6 +1,6 @@
-"""Depth cameras outside the simulation: images of a device or another process, as they come.
+"""Depth cameras outside the simulation: images of a device or another process, as received.
 
-Their stamps are of the wall clock; what stands behind works by the time of its Context.
+Images are stamped by the wall clock. `LiveCamera` converts the stamps to times of its Context.
 """
 
 from __future__ import annotations
@@ -25,36 +25,42 @@ from drake_oa.perception.depth_perception import log_change
 from drake_oa.world.cameras import TimedCamera
 from drake_oa.world.depth_messages import Frame, LcmFrames
 
-_REMEMBERED = 0.5
-"""How far back states are known, at least [s] of the wall clock."""
+_STATE_HISTORY = 0.5
+"""Minimum duration of the history of plant states, by the wall clock [s]."""
 _MAX_AHEAD = 0.01
 """Maximum time by which the stamp of an image may be ahead of the wall clock [s]."""
-_POLL = 0.005
+_POLL_PERIOD = 0.005
 """Time between two checks for a new image [s]."""
-_PAUSE = 0.002
-"""Between two looks for the first image [s]."""
+_WAIT_PERIOD = 0.002
+"""Time between two checks for the first image [s]."""
 
 
 @dataclass(frozen=True)
-class Outside:
-    """What cameras outside the simulation go by.
+class ExternalInputs:
+    """Plant state and clocks of cameras outside the simulation.
 
     Attributes:
-        plant_state: port of [q, v] of the plant as it is measured; None: the simulated one's.
-        to_simulated: the simulated time at a time of the wall clock just now [s]; None: by where
-            the simulation was ahead of it most of late.
-        clock: the wall clock [s].
-        wait: called again and again while the first image is waited for.
+        plant_state: port of the measured plant state [q, v]; None: the simulated state.
+        to_simulated: function from a recent time of the wall clock to simulated time [s]; None: the
+            camera estimates the offset of the clocks, see `LiveCamera`.
+        clock: function that returns the time of the wall clock [s].
+        wait: function called repeatedly while the camera waits for its first image.
     """
 
     plant_state: OutputPort | None = None
     to_simulated: Callable[[float], float] | None = None
     clock: Callable[[], float] = time.time
-    wait: Callable[[], None] = lambda: time.sleep(_PAUSE)
+    wait: Callable[[], None] = lambda: time.sleep(_WAIT_PERIOD)
 
 
 class _Instant(NamedTuple):
-    """The state (n,) at a moment of both clocks [s]."""
+    """Plant state at one instant of both clocks.
+
+    Attributes:
+        wall: time of the wall clock [s].
+        time: time of the Context [s].
+        plant_state: (n,) state [q, v].
+    """
 
     wall: float
     time: float
@@ -62,16 +68,16 @@ class _Instant(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen(Frozen):
-    """The last image that fits, and what was the case until now.
+class _LiveState(Frozen):
+    """Last valid image, and recent plant states: the abstract state of a `LiveCamera`.
 
     Attributes:
-        depth: (H, W) [m]; None: there was none.
-        stamp: when it was taken, by the wall clock [s].
-        time: the same by the Context's [s].
-        plant_state: (n,) the state then.
-        note: empty, or why the image that came last was passed over.
-        past: moments until now.
+        depth: (H, W) depths [m]; None before the first image.
+        stamp: capture time by the wall clock [s].
+        time: capture time by the clock of the Context [s].
+        plant_state: (n,) plant state at the capture time.
+        note: reason for the rejection of the last received image; empty if it is valid.
+        history: recent plant states, oldest first.
     """
 
     depth: NDArray[np.float32] | None = None
@@ -79,11 +85,11 @@ class _Seen(Frozen):
     time: float = -math.inf
     plant_state: FloatArray = zeros(0)
     note: str = ""
-    past: tuple[_Instant, ...] = ()
+    history: tuple[_Instant, ...] = ()
 
 
 class LiveCamera(TimedCamera):
-    """Hands out the images of a depth camera that stands still outside the simulation.
+    """System that outputs the images of a depth camera at a fixed pose outside the simulation.
 
     .. pydrake_system::
 
@@ -96,20 +102,21 @@ class LiveCamera(TimedCamera):
       - image_time
       - plant_state
 
-    - plant_state (in): (n,) vector [q, v] of the plant as it is now, measured or simulated.
+    - plant_state (in): (n,) present state [q, v] of the plant, measured or simulated.
     - depth_image: ImageDepth32F along the optical axis [m]; inf is too far, NaN missing; all NaN
       before the first image.
     - camera_pose: RigidTransform X_WC, constant.
-    - image_time: (1,) when the image was taken, by the Context's clock [s]; -inf before the
-      first. It never goes back, and is never later than when the image came.
-    - plant_state (out): (n,) the state then, between the two that were known about that moment.
+    - image_time: (1,) capture time of the image by the clock of the Context [s]; -inf before the
+      first image. It never decreases, and is never later than the reception of the image.
+    - plant_state (out): (n,) state at the capture time, interpolated between recent states.
 
-    At initialization, or where it is read before, the source is opened and the first image waited
-    for; every 5 ms the newest
-    one is taken into the Context. The wall clock is set against the Context's by where the Context
-    was ahead most of late, if nothing better is known: a simulator that keeps real time falls
-    behind for moments, in which images go on to be taken. An image that does not fit is passed
-    over, and logged when that begins and ends.
+    At initialization, or at an earlier evaluation, the camera opens its source and waits for the
+    first image. Every 5 ms it stores the newest image in the Context. An invalid image is rejected;
+    the first and last rejection of a series are logged.
+
+    Without `ExternalInputs.to_simulated`, the capture time is the wall clock's stamp plus the
+    largest recent difference between the Context's time and the wall clock. The largest one counts
+    because a simulator at real time may fall behind for some time, while the camera continues.
     """
 
     def __init__(
@@ -121,165 +128,178 @@ class LiveCamera(TimedCamera):
         num_states: int,
         wait: float = 0.0,
         max_age: float = 0.2,
-        outside: Outside | None = None,
+        external: ExternalInputs | None = None,
     ) -> None:
         """Declares ports, state and events.
 
         Args:
-            source: of the images.
-            intrinsics: of the camera; images of another size are passed over.
-            X_WC: where it stands.
+            source: receiver of the images.
+            intrinsics: intrinsics of the camera; images of another size are rejected.
+            X_WC: pose of the camera.
             num_states: size n of the plant's state.
-            wait: how long the first image is waited for [s]; 0: not at all.
-            max_age: age at which an image that comes is passed over [s] of the wall clock.
-            outside: the clocks; None: `Outside()`. Its `plant_state` is not read here.
+            wait: maximum time to wait for the first image [s]; 0: no waiting.
+            max_age: maximum age of a valid image at its reception, by the wall clock [s].
+            external: clocks; None: `ExternalInputs()`. Its `plant_state` is not used here.
         """
-        super().__init__(intrinsics, num_states, _Seen())
-        outside = outside or Outside()
-        self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), outside.clock
+        super().__init__(intrinsics, num_states, _LiveState())
+        external = external or ExternalInputs()
+        self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), external.clock
         self._wait, self._max_age = wait, max_age
-        self._to_simulated, self._pause = outside.to_simulated, outside.wait
-        self._first: _Seen | None = None
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(_POLL, _POLL, self._poll)
+        self._to_simulated, self._pause = external.to_simulated, external.wait
+        self._initial: _LiveState | None = None
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(_POLL_PERIOD, _POLL_PERIOD, self._poll)
 
     def release(self) -> None:
         """Closes the source; the next initialization opens it again."""
         self._source.close()
-        self._first = None
+        self._initial = None
 
-    def _read(self, context: Context) -> _Seen:
-        """What is seen; before the Context's initialization, what it will begin with.
+    def _read(self, context: Context) -> _LiveState:
+        """Returns the state of the Context; before its initialization, the initial state.
 
-        Events of an initialization all see the Context of before it.
+        All events of an initialization read the Context from before it.
         """
-        seen: _Seen = context.get_abstract_state(self._kept).get_value()
-        if not seen.past:
-            seen = self._first = self._first or self._begun(context, seen)
-        return seen
+        latest: _LiveState = context.get_abstract_state(self._state_index).get_value()
+        if not latest.history:
+            latest = self._initial = self._initial or self._wait_for_first(context, latest)
+        return latest
 
-    def _begin(self, context: Context, state: State) -> None:
+    def _initialize(self, context: Context, state: State) -> None:
+        """Stores the first image."""
         self._source.open()
-        state.get_mutable_abstract_state(self._kept).set_value(self._read(context))
+        state.get_mutable_abstract_state(self._state_index).set_value(self._read(context))
 
-    def _begun(self, context: Context, seen: _Seen) -> _Seen:
+    def _wait_for_first(self, context: Context, latest: _LiveState) -> _LiveState:
         """Opens the source and waits for the first image."""
         self._source.open()
-        begun = time.monotonic()
-        # The Context's clock stands still meanwhile: nothing of before counts.
-        seen = self._looked(context, replace(seen, past=()), after=-math.inf)
-        while seen.depth is None and time.monotonic() - begun < self._wait:
+        started = time.monotonic()
+        # The time of the Context is constant while the camera waits: earlier states are discarded.
+        latest = self._check_source(context, replace(latest, history=()), last_check=-math.inf)
+        while latest.depth is None and time.monotonic() - started < self._wait:
             self._pause()
-            seen = self._looked(context, replace(seen, past=()))
-        if seen.depth is None and self._wait > 0.0:
-            why = f": {seen.note}" if seen.note else ""
+            latest = self._check_source(context, replace(latest, history=()))
+        if latest.depth is None and self._wait > 0.0:
+            why = f": {latest.note}" if latest.note else ""
             raise ScenarioError(
-                f"{self.get_name()}: no image came within {self._wait:g} s from "
+                f"{self.get_name()}: no image received within {self._wait:g} s from "
                 f"{self._source.name}{why}"
             )
-        return seen
+        return latest
 
     def _poll(self, context: Context, state: State) -> None:
-        seen = self._looked(context, self._read(context))
-        state.get_mutable_abstract_state(self._kept).set_value(seen)
-        self._first = None
+        """Stores the newest image."""
+        latest = self._check_source(context, self._read(context))
+        state.get_mutable_abstract_state(self._state_index).set_value(latest)
+        self._initial = None
 
-    def _looked(self, context: Context, seen: _Seen, after: float | None = None) -> _Seen:
-        """What is seen after a look at what has come.
+    def _check_source(
+        self, context: Context, latest: _LiveState, last_check: float | None = None
+    ) -> _LiveState:
+        """Returns the state after a check for a new image.
 
-        Nobody looked since `after` by the wall clock [s]; None: since the look before. Of what
-        came meanwhile the bus may keep the oldest: that it is old is no fault.
+        The bus may hold an image that was received after the last check but before this one. Such
+        an image is ignored if it is too old, not rejected, as its age is no fault of the camera.
+
+        Args:
+            context: present Context.
+            latest: state before the check.
+            last_check: time of the last check by the wall clock [s]; None: from the history.
         """
-        frame, note = None, seen.note
+        frame, note = None, latest.note
         try:
             frame = self._source.latest()
         except ValueError as error:
             note = str(error)
-        # After the image has come: it is not of the future.
-        now, at = self._clock(), context.get_time()
-        begin = now - max(self._max_age, _REMEMBERED)
-        kept = [instant for instant in seen.past if begin <= instant.wall <= now]
-        past = (*kept, _Instant(now, at, np.array(self._state_port.Eval(context))))
-        if after is None:
-            after = seen.past[-1].wall if seen.past else now
-        if frame is not None and after - self._max_age <= frame.stamp < now - self._max_age:
+        # The clock is read after the reception, so that the image is not from the future.
+        now, context_time = self._clock(), context.get_time()
+        begin = now - max(self._max_age, _STATE_HISTORY)
+        recent = [instant for instant in latest.history if begin <= instant.wall <= now]
+        history = (*recent, _Instant(now, context_time, np.array(self._state_port.Eval(context))))
+        if last_check is None:
+            last_check = latest.history[-1].wall if latest.history else now
+        if frame is not None and last_check - self._max_age <= frame.stamp < now - self._max_age:
             frame = None
         if frame is not None:
-            note = self._misfit(frame, now)
-        log_change(self, seen.note, note, at)
-        seen = replace(seen, note=note, past=past)
-        if frame is None or note or frame.stamp <= seen.stamp:
-            return seen
+            note = self._rejection_reason(frame, now)
+        log_change(self, latest.note, note, context_time)
+        latest = replace(latest, note=note, history=history)
+        if frame is None or note or frame.stamp <= latest.stamp:
+            return latest
         if self._to_simulated is not None:
-            taken = self._to_simulated(frame.stamp)
+            captured_at = self._to_simulated(frame.stamp)
         else:
-            taken = max(one.time - one.wall for one in past) + frame.stamp
-        taken = min(taken, at)
+            captured_at = max(one.time - one.wall for one in history) + frame.stamp
+        captured_at = min(captured_at, context_time)
         return replace(
-            seen,
+            latest,
             depth=frame.depth,
             stamp=frame.stamp,
-            time=max(seen.time, taken),
-            plant_state=_state_at(past, frame.stamp),
+            time=max(latest.time, captured_at),
+            plant_state=_state_at(history, frame.stamp),
         )
 
-    def _misfit(self, frame: Frame, now: float) -> str:
-        """Why an image does not fit; empty: it does."""
+    def _rejection_reason(self, frame: Frame, now: float) -> str:
+        """Returns the reason to reject an image; empty if it is valid."""
         width, height = self._intrinsics.width(), self._intrinsics.height()
         rows, columns = frame.depth.shape
         if (columns, rows) != (width, height):
             return f"image of {columns} x {rows} pixels, the scenario has {width} x {height}"
         if frame.stamp < now - self._max_age:
             return (
-                f"images are more than {self._max_age:g} s old by this clock when they come: are "
-                "both clocks set alike?"
+                f"images are more than {self._max_age:g} s old when they are received: synchronize "
+                "the clocks of both computers"
             )
         if not frame.stamp <= now + _MAX_AHEAD:
-            return f"image's stamp is more than {_MAX_AHEAD:g} s ahead of the clock here"
+            return f"image's stamp is more than {_MAX_AHEAD:g} s ahead of this computer's clock"
         return ""
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """The newest image; NaN before the first."""
+        """Returns the newest image [m]; NaN before the first."""
         depth = self._read(context).depth
         return np.nan if depth is None else depth
 
     def pose(self, context: Context) -> RigidTransform:
-        """X_WC, which stays."""
+        """Returns the constant camera pose X_WC."""
         return self._X_WC
 
-    def moment(self, context: Context) -> tuple[float, FloatArray]:
-        """Time of the newest image, and the state then; of before the first, the present state."""
-        seen = self._read(context)
-        return seen.time, seen.past[-1].plant_state if seen.depth is None else seen.plant_state
+    def capture_state(self, context: Context) -> tuple[float, FloatArray]:
+        """Returns capture time [s] and plant state of the newest image.
+
+        Before the first image, the time is -inf and the state is the present one.
+        """
+        latest = self._read(context)
+        present = latest.history[-1].plant_state
+        return latest.time, present if latest.depth is None else latest.plant_state
 
 
-def _state_at(past: tuple[_Instant, ...], stamp: float) -> FloatArray:
-    """(n,) the state at a moment of the wall clock [s]; outside the past, the nearest known."""
-    walls = [instant.wall for instant in past]
-    states = np.transpose([instant.plant_state for instant in past])
+def _state_at(history: tuple[_Instant, ...], stamp: float) -> FloatArray:
+    """Interpolates the plant state (n,) at a time of the wall clock [s]; constant at the ends."""
+    walls = [instant.wall for instant in history]
+    states = np.transpose([instant.plant_state for instant in history])
     return np.array([np.interp(stamp, walls, values) for values in states])
 
 
-def standing_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
-    """X_WC of the depth image of a camera that stands still.
+def fixed_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
+    """Returns the pose X_WC of the depth image of a camera at a fixed pose.
 
     Args:
-        plant: the world, finalized.
-        config: of the camera.
+        plant: finalized plant of the world.
+        config: configuration of the camera.
 
     Raises:
-        ScenarioError: if it stands on something that moves, or at random.
+        ScenarioError: if the base frame can move, or the pose is random.
     """
     where, base = f"cameras: camera '{config.name}': X_PB", config.X_PB.base_frame
     with field_errors(f"{where}.base_frame", RuntimeError):
         frame = GetScopedFrameByName(plant, base) if base else plant.world_frame()
     if not plant.IsAnchored(frame.body()):
         raise ScenarioError(
-            f"{where}.base_frame: '{base}' moves; a camera outside the simulation must stand "
-            "still: give a frame that is welded to the world"
+            f"{where}.base_frame: '{base}' moves; a camera outside the simulation must have a "
+            "fixed pose: use a frame that is welded to the world"
         )
     if not config.X_PB.IsDeterministic():
-        raise ScenarioError(f"{where}: is random; it must be the one pose the camera has")
+        raise ScenarioError(f"{where}: is random; it must be the fixed pose of the camera")
     X_WP = frame.CalcPoseInWorld(plant.CreateDefaultContext())
     _, depth = config.MakeCameras()
     X_PB: RigidTransform = config.X_PB.GetDeterministicValue()

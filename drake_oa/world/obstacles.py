@@ -1,9 +1,9 @@
-"""Obstacles written in a scenario: they stand, or move on a course, appear and vanish.
+"""Obstacles of primitive shapes: welded to the world, or moved along a trajectory.
 
-One that moves hangs on three slides along the world's axes. The force on each brings it, within
-one step of the plant, to where its course is then: it pushes what it meets, and is pushed off
-its course only by what a step's contact forces can do. While it is absent it waits high above
-the world, from where it comes, and to where it goes, in one step: it is nowhere between.
+A moving obstacle has three prismatic joints along the world's axes. The force of each joint moves
+the obstacle to its trajectory within one step of the plant. It pushes objects in its way, and
+contact forces of one step are its only deviation. An absent obstacle is `ABSENT_HEIGHT` above its
+position; it appears and vanishes in one step, without intermediate positions.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 
 
-def hang_on_slides(
+def add_prismatic_joints(
     plant: MultibodyPlant, body: RigidBody, X_WO: RigidTransform, offset: Sequence[float]
 ) -> None:
-    """Joins an obstacle to the world by actuated slides along the world's axes.
+    """Joins an obstacle to the world by actuated prismatic joints along the world's axes.
 
-    Gravity does not act on it. The positions of its model instance are its offset (3,).
+    Gravity is disabled for the obstacle. The positions of its model instance are its offset (3,).
 
     Args:
-        plant: not finalized.
-        body: the obstacle, alone in its model instance.
-        X_WO: its pose where the offset is zero.
-        offset: (3,) where it is at first [m].
+        plant: plant, not finalized.
+        body: body of the obstacle, the only one of its model instance.
+        X_WO: pose of the obstacle at zero offset.
+        offset: (3,) initial offset [m].
     """
     instance = body.model_instance()
     place = FixedOffsetFrame(
@@ -49,7 +49,7 @@ def hang_on_slides(
         RigidTransform(RotationMatrix(), X_WO.translation()),
         instance,
     )
-    # The slides run along the world's axes whichever way the obstacle is turned.
+    # The joints are along the world's axes, whatever the orientation of the obstacle.
     end = FixedOffsetFrame(
         "slides", body.body_frame(), RigidTransform(X_WO.rotation().inverse(), [0.0, 0.0, 0.0])
     )
@@ -68,23 +68,24 @@ def hang_on_slides(
 
 
 _FRICTION = 0.7
+"""Friction coefficient of obstacles [1]."""
 
 
 def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceIndex:
-    """Adds an obstacle as model instance `obstacle_<name>`: welded, or on driven slides.
+    """Adds an obstacle as model instance `obstacle_<name>`: welded, or with prismatic joints.
 
     Args:
-        plant: registered with a scene graph and not finalized.
+        plant: plant registered with a scene graph, not finalized.
         obstacle: shapes, pose and motion.
 
     Raises:
-        ScenarioError: if the world has a model instance of that name.
+        ScenarioError: if a model instance of that name exists.
     """
     name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
     if plant.HasModelInstanceNamed(name):
-        raise ScenarioError(f"obstacles: the world already has a model instance '{name}'")
+        raise ScenarioError(f"obstacles: the model instance '{name}' already exists; rename one")
     instance = plant.AddModelInstance(name)
-    # Welded or driven on its course: its inertia decides nothing.
+    # The inertia has no influence on a welded obstacle, nor on one with a given trajectory.
     body = plant.AddRigidBody(
         "body", instance, SpatialInertia(1.0, [0.0, 0.0, 0.0], UnitInertia.SolidSphere(0.1))
     )
@@ -100,7 +101,7 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
         plant.RegisterVisualGeometry(body, X_OG, shape, f"visual{row}", obstacle.color)
         plant.RegisterCollisionGeometry(body, X_OG, shape, f"collision{row}", properties)
     if obstacle.is_driven:
-        hang_on_slides(plant, body, pose(obstacle), obstacle.offset_at(0.0).tolist())
+        add_prismatic_joints(plant, body, pose(obstacle), obstacle.offset_at(0.0).tolist())
     else:
         plant.WeldFrames(plant.world_frame(), body.body_frame(), pose(obstacle))
     return instance
@@ -116,7 +117,7 @@ def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
 
 
 class ObstacleMover(LeafSystem):
-    """Drives an obstacle on slides along its waypoints, and away while it is absent.
+    """System that moves an obstacle along its waypoints, and far up while it is absent.
 
     .. pydrake_system::
 
@@ -127,16 +128,17 @@ class ObstacleMover(LeafSystem):
       - force
 
     - obstacle_state: (6,) offset and velocity of the obstacle in the world [m, m/s].
-    - force: (3,) on its slides [N], with which it is on its course a step of the plant later.
+    - force: (3,) forces of the prismatic joints [N], with which the obstacle is on its trajectory
+      after the next step h of the plant: f = m ((x(t + h) - x) / h - v) / h.
     """
 
     def __init__(self, obstacle: Obstacle, *, mass: float, step: float) -> None:
         """Declares the ports.
 
         Args:
-            obstacle: that is driven.
-            mass: of the obstacle [kg].
-            step: of the plant [s].
+            obstacle: moving obstacle.
+            mass: mass of the obstacle [kg].
+            step: time step of the plant [s].
         """
         super().__init__()
         self._obstacle, self._mass, self._step = obstacle, mass, step
@@ -144,7 +146,7 @@ class ObstacleMover(LeafSystem):
         self.DeclareVectorOutputPort("force", 3, self._calc_force)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        # A step is v+ = v + step f / m, then x+ = x + step v+.
+        # One step of the plant is v+ = v + step f / m, then x+ = x + step v+.
         x, step = self._state.Eval(context), self._step
         target = self._obstacle.offset_at(context.get_time() + step)
         output.SetFromVector(self._mass * ((target - x[:3]) / step - x[3:]) / step)

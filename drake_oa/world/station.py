@@ -1,8 +1,8 @@
-"""The world that the layers act in: plant, scene graph and cameras.
+"""Simulated station of a scenario: plant, scene graph and cameras.
 
-`make_station` builds what a real cell has: the arm on its base, the table and the
-obstacles, and depth cameras. `make_robot_plant` builds the robot alone, as the
-controller and the self filter know it.
+`make_station` adds the arm on its base, the table, the obstacles, and the depth cameras.
+`make_robot_plant` of `drake_oa.robot` builds the robot alone, for the controller and the self
+filter.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from drake_oa.world.cameras import (
 from drake_oa.world.delayed_camera import BackgroundCamera, DelayedCamera, Noise
 from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import add_depth_noise
-from drake_oa.world.live_camera import LiveCamera, Outside, standing_pose
+from drake_oa.world.live_camera import ExternalInputs, LiveCamera, fixed_pose
 from drake_oa.world.obstacles import obstacle_instances
 from drake_oa.world.world_model import add_world
 
@@ -44,24 +44,25 @@ def add_cameras(
     builder: DiagramBuilder,
     scenario: Scenario,
     plant: MultibodyPlant,
-    outside: Outside | None = None,
+    external: ExternalInputs | None = None,
 ) -> dict[str, Camera]:
     """Adds the cameras of a scenario, by name.
 
     Args:
-        builder: receives late_<name> of simulated cameras. Where perception sees by cameras
-            outside the simulation, live_<name> of these, and nothing that renders.
-        scenario: with cameras.
-        plant: the simulated one, in the builder, finalized.
-        outside: what cameras outside the simulation go by; None: `Outside()`.
+        builder: builder to which the systems are added: delayed_<name> for simulated cameras; for
+            `!LcmCamera`, live_<name> without any rendering.
+        scenario: scenario with cameras.
+        plant: finalized simulated plant in the builder.
+        external: plant state and clocks of cameras outside the simulation; None:
+            `ExternalInputs()`.
 
     Raises:
-        ScenarioError: naming the camera that does not fit.
+        ScenarioError: naming the wrong camera.
     """
     if isinstance(scenario.perception, LcmCamera):
-        source, outside = scenario.perception, outside or Outside()
+        source, external = scenario.perception, external or ExternalInputs()
         return {
-            config.name: _live_camera(builder, source, plant, config, outside)
+            config.name: _live_camera(builder, source, plant, config, external)
             for config in camera_configs(scenario, source)
         }
     return {
@@ -73,6 +74,7 @@ def add_cameras(
 def _simulated_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
+    """Adds a simulated camera with its noise and dropouts."""
     dropouts = [
         fault
         for fault in scenario.faults
@@ -81,7 +83,7 @@ def _simulated_camera(
     with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         intrinsics = depth_intrinsics(config)
         noise = _noise(scenario, config, intrinsics)
-    # Its errors name the fields themselves.
+    # Errors of BackgroundCamera already name the field.
     rendering = BackgroundCamera(scenario, config, noise)
     with field_errors(f"cameras: camera '{config.name}'", ValueError):
         system = DelayedCamera(
@@ -102,9 +104,10 @@ def _live_camera(
     source: LcmCamera,
     plant: MultibodyPlant,
     config: CameraConfig,
-    outside: Outside,
+    external: ExternalInputs,
 ) -> Camera:
-    X_WC = standing_pose(plant, config)
+    """Adds a camera whose images are received by LCM."""
+    X_WC = fixed_pose(plant, config)
     intrinsics = depth_intrinsics(config)
     system = LiveCamera(
         LcmFrames(source.lcm_url, config.name),
@@ -113,10 +116,10 @@ def _live_camera(
         num_states=plant.num_multibody_states(),
         wait=source.wait,
         max_age=source.max_age,
-        outside=outside,
+        external=external,
     )
     builder.AddNamedSystem(f"live_{config.name}", system)
-    state = outside.plant_state or plant.get_state_output_port()
+    state = external.plant_state or plant.get_state_output_port()
     builder.Connect(state, system.GetInputPort("plant_state"))
     return system.camera()
 
@@ -129,7 +132,7 @@ def release_cameras(diagram: Diagram) -> None:
 
 
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> Noise | None:
-    """Noise of a camera that perception looks through; None for another, or an ideal one."""
+    """Returns the noise of a camera used by perception; None for other and for ideal cameras."""
     source = scenario.perception
     if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
         return None
@@ -139,14 +142,14 @@ def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> 
 
 @dataclass(frozen=True)
 class Station:
-    """What `make_station` added to a builder.
+    """Plant, scene graph and cameras that `make_station` added to a builder.
 
     Attributes:
-        plant: the finalized plant.
-        scene_graph: its scene graph.
-        robot: the robot's model instance.
-        obstacles: the model instances of the obstacles.
-        cameras: name -> the camera.
+        plant: finalized plant.
+        scene_graph: scene graph of the plant.
+        robot: model instance of the robot.
+        obstacles: model instances of the obstacles.
+        cameras: cameras by name.
     """
 
     plant: MultibodyPlant
@@ -161,30 +164,30 @@ def make_station(
     scenario: Scenario,
     *,
     render: bool = True,
-    outside: Outside | None = None,
+    external: ExternalInputs | None = None,
 ) -> Station:
-    """Adds the simulated cell of a scenario to a builder.
+    """Adds the simulated station of a scenario to a builder.
 
     Args:
-        builder: receives plant, scene graph and, if `render`, the cameras.
-        scenario: with a robot.
-        render: whether anything will ask for images.
-        outside: see `add_cameras`.
+        builder: builder to which plant, scene graph and, if `render`, the cameras are added.
+        scenario: scenario with a robot.
+        render: whether the cameras are added.
+        external: see `add_cameras`.
 
     Raises:
-        ScenarioError: naming the field of the scenario that does not fit.
+        ScenarioError: naming the wrong field of the scenario.
     """
 
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
-    # Sampled ports would copy the diagram's whole state at each step (docs/design.md).
+    # Sampled output ports would copy the whole state of the diagram at each step (docs/design.md).
     plant.SetUseSampledOutputPorts(False)
     robot = add_world(plant, scenario)
     plant.Finalize()
     part_carried(plant, scene_graph, scenario.robot)
-    cameras = add_cameras(builder, scenario, plant, outside) if render else {}
+    cameras = add_cameras(builder, scenario, plant, external) if render else {}
     obstacles = obstacle_instances(plant)
-    _refuse_movable(plant, obstacles, scenario.obstacles)
-    # Obstacles touch the robot alone: a contact with anything else would push one off its course.
+    _check_anchored(plant, obstacles, scenario.obstacles)
+    # Obstacles collide with the robot only: other contacts would push them off their trajectories.
     still = [
         body
         for body in plant.GetBodiesWeldedTo(plant.world_body())
@@ -199,20 +202,24 @@ def make_station(
     return Station(plant, scene_graph, robot, obstacles, cameras)
 
 
-def _refuse_movable(
-    plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], driven: list[Obstacle]
+def _check_anchored(
+    plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], configured: list[Obstacle]
 ) -> None:
-    """An obstacle that nothing drives would fall, or be pushed away, unlike a real one."""
-    on_course = {f"{OBSTACLE_PREFIX}_{item.name}" for item in driven if item.is_driven}
+    """Checks that each obstacle is anchored or moves along a trajectory; others would fall.
+
+    Raises:
+        ScenarioError: naming the link that can move.
+    """
+    moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in configured if item.is_driven}
     for instance in obstacles:
         name = plant.GetModelInstanceName(instance)
-        if name in on_course:
+        if name in moving:
             continue
         for index in plant.GetBodyIndices(instance):
             body = plant.get_body(index)
             if not plant.IsAnchored(body):
                 raise ScenarioError(
                     f"directives: link '{body.name()}' of obstacle '{name}' can move; obstacles "
-                    "must stand still: weld it to the world by an add_weld, or write it under "
+                    "must be fixed: weld it to the world by an add_weld, or define it under "
                     "`obstacles` with waypoints"
                 )

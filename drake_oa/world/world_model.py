@@ -1,4 +1,4 @@
-"""Models of a scenario's world, added to a plant."""
+"""Adding of a scenario's models to a plant: robot, model directives and obstacles."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from drake_oa.world.obstacles import add_obstacle
 
 
 def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
-    """Adds the robot and everything else that stands in a scenario's world to a plant.
+    """Adds the robot, the models of the directives and the obstacles of a scenario to a plant.
 
     Args:
-        plant: registered with a scene graph, not finalized.
-        scenario: with a robot.
+        plant: plant registered with a scene graph, not finalized.
+        scenario: scenario with a robot.
 
     Returns:
-        The robot's model instance.
+        Model instance of the robot.
 
     Raises:
-        ScenarioError: naming the field of the scenario that does not fit.
+        ScenarioError: naming the wrong field of the scenario.
     """
     robot = add_robot(plant, robot_of(scenario))
     parser = make_parser(plant)
@@ -54,7 +54,7 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
 
 
 def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Lists directives, with those of the files that `add_directives` names in its place."""
+    """Returns the directives, each `add_directives` replaced by the directives of its file."""
     packages = known_packages()
     _check_directives(directives, packages)
     flat = FlattenModelDirectives(ModelDirectives(directives=directives), packages)
@@ -64,12 +64,16 @@ def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
 def _check_directives(
     directives: Sequence[ModelDirective], packages: PackageMap, chain: tuple[Path, ...] = ()
 ) -> None:
-    """Refuses directives that include themselves, relative names in them, and wrong models.
+    """Checks directives, and the files that they include, before Drake reads them.
 
     Args:
-        directives: of the scenario, or of the last file of the chain.
-        packages: is told of installed packages of Python.
-        chain: files that led here, each named in the one before.
+        directives: directives of the scenario, or of the last file of the chain.
+        packages: package map, to which installed Python packages are added.
+        chain: chain of including files, outermost first.
+
+    Raises:
+        ScenarioError: for files that include themselves, relative file names in included files,
+            and invalid models.
     """
     where = f"directives: '{chain[-1]}'" if chain else "directives"
     for directive in directives:
@@ -79,12 +83,12 @@ def _check_directives(
         if "://" not in block.file:
             raise ScenarioError(
                 f"{where}: '{block.file}' must be a URL, package://NAME/... or file:///...; "
-                "only names in the scenario itself can be relative"
+                "only file names in the scenario itself can be relative"
             )
         add_installed_package(packages, block.file, where)
         file = Path(packages.ResolveUrl(block.file))
         if directive.add_model is not None:
-            # What is no XML is refused by Drake.
+            # Drake rejects files that are no XML, with its own error.
             with contextlib.suppress(ElementTree.ParseError, OSError):
                 check_links(ElementTree.parse(file).getroot(), file, where)
         elif file in chain:

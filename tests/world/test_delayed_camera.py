@@ -1,4 +1,4 @@
-"""DelayedCamera: what it shows when, and that rendering in the background changes nothing."""
+"""DelayedCamera: time, state and depths of the output image, with and without delay."""
 
 from functools import partial
 
@@ -23,6 +23,7 @@ READY = np.array([-0.74, 0.19, 0.01, -1.9, 0.0, 2.09, 0.06, 0.005, 0.005])
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
+    """Returns a scenario whose camera has small images."""
     scenario = load_scenario("tabletop_box")
     scenario.cameras[0].width, scenario.cameras[0].height = 64, 48
     return scenario
@@ -30,16 +31,17 @@ def scenario() -> Scenario:
 
 @pytest.fixture(scope="module")
 def camera(scenario: Scenario) -> BackgroundCamera:
+    """Returns the scenario's camera without noise."""
     return BackgroundCamera(scenario, scenario.cameras[0])
 
 
-def moving(
+def camera_diagram(
     scenario: Scenario, camera: BackgroundCamera, delay: float, *dropouts: CameraDropout
 ) -> Diagram:
-    """A camera; the first joint turns by 1 rad/s."""
+    """Builds a diagram of a delayed camera, with the first joint at 1 rad/s."""
     builder = DiagramBuilder()
     _, depth = scenario.cameras[0].MakeCameras()
-    late = DelayedCamera(
+    camera_system = DelayedCamera(
         camera,
         depth.core().intrinsics(),
         num_states=18,
@@ -47,22 +49,23 @@ def moving(
         delay=delay,
         dropouts=dropouts,
     )
-    builder.AddNamedSystem("late", late)
+    builder.AddNamedSystem("camera_system", camera_system)
     ends = np.zeros((18, 2))
     ends[:9] = READY[:, None]
     ends[0, 1] += 1.0
     source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.FirstOrderHold([0, 1], ends)))
-    builder.Connect(source.get_output_port(), late.get_input_port())
+    builder.Connect(source.get_output_port(), camera_system.get_input_port())
     return builder.Build()
 
 
 def outputs(diagram: Diagram, root: Context) -> tuple[float, np.ndarray, np.ndarray]:
-    late = diagram.GetSubsystemByName("late")
-    context = late.GetMyContextFromRoot(root)
+    """Returns capture time [s], plant state (18,) and depths (H, W) [m] of the output image."""
+    camera_system = diagram.GetSubsystemByName("camera_system")
+    context = camera_system.GetMyContextFromRoot(root)
     return (
-        float(late.GetOutputPort("image_time").Eval(context)[0]),
-        np.array(late.GetOutputPort("plant_state").Eval(context)),
-        np.array(late.GetOutputPort("depth_image").Eval(context).data[:, :, 0]),
+        float(camera_system.GetOutputPort("image_time").Eval(context)[0]),
+        np.array(camera_system.GetOutputPort("plant_state").Eval(context)),
+        np.array(camera_system.GetOutputPort("depth_image").Eval(context).data[:, :, 0]),
     )
 
 
@@ -77,10 +80,10 @@ def outputs(diagram: Diagram, root: Context) -> tuple[float, np.ndarray, np.ndar
         (0.17, 0.17, 0.0),
     ],
 )
-def test_an_image_comes_after_the_delay_and_the_first_at_once(
+def test_image_is_output_after_the_delay_and_the_first_without_delay(
     scenario: Scenario, camera: BackgroundCamera, time: float, taken: float, delay: float
 ) -> None:
-    diagram = moving(scenario, camera, delay)
+    diagram = camera_diagram(scenario, camera, delay)
     simulator = Simulator(diagram)
     simulator.Initialize()
     simulator.AdvanceTo(time)
@@ -93,11 +96,11 @@ def test_an_image_comes_after_the_delay_and_the_first_at_once(
 @pytest.mark.parametrize(
     ("delay", "times"), [(0.0, [0.15, 0.2, 0.2, 0.2, 0.55]), (0.05, [0.1, 0.2, 0.2, 0.2, 0.5])]
 )
-def test_during_a_dropout_the_last_image_before_it_stays(
+def test_dropout_keeps_the_previous_image(
     scenario: Scenario, camera: BackgroundCamera, delay: float, times: list[float]
 ) -> None:
     dropouts = CameraDropout(0.25, 0.15), CameraDropout(0.4, 0.05)
-    diagram = moving(scenario, camera, delay, *dropouts)
+    diagram = camera_diagram(scenario, camera, delay, *dropouts)
     simulator = Simulator(diagram)
     for time, taken in zip((0.15, 0.25, 0.35, 0.44, 0.55), times, strict=True):
         simulator.AdvanceTo(time)
@@ -105,18 +108,18 @@ def test_during_a_dropout_the_last_image_before_it_stays(
         assert (stamp, state[0] - READY[0]) == (pytest.approx(taken), pytest.approx(taken))
 
 
-def test_a_camera_that_is_dead_from_the_start_shows_nothing(
+def test_dropout_from_the_start_gives_no_depths(
     scenario: Scenario, camera: BackgroundCamera
 ) -> None:
-    diagram = moving(scenario, camera, DELAY, CameraDropout(0.0, 0.25))
+    diagram = camera_diagram(scenario, camera, DELAY, CameraDropout(0.0, 0.25))
     simulator = Simulator(diagram)
-    for time, is_dead in ((0.2, True), (0.35, False)):
+    for time, is_out in ((0.2, True), (0.35, False)):
         simulator.AdvanceTo(time)
         stamp, _, image = outputs(diagram, simulator.get_context())
-        assert (stamp == -np.inf) == is_dead == np.isnan(image).all()
+        assert (stamp == -np.inf) == is_out == np.isnan(image).all()
 
 
-def test_it_shows_what_a_sensor_of_the_present_shows(
+def test_rendered_image_equals_that_of_a_drake_sensor(
     scenario: Scenario, camera: BackgroundCamera
 ) -> None:
     builder = DiagramBuilder()
@@ -127,33 +130,33 @@ def test_it_shows_what_a_sensor_of_the_present_shows(
     diagram.get_input_port().FixValue(root, state)
     image = sensor.depth_image_32F_output_port().Eval(sensor.GetMyContextFromRoot(root))
     X_WC = sensor.body_pose_in_world_output_port().Eval(sensor.GetMyContextFromRoot(root))
-    rendered = camera.ask(state, 0.0).result()
+    rendered = camera.request(state, 0.0).result()
     np.testing.assert_array_equal(rendered.depth, image.data[:, :, 0])
     assert rendered.X_WC.IsExactlyEqualTo(X_WC)
 
 
-def test_asked_again_or_released_the_image_is_the_same(camera: BackgroundCamera) -> None:
+def test_repeated_requests_give_the_same_image_also_after_a_release(
+    camera: BackgroundCamera,
+) -> None:
     states = [np.concatenate([READY + 0.05 * k, np.zeros(9)]) for k in range(6)]
-    first = [camera.ask(state, 0.0).result().depth for state in states]
-    again = [camera.ask(state, 0.0).result().depth for state in states[::-1]]
+    first = [camera.request(state, 0.0).result().depth for state in states]
+    again = [camera.request(state, 0.0).result().depth for state in states[::-1]]
     for one, other in zip(first, again[::-1], strict=True):
         np.testing.assert_array_equal(one, other)
     assert not np.array_equal(first[0], first[-1])
     camera.release()
-    np.testing.assert_array_equal(camera.ask(states[0], 0.0).result().depth, first[0])
+    np.testing.assert_array_equal(camera.request(states[0], 0.0).result().depth, first[0])
 
 
-def test_a_delay_must_be_shorter_than_the_period(camera: BackgroundCamera) -> None:
+def test_delay_must_be_shorter_than_the_period(camera: BackgroundCamera) -> None:
     with pytest.raises(ValueError, match="delay must be between 0 and the period"):
         DelayedCamera(camera, CameraInfo(8, 6, 1.0), num_states=18, period=0.1, delay=0.1)
 
 
-def test_noise_is_of_the_time_the_image_was_taken(
-    scenario: Scenario, camera: BackgroundCamera
-) -> None:
+def test_noise_depends_on_the_capture_time(scenario: Scenario, camera: BackgroundCamera) -> None:
     noise = partial(add_depth_noise, K=[60.0, 60.0, 31.5, 23.5], seed=3)
     state = np.concatenate([READY, np.zeros(9)])
-    ideal = camera.ask(state, 0.0).result().depth
-    noisy = BackgroundCamera(scenario, scenario.cameras[0], noise).ask(state, 0.1).result().depth
+    ideal = camera.request(state, 0.0).result().depth
+    noisy = BackgroundCamera(scenario, scenario.cameras[0], noise).request(state, 0.1).result().depth
     np.testing.assert_array_equal(noisy, noise(ideal, 0.1))
     assert not np.array_equal(noisy, noise(ideal, 0.2), equal_nan=True)

@@ -1,4 +1,4 @@
-"""Depth images as LCM messages."""
+"""Packing and unpacking of depth images as LCM messages."""
 
 import zlib
 
@@ -12,12 +12,13 @@ DEPTH = np.linspace(0.5, 3.0, 48 * 64).reshape(48, 64).astype(np.float32)
 
 
 def packed() -> lcmt_image_array:
-    """As it comes: decoded from its bytes."""
+    """Returns a depth message as received: decoded from its bytes."""
     message = pack_depth(DEPTH, camera="camera", utime=123)
     return lcmt_image_array.decode(message.encode())
 
 
 def uncompressed(message: lcmt_image_array) -> lcmt_image_array:
+    """Decompresses the image of a message in place."""
     (image,) = message.images
     image.data = zlib.decompress(image.data)
     image.size = len(image.data)
@@ -26,19 +27,19 @@ def uncompressed(message: lcmt_image_array) -> lcmt_image_array:
 
 
 @pytest.mark.parametrize("message", [packed(), uncompressed(packed())])
-def test_depth_comes_back_to_half_a_millimeter(message: lcmt_image_array) -> None:
+def test_unpacked_depth_is_accurate_to_half_a_millimeter(message: lcmt_image_array) -> None:
     depth, stamp = unpack_depth(message)
     np.testing.assert_allclose(depth, DEPTH, atol=0.51e-3)
     assert stamp == pytest.approx(123e-6)
 
 
-def test_what_was_not_measured_stays_so() -> None:
+def test_missing_pixels_remain_missing() -> None:
     depth = np.array([[0.0, np.nan], [np.inf, 1.0]], np.float32)
     back, _ = unpack_depth(pack_depth(depth, camera="camera", utime=0))
     np.testing.assert_allclose(back, [[np.nan, np.nan], [np.inf, 1.0]])
 
 
-def test_reads_metres() -> None:
+def test_unpacks_depths_in_meters() -> None:
     message = uncompressed(packed())
     (image,) = message.images
     image.channel_type = lcmt_image.CHANNEL_TYPE_FLOAT32
@@ -52,10 +53,10 @@ def test_reads_metres() -> None:
         ("pixel_format", lcmt_image.PIXEL_FORMAT_RGB, "0 depth images"),
         ("channel_type", lcmt_image.CHANNEL_TYPE_INT8, "cannot be unpacked"),
         ("data", b"nonsense", "cannot be unpacked"),
-        ("width", 65, "must be 65 x 48"),
+        ("width", 65, "must have 65 x 48 pixels"),
     ],
 )
-def test_says_what_cannot_be_read(field: str, value: object, why: str) -> None:
+def test_error_of_an_invalid_message_names_the_problem(field: str, value: object, why: str) -> None:
     message = packed()
     setattr(message.images[0], field, value)
     with pytest.raises(ValueError, match=why):

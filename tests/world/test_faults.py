@@ -1,4 +1,4 @@
-"""Faults of a scenario: its blocks, and the systems that bring them into a diagram."""
+"""Systems of the scenario's faults: external pushes and torque saturation."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ PUSH = Push(start=1.0, duration=0.2, force=[1.0, -2.0, 3.0], torque=[0.1, 0.2, 0
 
 
 @pytest.mark.parametrize(("time", "share"), [(0.99, 0.0), (1.0, 1.0), (1.19, 1.0), (1.2, 0.0)])
-def test_a_push_acts_while_it_lasts(time: float, share: float) -> None:
+def test_push_is_applied_during_its_duration_only(time: float, share: float) -> None:
     system = ExternalPush([(PUSH, BodyIndex(3)), (Push(start=5.0), BodyIndex(4))])
     context = system.CreateDefaultContext()
     context.SetTime(time)
@@ -23,17 +23,17 @@ def test_a_push_acts_while_it_lasts(time: float, share: float) -> None:
 
 
 LIMITS = np.array([87.0, 12.0, 20.0])
-ASKED = np.array([50.0, -11.0, 3.0])
+COMMANDED = np.array([50.0, -11.0, 3.0])
 
 
 @pytest.mark.parametrize(
     ("time", "given"),
-    [(0.9, ASKED), (1.0, [43.5, -6.0, 3.0]), (1.6, [26.1, -3.6, 3.0]), (2.5, ASKED)],
+    [(0.9, COMMANDED), (1.0, [43.5, -6.0, 3.0]), (1.6, [26.1, -3.6, 3.0]), (2.5, COMMANDED)],
 )
-def test_torques_are_cut_off_while_the_fault_lasts(time: float, given: np.ndarray) -> None:
+def test_torques_are_limited_during_the_fault_only(time: float, given: np.ndarray) -> None:
     faults = [TorqueSaturation(1.0, 1.0, 0.5), TorqueSaturation(1.5, 1.0, 0.3)]
     system = WeakActuators(faults, LIMITS)
     context = system.CreateDefaultContext()
-    system.get_input_port().FixValue(context, ASKED)
+    system.get_input_port().FixValue(context, COMMANDED)
     context.SetTime(time)
     np.testing.assert_allclose(system.get_output_port().Eval(context), given)

@@ -1,4 +1,4 @@
-"""Meshes without normals, which cameras refuse."""
+"""Meshes without normals, which Drake's renderers reject."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ perception: !DepthCamera {camera: camera}
 """
 
 
-def test_a_mesh_beside_the_scenario_is_found_and_seen_or_named(tmp_path: Path) -> None:
+def test_mesh_relative_to_the_scenario_is_rendered_or_named_in_the_error(tmp_path: Path) -> None:
     (tmp_path / "mesh.sdf").write_text(SDF)
     (tmp_path / "own.yaml").write_text(SCENARIO)
     (tmp_path / "mesh.obj").write_text(TETRAHEDRON.format(last=4))

@@ -1,4 +1,4 @@
-"""Obstacles written in a scenario, and what the station makes of them."""
+"""Obstacles of a scenario: their models in the station, and their motion."""
 
 from typing import Any
 
@@ -38,6 +38,7 @@ obstacles:
 
 
 def _station(text):
+    """Builds the station of a scenario's text, and its diagram."""
     builder = DiagramBuilder()
     station = make_station(builder, parse_scenario(text), render=False)
     return station, builder.Build()
@@ -73,16 +74,16 @@ def test_each_obstacle_is_a_welded_model_instance_with_both_geometries():
         ("present: [2, 1]", r"obstacles\[0\]\.present"),
     ],
 )
-def test_fields_that_do_not_agree_are_refused(field: str, message: str) -> None:
+def test_inconsistent_fields_are_rejected(field: str, message: str) -> None:
     obstacle = {"name": "name: a", "shapes": "shapes: [!Sphere {}]"} | {field.split(":")[0]: field}
     other = "{name: other, shapes: [!Sphere {}]}"
     with pytest.raises(ScenarioError, match=message):
         parse_scenario(f"obstacles: [{{{', '.join(obstacle.values())}}}, {other}]")
 
 
-def test_a_course_is_straight_between_waypoints_and_rests_outside() -> None:
-    course = [[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]]
-    ball = Obstacle(name="ball", shapes=[Sphere()], waypoints=course)
+def test_trajectory_is_linear_between_waypoints_and_constant_outside() -> None:
+    waypoints = [[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]]
+    ball = Obstacle(name="ball", shapes=[Sphere()], waypoints=waypoints)
     for time, offset in (
         (0.0, [0.0, 0.0, 1.0]),
         (1.5, [0.5, -1.0, 1.0]),
@@ -92,7 +93,7 @@ def test_a_course_is_straight_between_waypoints_and_rests_outside() -> None:
         np.testing.assert_allclose(ball.offset_at(time), offset)
 
 
-def test_obstacles_pass_through_one_another_and_the_table():
+def test_obstacles_do_not_collide_with_each_other_or_the_table():
     text = _TEXT + "  waypoints: [[0, 0, 0, 0], [1, 0.2, 0.4, -0.1]]\n"
     station, _ = _station(text)
     inspector, plant = station.scene_graph.model_inspector(), station.plant
@@ -121,12 +122,13 @@ BALL = Obstacle(
 )
 
 
-def played(
+def simulate_obstacle(
     obstacle: Obstacle, end: float, block: Any, *, floor: bool = False
 ) -> tuple[dict[float, np.ndarray], np.ndarray]:
-    """Where an obstacle is at every step, and how far a free block is from its place [m].
+    """Simulates an obstacle and a free block, which floats or stands on a floor at z = 0.
 
-    The block floats, or stands on a floor at z = 0.
+    Returns:
+        Position (3,) of the obstacle by time [s, m]; (N,) displacement of the block [m].
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
@@ -135,12 +137,15 @@ def played(
     friction = CoulombFriction(0.5, 0.5)
     blocks = plant.AddModelInstance("block")
     inertia = SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1)
-    free = plant.AddRigidBody("block", blocks, inertia)
-    for body, z, size in ((plant.world_body(), -0.5, [2.0, 2.0, 1.0]), (free, 0.0, [0.1] * 3)):
-        if floor or body is free:
+    block_body = plant.AddRigidBody("block", blocks, inertia)
+    for body, z, size in (
+        (plant.world_body(), -0.5, [2.0, 2.0, 1.0]),
+        (block_body, 0.0, [0.1] * 3),
+    ):
+        if floor or body is block_body:
             shape = geometry.Box(*size)
             plant.RegisterCollisionGeometry(body, RigidTransform([0, 0, z]), shape, "c", friction)
-    plant.SetDefaultFloatingBaseBodyPose(free, RigidTransform(block))
+    plant.SetDefaultFloatingBaseBodyPose(block_body, RigidTransform(block))
     plant.set_gravity_enabled(blocks, floor)
     plant.Finalize()
     body = plant.GetBodyByName("body", instance)
@@ -149,39 +154,40 @@ def played(
     builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
     simulator = Simulator(builder.Build())
     places: dict[float, np.ndarray] = {}
-    moved = []
+    displacements = []
 
-    def watch(root: Any) -> None:
+    def record(root: Any) -> None:
+        """Records the position of the obstacle and the displacement of the block."""
         context = plant.GetMyContextFromRoot(root)
         places[root.get_time()] = plant.EvalBodyPoseInWorld(context, body).translation().copy()
-        p_WB = plant.EvalBodyPoseInWorld(context, free).translation()
-        moved.append(np.linalg.norm(p_WB - block))
+        p_WB = plant.EvalBodyPoseInWorld(context, block_body).translation()
+        displacements.append(np.linalg.norm(p_WB - block))
 
-    simulator.set_monitor(watch)
+    simulator.set_monitor(record)
     simulator.AdvanceTo(end)
-    return places, np.array(moved)
+    return places, np.array(displacements)
 
 
-def test_an_obstacle_keeps_its_course_and_pushes_what_is_in_its_way() -> None:
-    # The block is on the second leg, 0.2 m before its end.
-    places, moved = played(BALL, 0.6, np.array([0.5, 0.1, 0.3]))
+def test_obstacle_follows_its_trajectory_and_pushes_a_block() -> None:
+    # The block is on the second segment, 0.2 m before its end.
+    places, displacements = simulate_obstacle(BALL, 0.6, np.array([0.5, 0.1, 0.3]))
     errors = {
         time: np.linalg.norm(place - BALL.translation - BALL.offset_at(time))
         for time, place in places.items()
     }
     assert max(error for time, error in errors.items() if time < 0.3) < 1e-9
-    assert moved[-1] > 0.1
+    assert displacements[-1] > 0.1
     assert max(errors.values()) < 0.005
     assert max(error for time, error in errors.items() if time > 0.56) < 1e-3
 
 
-def test_what_appears_is_nowhere_else_before_and_disturbs_nothing() -> None:
-    """A block rests under the sphere's place: nothing falls on it, nothing moves it."""
+def test_obstacle_appears_without_intermediate_positions() -> None:
+    """A block at rest below the position of the sphere is not moved."""
     ball = Obstacle(
         name="ball", shapes=[Sphere(radius=0.05)], translation=[0.0, 0.0, 0.4], present=[0.1, 0.2]
     )
-    places, moved = played(ball, 0.3, np.array([0.02, 0.0, 0.05]), floor=True)
+    places, displacements = simulate_obstacle(ball, 0.3, np.array([0.02, 0.0, 0.05]), floor=True)
     for time, place in places.items():
         away = 0.0 if 0.1 - 1e-9 <= time < 0.2 - 1e-9 else ABSENT_HEIGHT
         assert place[2] == pytest.approx(0.4 + away, abs=1e-8)
-    assert moved.max() < 1e-3
+    assert displacements.max() < 1e-3

@@ -1,4 +1,4 @@
-"""The simulated cell and the robot alone."""
+"""Simulated station of a scenario: seeds of camera noise, and errors."""
 
 import pytest
 from pydrake.systems.framework import DiagramBuilder
@@ -9,7 +9,7 @@ from drake_oa.scenario.sources import noise_seed
 from drake_oa.world.station import make_station
 
 
-def test_each_camera_that_perception_sees_by_has_noise_of_its_own() -> None:
+def test_cameras_have_different_noise_seeds() -> None:
     scenario = load_scenario("two_cameras")
     seeds = [noise_seed(scenario, name) for name in ("left", "right")]
     assert seeds[0] == scenario.seed
@@ -17,13 +17,13 @@ def test_each_camera_that_perception_sees_by_has_noise_of_its_own() -> None:
     assert noise_seed(load_scenario("tabletop_box"), "camera") == 0
 
 
-def test_a_camera_on_a_frame_that_is_not_there_is_refused() -> None:
+def test_camera_on_an_unknown_frame_is_rejected() -> None:
     scenario = load_scenario("tabletop_box")
     scenario.cameras[0].X_PB.base_frame = "nowhere::camera"
     with pytest.raises(ScenarioError, match=r"cameras: camera 'camera': .*nowhere"):
         make_station(DiagramBuilder(), scenario)
 
 
-def test_a_station_needs_a_robot() -> None:
+def test_station_requires_a_robot() -> None:
     with pytest.raises(ScenarioError, match="robot"):
         make_station(DiagramBuilder(), load_scenario("free_space"))

@@ -196,7 +196,7 @@ def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict
     def sights(time: float) -> list[PlanningInputs]:
         q_world = log.q_world[np.searchsorted(log.t, time)]
         state = np.append(q_world, np.zeros_like(q_world))
-        images = [camera.ask(state, time).result().depth for camera in cameras]
+        images = [camera.request(state, time).result().depth for camera in cameras]
         return list(zip(images, views, strict=True))
 
     return claim_violations(world, log.t, q, stamp, sights)
