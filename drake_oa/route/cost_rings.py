@@ -286,7 +286,7 @@ def select_directions(
 _OBSTRUCTED = 2.0
 """Cost of a leg through an obstacle. Where the length outweighs it the way is cut short, and
 the coupling's bends add up near the obstacle; a larger one changes little
-(docs/design.md)."""
+(docs/decisions/0021-sides-chosen-together.md)."""
 
 
 def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:

@@ -179,7 +179,7 @@ def make_station(
     """
 
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
-    # Sampled output ports would copy the whole state of the diagram at each step (docs/design.md).
+    # Sampled output ports would copy the state of the diagram at each step (docs/decisions/0026).
     plant.SetUseSampledOutputPorts(False)
     robot = add_world(plant, scenario)
     plant.Finalize()
