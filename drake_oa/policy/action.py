@@ -1,9 +1,9 @@
-"""One step of the whole action level, as the DmpIntegrator takes it.
+"""One time step of the policy: movement primitive, coupling terms, temporal scaling and holds.
 
-Composes the movement primitive (`drake_oa.policy.dmp`), the coupling terms
-(`drake_oa.policy.coupling`), the headings of the guidance (`drake_oa.policy.guidance`), temporal
-scaling (section IV-E of the paper) and the holds that keep a motion safe. The step's integration
-is compiled (`drake_oa.policy.action_kernels`).
+The step combines the movement primitive (`drake_oa.policy.dmp`), the coupling terms
+(`drake_oa.policy.coupling`), the guidance headings (`drake_oa.policy.guidance`), temporal scaling
+(section IV-E of Pairet et al., RA-L 2019) and the holds, which stop the motion on its path while
+it would not be safe. The integration is compiled (`drake_oa.policy.action_kernels`).
 """
 
 from __future__ import annotations
@@ -33,18 +33,19 @@ from drake_oa.policy.dmp import Dmp, local_frame
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 SCALED_TO_REST = "speed_scale is 0"
-"""Note of a motion that is held because its speed is scaled to nothing from outside."""
+"""Note of a motion that is held because the input `speed_scale` is 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment(Frozen):
-    """The motion between two steps of the policy.
+    """Motion between two consecutive steps of the policy.
 
     Attributes:
-        state: the policy at the beginning.
-        end: the policy at the end.
-        evasion_velocity: (2, 3) velocities at both that displace it besides [m/s].
-        primitive: what it imitates; None: the one of `take_step`.
+        state: state of the policy at the beginning.
+        end: state of the policy at the end.
+        evasion_velocity: (2, 3) evasion velocity at the beginning and at the end, which is added
+            to the velocity of the primitive [m/s].
+        primitive: movement primitive of this motion; None: the one passed to `take_step`.
     """
 
     state: PolicyState
@@ -54,7 +55,7 @@ class Segment(Frozen):
 
     @property
     def velocity(self) -> FloatArray:
-        """(2, 3) velocities at the beginning and at the end [m/s]."""
+        """Velocities of E at the beginning and at the end, evasion included, (2, 3) [m/s]."""
         scaled = (state.speed * state.z_W for state in (self.state, self.end))
         return np.array([*scaled]) + self.evasion_velocity
 
@@ -62,8 +63,8 @@ class Segment(Frozen):
         """Computes position, velocity and acceleration at a time [s] of the segment.
 
         The velocity is linear in time; the position is its integral, corrected linearly so that
-        it ends at the policy's position. Before the segment they are those of its beginning;
-        after its end the velocity stays.
+        it ends at the policy's position. Times before the segment are clipped to its beginning;
+        after its end the velocity is constant.
 
         Returns:
             (3, 3) rows p_WE [m], v_WE [m/s] and a_WE [m/s^2].
@@ -81,14 +82,14 @@ class Segment(Frozen):
 
 
 def resting(state: PolicyState, primitive: Dmp | None = None) -> Segment:
-    """A segment of no length: the policy at one instant."""
+    """Returns a segment of zero length at a state of the policy."""
     return Segment(state, state, primitive=primitive)
 
 
 def take_step(
     before: Segment,
     p_WG: FloatArray,
-    around: CouplingInputs,
+    inputs: CouplingInputs,
     time: float,
     step: float,
     *,
@@ -97,58 +98,56 @@ def take_step(
     speed_scale: float = 1.0,
     evasion_velocity: FloatArray | None = None,
 ) -> Segment:
-    """Takes a step of the policy from the end of a segment.
+    """Computes the next step of the policy, from the end of a segment.
 
     Args:
-        before: where it is.
-        p_WG: (3,) the goal now [m].
-        around: obstacles and coupling terms.
-        time: now [s].
+        before: previous segment.
+        p_WG: (3,) current goal [m].
+        inputs: obstacles and coupling terms.
+        time: current time [s].
         step: length of the step [s].
-        dmp: the movement primitive, of three dimensions, unless the segment has its own.
-        config: how coupling terms and holds act.
-        speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
-            gets there at the rate of a hold. What is not in [0, 1] counts as the
-            nearest of them, NaN as 0.
-        evasion_velocity: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
-            phase being what they are; it changes linearly within the step. None,
-            and what is not finite: not at all.
+        dmp: movement primitive of three dimensions, used if the segment has none.
+        config: constants of coupling terms and holds.
+        speed_scale: requested fraction of full speed, 1 / (tau T). The speed changes toward it at
+            the rate given by `config.hold_time`. Values are clipped to [0, 1]; NaN counts as 0.
+        evasion_velocity: (3,) velocity [m/s] that displaces p_WE in addition to the primitive,
+            without effect on z and phase; linear in time within the step. None or not finite: 0.
 
     Returns:
-        The motion in this step.
+        Motion in this step.
 
     Raises:
-        ValueError: if the goal has come to lie on the start, or the step is negative or not
-            finite.
+        ValueError: if start and goal coincide, or the step is negative or not finite.
     """
     state, dmp = before.end, before.primitive or dmp
     if not np.array_equal(state.p_WG, p_WG):
         state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
     baseline = state.baseline
-    hold, note = around.hold_at(state, time, config.max_observation_age)
-    held = hold is not HoldReason.NONE
-    scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 and not held else 0.0
-    if scale == 0.0 and not held:
+    hold, note = inputs.hold_at(state, time, config.max_observation_age)
+    is_held = hold is not HoldReason.NONE
+    scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 and not is_held else 0.0
+    if scale == 0.0 and not is_held:
         hold, note = HoldReason.SPEED_SCALE, SCALED_TO_REST
-    tau = around.tau or state.tau
-    if not around.tau and around.path_length is not None:
-        tau = max(1.0, around.path_length / baseline)
-    # What is held before it has begun does not begin.
-    speed = 0.0 if held and state.phase == 1.0 else state.speed
-    most = step / (dmp.duration * config.hold_time)
-    after = speed + min(max(scale / (tau * dmp.duration) - speed, -most), most)
+    tau = inputs.tau or state.tau
+    if not inputs.tau and inputs.path_length is not None:
+        tau = max(1.0, inputs.path_length / baseline)
+    # A motion that is held at its start must not move at all.
+    speed = 0.0 if is_held and state.phase == 1.0 else state.speed
+    max_change = step / (dmp.duration * config.hold_time)
+    after = speed + min(max(scale / (tau * dmp.duration) - speed, -max_change), max_change)
     ds = 0.5 * (speed + after) * step
     if not 0.0 <= ds < math.inf:
         raise ValueError(
-            f"a step of {step} s at {speed} 1/s is not finite and at least 0 in normalized time"
+            f"step: {step} s at a speed of {speed} 1/s is {ds} of normalized time; it must be "
+            "finite and at least 0"
         )
     motion = np.empty((2, 2, 3))
     motion[:] = np.array([state.p_WE, state.z_W])[:, None]
     if ds > 0.0:
         middle = np.array([state.phase * math.exp(-0.5 * dmp.alpha_k * ds)])
         spread, fade = baseline * state.R_WL, config.fade * baseline
-        course = dmp.course(middle, ds, state.p_WG, spread, fade=fade)
-        advance(course, around.obstacles, around.obstacles.terms, math.inf, *motion)
+        setup = dmp.setup(middle, ds, state.p_WG, spread, fade=fade)
+        advance(setup, inputs.obstacles, inputs.obstacles.terms, math.inf, *motion)
     if evasion_velocity is None or not math.isfinite(evasion_velocity.sum()):
         evasion_velocity = np.zeros(3)
     evasions = np.array([before.evasion_velocity[1], evasion_velocity])
@@ -167,15 +166,16 @@ def take_step(
 def restarted(
     before: Segment, p_WG: FloatArray, time: float, primitive: Dmp | None = None
 ) -> Segment:
-    """A motion that rests, from where it is: its start moves there, and its phase back to 1.
+    """Restarts a motion at rest from its current position: the phase returns to 1.
 
-    A segment that does not rest, or has not left its start and imitates the same, stays as it is.
+    Returns the segment unchanged if it moves, if it is at the goal, or if it is still at its start
+    and has the same primitive.
 
     Args:
-        before: where it is.
-        p_WG: (3,) the goal [m].
-        time: now [s].
-        primitive: what it imitates; None: the one of `take_step`.
+        before: current segment.
+        p_WG: (3,) goal [m].
+        time: current time [s].
+        primitive: movement primitive of the new motion; None: the one passed to `take_step`.
     """
     state = before.end
     has_left = not np.array_equal(state.p_WE, state.p_WS)
@@ -198,17 +198,17 @@ def restarted(
 
 @dataclass(frozen=True, eq=False)
 class CouplingInputs(Frozen):
-    """Inputs of the policy until the next observation or decision.
+    """Obstacles and decisions on which the policy acts until they change.
 
     Attributes:
-        ellipsoids: the obstacles; None: there is no perception.
-        obstacles: obstacles and coupling terms that act.
-        hold: what decision and route hold the motion for, if they do.
-        note: the same in words.
+        ellipsoids: perceived obstacles; None: there is no perception.
+        obstacles: obstacles with their coupling terms.
+        hold: reason for which inference or route hold the motion.
+        note: explanation of `hold`.
         tau: requested temporal scaling; 0: none.
-        path_length: of the route [m]; None: there is no route.
-        verified: whether roll-outs have verified the terms, so that no ellipsoid holds them.
-        restart: whether a motion at rest is to begin anew from where it is.
+        path_length: length of the route [m]; None: there is no route.
+        verified: whether roll-outs have verified the terms; ellipsoids then do not hold the motion.
+        restart: whether a motion at rest restarts from its current position.
     """
 
     ellipsoids: EllipsoidSet | None = None
@@ -226,87 +226,88 @@ class CouplingInputs(Frozen):
         coupling: CouplingParameters | None,
         route: Route | None,
     ) -> CouplingInputs:
-        """Combines the values of the ports.
+        """Combines the values of the input ports.
 
         Args:
-            ellipsoids: the M obstacles; None: there is no perception, and no coupling.
-            coupling: parameters of the coupling terms, M rows; None: no coupling. Normals
-                and tau that it gives go before the route's; where its `hold` is set, it
-                holds the motion.
-            route: sides to pass on, M rows; None: no guidance. The guidance leads along headings
-                that pass on its sides from where the policy is (`drake_oa.policy.guidance`).
+            ellipsoids: M obstacles; None: there is no perception, and the terms do not act.
+            coupling: parameters of M coupling terms; None: no terms. Its normals, tau and hold
+                take precedence over those of the route.
+            route: M sides to pass on, toward which guidance steers (`drake_oa.policy.guidance`);
+                None: no guidance.
 
         Raises:
-            ValueError: if coupling or route do not have one row an ellipsoid, or a
-                parameter is out of its range.
+            ValueError: if coupling or route do not have one row per ellipsoid, or a
+                parameter is out of range.
         """
-        found = CouplingInputs(ellipsoids)
-        is_own = coupling is not None and coupling.verified
-        if is_own and route is not None and not len(route.direction_W):
+        combined = CouplingInputs(ellipsoids)
+        is_verified = coupling is not None and coupling.verified
+        if is_verified and route is not None and not len(route.direction_W):
             route = None
         if route is not None:
             hold = HoldReason.OBSTACLES if route.blocked else HoldReason.NONE
-            found = replace(found, hold=hold, note=route.note, path_length=route.path_length)
+            combined = replace(combined, hold=hold, note=route.note, path_length=route.path_length)
         if coupling is None:
-            return found
+            return combined
         if coupling.hold is not HoldReason.NONE:
-            found = replace(found, hold=coupling.hold, note=coupling.note)
-        found = replace(
-            found, tau=coupling.tau, verified=coupling.verified, restart=coupling.restart
+            combined = replace(combined, hold=coupling.hold, note=coupling.note)
+        combined = replace(
+            combined, tau=coupling.tau, verified=coupling.verified, restart=coupling.restart
         )
-        # Verified terms have their own obstacles, which lead headings and hold nothing.
+        # The ellipsoids of verified terms determine guidance headings only, and hold nothing.
         shapes = coupling.ellipsoids if coupling.verified else ellipsoids
         if ellipsoids is None or shapes is None:
-            return found
-        return replace(found, obstacles=_coupled(shapes, coupling, route))
+            return combined
+        return replace(combined, obstacles=_coupled(shapes, coupling, route))
 
     def hold_at(self, state: PolicyState, time: float, max_age: float) -> tuple[HoldReason, str]:
-        """Returns why the motion must not go on now, and the same in words.
+        """Returns the reason for holding the motion now, and its explanation.
 
-        It is held while nothing has been observed yet or the observation is too old; while no way
-        past the obstacles is known; and while the tool is inside an obstacle's ellipsoid, or the
-        goal is, unless the motion was verified.
+        The motion is held in these cases, the first of which counts:
+
+        - There is no observation yet, or it is older than `max_age`.
+        - Inference or route hold the motion, such as when no way past the obstacles is known.
+        - The tool or the goal is inside an ellipsoid, and the motion is not verified.
 
         Args:
-            state: the policy.
-            time: now [s].
-            max_age: age of the observation above which it is held [s].
+            state: state of the policy.
+            time: current time [s].
+            max_age: maximum age of the observation [s].
         """
-        seen = self.ellipsoids
-        if seen is None:
+        obstacles = self.ellipsoids
+        if obstacles is None:
             return HoldReason.NONE, ""
-        cause = f" ({seen.note})" if seen.note else ""
-        if seen.stamp == -math.inf:
+        cause = f" ({obstacles.note})" if obstacles.note else ""
+        if obstacles.stamp == -math.inf:
             return HoldReason.OBSTACLES, f"no observation yet{cause}"
-        if time - seen.stamp > max_age:
+        if time - obstacles.stamp > max_age:
             return (
                 HoldReason.OBSTACLES,
-                f"obstacles not seen since t = {seen.stamp:.2f} s{cause}",
+                f"obstacles not seen since t = {obstacles.stamp:.2f} s{cause}",
             )
         if self.hold is not HoldReason.NONE:
             return self.hold, self.note
-        if len(seen) and not self.verified:
+        if len(obstacles) and not self.verified:
             ends = np.stack([state.p_WE, state.p_WG])[:, None]
-            distance = signed_distance(ends, seen.p_WO, seen.R_WO, seen.semi_axes)
-            for place, row in zip(("tool", "goal"), distance <= 0.0, strict=True):
-                if row.any():
-                    return (
-                        HoldReason.OBSTACLES,
-                        f"{place} inside obstacle {seen.ids[row.argmax()] % PART_ID_STRIDE}",
-                    )
+            shapes = obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes
+            for place, row in zip(("tool", "goal"), signed_distance(ends, *shapes), strict=True):
+                if (row <= 0.0).any():
+                    track = obstacles.ids[(row <= 0.0).argmax()] % PART_ID_STRIDE
+                    return HoldReason.OBSTACLES, f"{place} inside obstacle {track}"
         return HoldReason.NONE, ""
 
 
 def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | None) -> Obstacles:
     """Returns the obstacles with their coupling terms; raises as `CouplingInputs.of`."""
     count = len(coupling) if coupling.verified else len(shapes)
-    found = {"coupling_parameters": len(coupling), "center_W": len(coupling.center_W) or count}
-    found["normal_W"] = len(coupling.normal_W) or count
+    sizes = {"coupling_parameters": len(coupling), "center_W": len(coupling.center_W) or count}
+    sizes["normal_W"] = len(coupling.normal_W) or count
     if route is not None:
-        found["route"] = len(route.direction_W)
-    for name, rows in found.items():
+        sizes["route"] = len(route.direction_W)
+    for name, rows in sizes.items():
         if rows != count:
-            raise ValueError(f"{name} has {rows} rows; there are {count} ellipsoids")
+            raise ValueError(
+                f"{name} has {rows} rows; it must have {count}, the number of ellipsoids"
+            )
     terms, sides, clearance = np.zeros((count, N_COLUMNS)), np.zeros((count, 3)), np.zeros(count)
     terms[:, :3] = coupling.center_W if len(coupling.center_W) else shapes.p_WO
     terms[:, ALPHA : KAPPA + 1] = coupling.as_array()
@@ -315,15 +316,15 @@ def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | 
         normal[:], sides[:] = route.normal_W, route.direction_W
         clearance[:] = route.remaining_clearance
     if len(coupling.normal_W):
-        given = np.asarray(coupling.normal_W.any(axis=1))
-        normal[given], clearance[given] = coupling.normal_W[given], 0.0
+        nonzero = np.asarray(coupling.normal_W.any(axis=1))
+        normal[nonzero], clearance[nonzero] = coupling.normal_W[nonzero], 0.0
     alpha, psi, kappa = coupling.as_array().T
-    good = np.isfinite(terms).all(axis=1) & (alpha >= 0.0) & (psi > 0.0) & (kappa >= 0.0)
-    if not good.all():
-        row = int(good.argmin())
+    is_valid = np.isfinite(terms).all(axis=1) & (alpha >= 0.0) & (psi > 0.0) & (kappa >= 0.0)
+    if not is_valid.all():
+        row = int(is_valid.argmin())
         raise ValueError(
-            f"obstacle {row}: alpha, psi, kappa must be >= 0, > 0, >= 0 and all finite, "
-            f"not {terms[row].tolist()}"
+            f"coupling term {row}: alpha, psi, kappa must be >= 0, > 0, >= 0 and all values "
+            f"finite, not {terms[row].tolist()}"
         )
     p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
     return Obstacles(p_WO, R_WO, semi_axes, terms, sides, clearance)

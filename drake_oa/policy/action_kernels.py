@@ -1,6 +1,6 @@
-"""Integration of the action level, compiled: steps of the spring, turned by the coupling terms.
+"""Compiled integration of the policy: steps of the DMP's spring, rotated by coupling terms.
 
-`DmpIntegrator` advances by one step at a time, a roll-out by all of them.
+`DmpIntegrator` advances one step at a time, a roll-out all of its steps.
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from drake_oa.policy.coupling import Triple, mixed, norm, rotate, triple, turn_s
 from drake_oa.policy.guidance import Obstacles, guide
 
 Flow = tuple[float, float, float, float]
+"""Coefficients a, b, c, d of a linear flow: e <- a e + b z, z <- c e + d z."""
 
 
 def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
-    """Exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z over a step.
+    """Computes the exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z.
 
     Args:
-        alpha_x: spring constant.
-        beta_x: spring constant; any damping.
-        step: length of the step, at least 0.
+        alpha_x: gain of the spring, per normalized time.
+        beta_x: gain of the spring; alpha_x / 4 for critical damping, other values are allowed.
+        step: length of the step in normalized time, at least 0.
 
     Returns:
-        a, b, c, d with e <- a e + b z and z <- c e + d z.
+        a, b, c, d with e <- a e + b z and z <- c e + d z over the step.
     """
     stiffness, half = alpha_x * beta_x, 0.5 * alpha_x
     omega = cmath.sqrt(half * half - stiffness)
@@ -40,19 +41,19 @@ def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
 
 
 class MotionSetup(NamedTuple):
-    """Constants of steps of equal length.
+    """Constants of an integration over T steps of equal length.
 
     Attributes:
         rest: (T, 3) equilibrium of the spring in the middle of each step, displaced from the goal
             by the forcing term [m].
-        flow: of the spring over half a step, see `spring_flow`.
+        flow: flow of the spring over half a step, see `spring_flow`.
         ds: length of a step in normalized time.
         p_WG: (3,) goal [m].
-        x_L: (3,) vector from start to goal.
-        fade: distance from the goal within which the coupling fades [m]; 0: it does not.
-        every: number of steps from one row of the path to the next.
-        least: number of steps before which it does not arrive.
-        tolerance: distance from the goal at which it arrives, if it is slow [m].
+        x_L: (3,) vector from start to goal [m].
+        fade: distance from the goal within which the coupling fades to zero [m]; 0: no fading.
+        every: number of steps between the rows of the output path.
+        min_steps: minimum number of steps before the integration may end at the goal.
+        tolerance: distance from the goal at which a slow motion ends [m].
     """
 
     rest: FloatArray
@@ -62,13 +63,13 @@ class MotionSetup(NamedTuple):
     x_L: Triple
     fade: float = 0.0
     every: int = 1
-    least: int = 0
+    min_steps: int = 0
     tolerance: float = 0.0
 
 
 @compiled
 def spring(p: Triple, z: Triple, rest: Triple, flow: Flow) -> tuple[Triple, Triple]:
-    """Position and scaled velocity after a step of the spring, see `spring_flow`."""
+    """Computes position and scaled velocity after a step of the spring, see `spring_flow`."""
     a, b, c, d = flow
     e = mixed(1.0, p, -1.0, rest)
     return mixed(1.0, rest, 1.0, mixed(a, e, b, z)), mixed(c, e, d, z)
@@ -76,52 +77,52 @@ def spring(p: Triple, z: Triple, rest: Triple, flow: Flow) -> tuple[Triple, Trip
 
 @compiled
 def advance(
-    course: MotionSetup,
+    setup: MotionSetup,
     obstacles: Obstacles,
     coupling: FloatArray,
     longest: float,
     path: FloatArray,
     velocity: FloatArray,
 ) -> tuple[float, float, int]:
-    """Advances the position and the scaled velocity by up to T steps.
+    """Integrates position and scaled velocity over up to T steps.
 
-    A step is half a step of the spring, the turn by the coupling terms, and the spring's other
-    half. The coupling would keep turning the motion around the goal: near it alpha fades by the
-    power (distance / fade)^4, which is steep, as alpha acts by its logarithm.
+    A step is half a step of the spring, the rotation by the coupling terms, and the other half
+    step of the spring. Near the goal the strengths alpha fade as (distance / fade)^4: without
+    fading the coupling would keep the motion circling around the goal. The power is that steep
+    because the coupling depends on the logarithm of alpha.
 
     Args:
-        course: the motion.
-        obstacles: the obstacles that lead the headings of the terms.
-        coupling: (K, 12) the coupling terms, not faded; (0, 12): none.
-        longest: it ends as soon as its path cannot become shorter than this [m].
-        path: (T // every + 1, 3) positions p_WE [m]; the first row is given, the others are
-            written.
+        setup: constants of the motion.
+        obstacles: obstacles for the guidance headings, which are updated each step.
+        coupling: (K, 12) coupling terms before fading, see `coupling.turn_step`.
+        longest: path length bound [m]; the integration ends when length so far plus distance to
+            the goal exceed it.
+        path: (T // every + 1, 3) positions p_WE [m]; the first row is input, the others output.
         velocity: (T // every + 1, 3) scaled velocities z_W [m], likewise.
 
     Returns:
-        The length of the path [m], the distance of its end from the goal [m], and the number of
-        steps.
+        Length of the path [m], distance of its end from the goal [m], and number of steps.
     """
     p, z, terms = triple(path, 0), triple(velocity, 0), coupling.copy()
-    length, done = 0.0, 0
+    length, step = 0.0, 0
     while True:
-        left = norm(mixed(1.0, course.p_WG, -1.0, p))
-        arrived = left < course.tolerance and norm(z) < 20.0 * course.tolerance
-        if done == len(course.rest) or (arrived and done >= course.least):
+        distance = norm(mixed(1.0, setup.p_WG, -1.0, p))
+        arrived = distance < setup.tolerance and norm(z) < 20.0 * setup.tolerance
+        if step == len(setup.rest) or (arrived and step >= setup.min_steps):
             break
-        if length + left > longest:
+        if length + distance > longest:
             break
-        rest = triple(course.rest, done)
+        rest = triple(setup.rest, step)
         if len(obstacles.p_WO) > 0 and len(terms) > 0:
-            guide(p, z, course.p_WG, course.x_L, obstacles, terms)
-        after, z = spring(p, z, rest, course.flow)
+            guide(p, z, setup.p_WG, setup.x_L, obstacles, terms)
+        after, z = spring(p, z, rest, setup.flow)
         if len(terms) > 0:
-            fade = min(1.0, left / course.fade) ** 4 if course.fade > 0.0 else 1.0
-            z = rotate(z, turn_step(terms, fade, after, z, course.ds))
-        after, z = spring(after, z, rest, course.flow)
+            fade = min(1.0, distance / setup.fade) ** 4 if setup.fade > 0.0 else 1.0
+            z = rotate(z, turn_step(terms, fade, after, z, setup.ds))
+        after, z = spring(after, z, rest, setup.flow)
         length += norm(mixed(1.0, after, -1.0, p))
-        p, done = after, done + 1
-        if done % course.every == 0:
+        p, step = after, step + 1
+        if step % setup.every == 0:
             for i in range(3):
-                path[done // course.every, i], velocity[done // course.every, i] = p[i], z[i]
-    return length, left, done
+                path[step // setup.every, i], velocity[step // setup.every, i] = p[i], z[i]
+    return length, distance, step

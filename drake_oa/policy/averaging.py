@@ -1,17 +1,17 @@
-"""One motion of several recorded ones: a penalized spline (P-spline) through all their samples.
+"""Mean of several recorded demonstrations, by a penalized spline (P-spline) through all samples.
 
-A hand trembles, samples come unevenly, and no two repetitions are alike. Each recording is put in
-its own normalized time s = (t - t_0) / (t_1 - t_0) and, its positions, in its local frame L
-divided by its baseline, as `drake_oa.policy.dmp` has it. The mean motion is the quintic spline of
-evenly spaced knots whose coefficients c minimize
+The spline removes hand tremor and averages repetitions sampled at different, uneven times. Each
+recording is expressed in its own normalized time s = (t - t_0) / (t_1 - t_0); positions are
+expressed in its local frame L and divided by its baseline, see `drake_oa.policy.dmp`. The mean
+motion is the quintic spline with evenly spaced knots whose coefficients c minimize
 
     mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 
-(P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996), with the first three and the last
-three coefficients at the recordings' mean ends: it begins and ends at rest, as a primitive does.
-ds_di is the time that a sample stands for: each recording counts the same, however often it was
-sampled. The forcing term is linear in a motion, so its regression over all recordings is that of
-their mean.
+(P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996). The first three and the last
+three coefficients equal the mean ends of the recordings, so that the motion starts and ends at
+rest, as a movement primitive does. ds_di is the sampling interval of sample i: all recordings
+have equal weight, whatever their number of samples. The forcing term of a primitive is linear in
+the motion, so fitting it to the mean equals fitting it to all recordings.
 """
 
 from __future__ import annotations
@@ -36,38 +36,40 @@ from drake_oa.policy.dmp import (
 )
 
 POINTS = 201
-"""Instants at which the mean motion is told."""
+"""Number of samples of the mean motion."""
 SPARSE = 100
-"""Fewer samples than this are no recording but points to go through: a spline is put through."""
+"""Number of samples below which a demonstration is interpolated exactly, as a list of waypoints."""
 _SPANS_PER_BASIS = 0.4
-"""Spans of the spline for each basis function: narrower details are no motion."""
+"""Number of spline spans per basis function of the primitive; more spans would fit tremor."""
 _PENALTY = 1e-6
-"""Weight lambda of the third differences, which bridges gaps of the recordings."""
+"""Weight lambda of the third differences, which determines the spline in gaps of recordings."""
 _SHORT = 0.05
-"""A baseline of less than this share of the extent says nothing of frame and scale."""
+"""Minimum ratio of baseline to extent of a recording, for a well-defined frame and scale."""
 _UNLIKE = math.pi / 2.0
-"""Recordings that differ by more than this from their mean turn different ways [rad]."""
+"""Maximum rotation of a recording from the mean [rad]; others rotate in different directions."""
 
 
 def average_paths(
     paths: Sequence[ArrayLike], stamps: Sequence[ArrayLike], *, n_basis: int = N_BASIS
 ) -> tuple[FloatArray, FloatArray]:
-    """The mean of recorded paths, without their tremor.
+    """Computes the mean of recorded paths, from the mean start to the mean goal, without tremor.
 
     Args:
-        paths: of each recording (T_d, 3) positions [m]; from a mean start to a mean goal.
-        stamps: of each (T_d,) [s], increasing.
-        n_basis: number of basis functions that are to imitate it: the more, the more is kept.
+        paths: (T_d, 3) positions of each recording [m].
+        stamps: (T_d,) times of each recording [s], increasing.
+        n_basis: number of basis functions of the primitive to be fitted; more preserve finer
+            details of the recordings.
 
     Returns:
-        path (POINTS, 3) [m] and t (POINTS,) from 0 to the mean duration [s]; at both ends at rest.
+        Path (POINTS, 3) [m], at rest at both ends, and times (POINTS,) from 0 to the mean
+        duration [s].
 
     Raises:
-        ValueError: as `imitate`; or for a baseline that is less than a twentieth of the extent.
+        ValueError: as `imitate`; or if a baseline is less than a twentieth of the path's extent.
     """
     local, ends, times = [], [], []
-    for shown, given in zip(paths, stamps, strict=True):
-        path, t = checked_demonstration(shown, given)
+    for positions, t_d in zip(paths, stamps, strict=True):
+        path, t = checked_demonstration(positions, t_d)
         local.append(in_local_frame(path, _SHORT if len(path) >= SPARSE else 1e-6))
         ends.append(path[[0, -1]])
         times.append(t)
@@ -80,20 +82,20 @@ def average_paths(
 def average_orientations(
     orientations: Sequence[ArrayLike], stamps: Sequence[ArrayLike], *, n_basis: int = N_BASIS
 ) -> tuple[FloatArray, FloatArray]:
-    """The mean of recorded orientations: of their rotation vectors from where each began.
+    """Computes the mean of recorded orientations by their rotation vectors from mid-recording.
 
     Args:
-        orientations: of each recording (T_d, 4) quaternions R_WE, w first, each of either sign and
-            any length, or (T_d, 3, 3) rotation matrices.
-        stamps: of each (T_d,) [s], increasing.
+        orientations: for each recording (T_d, 4) quaternions of R_WE, w first, of either sign and
+            any nonzero length, or (T_d, 3, 3) rotation matrices.
+        stamps: (T_d,) times of each recording [s], increasing.
         n_basis: as in `average_paths`.
 
     Returns:
-        R_WE (POINTS, 3, 3) and t (POINTS,) [s]; at both ends at rest.
+        R_WE (POINTS, 3, 3), at rest at both ends, and times (POINTS,) [s].
 
     Raises:
-        ValueError: as `imitate_orientation`; or where recordings
-            differ by more than a quarter turn from their mean.
+        ValueError: as `imitate_orientation`; or if a recording differs from the mean by more than
+            90 degrees.
     """
     checked = [checked_turn(*pair) for pair in zip(orientations, stamps, strict=True)]
     rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
@@ -106,9 +108,9 @@ def average_orientations(
     if off.max() > _UNLIKE:
         number = int(np.argmax(off > _UNLIKE))
         raise ValueError(
-            f"orientations: demonstration {number + 1} of {len(checked)} is turned by "
-            f"{math.degrees(off[number]):.0f} degrees from the mean of all; average those that "
-            "turn the same way"
+            f"orientations: demonstration {number + 1} of {len(checked)} differs from the mean by "
+            f"{math.degrees(off[number]):.0f} degrees, more than 90; average only demonstrations "
+            "that rotate in the same direction"
         )
     r, t = _regressed(vectors, [t for _, t in checked], n_basis)
     return (mean * Rotation.from_rotvec(r)).as_matrix(), t
@@ -117,7 +119,7 @@ def average_orientations(
 def _regressed(
     values: Sequence[FloatArray], stamps: Sequence[FloatArray], n_basis: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the regression (POINTS, D) of all values, each of (T_d, D), and its stamps."""
+    """Fits the P-spline to recordings of values (T_d, D); returns samples (POINTS, D) and times."""
     at = np.linspace(0.0, 1.0, POINTS)
     times, parts, shares = [], [], []
     for x, t in zip(values, stamps, strict=True):
@@ -126,12 +128,12 @@ def _regressed(
             x, s = interpolant(s, x)(at), at
         times.append(s)
         parts.append(x)
-        # At the edges of a gap no more than of some samples.
+        # The bound prevents a large weight of the samples beside a gap.
         shares.append(np.minimum(np.gradient(s), 5.0 / len(s)))
     breaks = np.linspace(0.0, 1.0, max(round(_SPANS_PER_BASIS * n_basis), 1) + 1)
     knots = np.concatenate([np.zeros(5), breaks, np.ones(5)])
     count = len(breaks) + 4
-    # At rest at the mean of the recordings' ends: three coefficients are one.
+    # Three equal coefficients at each end: the spline is at rest there.
     coefficients = np.zeros((count, values[0].shape[1]))
     coefficients[:3] = np.mean([x[0] for x in values], axis=0)
     coefficients[-3:] = np.mean([x[-1] for x in values], axis=0)

@@ -28,7 +28,7 @@ class Policy:
     demonstration."""
     fade: float = Field(default=0.3, ge=0.0, le=1.0)
     """Fraction of the start-to-goal distance before the goal within which the coupling terms fade
-    to zero [1]; 0: no fading, as printed in the paper. Raising it ends avoidance farther from the
+    to zero [1]; 0: no fading, as in the paper. Raising it ends avoidance farther from the
     goal."""
     table_height: float = Field(default=0.05, ge=0.0, le=10.0)
     """Minimum height of the tool point above the table on a selected side [m]. Raising it forbids

@@ -1,19 +1,19 @@
-"""Coupling terms: turning the motion away from obstacles and toward a heading.
+"""Coupling terms: rotation of the motion away from obstacles and toward guidance headings.
 
-A coupling term C turns the scaled velocity z without pushing it: C = Omega x z
-(eq. 6), where Omega is an angular rate per unit of normalized time
-s = t / (tau T). Several terms add up (section III-C of the paper). Using z where
-the paper writes the velocity makes the path independent of tau.
+A coupling term C rotates the scaled velocity z without changing its length: C = Omega x z
+(eq. 6 of Pairet et al., RA-L 2019), where Omega is an angular rate per normalized time
+s = t / (tau T). Several terms add up (section III-C). Because z replaces the velocity of the
+paper, the path does not depend on tau.
 
-Signs. The P-plane is spanned by the way to the obstacle's center, p_EO, and z, or is given by its
-normal. The avoidance term turns about p_EO x z, the guidance term about z x v_d, both by the
-right-hand rule: a positive rate turns away from the obstacle, or toward v_d. Where
-these products vanish, the normal of the plane stands in: a positive turn about it
-goes from the obstacle's center toward the side to pass on.
+Signs. The P-plane is spanned by the vector p_EO to the obstacle's center and z, or is given by its
+normal. The avoidance term rotates z about p_EO x z, the guidance term about z x v_d, with v_d the
+guidance heading. By the right-hand rule, a positive rate rotates z away from the obstacle, or
+toward v_d. Where these products vanish, the normal of the plane is the axis: a positive rotation
+about it turns from the obstacle's center toward the selected side.
 
-How one step turns is derived in docs/equations.md ("Integration"). The kernels pass vectors as
-triples, so that nothing is allocated and everything can be inlined. A term is its axis, its turn
-over the step alone, and its rate times the step; a turn of 0 says that it does not act.
+The rotation in one step is derived in docs/equations.md ("Integration"). The kernels pass vectors
+as triples, so that they do not allocate memory and can be inlined. Each term has an axis, the exact
+rotation angle over the step if it acted alone, and its initial rate times the step.
 """
 
 from __future__ import annotations
@@ -29,31 +29,36 @@ from drake_oa.common.messages import FloatArray
 PARALLEL = 1e-6
 """Sine of the angle below which two directions count as parallel.
 
-An imitated motion may begin with a little step back: where its heading passes through none there
-is nothing but rounding to it, which must not choose the side."""
+A demonstrated motion may start with a short step backward. Where its velocity then passes through
+zero, the heading is rounding error, which must not determine the side of avoidance."""
 
 ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
-"""Columns of a row of terms after its center; heading and normal have three each."""
+"""Column of alpha, psi, kappa, and first column of heading and normal, in a row of coupling terms.
+
+Columns 0 to 2 are the center."""
 N_COLUMNS = 12
-"""Number of columns of a row of terms."""
+"""Number of columns of a row of coupling terms."""
 
 _MAX_STIFFNESS = 1e4
+"""Upper bound of the ratio of initial rate times step to exact rotation of a term [1]."""
 _NEGLIGIBLE = 1e-15
-"""Largest turn of an avoidance term in a step that is left out [rad]."""
+"""Rotation of an avoidance term in a step below which the term is skipped [rad]."""
 
 Triple = tuple[float, float, float]
+"""Vector of three components."""
 Term = tuple[Triple, float, float]
-"""Axis, turn over the step alone [rad] (0: no term), and rate times the step [rad]."""
+"""Axis, exact rotation over the step [rad] (0: inactive), and initial rate times step [rad]."""
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
+"""Term that does not act."""
 
 
 def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """Hoffmann's turning rate, (eq. 7): gamma theta exp(-beta |theta|).
+    """Computes Hoffmann's turning rate (eq. 7): gamma theta exp(-beta |theta|).
 
     Args:
-        theta: heading relative to the obstacle's center [rad], positive off to one side.
+        theta: signed angle from the obstacle's center to the heading [rad].
         gamma: strength [1 per time].
-        beta: shape [1/rad].
+        beta: decay with the angle [1/rad].
 
     Returns:
         Turning rate [rad per time], positive away from the obstacle, broadcast.
@@ -65,17 +70,17 @@ def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatA
 def dead_zone_free_rate(
     theta: ArrayLike, d: ArrayLike, alpha: ArrayLike, psi: ArrayLike, kappa: ArrayLike
 ) -> FloatArray:
-    """Dead-zone free turning rate, (eq. 8).
+    """Computes the turning rate without dead zone (eq. 8).
 
-    alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2), where sign(0) is 1: a
-    heading straight at the obstacle turns fastest, and the plane says to which side.
+    The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1: a heading
+    straight at the obstacle turns fastest, to the side that the normal of the plane determines.
 
     Args:
-        theta: heading relative to the obstacle's center [rad].
+        theta: signed angle from the obstacle's center to the heading [rad].
         d: distance to the obstacle's center [m].
         alpha: strength [rad per time].
-        psi: width of the reaction over the heading [rad].
-        kappa: decay over the distance [1/m^2].
+        psi: width of the response to the heading [rad].
+        kappa: decay with the squared distance [1/m^2].
 
     Returns:
         Turning rate [rad per time], positive away from the obstacle, broadcast.
@@ -89,43 +94,43 @@ def dead_zone_free_rate(
 
 @compiled
 def dot(a: Triple, b: Triple) -> float:
-    """Scalar product."""
+    """Computes the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
 def cross(a: Triple, b: Triple) -> Triple:
-    """Vector product."""
+    """Computes the vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
 def norm(v: Triple) -> float:
-    """Length of a vector."""
+    """Computes the length of a vector."""
     return math.sqrt(dot(v, v))
 
 
 @compiled
 def mixed(a: float, v: Triple, b: float, w: Triple) -> Triple:
-    """Linear combination a v + b w."""
+    """Computes the linear combination a v + b w of two vectors."""
     return a * v[0] + b * w[0], a * v[1] + b * w[1], a * v[2] + b * w[2]
 
 
 @compiled
 def scaled(a: float, v: Triple) -> Triple:
-    """Multiple a v."""
+    """Computes the multiple a v of a vector."""
     return a * v[0], a * v[1], a * v[2]
 
 
 @compiled
 def triple(array: FloatArray, row: int, column: int = 0) -> Triple:
-    """Vector in a row of an array, from a column on."""
+    """Returns the three consecutive elements of an array's row that start at a column."""
     return array[row, column], array[row, column + 1], array[row, column + 2]
 
 
 @compiled
 def rotate(z: Triple, w: Triple) -> Triple:
-    """z turned about the axis times angle w [rad] by Rodrigues' formula."""
+    """Rotates z by the rotation vector w (axis times angle [rad]), by Rodrigues' formula."""
     angle = norm(w)
     if angle == 0.0:
         return z
@@ -138,7 +143,10 @@ def rotate(z: Triple, w: Triple) -> Triple:
 
 @compiled
 def between(a: Triple, b: Triple) -> tuple[Triple, float, bool]:
-    """Axis and angle of the turn from unit a to unit b, and whether the axis is defined."""
+    """Computes axis and angle [rad] of the rotation from unit vector a to unit vector b.
+
+    The third result is False if they are parallel or opposite, so that the axis is undefined.
+    """
     across, cosine = cross(a, b), dot(a, b)
     sine = norm(across)
     if sine > PARALLEL:
@@ -148,10 +156,10 @@ def between(a: Triple, b: Triple) -> tuple[Triple, float, bool]:
 
 @compiled
 def between_in_plane(a: Triple, b: Triple, n: Triple) -> tuple[Triple, float, bool]:
-    """As `between`, with both seen along a unit normal: the axis is it or its opposite.
+    """Computes axis and angle as `between`, of the projections of a and b along a unit normal n.
 
-    It is the normal where they are parallel, and undefined where they are opposite or one of
-    them is seen as a point.
+    The axis is n or -n. It is n for parallel projections, and undefined if the projections are
+    opposite or one of them vanishes.
     """
     sine, cosine = dot(n, cross(a, b)), dot(a, b) - dot(a, n) * dot(b, n)
     if abs(sine) <= PARALLEL:
@@ -161,7 +169,11 @@ def between_in_plane(a: Triple, b: Triple, n: Triple) -> tuple[Triple, float, bo
 
 @compiled
 def orthogonal(n: Triple, e: Triple) -> Triple:
-    """Unit vector along the part of n that is orthogonal to the unit e, or a definite stand-in."""
+    """Computes the unit vector along the component of n orthogonal to the unit vector e.
+
+    If n is zero or parallel to e, the world's z axis or, if that is parallel too, x axis replaces
+    it.
+    """
     part = mixed(1.0, n, -dot(n, e), e)
     if norm(part) <= 1e-3 * norm(n):
         part = mixed(1.0, (0.0, 0.0, 1.0), -e[2], e)
@@ -172,29 +184,36 @@ def orthogonal(n: Triple, e: Triple) -> Triple:
 
 @compiled
 def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
-    """Turn over a step of theta' = A exp(-theta^2 / psi^2), rate at theta >= 0 [rad]."""
+    """Computes the rotation [rad] over a step of d theta/ds = A exp(-theta^2 / psi^2).
+
+    `rate` is d theta/ds at the initial angle theta >= 0. The result is within 2.5 % of the exact
+    flow: with u = theta / psi, c = rate step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the
+    angle after the step is psi sqrt(u^2 + log(1 + c g)), at most pi.
+    """
     c, u = rate * step / psi, theta / psi
     if c < 1e-14:
         return rate * step
     x = c / math.sqrt(1.0 + 2.0 * u * c)
-    # Faster than math.asinh.
+    # This form is faster than math.asinh(x).
     asinh = math.log1p(x + x * x / (1.0 + math.sqrt(x * x + 1.0)))
-    grown = math.log1p(c * (2.0 * u + asinh))
-    return min(psi * grown / (u + math.sqrt(u * u + grown)), math.pi - theta)
+    growth = math.log1p(c * (2.0 * u + asinh))
+    return min(psi * growth / (u + math.sqrt(u * u + growth)), math.pi - theta)
 
 
 @compiled
 def avoidance_term(
     o: Triple, e: Triple, normal: Triple, alpha: float, psi: float, kappa: float, step: float
 ) -> Term:
-    """Turn away from the obstacle, (eq. 8).
+    """Computes the avoidance term, a rotation away from the obstacle (eq. 8).
 
     Args:
-        o: vector from E to the center [m].
-        e: unit heading.
-        normal: of the plane in which the term acts, of any length; zero: the P-plane.
-        alpha, psi, kappa: parameters of the term.
-        step: length of the step.
+        o: vector from E to the center of the obstacle [m].
+        e: heading of the motion, unit vector.
+        normal: normal of the plane in which the term acts, of any length; zero: the P-plane.
+        alpha: strength [rad per normalized time].
+        psi: width of the response to the heading [rad].
+        kappa: decay with the squared distance [1/m^2].
+        step: length of the step in normalized time.
     """
     d, size = norm(o), norm(normal)
     near = alpha * math.exp(-kappa * d * d)
@@ -217,11 +236,11 @@ def avoidance_term(
 def guidance_term(
     v: Triple, e: Triple, normal: Triple, alpha: float, closeness: float, step: float
 ) -> Term:
-    """Turn toward the unit heading v; zero: none.
+    """Computes the guidance term, a rotation toward the unit heading v; v = 0: no term.
 
-    The gain, its rate over its angle, is alpha (1 - exp(-kappa d^2)) in place of (eq. 9), which
-    grows without bound with d: bounded, vanishing at the obstacle. `closeness` is kappa d^2; the
-    other arguments are those of `avoidance_term`.
+    The gain (rate over angle) is alpha (1 - exp(-kappa d^2)), which is bounded and vanishes at the
+    obstacle. It replaces the gain of (eq. 9), which grows without bound with the distance d.
+    `closeness` is kappa d^2; the other arguments are those of `avoidance_term`.
     """
     gain = -alpha * math.expm1(-closeness)
     if norm(v) == 0.0 or not gain > 0.0:
@@ -236,7 +255,13 @@ def guidance_term(
 
 @compiled
 def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
-    """w of the symmetric positive definite A w = b by L D L^T; A's xx, yy, zz and xy, xz, yz."""
+    """Solves A w = b for a symmetric positive definite A, by the factorization L D L^T.
+
+    Args:
+        diagonal: elements xx, yy, zz of A.
+        off: elements xy, xz, yz of A.
+        b: right-hand side.
+    """
     (xx, yy, zz), (xy, xz, yz), (x, y, z) = diagonal, off, b
     l1, l2 = xy / xx, xz / xx
     d2 = yy - l1 * xy
@@ -253,22 +278,23 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 
 @leaf
 def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float) -> Triple:
-    """Turn of the heading over a step of normalized time.
+    """Computes the rotation of the heading over a step, by all coupling terms.
 
-    Linearly implicit in the sum of all terms, so that each term alone turns as far as its own
-    exact flow does (within 2.5 %): never past the direction straight away from the obstacle,
-    or past v_d, however large its rate. A turn is at most pi.
+    The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i for terms with
+    unit axis a_i, exact rotation phi_i and q_i = (initial rate times step) / phi_i. A term that
+    acts alone thus rotates by phi_i, however large its rate: never past the direction straight away
+    from the obstacle, or past the guidance heading. The angle is at most pi.
 
     Args:
-        terms: (M, 12) rows p_WO (3), alpha, psi, kappa, unit heading (3; zero: no guidance) and
-            normal (3); finite, psi > 0, alpha and kappa not negative.
+        terms: (M, 12) rows: p_WO (3), alpha, psi, kappa, guidance heading (3, unit vector; zero: no
+            guidance) and normal (3); finite, psi > 0, alpha and kappa not negative.
         fade: factor on the strengths alpha.
-        p: p_WE [m].
+        p: position p_WE [m].
         z: scaled velocity z_W [m].
         step: length of the step in normalized time, at least 0.
 
     Returns:
-        Axis times angle [rad] in the world frame, for `rotate`.
+        Rotation vector (axis times angle) [rad] in the world frame, for `rotate`.
     """
     speed = norm(z)
     if speed == 0.0:

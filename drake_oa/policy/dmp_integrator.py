@@ -1,4 +1,4 @@
-"""The action layer: a movement primitive bent by coupling terms."""
+"""System of the policy layer for the position: a movement primitive with coupling terms."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SUCCEEDED = EventStatus.Succeeded()
 
 
 class DmpIntegrator(LeafSystem):
-    """Integrates the movement primitive with its coupling terms.
+    """Integrator of a dynamic movement primitive (DMP) with coupling terms, for the tool point.
 
     .. pydrake_system::
 
@@ -52,35 +52,45 @@ class DmpIntegrator(LeafSystem):
       - phase
       - policy_state
 
-    - goal: (3,) goal of the motion in the world frame [m].
-    - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles. Without
-      it the motion is the pre-planned one.
-    - coupling_parameters (optional): abstract `CouplingParameters`, one row an
-      ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
-      gives them, go before the route's; while its `hold` is set the motion is held.
-    - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
-      decision. The headings are computed here from where the motion is at each step.
-      Without it there is no guidance term, and the motion is not scaled in time.
-    - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
-      [0, 1], as `MotionGuard` outputs it. The rate of normalized time follows it at the rate
-      of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
-    - evasion_velocity (optional): (3,) velocity in the world [m/s] by which p_WE is displaced besides
-      its motion, as `MotionGuard` outputs it; phase and scaled velocity stay as they
-      are, and the spring leads on from where it has come to. It should be continuous: the
-      desired velocity follows it within a step.
-    - demonstration (optional): abstract `Demonstration`: what a motion that begins anew
-      imitates, where there is one, in place of the constructor's primitive.
-    - desired_position: (3,) p_WE [m].
-    - desired_velocity: (3,) v_WE [m/s].
-    - desired_acceleration: (3,) a_WE [m/s^2].
-    - phase: (1,) the canonical phase k.
+    - goal: (3,) goal of the motion in the world frame [m]; it may move.
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, the obstacles dilated by the tool.
+      Not connected: nominal motion without avoidance.
+    - coupling_parameters (optional): abstract `CouplingParameters`, one row per
+      ellipsoid. Its normals and its tau, if set, take precedence over the route's; while its
+      `hold` is set the motion is held. Not connected: no coupling terms.
+    - route (optional): abstract `Route` of `CostRingSelector`, one row per ellipsoid. The
+      guidance headings toward its sides are computed at each step. Not connected: no guidance
+      term, and no temporal scaling by the path length.
+    - speed_scale (optional): (1,) requested fraction of full speed in [0, 1], from
+      `MotionGuard`. The speed changes toward it within `policy.hold_time` and the path does
+      not change; at 0 the motion is held. Not connected: 1.
+    - evasion_velocity (optional): (3,) velocity in the world [m/s] from `MotionGuard` that
+      displaces p_WE in addition to the primitive. It does not change phase and scaled velocity;
+      the spring acts from the displaced position. It should be continuous, because the desired
+      velocity follows it within one step. Not connected: 0.
+    - demonstration (optional): abstract `Demonstration`, whose position a restarted motion
+      follows. Not connected or without position: the constructor's primitive.
+    - desired_position: (3,) p_WE in the world frame [m].
+    - desired_velocity: (3,) v_WE in the world frame [m/s].
+    - desired_acceleration: (3,) a_WE in the world frame [m/s^2].
+    - phase: (1,) phase k of the canonical system, from 1 at the start to 0.
     - policy_state: abstract `PolicyState` at the last step.
 
-    The state is abstract, in the Context: the step under way (`Segment`), between
-    whose ends the desired motion is interpolated, so that a controller may run faster
-    than the policy. A simulator that takes over a Context goes on with its motion. The
-    motion is held (its normalized time slows down to a stop, on the path) while it
-    would not be safe: see `drake_oa.policy.action.CouplingInputs.hold_at`.
+    With position x, scaled velocity z, phase k, goal g, and normalized time s = t / (tau T), where
+    T is the demonstrated duration and tau the temporal scaling, the system integrates
+
+        dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + sum_i Omega_i x z,
+        dx/ds = z,    dk/ds = -alpha_k k,    x(0) = start, z(0) = 0, k(0) = 1.
+
+    f is the forcing term learned from the demonstration, and Omega_i the angular rate of coupling
+    term i, which turns the motion away from obstacle i (`drake_oa.policy.coupling`). The speed
+    ds/dt approaches speed_scale / (tau T) at a bounded rate. The evasion velocity adds to the
+    velocity of the tool point.
+
+    The abstract state is the current `Segment` between two steps. The desired motion is
+    interpolated in it, so that a controller may run faster than the policy. A simulator that
+    continues with an existing Context continues its motion. The motion is held (ds/dt falls to 0,
+    on the path) while it would not be safe, see `drake_oa.policy.action.CouplingInputs.hold_at`.
     """
 
     def __init__(
@@ -93,9 +103,9 @@ class DmpIntegrator(LeafSystem):
         """Declares the ports.
 
         Args:
-            dmp: the movement primitive.
-            start: (3,) where the motion starts [m].
-            config: its period, and how coupling terms and holds act; None: the defaults.
+            dmp: movement primitive of three dimensions.
+            start: (3,) start of the motion in the world frame [m].
+            config: period, and constants of coupling terms and holds; None: the defaults.
         """
         super().__init__()
         self._dmp, self._config = dmp, config or Policy()
@@ -108,9 +118,9 @@ class DmpIntegrator(LeafSystem):
         self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
         self._evasion = self.DeclareVectorInputPort("evasion_velocity", 3)
         self._demonstration = AbstractInput(self, "demonstration", Demonstration)
-        # Perception and decision are much slower than the policy.
+        # Cached, because perception and inference are much slower than the policy.
         self._coupling_inputs = self.DeclareCacheEntry(
-            "surroundings",
+            "coupling inputs",
             ValueProducer(lambda: Value(CouplingInputs()), self._calc_coupling_inputs),
             {self._ellipsoids.ticket(), self._coupling.ticket(), self._route.ticket()},
         )
@@ -146,7 +156,7 @@ class DmpIntegrator(LeafSystem):
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
         if self._read_segment(context).state.baseline > 0.0:
-            # A motion under way, in a Context that another simulator takes over.
+            # The Context contains a motion of an earlier simulator, which continues.
             return EventStatus.DidNothing()
         p_WS, p_WG = self._start, self._goal.Eval(context)
         state.get_mutable_abstract_state(self._segment).set_value(
@@ -174,17 +184,17 @@ class DmpIntegrator(LeafSystem):
 
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
-        around = self._coupling_inputs.Eval(context)
+        inputs = self._coupling_inputs.Eval(context)
         goal = self._goal.Eval(context)
-        if around.restart:
-            given = self._demonstration.find(context)
-            primitive = None if given is None else given.position
+        if inputs.restart:
+            demonstration = self._demonstration.find(context)
+            primitive = None if demonstration is None else demonstration.position
             before = restarted(before, goal, context.get_time(), primitive)
         scale = self._speed_scale
         after = take_step(
             before,
             goal,
-            around,
+            inputs,
             context.get_time(),
             self._config.period,
             dmp=self._dmp,
@@ -195,13 +205,13 @@ class DmpIntegrator(LeafSystem):
             else None,
         )
         now, earlier = after.end, before.end
-        # The system that scales the speed logs the reason.
+        # Holds by the speed scale are logged, with their reason, by the system that outputs it.
         if now.note != earlier.note and HoldReason.SPEED_SCALE not in (now.hold, earlier.hold):
-            held = now.hold is not HoldReason.NONE
-            message = f"held: {now.note}" if held else "running again"
-            # The first decision of a motion deserves no warning.
-            quiet = (now if held else earlier).hold is HoldReason.DECIDING
-            level = logging.INFO if quiet else logging.WARNING
+            is_held = now.hold is not HoldReason.NONE
+            message = f"motion held: {now.note}" if is_held else "motion resumed"
+            # Waiting for the first decision of a motion is normal and needs no warning.
+            is_first = (now if is_held else earlier).hold is HoldReason.DECIDING
+            level = logging.INFO if is_first else logging.WARNING
             _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)
         return _SUCCEEDED

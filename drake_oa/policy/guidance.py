@@ -1,13 +1,16 @@
-"""The desired heading v_d of the guidance term (eq. 9).
+"""Heading v_d of the guidance term (eq. 9 of Pairet et al., RA-L 2019).
 
-The paper leaves open which heading leads the motion along a chosen direction
-omega_d, and for how long. Here v_d is the heading along the line through E that
-supports the obstacle at the requested clearance on the chosen side: the shortest way
-past it. Guidance acts only while the motion is on its way into the obstacle's clearance and the
-avoidance term would turn it to another side than the chosen one: with e the way to the center and
-u the heading, the P-plane's normal e x u then leans away from the normal of the passing plane.
-v_d goes over from u to the supporting heading as it leans by up to 30 degrees below the right
-angle.
+The paper defines neither the heading that guides the motion to a selected direction omega_d, nor
+when guidance ends. Here v_d is the heading of the line through E that is tangent to the obstacle at
+the requested clearance, on the selected side: the shortest way past the obstacle.
+
+Guidance acts while both conditions hold:
+
+- The ray along the heading u enters the obstacle grown by the clearance, before the goal.
+- The avoidance term would turn the motion to another side: with e the direction to the center, the
+  normal e x u of the P-plane has a negative component (lean) along the normal of the passing plane.
+
+v_d blends linearly from u to the tangent as the sine of the lean rises from 0 to 0.5 (30 degrees).
 """
 
 from __future__ import annotations
@@ -35,15 +38,16 @@ from drake_oa.policy.coupling import (
 
 
 class Obstacles(NamedTuple):
-    """M obstacles with their coupling terms, a row each.
+    """Obstacles and coupling terms for one step of the policy, one row per obstacle.
 
     Attributes:
-        p_WO, R_WO, semi_axes: the ellipsoids: (M, 3) [m], (M, 3, 3), (M, 3) [m].
-        terms: (M, 12) their coupling terms, see `coupling.turn_step`, not faded and without
-            headings: the normal is that of the plane in which one is passed, zero where none
-            is known.
+        p_WO: (M, 3) centers of the ellipsoids [m].
+        R_WO: (M, 3, 3) rotations of the ellipsoids.
+        semi_axes: (M, 3) semi-axes of the ellipsoids [m].
+        terms: (M, 12) coupling terms before fading, see `coupling.turn_step`; headings are zero,
+            normals those of the planes in which the obstacles are passed, zero if unknown.
         direction: (M, 3) unit directions omega_d of the route.
-        remaining_clearance: (M,) distances that the route keeps [m]; 0: it does not guide.
+        remaining_clearance: (M,) clearance at which guidance passes [m]; 0: no guidance.
     """
 
     p_WO: FloatArray
@@ -57,22 +61,22 @@ class Obstacles(NamedTuple):
 NO_OBSTACLES = Obstacles(
     *(np.zeros(shape) for shape in ((0, 3), (0, 3, 3), (0, 3), (0, N_COLUMNS), (0, 3), (0,)))
 )
-"""Obstacles of which there are none."""
+"""Empty set of obstacles."""
 
 
 @compiled
 def guide(
     p: Triple, z: Triple, p_WG: Triple, ahead: Triple, obstacles: Obstacles, terms: FloatArray
 ) -> None:
-    """Sets the headings of the terms (M, 12) of a step; zero where guidance does not act.
+    """Writes the guidance headings of a step into the terms; zero where guidance does not act.
 
     Args:
-        p, z: position p_WE and scaled velocity z_W [m].
-        p_WG: the goal [m].
-        ahead: vector from start to goal. At rest the heading u is along it: the motion is about to
-            set out along it.
-        obstacles: the obstacles.
-        terms: (M, 12) their terms.
+        p: position p_WE [m].
+        z: scaled velocity z_W [m].
+        p_WG: goal [m].
+        ahead: vector from start to goal [m], the heading of a motion at rest.
+        obstacles: M obstacles.
+        terms: (M, 12) coupling terms of the obstacles; their heading columns are output.
     """
     along = z if norm(z) > 0.0 else ahead
     u = scaled(1.0 / norm(along), along)
@@ -82,12 +86,13 @@ def guide(
         o = mixed(1.0, triple(obstacles.p_WO, row), -1.0, p)
         reach, across = norm(o), cross(o, u)
         lean, size = -dot(across, triple(terms, row, NORMAL)), norm(across)
-        # Straight at the center the turn about the normal goes to the chosen side by itself.
+        # A heading straight at the center needs no guidance: avoidance then rotates about the
+        # normal, to the selected side.
         if clearance > 0.0 and size > 1e-9 * reach and lean > 1e-9 * size:
             e1 = scaled(1.0 / reach, o)
             e2 = orthogonal(triple(obstacles.direction, row), e1)
-            # Coefficients of the ray along u into the grown ellipsoid, and of the shadow of the
-            # ellipsoid in the plane of e1 and e2.
+            # a, b, c: coefficients of the intersection of the ray along u with the grown
+            # ellipsoid. b11, b12, b22: projection of the ellipsoid onto the plane of e1 and e2.
             a, b, c, b11, b12, b22, mean = 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0
             for i in range(3):
                 R, length = obstacles.R_WO[row], obstacles.semi_axes[row, i]
@@ -100,12 +105,12 @@ def guide(
                 mean += length**2 / 3.0
             enters = b > 0.0 and b * b > a * c
             if enters and b - math.sqrt(b * b - a * c) < a * distance_G:
-                # An ellipsoid that holds the shadow grown by the clearance.
+                # An ellipse that contains the projection grown by the clearance.
                 k = clearance / math.sqrt(mean)
                 b11, b12, b22 = (1.0 + k) * b11, (1.0 + k) * b12, (1.0 + k) * b22
                 more = (1.0 + 1.0 / k) * clearance**2
                 root = b12**2 + (reach**2 - b11 - more) * (b22 + more)
-                # Inside of it the heading leans outward.
+                # Inside this ellipse the root is negative, and the heading points outward.
                 signed = math.copysign(math.sqrt(abs(root)), root)
                 angle = math.atan2(b22 + more, b12 + signed)
                 tangent = mixed(math.cos(angle), e1, math.sin(angle), e2)

@@ -1,4 +1,4 @@
-"""The action layer of the orientation: a movement primitive that turns the tool."""
+"""System of the policy layer for the orientation: a movement primitive that rotates the tool."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ _SUCCEEDED = EventStatus.Succeeded()
 
 @dataclass(frozen=True, eq=False)
 class OrientationSegment(Frozen):
-    """The motion of the rotation vector between two steps.
+    """Motion of the tool's rotation vector between two steps.
 
     Attributes:
-        primitive: the movement primitive.
-        origin: its origin R_WA.
+        primitive: movement primitive of the orientation.
+        origin: origin R_WA of the rotation vectors.
         goal: (3,) rotation vector of the goal from the origin [rad].
         ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both steps.
-        z: (3,) derivative of the rotation vector by normalized time at the second [rad].
-        phase: canonical phase of the policy, as last seen.
-        begin: time of the first of them [s].
-        length: time between them; 0: there was no step yet [s].
-        p_WS: (3,) start of the policy's motion, as last seen [m]; (0,): none was.
+        z: (3,) derivative of the rotation vector by normalized time at the second step [rad].
+        phase: last phase of the policy.
+        begin: time of the first step [s].
+        length: time between the steps [s]; 0 before the first step.
+        p_WS: (3,) last start of the policy's motion [m]; (0,) before the first step.
         demonstration: active demonstration; empty: the constructor's primitive.
     """
 
@@ -69,14 +69,14 @@ class OrientationSegment(Frozen):
 def at_rest(
     primitive: OrientationDmp, R_WS: FloatArray, R_WG: FloatArray, **more: Any
 ) -> OrientationSegment:
-    """A segment of no length at the start of a motion from R_WS to R_WG, (3, 3) each."""
+    """Returns a segment of zero length at the start of a motion from R_WS to R_WG, (3, 3) each."""
     ends = np.array([[primitive.offset, np.zeros(3)]] * 2)
     goal = demonstrated_goal(primitive, R_WS, R_WG)
     return OrientationSegment(primitive, origin_of(primitive, R_WS), goal, ends, **more)
 
 
 class OrientationIntegrator(LeafSystem):
-    """Turns the tool along a movement primitive.
+    """Integrator of a movement primitive for the orientation of the tool.
 
     .. pydrake_system::
 
@@ -90,23 +90,22 @@ class OrientationIntegrator(LeafSystem):
       - desired_angular_velocity
       - desired_angular_acceleration
 
-    - policy_state: abstract `PolicyState`: the primitive goes by its normalized time, so that
-      what scales or holds the motion does so to the orientation.
+    - policy_state: abstract `PolicyState`. The primitive follows its phase, so that temporal
+      scaling and holds of the position also apply to the orientation.
     - goal_orientation (optional): (4,) quaternion w, x, y, z of R_WG, of either sign. A new
-      one is approached from where the motion is, the way round that is nearest to the
-      present goal's. Without it the goal is the constructor's.
-    - demonstration (optional): abstract `Demonstration`, in force from where the policy's motion
-      begins or begins anew: what is turned along then, in place of the constructor's primitive
-      and goal.
-    - desired_orientation: (4,) quaternion w, x, y, z of R_WE, which changes
-      sign nowhere along a motion.
+      goal is approached from the current orientation; of the possible rotation vectors of the
+      goal the nearest to the previous one is used. Not connected: the constructor's goal.
+    - demonstration (optional): abstract `Demonstration`, which becomes active when the policy's
+      motion starts or restarts; its primitive and goal replace those of the constructor.
+      Not connected: the constructor's.
+    - desired_orientation: (4,) quaternion w, x, y, z of R_WE, continuous along a motion.
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
-    - desired_angular_acceleration: (3,) in the world frame [rad/s^2].
+    - desired_angular_acceleration: (3,) alpha_WE in the world frame [rad/s^2].
 
-    The state is abstract, in the Context: the step under way (`OrientationSegment`). Between
-    its ends the rotation vector is a cubic in time; angular velocity and acceleration are
-    the exact derivatives. Both ends have to be known, so the orientation is two periods behind
-    the policy.
+    The primitive is described in `drake_oa.policy.dmp`. The abstract state is the current
+    `OrientationSegment` between two steps. In it the rotation vector is a cubic polynomial in time;
+    angular velocity and acceleration are its exact derivatives. Both steps must be completed before
+    they are interpolated, so that the orientation lags two periods behind the policy.
     """
 
     def __init__(
@@ -120,14 +119,14 @@ class OrientationIntegrator(LeafSystem):
         """Declares the ports.
 
         Args:
-            primitive: the movement primitive.
+            primitive: movement primitive of the orientation.
             start: (3, 3) R_WE at the start.
             goal: (3, 3) R_WE at the goal.
-            period: step; that of the policy [s].
+            period: time step, equal to that of the policy [s].
 
         Raises:
-            ValueError: if start and goal are half a turn apart and no demonstration tells the
-                way round; or for a period that is not positive.
+            ValueError: if start and goal differ by 180 degrees and the primitive has no
+                demonstrated direction of rotation; or for a period that is not positive.
         """
         super().__init__()
         R_WS, self._R_WG = np.array(start, dtype=float), np.array(goal, dtype=float)
@@ -167,7 +166,7 @@ class OrientationIntegrator(LeafSystem):
         value.set_value(evaluate(segment.ends, segment.length, segment.origin, since))
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> FloatArray:
-        """Returns the goal's rotation vector."""
+        """Computes the current goal's rotation vector (3,) from the origin [rad]."""
         if not self._goal_port.HasValue(context):
             return before.goal
         try:
@@ -179,21 +178,22 @@ class OrientationIntegrator(LeafSystem):
     def _restarted(
         self, context: Context, before: OrientationSegment, policy: PolicyState
     ) -> OrientationSegment:
-        """Returns the segment, or one at rest where a motion begins with a demonstration.
+        """Returns the segment, or a segment at rest if a motion with a demonstration starts.
 
-        A motion of the task begins at the present orientation.
+        A demonstration with an orientation starts at its own first orientation; otherwise the
+        constructor's primitive starts at the current orientation.
         """
-        given = self._demonstration.find(context)
-        begun = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)
-        swapped = policy.phase == 1.0 and given is not before.demonstration
-        if given is None or not (begun or swapped):
+        demonstration = self._demonstration.find(context)
+        has_restarted = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)
+        is_new = policy.phase == 1.0 and demonstration is not before.demonstration
+        if demonstration is None or not (has_restarted or is_new):
             return replace(before, p_WS=policy.p_WS)
-        if given.orientation is not None:
-            motion = given.orientation, given.R_WS, given.R_WG
+        if demonstration.orientation is not None:
+            motion = demonstration.orientation, demonstration.R_WS, demonstration.R_WG
         else:
             R_WE = before.origin * Rotation.from_rotvec(+before.ends[1, 0])
             motion = self._primitive, R_WE.as_matrix(), self._R_WG
-        return at_rest(*motion, phase=policy.phase, p_WS=policy.p_WS, demonstration=given)
+        return at_rest(*motion, phase=policy.phase, p_WS=policy.p_WS, demonstration=demonstration)
 
     def _step(self, context: Context, state: State) -> EventStatus:
         policy = self._policy.read(context)

@@ -1,7 +1,7 @@
-"""Roll-outs of the tool: the paths of many candidates from the present state.
+"""Roll-outs of the tool point: paths of many candidate motions from the current state.
 
-They advance by the kernel and at the time step of `DmpIntegrator`
-(`drake_oa.policy.action_kernels.advance`), with any number of coupling terms each.
+A candidate is a set of coupling terms. Roll-outs use the kernel and the time step of
+`DmpIntegrator` (`drake_oa.policy.action_kernels.advance`).
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from drake_oa.policy.dmp import Dmp, local_frame, normalized_time
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 LATEST = 2.0
-"""Normalized time by which a motion arrives, from s = 0, or one more than the present one."""
+"""Latest end of a roll-out in normalized time; at least 1 after the current normalized time."""
 ARRIVED = 6e-4
-"""Distance from the goal at which a motion has arrived [m]."""
+"""Distance from the goal at which a motion counts as arrived [m]."""
 _EACH = 8
-"""Candidates for which another thread pays."""
+"""Minimum number of candidates per additional thread."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(Frozen):
-    """A motion under way among M ellipsoids, in the world frame.
+    """Current motion of the tool point among M ellipsoids, in the world frame.
 
     Attributes:
-        p_WE: (3,) position now [m].
-        z_W: (3,) scaled velocity now [m].
+        p_WE: (3,) current position [m].
+        z_W: (3,) current scaled velocity [m].
         p_WG: (3,) goal [m].
-        R_WL: (3, 3) local frame of the whole motion.
-        baseline: its length L from start to goal [m].
-        ellipsoids: the obstacles, where they are now.
-        clearance: (M,) requested clearance of each [m].
-        s: normalized time now.
+        R_WL: (3, 3) local frame of the motion, x from start to goal.
+        baseline: distance L from start to goal [m].
+        ellipsoids: obstacles at their current positions.
+        clearance: (M,) requested clearance of each obstacle [m].
+        s: current normalized time.
     """
 
     p_WE: FloatArray
@@ -56,7 +56,7 @@ class Scene(Frozen):
 
     @property
     def p_WS(self) -> FloatArray:
-        """(3,) start of the motion [m]."""
+        """Start of the motion, (3,) [m]."""
         return self.p_WG - self.baseline * self.R_WL[:, 0]
 
 
@@ -68,14 +68,14 @@ def scene_under_way(
     clearance: float,
     alpha_k: float,
 ) -> Scene:
-    """Returns the scene of a motion under way among obstacles where they are now.
+    """Returns the scene of the current motion, with obstacles extrapolated to the current time.
 
     Args:
-        policy: the motion.
-        p_WG: (3,) its goal [m].
-        ellipsoids: the obstacles, moved on since their stamp.
+        policy: state of the motion.
+        p_WG: (3,) goal [m].
+        ellipsoids: observed obstacles, which move at constant velocity since their stamp.
         clearance: requested clearance [m].
-        alpha_k: decay of the phase.
+        alpha_k: decay rate of the phase.
     """
     lag = policy.stamp - ellipsoids.stamp if math.isfinite(ellipsoids.stamp) else 0.0
     return Scene(
@@ -92,15 +92,15 @@ def scene_under_way(
 
 @dataclass(frozen=True, eq=False)
 class ToolRollouts(Frozen):
-    """Paths of N candidates at the steps, or at every so many steps.
+    """Roll-outs of N candidates over at most T steps, sampled at each `every`-th step.
 
     Attributes:
         ds: length of a step in normalized time.
         path: (N, T // every + 1, 3) positions [m], NaN after the end.
-        velocity: (N, T // every + 1, 3) scaled velocities z there [m].
-        path_length: (N,) [m].
-        goal_error: (N,) distance to the goal at the end [m].
-        steps: (N,) number of steps until it arrived, or until it was ended.
+        velocity: (N, T // every + 1, 3) scaled velocities z at these positions [m].
+        path_length: (N,) lengths of the paths [m].
+        goal_error: (N,) distances from the goal at the end [m].
+        steps: (N,) numbers of steps until the end.
     """
 
     ds: float
@@ -124,39 +124,39 @@ def roll_out_tool(
     obstacles: Obstacles | None = None,
     every: int = 1,
 ) -> ToolRollouts:
-    """Rolls out N candidates from the present state of a motion.
+    """Rolls out N candidates from the current state of a motion.
 
     Args:
-        scene: the motion; its ellipsoids are not considered.
-        terms: (N, K, 12) coupling terms of each, see `coupling.turn_step`, not faded.
-        dmp: the movement primitive.
-        policy: time step and fade; the step of normalized time is `period / duration`.
-        end: normalized time before which no motion ends, or the present one.
-        latest: normalized time at which it ends at the latest, or one more than the present one.
-        tolerance: between these it ends as soon as the goal is this near and it is slow [m].
-        longest: () or (N,) a candidate ends as soon as its path cannot become shorter [m].
-        obstacles: K obstacles that lead the headings of the terms; None: nothing does.
+        scene: current motion; its ellipsoids have no effect.
+        terms: (N, K, 12) coupling terms of each candidate before fading, see `coupling.turn_step`.
+        dmp: movement primitive.
+        policy: time step and fade; the step in normalized time is `period / duration`.
+        end: earliest end in normalized time; at least the current one.
+        latest: latest end in normalized time; at least the current one plus 1.
+        tolerance: distance from the goal at which a slow motion ends between both times [m].
+        longest: () or (N,) path length bound at which a candidate ends early, see `advance` [m].
+        obstacles: K obstacles that determine the guidance headings of the terms; None: no guidance.
         every: number of steps between the samples of the paths.
 
     Raises:
-        ValueError: for terms of another shape, or an end that is no number.
+        ValueError: for terms of another shape, or an end that is not finite.
     """
     N = len(terms)
     if terms.shape[2:] != (N_COLUMNS,) or not max(end, latest) < math.inf:
         raise ValueError(f"terms must be (N, K, 12) and the end finite, not {terms.shape}, {end}")
-    course = _course(scene, dmp, policy.period, policy.fade, end, latest, tolerance, every)
+    setup = _setup(scene, dmp, policy.period, policy.fade, end, latest, tolerance, every)
     lengths = np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,)))
-    table, motion = np.empty((N, 3)), np.full((2, N, len(course.rest) // every + 1, 3), np.nan)
+    table, motion = np.empty((N, 3)), np.full((2, N, len(setup.rest) // every + 1, 3), np.nan)
     motion[0, :, 0], motion[1, :, 0] = scene.p_WE, scene.z_W
-    (given,) = kernel_arrays(terms)
+    (rows,) = kernel_arrays(terms)
     threads = min(CORES, N // _EACH + 1)
-    on_cores(_roll_some, threads, course, obstacles or NO_OBSTACLES, given, lengths, table, *motion)
+    on_cores(_roll_some, threads, setup, obstacles or NO_OBSTACLES, rows, lengths, table, *motion)
     count(searches=1, steps=int(table[:, 2].sum()))
-    return ToolRollouts(course.ds, *motion, *np.ascontiguousarray(table.T))
+    return ToolRollouts(setup.ds, *motion, *np.ascontiguousarray(table.T))
 
 
 @lru_cache(maxsize=4)
-def _course(
+def _setup(
     scene: Scene,
     dmp: Dmp,
     period: float,
@@ -166,17 +166,17 @@ def _course(
     tolerance: float,
     every: int,
 ) -> MotionSetup:
-    """Returns the motion of a scene; arguments as of `roll_out_tool`."""
+    """Computes the constants of the integration; arguments are those of `roll_out_tool`."""
     ds = period / dmp.duration
-    most = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
-    return dmp.course(
-        dmp.phase(scene.s + (np.arange(most) + 0.5) * ds),
+    max_steps = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
+    return dmp.setup(
+        dmp.phase(scene.s + (np.arange(max_steps) + 0.5) * ds),
         ds,
         scene.p_WG,
         scene.baseline * scene.R_WL,
         fade=fade * scene.baseline,
         every=every,
-        least=round((max(end, scene.s) - scene.s) / ds),
+        min_steps=round((max(end, scene.s) - scene.s) / ds),
         tolerance=tolerance,
     )
 
@@ -185,7 +185,7 @@ def _course(
 def _roll_some(
     part: int,
     parts: int,
-    course: MotionSetup,
+    setup: MotionSetup,
     obstacles: Obstacles,
     terms: FloatArray,
     longest: FloatArray,
@@ -193,9 +193,12 @@ def _roll_some(
     path: FloatArray,
     velocity: FloatArray,
 ) -> None:
-    """Rolls out candidates part, part + parts, ...; out (N, 3): length, goal error, steps."""
+    """Rolls out candidates part, part + parts, ..., the share of one thread.
+
+    Writes path length [m], goal error [m] and number of steps of each candidate to `out` (N, 3).
+    """
     for i in range(part, len(terms), parts):
         acts = len(terms[i]) * int((terms[i, :, ALPHA] > 0.0).any())
         out[i, 0], out[i, 1], out[i, 2] = advance(
-            course, obstacles, terms[i, :acts], longest[i], path[i], velocity[i]
+            setup, obstacles, terms[i, :acts], longest[i], path[i], velocity[i]
         )

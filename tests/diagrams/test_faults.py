@@ -140,7 +140,7 @@ def test_a_stale_observation_holds_the_motion_on_its_path_and_a_fresh_one_resume
     assert np.ptp(log.desired_position[held], axis=0).max() == 0.0
     assert log.event == ("obstacles not seen since t = 1.47 s", "")
     assert "held: obstacles not seen since" in caplog.text
-    assert "running again" in caplog.text
+    assert "motion resumed" in caplog.text
     assert log.stop_reason == "goal"
     np.testing.assert_allclose(log.desired_position[-1], [1.0, 0.0, 0.0], atol=1e-3)
     assert np.linalg.norm(log.desired_position - [0.5, 0.02, 0.0], axis=1).min() >= 0.12 + 0.148

@@ -1,6 +1,6 @@
-"""The coupling terms: their rates, the readable form, and what every term keeps.
+"""Tests of the coupling terms: compiled and reference form, degenerate directions, exact flow.
 
-Their invariances are tested with the whole action level.
+Their invariances are tested in test_action.py.
 """
 
 import math
@@ -27,16 +27,17 @@ MANY = settings(max_examples=200)
 
 
 def turn_of(rows: FloatArray, p: FloatArray, z: FloatArray, step: float) -> FloatArray:
-    """(3,) turn of the compiled composition."""
+    """Returns the rotation vector (3,) of `turn_step` [rad]."""
     return np.array(turn_step(rows, 1.0, tuple(p), tuple(z), step))
 
 
 def turned_by(z: FloatArray, turn: FloatArray) -> FloatArray:
+    """Returns the vector z rotated by a rotation vector."""
     return np.array(rotate(tuple(z), tuple(turn)))
 
 
 def random_rows(rng: np.random.Generator, count: int, log_strength: float = 14.0) -> FloatArray:
-    """Terms about points around the origin, the strongest of exp(log_strength), some guided."""
+    """Draws coupling terms near the origin, alpha up to exp(log_strength), half with guidance."""
     rows = rng.normal(size=(count, N_COLUMNS))
     rows[:, 3:6] = np.exp(rng.uniform([-3, -3, -2], [log_strength, 1, 6], size=(count, 3)))
     heading = rows[:, HEADING : HEADING + 3]
@@ -48,40 +49,42 @@ def random_rows(rng: np.random.Generator, count: int, log_strength: float = 14.0
 
 @MANY
 @given(seed=seeds, count=st.integers(0, 6), step=lengths, strong=st.booleans())
-def test_the_compiled_turn_is_the_readable_one_in_any_order_and_at_most_pi(
+def test_the_compiled_rotation_equals_the_reference_in_any_order_and_is_at_most_pi(
     seed: int, count: int, step: float, strong: bool
 ) -> None:
     rng = np.random.default_rng(seed)
     rows, (p, z) = random_rows(rng, count, 14.0 if strong else 3.0), rng.normal(size=(2, 3))
     rows[: count // 2, :3] = rows[: min(count, 1), :3]
-    found = turn_of(rows, p, z, step)
-    # Divisors reach 1e4 where terms are strong, and with them the condition number of the
-    # composition: the turn itself changes by some 1e-12 with the last bit of its input.
+    turn = turn_of(rows, p, z, step)
+    # With strong terms the condition number of the linear system reaches 1e4, so that rounding
+    # of the input changes the rotation by some 1e-12.
     close = 1e-9 if strong else 1e-11
-    np.testing.assert_allclose(found, turning(rows, p, z, step), rtol=0.0, atol=close)
-    again = turn_of(rows[rng.permutation(count)], p, z, step)
-    np.testing.assert_allclose(again, found, rtol=0.0, atol=close)
-    assert np.linalg.norm(found) <= math.pi * (1.0 + 1e-12)
-    expected = Rotation.from_rotvec(found).apply(z)
-    np.testing.assert_allclose(turned_by(z, found), expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(turn, turning(rows, p, z, step), rtol=0.0, atol=close)
+    permuted = turn_of(rows[rng.permutation(count)], p, z, step)
+    np.testing.assert_allclose(permuted, turn, rtol=0.0, atol=close)
+    assert np.linalg.norm(turn) <= math.pi * (1.0 + 1e-12)
+    expected = Rotation.from_rotvec(turn).apply(z)
+    np.testing.assert_allclose(turned_by(z, turn), expected, rtol=0.0, atol=1e-12)
 
 
 @MANY
 @given(seed=seeds, step=st.sampled_from([0.0, 1e-3, 1.0]))
-def test_they_agree_where_directions_coincide_vanish_or_oppose(seed: int, step: float) -> None:
+def test_compiled_form_equals_the_reference_for_degenerate_directions(
+    seed: int, step: float
+) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.choice([-1.0, 0.0, 1.0], (3, N_COLUMNS))
     rows[:, 3:6] = rng.choice([0.0, 1.0, 1e5], 3)[:, None] * [1, 0, 0] + [0.0, 0.6, 3.0]
     heading = rows[:, HEADING : HEADING + 3]
     heading /= np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1.0)
     p, z = rng.choice([-1.0, 0.0, 1.0], (2, 3))
-    found = turn_of(rows, p, z, step)
-    np.testing.assert_allclose(found, turning(rows, p, z, step), rtol=0.0, atol=1e-10)
+    turn = turn_of(rows, p, z, step)
+    np.testing.assert_allclose(turn, turning(rows, p, z, step), rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.1, 0.7, 1.6])
 @pytest.mark.parametrize("size", [0.01, 0.3, 1.0, 10.0, 1000.0])
-def test_an_avoidance_turn_is_the_exact_flow_within_three_hundredths(
+def test_an_avoidance_rotation_equals_the_exact_flow_within_three_percent(
     theta: float, size: float
 ) -> None:
     def flow(_: float, y: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The movement primitive without coupling terms."""
+"""Tests of the movement primitive without coupling terms."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def smooth_path(rng: np.random.Generator, samples: int):
-    """A curved path from rest to rest with uneven stamps, and the path at any s."""
+    """Draws a curved path: uneven times (T,), and a function of its positions at times s."""
     t = np.sort(rng.uniform(0.0, 1.0, samples)) + np.linspace(0.0, 1.0, samples)
     t = (t - t[0]) / (t[-1] - t[0])
     start, way = rng.normal(size=(2, 3))
@@ -61,10 +61,10 @@ def test_smooth_paths_are_imitated_and_turned_and_scaled_to_other_ends(seed, sam
     [
         ([[0.0, 0.0]], None, "at least 2 samples"),
         ([[0.0], [1.0], [2.0]], [0.0, 1.0, 1.0], "that of sample 2 does not"),
-        ([[0.0], [1.0]], [0.0, 1.0, 2.0], "one stamp a sample"),
+        ([[0.0], [1.0]], [0.0, 1.0, 2.0], "one time per sample"),
         ([[0.0], [np.nan], [2.0]], None, "path and t must be finite: sample 1"),
         ([[0.0], [1.0], [2.0]], [0.0, 1.0, np.inf], "path and t must be finite: sample 2"),
-        ([[0.0], [1.0], [0.0]], None, "end away from where it starts"),
+        ([[0.0], [1.0], [0.0]], None, "end away from its start"),
     ],
 )
 def test_unusable_demonstrations_are_refused(path, t, message):

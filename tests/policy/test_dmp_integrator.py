@@ -1,4 +1,4 @@
-"""The action layer alone."""
+"""Tests of `DmpIntegrator` without a diagram."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.builders import balls, read
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 STRONG = CouplingParameters(*np.array([[100.0], [0.9], [5.0]]), np.ones(1, dtype=bool))
-SEEN = balls((0.5, 0.02, 0.3), radius=0.05, stamp=np.inf)
+BALL = balls((0.5, 0.02, 0.3), radius=0.05, stamp=np.inf)
 
 
 @pytest.fixture
@@ -23,23 +23,24 @@ def system() -> DmpIntegrator:
 
 
 def simulator(system: DmpIntegrator, goal: FloatArray = GOAL, **inputs: object) -> Simulator:
-    found = Simulator(system)
-    context = found.get_mutable_context()
+    """Returns a simulator of the system with values at its input ports."""
+    result = Simulator(system)
+    context = result.get_mutable_context()
     system.GetInputPort("goal").FixValue(context, goal)
     for name, value in inputs.items():
         system.GetInputPort(name).FixValue(context, Value(value))
-    return found
+    return result
 
 
-def test_the_coupling_bends_it_around_the_obstacle(system: DmpIntegrator) -> None:
-    run = simulator(system, ellipsoids_W=SEEN, coupling_parameters=STRONG)
-    places = []
+def test_the_coupling_term_steers_around_the_obstacle(system: DmpIntegrator) -> None:
+    run = simulator(system, ellipsoids_W=BALL, coupling_parameters=STRONG)
+    positions = []
     for time in np.arange(0.05, 1.2, 0.05):
         run.AdvanceTo(time)
-        places.append(read(system, run.get_context(), "desired_position"))
-    assert np.min(places, axis=0)[1] < -0.05
-    np.testing.assert_allclose(places[-1], GOAL, atol=1e-2)
-    # A change on a port counts from the next step.
+        positions.append(read(system, run.get_context(), "desired_position"))
+    assert np.min(positions, axis=0)[1] < -0.05
+    np.testing.assert_allclose(positions[-1], GOAL, atol=1e-2)
+    # A changed input acts from the next step.
     port = system.GetInputPort("coupling_parameters")
     port.FixValue(run.get_mutable_context(), Value(replace(STRONG, alpha=np.array([-1.0]))))
     with pytest.raises(ValueError, match="alpha, psi, kappa must be"):

@@ -1,4 +1,4 @@
-"""The desired heading past an obstacle."""
+"""Tests of the guidance heading past an obstacle."""
 
 import numpy as np
 from hypothesis import assume, given
@@ -17,7 +17,7 @@ BLOCK = balls((0.5, 0, 0), radius=(0.1, 0.2, 0.15))
 
 
 def heading(p: Triple, z: Triple, ellipsoids: EllipsoidSet, side: Triple = UP) -> FloatArray:
-    """Of a motion along x past an obstacle, at 0.1 m."""
+    """Computes the heading (3,) of a motion along x past an ellipsoid at a clearance of 0.1 m."""
     route = Route(
         direction_W=np.array([side]),
         normal_W=np.cross([1.0, 0.0, 0.0], side)[None],
@@ -29,19 +29,19 @@ def heading(p: Triple, z: Triple, ellipsoids: EllipsoidSet, side: Triple = UP) -
     return obstacles.terms[0, HEADING : HEADING + 3]
 
 
-def test_a_motion_that_would_pass_below_is_led_over_the_top() -> None:
+def test_guidance_leads_a_motion_that_would_pass_below_over_the_top() -> None:
     for p, z in (((0, 0, -0.01), (1, 0, 0)), ((0.0, 0, 0), (1, 0, -0.1))):
-        found = heading(p, z, BLOCK)
-        assert found[2] > 0.1
-        assert abs(found[1]) < 1e-12
-        assert abs(np.linalg.norm(found) - 1.0) < 1e-12
-    # At rest it is led from the baseline.
+        v_d = heading(p, z, BLOCK)
+        assert v_d[2] > 0.1
+        assert abs(v_d[1]) < 1e-12
+        assert abs(np.linalg.norm(v_d) - 1.0) < 1e-12
+    # At rest the baseline is the heading.
     at_rest, moving = (heading((0, 0, -0.01), (x, 0, 0), BLOCK) for x in (0, 1))
     np.testing.assert_allclose(at_rest, moving)
 
 
-def test_no_guidance_where_none_is_needed() -> None:
-    # By itself it turns to the chosen side, whatever the rounding straight at the center.
+def test_no_guidance_if_avoidance_turns_to_the_selected_side_or_the_obstacle_is_clear() -> None:
+    # Also straight at the center, whatever the rounding.
     for height in (-1e-13, 0.0, 1e-13, 0.01):
         assert not heading((0, 0, height), (1, 0, 0), BLOCK).any()
     for center in ((0.5, 0.6, 0), (-0.5, 0, 0), (1.5, 0, 0)):
@@ -53,16 +53,16 @@ def test_no_guidance_where_none_is_needed() -> None:
     axes=st.tuples(*[st.floats(0.03, 0.2)] * 3),
     angle=st.floats(0.0, 6.28),
 )
-def test_a_heading_on_the_wrong_side_becomes_one_that_keeps_the_clearance(
+def test_the_heading_from_the_wrong_side_passes_at_the_clearance(
     offset: tuple[float, float], axes: Triple, angle: float
 ) -> None:
     side = np.array([0.0, np.cos(angle), np.sin(angle)])
-    # E lies within 60 degrees of the side opposite to the chosen one: guidance acts in full.
+    # E is within 60 degrees of the opposite side, so that guidance acts fully.
     assume(np.hypot(*offset) > 1e-3)
     assume(side[1:] @ offset < -0.51 * np.hypot(*offset))
     ellipsoids = balls((0.6, 0.0, 0.0), radius=axes)
-    found = heading((0.0, *offset), (1, 0, 0), ellipsoids, tuple(side))
-    way = (0.0, *offset) + np.linspace(0.0, 2.0, 400)[:, None] * found
-    kept = signed_distance(way, ellipsoids.p_WO[0], ellipsoids.R_WO[0], ellipsoids.semi_axes[0])
-    assert kept.min() >= 0.1 - 1e-9 or not found.any()
-    assert kept.min() <= 0.25 or not found.any()
+    v_d = heading((0.0, *offset), (1, 0, 0), ellipsoids, tuple(side))
+    ray = (0.0, *offset) + np.linspace(0.0, 2.0, 400)[:, None] * v_d
+    distance = signed_distance(ray, ellipsoids.p_WO[0], ellipsoids.R_WO[0], ellipsoids.semi_axes[0])
+    assert distance.min() >= 0.1 - 1e-9 or not v_d.any()
+    assert distance.min() <= 0.25 or not v_d.any()

@@ -1,4 +1,4 @@
-"""The movement primitive of the orientation: imitation, generalization and angular rates."""
+"""Tests of the movement primitive of the orientation: imitation and generalization."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 
 
 def turned(r: ArrayLike) -> FloatArray:
+    """Returns rotation matrices of rotation vectors [rad]."""
     return np.asarray(Rotation.from_rotvec(r).as_matrix())
 
 
 def angles(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Angle between orientations, row by row [rad]."""
+    """Computes the angles between two sequences of orientations [rad]."""
     return np.asarray((Rotation.from_matrix(A).inv() * Rotation.from_matrix(B)).magnitude())
 
 
@@ -43,7 +44,7 @@ WIGGLE = START @ turned(
 
 @settings(max_examples=25)
 @given(vectors, vectors, vectors)
-def test_the_default_is_a_turn_of_least_jerk_in_any_frames_of_world_and_tool(
+def test_the_default_is_a_minimum_jerk_rotation_in_any_world_and_tool_frame(
     world: FloatArray, tool: FloatArray, goal: FloatArray
 ) -> None:
     R_VW, R_EF, R_WG = turned(3.0 * world), turned(3.0 * tool), START @ turned(1.5 * goal)
@@ -59,7 +60,7 @@ def test_the_default_is_a_turn_of_least_jerk_in_any_frames_of_world_and_tool(
     "demonstration",
     [
         WIGGLE,
-        # There and back, more than half a turn, and farther than rotation vectors reach.
+        # There and back, by more than 180 degrees, and by more than 360 degrees.
         START @ turned(np.outer(np.sin(np.pi * S) ** 2, [0.5, 0.0, 0.0])),
         START @ turned(np.outer(SHARE, [0.0, 0.0, 4.0])),
         START @ turned(np.outer(SHARE, [0.0, 0.0, 7.0])),
@@ -68,8 +69,8 @@ def test_the_default_is_a_turn_of_least_jerk_in_any_frames_of_world_and_tool(
 def test_it_reproduces_the_demonstration(demonstration: FloatArray) -> None:
     scale = np.random.default_rng(1).choice([-2.5, -1.0, 1.0, 1e-3], len(S))
     quaternions = Rotation.from_matrix(demonstration).as_quat(scalar_first=True)
-    for shown in (demonstration, quaternions * scale[:, None]):
-        primitive = imitate_orientation(shown, 4.0 * S + 7.0)
+    for orientations in (demonstration, quaternions * scale[:, None]):
+        primitive = imitate_orientation(orientations, 4.0 * S + 7.0)
         assert primitive.dmp.duration == pytest.approx(4.0)
         R = orientation_along(primitive, primitive.first, primitive.last, S)
         assert angles(R, demonstration).max() < 5e-3
@@ -77,28 +78,28 @@ def test_it_reproduces_the_demonstration(demonstration: FloatArray) -> None:
 
 @settings(max_examples=25)
 @given(vectors, st.floats(0.05, 0.9))
-def test_the_demonstrated_wiggle_is_added_on_the_way_to_another_goal_in_any_steps(
+def test_a_motion_to_another_goal_adds_the_demonstrated_deviation_in_any_steps(
     change: FloatArray, middle: float
 ) -> None:
     wiggling, rest = imitate_orientation(WIGGLE), np.zeros(3)
     begin, end = wiggling.offset, wiggling.offset + wiggling.total
-    own, other = (
+    first, other = (
         roll_orientation(wiggling, goal, begin, rest, end=1.0) for goal in (end, end + 0.5 * change)
     )
-    share = minimum_jerk_share(own.s)
-    np.testing.assert_allclose(other.p, own.p + np.outer(share, 0.5 * change), atol=1e-4)
+    final, share = first.p[-1], minimum_jerk_share(first.s)
+    np.testing.assert_allclose(other.p, first.p + np.outer(share, 0.5 * change), atol=1e-4)
     first = roll_orientation(wiggling, end, begin, rest, end=middle)
     state = first.p[-1], first.z[-1], wiggling.dmp.phase(middle)
     second = roll_orientation(wiggling, end, *state, end=1.0 - middle)
-    np.testing.assert_allclose(second.p[-1], own.p[-1], atol=1e-4)
+    np.testing.assert_allclose(second.p[-1], final, atol=1e-4)
 
 
-def test_a_goal_half_a_turn_away_is_approached_as_demonstrated() -> None:
+def test_a_goal_at_180_degrees_is_approached_in_the_demonstrated_direction() -> None:
     primitive = imitate_orientation(START @ turned(np.outer(SHARE, [0.0, 0.0, 4.0])))
     goal = START @ turned([0.0, 0.0, np.pi])
-    found = demonstrated_goal(primitive, START, goal) - primitive.offset
-    np.testing.assert_allclose(found, [0.0, 0.0, np.pi], atol=1e-6)
-    with pytest.raises(ValueError, match="half a turn apart"):
+    r = demonstrated_goal(primitive, START, goal) - primitive.offset
+    np.testing.assert_allclose(r, [0.0, 0.0, np.pi], atol=1e-6)
+    with pytest.raises(ValueError, match="differ by 180 degrees"):
         orientation_along(LEAST_JERK, START, goal, S)
 
 
@@ -112,17 +113,19 @@ def test_a_goal_half_a_turn_away_is_approached_as_demonstrated() -> None:
         ([np.eye(3), 2.0 * np.eye(3)], "sample 1 is no rotation matrix"),
         (
             [np.eye(3), np.diag([1.0, -1.0, -1.0])],
-            "sample 0 and the next are half a turn apart",
+            "sample 0 and the next differ by 180 degrees",
         ),
-        (turned(np.outer(SHARE, [0.0, 0.0, 12.0])), "at most 300 degrees can be imitated"),
+        (turned(np.outer(SHARE, [0.0, 0.0, 12.0])), "rotated by more than 300 degrees"),
     ],
 )
-def test_a_bad_demonstration_says_what_and_where(orientations: FloatArray, message: str) -> None:
+def test_errors_name_the_sample_of_an_invalid_demonstration(
+    orientations: FloatArray, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         imitate_orientation(orientations)
 
 
-def test_a_quaternion_must_be_one() -> None:
+def test_invalid_quaternions_are_refused() -> None:
     for quaternion in ([0.0] * 4, [np.inf, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0]):
         with pytest.raises(ValueError, match="a quaternion must be"):
             rotation_matrix(quaternion)

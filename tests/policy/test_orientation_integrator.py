@@ -1,4 +1,4 @@
-"""The orientation's action layer beside the position's, and motions that begin anew."""
+"""Tests of `OrientationIntegrator` with `DmpIntegrator`: holds, new goals and restarts."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ PRIMITIVE = minimum_jerk_orientation()
 PERIOD, STEP = 0.008, 0.002
 
 
-class Beside:
-    """Both action levels in a Simulator, and their outputs every `STEP`, as a controller reads."""
+class Bench:
+    """Simulation of both integrators, whose outputs are sampled every `STEP`."""
 
     def __init__(self, duration: float, **inputs: object) -> None:
         builder = DiagramBuilder()
@@ -59,7 +59,10 @@ class Beside:
                     system.GetInputPort(name).FixValue(context, abstract)
 
     def advance(self, end: float) -> tuple[FloatArray, ...]:
-        """Position, quaternion, angular velocity and acceleration from now on, and the speed."""
+        """Returns samples until a time [s].
+
+        They are position, quaternion, angular velocity, angular acceleration, and speed ds/dt.
+        """
         rows, root = [], self.simulator.get_context()
         while self.steps < round(end / STEP):
             self.simulator.AdvanceTo(self.steps * STEP)
@@ -79,23 +82,23 @@ def rotations(q: FloatArray) -> Rotation:
 
 
 def off(q: FloatArray, R: FloatArray) -> float:
-    """Angle of the last quaternion from an orientation [rad]."""
+    """Computes the angle between the last quaternion and an orientation [rad]."""
     return float((rotations(q[-1]).inv() * Rotation.from_matrix(R)).magnitude())
 
 
 def assert_consistent(q: FloatArray, w: FloatArray, alpha: FloatArray) -> None:
-    """The quaternion is smooth, and the rates are its derivatives."""
+    """Checks that quaternions are continuous, and that the rates are their derivatives."""
     assert (np.einsum("ti,ti->t", q[1:], q[:-1]) > 0.9).all()
     slope = (rotations(q[1:]) * rotations(q[:-1]).inv()).as_rotvec() / STEP
     assert np.abs(slope - 0.5 * (w[1:] + w[:-1])).max() < 2e-5 * max(1.0, np.abs(w).max())
-    # Acceleration is linear but at the steps of the policy, which come after its samples.
+    # Acceleration is linear between two steps of the policy, which follow every fourth sample.
     rise, mean = np.diff(w, axis=0) / STEP, 0.5 * (alpha[1:] + alpha[:-1])
     inside = np.arange(len(rise)) % 4 > 0
     assert np.abs(rise - mean)[inside].max() < 2e-3 * max(1.0, np.abs(alpha).max())
 
 
-def test_it_arrives_with_the_position_and_goes_the_planned_way() -> None:
-    _, q, w, alpha, _ = Beside(3.0).advance(4.0)
+def test_the_orientation_follows_the_primitive_two_periods_late() -> None:
+    _, q, w, alpha, _ = Bench(3.0).advance(4.0)
     s = np.maximum(STEP * np.arange(len(q)) - 2 * PERIOD, 0.0) / 3.0
     planned = Rotation.from_matrix(orientation_along(PRIMITIVE, R_WS, R_WG, s))
     assert (rotations(q).inv() * planned).magnitude().max() < 1e-3
@@ -104,16 +107,16 @@ def test_it_arrives_with_the_position_and_goes_the_planned_way() -> None:
 
 
 def test_a_hold_stops_the_orientation_and_a_new_goal_is_reached_without_a_jump() -> None:
-    run, parts = Beside(3.0), []
+    run, parts = Bench(3.0), []
     other = RollPitchYaw(np.pi, -0.2, -0.5).ToRotationMatrix()
     for second, scale in enumerate((1.0, 0.0, 0.5, 1.0, 1.0, 1.0), 1):
         run.fix(speed_scale=np.array([scale]))
         parts.append(run.advance(second))
         if second == 3:
-            # Of either sign, as a source may give it.
+            # A source may output either sign.
             run.fix(goal_orientation=-other.ToQuaternion().wxyz())
     _, q, w, alpha, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
-    # All of it but the policy's last step before.
+    # Without the last step before the motion resumes.
     at_rest = np.flatnonzero(speed == 0.0)[10:-5]
     assert len(at_rest) > 285
     assert np.abs(w[at_rest]).max() == 0.0
@@ -124,20 +127,20 @@ def test_a_hold_stops_the_orientation_and_a_new_goal_is_reached_without_a_jump()
 
 
 @pytest.mark.parametrize("turned", [np.pi / 3.0, 7.0])
-def test_a_motion_that_begins_anew_imitates_what_is_shown(turned: float) -> None:
-    """A half circle above the line in two seconds, and a turn of up to 400 degrees."""
+def test_restart_follows_the_new_demonstration(turned: float) -> None:
+    """Demonstrates a half circle above the line, with a rotation of up to 400 degrees."""
     t = np.linspace(0.0, 2.0, 201)
     angle, center = np.pi * minimum_jerk_share(t / 2.0), 0.5 * (START + GOAL)
     path = center + 0.4 * np.column_stack([0.0 * t, -np.cos(angle), np.sin(angle)])
     R = R_WS @ Rotation.from_rotvec(np.outer(turned * angle / np.pi, [0, 0, 1])).as_matrix()
-    shown = Demonstration(imitate(path, t), imitate_orientation(R, t), R[0], R[-1], t / 2.0)
-    inputs = {"ellipsoids_W": EllipsoidSet(stamp=np.inf), "demonstration": shown}
-    begins = CouplingParameters(restart=True, verified=True)
-    p, q, *_ = Beside(1.0, coupling_parameters=begins, **inputs).advance(3.5)
+    demo = Demonstration(imitate(path, t), imitate_orientation(R, t), R[0], R[-1], t / 2.0)
+    inputs = {"ellipsoids_W": EllipsoidSet(stamp=np.inf), "demonstration": demo}
+    restart = CouplingParameters(restart=True, verified=True)
+    p, q, *_ = Bench(1.0, coupling_parameters=restart, **inputs).advance(3.5)
     np.testing.assert_allclose(np.linalg.norm(p - center, axis=1), 0.4, atol=5e-3)
     assert p[:, 2].max() > 0.69
     np.testing.assert_allclose(p[-1], GOAL, atol=1e-3)
     assert off(q, R[-1]) < 5e-3
-    # Without beginning anew it goes on as it was.
-    p, *_ = Beside(1.0, **inputs).advance(1.5)
+    # Without a restart the demonstration has no effect.
+    p, *_ = Bench(1.0, **inputs).advance(1.5)
     np.testing.assert_allclose(p[:, 2], START[2], atol=1e-6)

@@ -1,4 +1,4 @@
-"""Roll-outs of the tool: the motion that the integrator executes, and where they end."""
+"""Tests of the tool's roll-outs: equality with the integrator, and conditions of their end."""
 
 import math
 from dataclasses import replace
@@ -25,7 +25,7 @@ HOW = {"dmp": DMP, "policy": POLICY}
 
 
 def random_terms(seed: int, count: int) -> FloatArray:
-    """(count, 12) terms on every side of the baseline, not so strong that rounding decides."""
+    """Draws (count, 12) terms near the baseline, too weak to amplify rounding errors."""
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0.0, 2.0 * math.pi, count)[:, None]
     terms = np.zeros((count, N_COLUMNS))
@@ -38,7 +38,7 @@ def random_terms(seed: int, count: int) -> FloatArray:
 
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_integrator_in_drake_executes_a_roll_out(seed: int, guided: bool) -> None:
+def test_the_integrator_executes_the_roll_out(seed: int, guided: bool) -> None:
     terms = random_terms(seed, 3)
     coupling = CouplingParameters(
         *terms[:, ALPHA : KAPPA + 1].T,
@@ -49,35 +49,35 @@ def test_the_integrator_in_drake_executes_a_roll_out(seed: int, guided: bool) ->
     )
     if guided:
         side = np.cross(terms[:, NORMAL:], SCENE.R_WL[:, 0])
-        seen = balls(*terms[:, :3], radius=0.01, stamp=math.inf)
+        shapes = balls(*terms[:, :3], radius=0.01, stamp=math.inf)
         route = Route(
             direction_W=side, normal_W=terms[:, NORMAL:], remaining_clearance=np.full(3, 0.08)
         )
-        coupling = replace(coupling, ellipsoids=seen)
-        led = CouplingInputs.of(seen, coupling, route).obstacles
+        coupling = replace(coupling, ellipsoids=shapes)
+        obstacles = CouplingInputs.of(shapes, coupling, route).obstacles
     else:
-        coupling, route, led = replace(coupling, normal_W=terms[:, NORMAL:]), None, None
-    found = roll_out_tool(SCENE, terms[None], obstacles=led, end=1.2, latest=1.2, **HOW)
+        coupling, route, obstacles = replace(coupling, normal_W=terms[:, NORMAL:]), None, None
+    rolled = roll_out_tool(SCENE, terms[None], obstacles=obstacles, end=1.2, latest=1.2, **HOW)
 
     system = DmpIntegrator(DMP, START, config=POLICY)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     system.GetInputPort("goal").FixValue(context, GOAL)
-    seen = EllipsoidSet(stamp=math.inf)
-    inputs = {"ellipsoids_W": seen, "coupling_parameters": coupling, "route": route}
+    empty = EllipsoidSet(stamp=math.inf)
+    inputs = {"ellipsoids_W": empty, "coupling_parameters": coupling, "route": route}
     for name, value in inputs.items():
         if value is not None:
             system.GetInputPort(name).FixValue(context, Value(value))
     for step in range(round(1.2 * T / POLICY.period) + 1):
         simulator.AdvanceTo(step * POLICY.period)
-        for name, rows, scale in (("position", found.path, 1.0), ("velocity", found.velocity, T)):
+        for name, rows, scale in (("position", rolled.path, 1.0), ("velocity", rolled.velocity, T)):
             value = scale * read(system, context, f"desired_{name}")
             np.testing.assert_allclose(rows[0, step], value, rtol=0.0, atol=1e-11)
-    alone = roll_out_tool(SCENE, terms[None], **HOW)
-    assert np.array_equal(alone.path[0, :200], found.path[0, :200]) != guided
+    unguided = roll_out_tool(SCENE, terms[None], **HOW)
+    assert np.array_equal(unguided.path[0, :200], rolled.path[0, :200]) != guided
 
 
-def test_candidates_end_where_they_arrive_and_early_where_they_are_too_long() -> None:
+def test_candidates_end_at_the_goal_or_when_their_path_is_too_long() -> None:
     terms = np.stack([random_terms(seed, 1) for seed in range(20)])
     terms[0, 0, ALPHA] = 0.0
     whole = roll_out_tool(SCENE, terms, **HOW)
@@ -95,7 +95,7 @@ def test_candidates_end_where_they_arrive_and_early_where_they_are_too_long() ->
     assert early.any()
     np.testing.assert_array_equal(early, whole.path_length + whole.goal_error > longest)
     np.testing.assert_array_equal(some.path[~early], whole.path[~early])
-    # From the middle of a motion on.
+    # A roll-out may start in the middle of a motion.
     half = 120
     begin = whole.path[1, half], whole.velocity[1, half]
     later = Scene(*begin, GOAL, SCENE.R_WL, SCENE.baseline, s=half * whole.ds)

@@ -103,7 +103,7 @@ def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
         (["t,x,y,z", "0,0,0,0", "5200,0,1,0"], ["span 5200 s, at most 600", "in seconds"]),
         (
             ["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,1,0,0"],
-            ["sample 0 and the next are half a turn apart"],
+            ["sample 0 and the next differ by 180 degrees"],
         ),
     ],
 )
