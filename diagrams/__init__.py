@@ -1,29 +1,29 @@
-"""The wiring: what joins the layers into a diagram, and the scenarios that come with it.
+"""Diagram builders that connect the layers, and the shipped scenarios.
 
-In: a `Scenario`. Out: a Drake `Diagram` with the simulated station, all layers between its
-camera and its torques, and loggers.
+In: a `Scenario`. Out: a Drake `Diagram` with the simulated station, all layers from its cameras to
+its torques, and loggers.
 
-The layers, in the order data flows: station, perception, solids, descriptor, inference, route,
-verification, policy, posture, safety, control; besides them faults and view. Each has an
-`add_<layer>(wires, scenario, station)` that makes the layer's systems from their blocks of the
-scenario and adds them to `drake_oa.common.signal_builder.SignalBuilder`, where signals have names, and all is
-connected at the end. A layer's own folder knows neither scenario nor station; only these modules
-join them.
+Layers, in the order of the data flow: station, perception, collision_scene, descriptor, inference,
+route, verification, policy, posture, safety, control; in addition faults and view. A function
+`add_<layer>(signals, scenario, station)` creates the systems of a layer from the blocks of the
+scenario and adds them to a `SignalBuilder` (`drake_oa.common.signal_builder`), which connects ports
+by the names of their signals. The packages of the layers import neither scenarios nor the station;
+only the modules of this package do.
 
-Signals, with who offers them (`avoidance.Layers` says who reads them):
+Signals and the systems that output them (`avoidance.Layers` lists the inputs of each layer):
 
     robot_state, plant_state, query_object, body_poses     station: the plant
-    depth_image, camera_pose, image_stamp                  station: the camera; of several cameras
-                                                           with _NAME behind it
+    depth_image, camera_pose, image_stamp                  station: the camera; with the suffix
+                                                           _NAME for each of several cameras
     obstacles_W, cloud, views                              perception
-    collision_scene_W                                               solids
+    collision_scene_W                                      collision_scene
     ellipsoids_W                                           ellipsoid_descriptor
     proposed_parameters (`!Paper`: coupling_parameters)    regressor_chain
     proposed_route (`!Paper`: route)                       cost_ring_selector
     coupling_parameters, route, motion, demonstration      motion_verifier
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
     desired_posture                                        nominal_posture_source
-    desired_joint_state, speed_scale, evasion_velocity              motion_guard
+    desired_joint_state, speed_scale, evasion_velocity     motion_guard
     actuation, tracking_error, torque_saturation           controller
 
 The files `*.scenario.yaml` are the shipped scenarios. Read `avoidance` first.

@@ -1,16 +1,16 @@
-"""The whole diagram: a robot that sees obstacles and goes round them.
+"""The complete diagram: a robot that perceives obstacles and avoids them.
 
-Each layer adds its systems by a function of its own, and all are connected by the names of
-their signals (`drake_oa.common.signal_builder`). A layer of one's own takes a layer's place:
+Each layer adds its systems by one function, and ports are connected by the names of their signals
+(`drake_oa.common.signal_builder`). Another function can replace that of a layer:
 
     build_avoidance(scenario, layers=replace(Layers(), perception=my_source))
 
-where `my_source(wires, scenario, station)` adds systems that offer what the layer offers, see
-`Layers`. Systems are added, replaced or put between two layers by a last word of one's own:
+where `my_source(signals, scenario, station)` adds systems with the outputs that `Layers` lists for
+this layer. `customize` adds, replaces or interposes single systems before the ports are connected:
 
-    build_avoidance(scenario, customize=lambda w: w.interpose("obstacles_W", "mine", system))
+    build_avoidance(scenario, customize=lambda s: s.interpose("obstacles_W", "filter", system))
 
-`drake-oa graph SCENARIO` draws what comes of it, `drake-oa graph SCENARIO --signals` lists it.
+`drake-oa graph SCENARIO` draws the layers, `drake-oa graph SCENARIO --signals` lists all signals.
 """
 
 from __future__ import annotations
@@ -31,34 +31,47 @@ from drake_oa.diagrams.view import add_view
 from drake_oa.scenario.scenario import Scenario
 
 AddLayer = Callable[[SignalBuilder, Scenario, StationModel | None], None]
-"""Adds a layer's systems to the wires; the station is None without a robot."""
+"""Function that adds the systems of a layer; without a robot the station is None."""
 
 
 def no_op(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds nothing, in place of a layer."""
+    """Adds no system, in place of a layer."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """What adds each layer, in the order data flows; each may decline.
+    """Functions that add the layers, in the order of construction and of the data flow.
 
-    Attributes:
-        perception: offers obstacles_W (`ObstacleClouds`, with velocities), and cloud for a viewer.
-        collision_scene: obstacles_W -> collision_scene_W (`CollisionScene`), unless perception offers them.
-        descriptor: obstacles_W -> ellipsoids_W (`EllipsoidSet`), unless these are given.
-        inference: ellipsoids_W, policy_state, goal -> coupling_parameters, or with verification
-            proposed_parameters.
-        route: the same and coupling_parameters -> route, or with verification proposed_route.
-        verification: proposed_parameters, proposed_route, collision_scene_W, ellipsoids_W, robot_state,
-            policy_state, goal -> coupling_parameters, route, motion and demonstration; nothing
-            with `!Paper`.
-        policy: goal, and dmp_integrator: ellipsoids_W, coupling_parameters, route, speed_scale,
-            evasion_velocity -> policy_state, phase and desired_position, _velocity, _acceleration.
-        posture: motion, policy_state -> desired_posture.
-        safety: collision_scene_W, robot_state, policy_state, motion, desired_posture and the desired motion
-            of the tool -> desired_joint_state and _acceleration, path_state, speed_scale and
-            evasion_velocity; nothing with `!Paper`.
-        control: robot_state and the desired motion -> actuation, torque_saturation.
+    A function sees the signals of the layers before it (`"motion" in signals`), so the order of the
+    fields matters. A function adds no system where the scenario does not need its layer.
+
+    ================= ============================================ ================================
+    layer             inputs                                       outputs
+    ================= ============================================ ================================
+    perception        depth_image, camera_pose, image_stamp,       obstacles_W, cloud, views
+                      robot_state_at_image
+    collision_scene   obstacles_W                                  collision_scene_W
+    descriptor        obstacles_W                                  ellipsoids_W
+    inference         ellipsoids_W, policy_state                   proposed_parameters
+    route             ellipsoids_W, policy_state, goal             proposed_route
+    verification      proposed_parameters, proposed_route,         coupling_parameters, route,
+                      ellipsoids_W, collision_scene_W,             motion, demonstration
+                      path_state, policy_state, goal
+    policy            ellipsoids_W, coupling_parameters, route,    goal, policy_state, phase,
+                      speed_scale, evasion_velocity                desired_position, _velocity,
+                                                                   _acceleration
+    posture           motion, policy_state                         desired_posture
+    safety            collision_scene_W, robot_state, motion,      desired_joint_state,
+                      policy_state, desired_posture,               desired_joint_acceleration,
+                      desired motion of the tool                   path_state, speed_scale,
+                                                                   evasion_velocity
+    control           robot_state, desired motion of the joints    actuation, torque_saturation,
+                      or of the tool                               tracking_error
+    ================= ============================================ ================================
+
+    Ground truth as the source of perception outputs collision_scene_W, too; given ellipsoids output
+    ellipsoids_W. With `inference: !Paper` the layers verification and safety are empty, and
+    inference and route output coupling_parameters and route.
     """
 
     perception: AddLayer = add_perception
@@ -74,8 +87,8 @@ class Layers:
 
 
 def without_avoidance(layers: Layers) -> Layers:
-    """The same without what bends the motion: nothing is seen, decided or held."""
-    blind = (
+    """Returns layers of the nominal motion: without perception, decisions and safety."""
+    removed = (
         "perception",
         "collision_scene",
         "descriptor",
@@ -84,7 +97,7 @@ def without_avoidance(layers: Layers) -> Layers:
         "verification",
         "safety",
     )
-    return replace(layers, **dict.fromkeys(blind, no_op))
+    return replace(layers, **dict.fromkeys(removed, no_op))
 
 
 def build_avoidance(
@@ -94,31 +107,31 @@ def build_avoidance(
     layers: Layers | None = None,
     customize: Callable[[SignalBuilder], None] | None = None,
     meshcat: Meshcat | None = None,
-    add_station_model: Callable[..., StationModel | None] = add_station,
+    add_station: Callable[..., StationModel | None] = add_station,
 ) -> Diagram:
-    """SignalBuilder a scenario.
+    """Builds the diagram of a scenario.
 
-    The diagram exports desired_position, phase and policy_state.
+    It exports the outputs desired_position, phase and policy_state.
 
     Args:
-        scenario: what to build.
-        avoid_obstacles: whether the motion is bent round obstacles; see `without_avoidance`.
-        layers: what adds each layer; None: `Layers()`.
-        customize: called with the wires before they are connected.
+        scenario: configuration of all systems.
+        avoid_obstacles: whether obstacles are avoided; False: `without_avoidance`.
+        layers: functions that add the layers; None: `Layers()`.
+        customize: function that changes the signals before they are connected.
         meshcat: viewer, or None.
-        add_station_model: adds the robot and its cameras, called as `add_station`: simulated ones, or those
-            that there are.
+        add_station: function with the parameters of `drake_oa.diagrams.station.add_station` that
+            adds robot and cameras, for example those of real hardware.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
-        ValueError: from the wires, if two systems offer the same signal, or one is put behind a
-            signal that nothing offers.
+        ScenarioError: naming the wrong field.
+        ValueError: if two systems output the same signal, or a system is interposed behind a
+            signal without a source.
     """
     layers = layers or Layers()
     if not avoid_obstacles:
         layers = without_avoidance(layers)
     signals = SignalBuilder(DiagramBuilder())
-    station = add_station_model(signals, scenario, avoid_obstacles=avoid_obstacles)
+    station = add_station(signals, scenario, avoid_obstacles=avoid_obstacles)
     for layer in fields(layers):
         getattr(layers, layer.name)(signals, scenario, station)
     add_faults(signals, scenario, station)

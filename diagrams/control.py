@@ -1,4 +1,4 @@
-"""Wiring of the motion guard, the posture and the controller."""
+"""Builders of the layers posture, safety and control."""
 
 from __future__ import annotations
 
@@ -25,19 +25,17 @@ from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import padding, perception_period
 
 
-def add_control(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
-) -> None:
+def add_control(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds controller: desired motion, robot_state -> actuation.
 
-    JointInverseDynamics follows the joints that MotionGuard commands, CartesianInverseDynamics the
-    tool; its posture and orientation are those of the start. Both know the robot with the model
-    error of the scenario's faults.
+    JointInverseDynamics tracks the joint motion of MotionGuard. Without a guard,
+    CartesianInverseDynamics tracks the tool motion; its nominal posture and orientation are those
+    of the start. Both use the robot's model with the model error of the scenario's faults.
 
     Raises:
-        ScenarioError: if the model error is of another robot.
+        ScenarioError: if the model error belongs to another robot.
     """
-    if station_model is None:
+    if station is None:
         return
     robot = robot_of(scenario)
     errors = [fault.inertias for fault in scenario.faults if isinstance(fault, ModelError)]
@@ -53,37 +51,35 @@ def add_control(
     else:
         R_WE = end_rotations(scenario)[0]
         controller = CartesianInverseDynamics(
-            robot_plant.plant, R_WE_desired=R_WE, q_posture=station_model.q_start, **common
+            robot_plant.plant, R_WE_desired=R_WE, q_posture=station.q_start, **common
         )
         signals.add("controller", controller)
-    signals.add_sink("actuation", station_model.plant.get_actuation_input_port(station_model.robot))
+    signals.add_sink("actuation", station.plant.get_actuation_input_port(station.robot))
     signals.log("robot_state", "actuation", "torque_saturation", "tracking_error")
 
 
 _GUIDE_SAMPLES = 41
-"""Number of samples of a posture that is not planned."""
+"""Number of samples of the nominal posture from the start to the goal."""
 
 
-def add_posture(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
-) -> None:
-    """Adds nominal_posture_source, or posture_guide and guide_follower where no motion is planned.
+def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
+    """Adds nominal_posture_source, which outputs desired_posture.
 
-    They output desired_posture, the controller's. The guide leads from the joints at the start to
-    those at the goal, if the task gives these.
+    Without MotionVerifier posture_guide and guide_follower output it, if the task has a
+    configuration at the goal: it leads from the configuration at the start to that one.
     """
-    if station_model is None:
+    if station is None:
         return
     policy = scenario.policy
     if "motion" in signals:
-        # Without a planned posture the null space is drawn to that of the start.
-        q_rest = station_model.q_start[station_model.chain.q_index]
+        # Before the first planned motion the null space tracks the configuration at the start.
+        q_rest = station.q_start[station.chain.q_index]
         follower = NominalPostureSource(q_rest, policy.alpha_k, period=policy.period)
         signals.add("nominal_posture_source", follower)
     elif scenario.task.q_goal is not None:
         s = np.linspace(0.0, 1.0, _GUIDE_SAMPLES)
         q_goal = np.asarray(scenario.task.q_goal)
-        q = posture_guide(s, station_model.q_start[: len(q_goal)], q_goal)
+        q = posture_guide(s, station.q_start[: len(q_goal)], q_goal)
         motion = PlannedMotion(s, np.zeros((len(s), 3)), q)
         follower = NominalPostureSource(q[0], policy.alpha_k, period=policy.period)
         source = ConstantValueSource(Value(motion))
@@ -92,24 +88,25 @@ def add_posture(
     signals.log("desired_posture")
 
 
-def add_safety(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
-) -> None:
-    """Adds motion_guard where the motion is verified: the desired motion of the tool, motion,
-    collision_scene_W, robot_state -> desired_joint_state, desired_joint_acceleration and speed_scale.
+def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
+    """Adds motion_guard where motions are verified.
+
+    Inputs are the desired motion of the tool, motion, collision_scene_W and robot_state; outputs
+    are desired_joint_state, desired_joint_acceleration, path_state, speed_scale and
+    evasion_velocity.
     """
-    if station_model is None or "motion" not in signals:
+    if station is None or "motion" not in signals:
         return
     policy, period = scenario.policy, perception_period(scenario)
     exact = isinstance(scenario.perception, GroundTruth)
-    # The requested clearance of the tool is a margin of the whole arm beside moving obstacles.
+    # Moving obstacles: the whole arm keeps the clearance that is requested of the tool.
     margin = max(scenario.guard.margin_moving, scenario.task.clearance)
     guard = MotionGuard(
-        station_model.robot_plant,
-        station_model.chain,
-        station_model.spheres,
+        station.robot_plant,
+        station.chain,
+        station.spheres,
         make_dmp(scenario).duration,
-        station_model.q_start[station_model.chain.q_index],
+        station.q_start[station.chain.q_index],
         config=policy,
         period=period,
         padding=0.0 if exact else padding(scenario.perception),

@@ -1,4 +1,4 @@
-"""Wiring of fault models, and of the systems that move obstacles."""
+"""Builder of fault models and of systems that drive obstacles."""
 
 from __future__ import annotations
 
@@ -15,24 +15,20 @@ from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
 
 
-def add_faults(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
-) -> None:
-    """Inserts the scenario's fault models into their signals, and adds the movers of obstacles.
+def add_faults(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
+    """Interposes the scenario's fault models, and adds mover_<model instance> of driven obstacles.
 
-    Where mover_<model instance> drive obstacles, the world is logged.
+    Where obstacles are driven, plant_state is logged.
 
     Raises:
-        ScenarioError: naming the push of a link that the robot does not have.
+        ScenarioError: naming the push on a link that the robot does not have.
     """
-    if station_model is None:
+    if station is None:
         return
-    plant = station_model.plant
+    plant = station.plant
     weak = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
     if weak:
-        actuators = map(
-            plant.get_joint_actuator, plant.GetJointActuatorIndices(station_model.robot)
-        )
+        actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(station.robot))
         limits = np.array([item.effort_limit() for item in actuators])
         signals.interpose("actuation", "weak_actuators", WeakActuators(weak, limits))
     pushes = []
@@ -40,16 +36,16 @@ def add_faults(
         if not isinstance(fault, Push):
             continue
         link = fault.body or robot_of(scenario).hand_link
-        if not plant.HasBodyNamed(link, station_model.robot):
-            links = [plant.get_body(i).name() for i in plant.GetBodyIndices(station_model.robot)]
+        if not plant.HasBodyNamed(link, station.robot):
+            links = [plant.get_body(i).name() for i in plant.GetBodyIndices(station.robot)]
             raise ScenarioError(
-                f"faults[{number}].body: the robot has no link '{link}'; it has {', '.join(links)}"
+                f"faults[{number}].body: the robot has no link '{link}'; valid: {', '.join(links)}"
             )
-        pushes.append((fault, plant.GetBodyByName(link, station_model.robot).index()))
+        pushes.append((fault, plant.GetBodyByName(link, station.robot).index()))
     if pushes:
         signals.add("push", ExternalPush(pushes))
         signals.add_sink("spatial_forces", plant.get_applied_spatial_force_input_port())
-    movers = make_obstacle_movers(scenario, station_model)
+    movers = make_obstacle_movers(scenario, station)
     for name, mover in movers.items():
         instance = plant.GetModelInstanceByName(name)
         signals.add_source(f"{name}_state", plant.get_state_output_port(instance))
@@ -65,7 +61,7 @@ def add_faults(
 
 
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
-    """Makes the mover of each obstacle that moves, appears or vanishes, by its model instance."""
+    """Creates an ObstacleMover for each driven obstacle, by the name of its model instance."""
     movers = {}
     for obstacle in scenario.obstacles:
         if obstacle.is_driven:

@@ -1,4 +1,4 @@
-"""Wiring of the motion: goal, movement primitives, coupling parameters and selected sides."""
+"""Builders of the layers inference, route, verification and policy."""
 
 from __future__ import annotations
 
@@ -47,12 +47,11 @@ from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.task import goal_trajectory
 
 
-def add_policy(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
-) -> None:
-    """Adds goal, dmp_integrator and, where the tool's orientation changes, its integrator.
+def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
+    """Adds goal, dmp_integrator and, if the tool turns, orientation_integrator.
 
-    Reads ellipsoids_W, coupling_parameters, route, speed_scale and evasion_velocity, each if offered.
+    Inputs are ellipsoids_W, coupling_parameters, route, speed_scale and evasion_velocity, as far as
+    these signals exist.
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
@@ -63,9 +62,9 @@ def add_policy(
     signals.add("dmp_integrator", DmpIntegrator(make_dmp(scenario), start, config=policy))
     signals.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
     signals.export("desired_position", "phase", "policy_state")
-    held = None if station_model is None else tool_orientation(scenario)
-    if held is None and station_model is not None and "demonstration" in signals:
-        # A path in the joints turns the tool, which stays as at the start until then.
+    held = None if station is None else tool_orientation(scenario)
+    if held is None and station is not None and "demonstration" in signals:
+        # A motion that imitates a joint path turns the tool; before it the orientation is constant.
         R_WE = end_rotations(scenario)[0].matrix()
         held = ToolOrientation(minimum_jerk_orientation(alpha_k=policy.alpha_k), R_WE, R_WE)
     if held is not None:
@@ -77,10 +76,10 @@ def add_policy(
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
-    """Makes the movement primitive of the task: demonstrated, or minimum jerk.
+    """Creates the movement primitive of the task: of its demonstrations, or of minimum jerk.
 
     Raises:
-        ScenarioError: naming the file, if a demonstration cannot be read or imitated.
+        ScenarioError: naming the file of a demonstration that cannot be read or imitated.
     """
     task = scenario.task
     if task.demonstration:
@@ -94,18 +93,18 @@ _logger = logging.getLogger("drake_oa")
 
 
 Rings = Mapping[str, Ring] | None
-"""User-supplied costs of sides, by name; None: there are none."""
+"""User-supplied cost rings by name, or None."""
 
 
 def add_route(
     signals: SignalBuilder,
     scenario: Scenario,
-    station_model: StationModel | None,
+    station: StationModel | None,
     rings: Rings = None,
 ) -> None:
     """Adds cost_ring_selector: ellipsoids_W, policy_state and goal -> route.
 
-    With MotionVerifier it offers proposed_route.
+    With `!Verified` the output is proposed_route.
     """
     inference = scenario.inference
     if "ellipsoids_W" not in signals or not (isinstance(inference, Verified) or inference.guided):
@@ -117,9 +116,9 @@ def add_route(
 
 
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
-    """Creates the selection of sides, with user-supplied rings by name.
+    """Creates the cost ring selector of a scenario, with user-supplied rings.
 
-    Without MotionVerifier, which rolls the arm out, its reach is a ring, too.
+    Without MotionVerifier, which rolls out the whole arm, one ring is the reach of the arm.
     """
     inference = scenario.inference
     is_verified = isinstance(inference, Verified)
@@ -133,14 +132,17 @@ def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRing
 
 
 _LEG_SAMPLES = 6
-"""Poses on each leg of a way that the arm must reach."""
+"""Number of poses for which inverse kinematics is solved on each leg of a path."""
 
 
 def make_joint_margins(scenario: Scenario) -> JointMargins | None:
-    """Creates the function that tracks ways of the tool from the start; None without a robot.
+    """Creates the function that computes joint margins along paths of the tool.
 
-    The null space is drawn to the configuration at the start, as the controller draws it. Where a
-    way begins out of reach nothing is known of it, and its margins are inf.
+    The arm follows each path from its start; its null space tracks the configuration at the start
+    of the task, as the controller does. Margins of a path that starts out of reach are inf.
+
+    Returns:
+        The function; None without a robot.
     """
     if scenario.robot is None:
         return None
@@ -148,7 +150,7 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
     chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_start)
     orientation = orientation_of_motion(scenario)
 
-    # What stands still is asked about once.
+    # Paths among resting obstacles repeat from decision to decision.
     @lru_cache(maxsize=16)
     def margins(data: bytes, legs: int) -> FloatArray:
         corners = np.frombuffer(data).reshape(-1, legs + 1, 3)
@@ -169,50 +171,52 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
 
 
 def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
-    """Creates the function of (T,) normalized times that computes (T, 3, 3) orientations."""
+    """Creates the function from normalized times (T,) to orientations R_WE (T, 3, 3)."""
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
 
 
 def add_verification(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+    signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds motion_verifier where the inference is `!Verified`: collision_scene_W, policy_state, goal,
-    robot_state, and the rows and sides -> motion, demonstration, coupling_parameters and route.
+    """Adds motion_verifier where inference is `!Verified`.
+
+    Inputs are collision_scene_W, policy_state, goal, path_state, proposed_parameters and
+    proposed_route; outputs are motion, demonstration, coupling_parameters and route.
 
     Raises:
-        ScenarioError: without a robot or collision geometry of the obstacles.
+        ScenarioError: without a robot, or without collision geometry of the obstacles.
     """
     inference, policy, task = scenario.inference, scenario.policy, scenario.task
     if not isinstance(inference, Verified):
         return
-    if station_model is None:
-        raise ScenarioError("inference: !Verified needs a robot; this scenario has null")
+    if station is None:
+        raise ScenarioError("robot: must be set for inference: !Verified; the scenario has null")
     if isinstance(scenario.perception, GivenEllipsoids):
         raise ScenarioError(
-            "inference: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
-            "ellipsoids of obstacles that are dilated by the tool"
+            "inference: !Verified requires the collision geometry of obstacles; perception: "
+            "!GivenEllipsoids has ellipsoids only: use another source, or inference: !Paper"
         )
-    _tell_of_bare_links(station_model)
-    chain, q_rest = station_model.chain, station_model.q_start[station_model.chain.q_index]
+    _warn_of_bare_links(station)
+    chain, q_rest = station.chain, station.q_start[station.chain.q_index]
     q_goal = None if task.q_goal is None else np.asarray(task.q_goal, dtype=float)
     q_end = q_rest if q_goal is None else q_goal
     search = MotionSearch(
         make_dmp(scenario),
         task.clearance,
         chain,
-        station_model.spheres.arrays,
+        station.spheres.arrays,
         parameters=inference,
         policy=policy,
         orientation=orientation_of_motion(scenario),
         posture=lambda s: posture_guide(s, q_rest, q_end),
-        protrusion=station_model.spheres.protrusion,
+        protrusion=station.spheres.protrusion,
         q_goal=q_goal,
     )
     verifier = MotionVerifier(
         search,
         tuple(chain.q_index.tolist()),
-        station_model.robot_plant.plant.num_multibody_states(),
+        station.robot_plant.plant.num_multibody_states(),
         period=perception_period(scenario),
         compute_latency=scenario.compute_latency,
         step=policy.period,
@@ -223,48 +227,47 @@ def add_verification(
         inputs={
             "coupling_parameters": "proposed_parameters",
             "route": "proposed_route",
-            # During a maneuver the arm is away from the motion that is verified.
+            # During a maneuver of the guard the arm is away from the verified motion.
             "robot_state": "path_state",
         },
         outputs={
-            "decision": "decision_regulation",
+            "decision": "decision_verification",
             "sides": "shown_route",
             "source": "motion_source",
         },
     )
     signals.set_fallback("path_state", "robot_state")
-    signals.log("shortfall", "clearance_reduction", "decision_regulation", "motion_source")
+    signals.log("shortfall", "clearance_reduction", "decision_verification", "motion_source")
 
 
-def _tell_of_bare_links(station_model: StationModel) -> None:
-    """Warns of links that are visible, but have no collision geometry to keep clear."""
+def _warn_of_bare_links(station: StationModel) -> None:
+    """Warns of links that have visual geometry but no collision geometry."""
     plant, inspector = (
-        station_model.robot_plant.plant,
-        station_model.robot_plant.scene_graph.model_inspector(),
+        station.robot_plant.plant,
+        station.robot_plant.scene_graph.model_inspector(),
     )
     bare = [
         body.name()
-        for body in map(plant.get_body, plant.GetBodyIndices(station_model.robot_plant.instance))
-        if body.name() not in station_model.spheres.bodies
+        for body in map(plant.get_body, plant.GetBodyIndices(station.robot_plant.instance))
+        if body.name() not in station.spheres.bodies
         and inspector.NumGeometriesForFrameWithRole(
             plant.GetBodyFrameIdOrThrow(body.index()), Role.kPerception
         )
     ]
     if bare:
         _logger.warning(
-            "robot.model: %s: no collision geometry, so nothing keeps it clear", ", ".join(bare)
+            "robot.model: no collision geometry of %s: its clearance is not checked",
+            ", ".join(bare),
         )
 
 
-def add_inference(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
-) -> None:
+def add_inference(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds regressor_chain: ellipsoids_W, policy_state -> coupling_parameters.
 
-    With MotionVerifier it offers proposed_parameters.
+    With `!Verified` the output is proposed_parameters.
 
     Raises:
-        ScenarioError: naming the file, if weights are missing or do not fit.
+        ScenarioError: naming the file of weights that are missing or of another network.
     """
     inference = scenario.inference
     outputs: dict[str, str] = {}

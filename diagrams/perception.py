@@ -1,4 +1,4 @@
-"""Wiring of the perception sources and the ellipsoid descriptor."""
+"""Builders of the layers perception, collision_scene and descriptor."""
 
 from __future__ import annotations
 
@@ -42,77 +42,78 @@ from drake_oa.scenario.sources import (
 )
 
 PIXEL_CENTER = 0.5
-"""Where Drake's VTK renderer samples the first pixel: at its center [pixel]."""
+"""Image coordinate of the center of the first pixel, as Drake's VTK renderer samples it [pixel]."""
 
 
 AddSource = Callable[..., None]
-"""Adds the source of obstacles of a scenario's block: wires, block, scenario, and the station,
-which is None without a robot."""
+"""Function (signals, block, scenario, station) that adds a source of obstacles; without a robot the
+station is None."""
 
 SOURCES: dict[type, AddSource] = {}
-"""Block of `perception` -> what adds its systems; see `register_source`."""
+"""Functions that add sources of obstacles, by the class of the block; see `register_source`."""
 
 
 def register_source(block: type, add: AddSource) -> None:
-    """Makes a tagged block known to scenario files, and says what is built from it.
+    """Registers a tagged block of scenario files and the function that adds its systems.
 
     Args:
-        block: a dataclass, whose `period` is the time between observations [s]; a file writes
+        block: dataclass with a field `period`, the time between observations [s]; in a file
             `perception: !<name of the class> {<field>: <value>}`.
-        add: adds the systems. They offer obstacles_W (`ObstacleClouds`), and cloud for a viewer;
-            and collision_scene_W (`CollisionScene`) where they know better than these points what is there.
+        add: function that adds the systems. They output obstacles_W (`ObstacleClouds`); optionally
+            cloud for the viewer, and collision_scene_W (`CollisionScene`) in place of the one that
+            is estimated from obstacles_W.
     """
     allow_perception(block)
     SOURCES[block] = add
 
 
 def add_perception(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+    signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds the source that the scenario's tagged block asks for.
+    """Adds the source of obstacles that the scenario's tagged block names.
 
-    Offers obstacles_W, or ellipsoids_W where these are given.
+    It outputs obstacles_W; `!GivenEllipsoids` outputs ellipsoids_W.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
+        ScenarioError: naming the wrong field.
     """
-    SOURCES[type(scenario.perception)](signals, scenario.perception, scenario, station_model)
+    SOURCES[type(scenario.perception)](signals, scenario.perception, scenario, station)
 
 
 def _add_given(
     signals: SignalBuilder,
     source: GivenEllipsoids,
     scenario: Scenario,
-    station_model: StationModel | None,
+    station: StationModel | None,
 ) -> None:
     signals.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
 
 
 def _add_ground_truth(
-    signals: SignalBuilder, source: GroundTruth, scenario: Scenario, station_model: StationModel
+    signals: SignalBuilder, source: GroundTruth, scenario: Scenario, station: StationModel
 ) -> None:
-    plant, inspector = station_model.plant, station_model.scene_graph.model_inspector()
+    plant, inspector = station.plant, station.scene_graph.model_inspector()
     system = GroundTruthPerception(
         plant,
         inspector,
-        station_model.obstacles,
+        station.obstacles,
         table=table_plane(scenario),
         period=source.period,
     )
     signals.add("perception", system)
     if not isinstance(scenario.inference, Verified):
         return
-    # Of all that is not the robot.
+    # The collision scene is all geometry but that of the robot.
     others = [
         body
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if instance != station_model.robot
+        if instance != station.robot
         for body in plant.GetBodyIndices(instance)
         if plant.GetCollisionGeometriesForBody(plant.get_body(body))
     ]
     names = {
         body: name
-        for name, instance in enumerate(station_model.obstacles)
+        for name, instance in enumerate(station.obstacles)
         for body in plant.GetBodyIndices(instance)
     }
     collision_scene = GroundTruthScene(
@@ -126,7 +127,7 @@ def _add_ground_truth(
 
 
 def _add_recorded_clouds(
-    signals: SignalBuilder, source: RecordedClouds, scenario: Scenario, station_model: StationModel
+    signals: SignalBuilder, source: RecordedClouds, scenario: Scenario, station: StationModel
 ) -> None:
     X_WC = _camera_pose(source)
     with field_errors("perception.folder", OSError, ValueError):
@@ -134,34 +135,34 @@ def _add_recorded_clouds(
             source.folder,
             X_WC=X_WC,
             config=_segmentation(source, scenario),
-            robot=station_model.robot_shapes,
+            robot=station.robot_shapes,
             period=source.period,
         )
     if X_WC is None and perception.files_without_pose:
-        # By the table alone the scene would lie somewhere else than the robot.
+        # A camera pose estimated from the table leaves the position relative to the robot unknown.
         raise ScenarioError(
-            f"perception.X_WC: '{perception.files_without_pose[0]}' holds no X_WC, and the robot "
-            "must know where the camera was: give 'X_WC: {translation: [x, y, z], "
-            "rotation: !Rpy {deg: [r, p, y]}}', or 'X_WC: {}' for a cloud in the world frame"
+            f"perception.X_WC: must be set, because '{perception.files_without_pose[0]}' has no "
+            "camera pose: 'X_WC: {translation: [x, y, z], rotation: !Rpy {deg: [r, p, y]}}', or "
+            "'X_WC: {}' for a cloud in the world frame"
         )
     signals.add("perception", perception)
 
 
 def _add_depth_camera(
-    signals: SignalBuilder, source: CameraSource, scenario: Scenario, station_model: StationModel
+    signals: SignalBuilder, source: CameraSource, scenario: Scenario, station: StationModel
 ) -> None:
-    cameras = {name: station_model.cameras[name] for name in source.names}
+    cameras = {name: station.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
     live = source if isinstance(source, LcmCamera) else None
-    plant = station_model.plant
+    plant = station.plant
     joints = [
         joint
-        for joint in plant.GetJointIndices(station_model.robot)
+        for joint in plant.GetJointIndices(station.robot)
         if plant.get_joint(joint).num_positions()
     ]
     inputs: dict[str, str | None] = {}
     for name in cameras:
-        # The self filter takes the robot as it was when the image was taken.
+        # The self filter uses the configuration at the stamp of the image.
         at_image = source.signal("robot_state_at_image", name)
         signals.add(
             source.signal("robot_at_image", name),
@@ -175,7 +176,7 @@ def _add_depth_camera(
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
-        robot=station_model.robot_shapes,
+        robot=station.robot_shapes,
         pixel_center=live.pixel_center if live else PIXEL_CENTER,
         period=perception_period(scenario),
         delay=first.delay,
@@ -199,17 +200,20 @@ SOURCES |= {
 
 
 def add_collision_scene(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+    signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds solids of `!Verified`, unless the source knows them itself: obstacles_W -> collision_scene_W."""
-    if station_model is None or "collision_scene_W" in signals or "obstacles_W" not in signals:
+    """Adds collision_scene for `!Verified`: obstacles_W -> collision_scene_W.
+
+    It adds no system where the source of perception outputs collision_scene_W.
+    """
+    if station is None or "collision_scene_W" in signals or "obstacles_W" not in signals:
         return
     if not isinstance(scenario.inference, Verified):
         return
     source, cameras = scenario.perception, {}
-    if isinstance(source, CameraSource) and station_model.cameras:
+    if isinstance(source, CameraSource) and station.cameras:
         for config in camera_configs(scenario, source):
-            seen = station_model.cameras[config.name].intrinsics
+            seen = station.cameras[config.name].intrinsics
             cameras[source.signal("camera_pose", config.name)] = ImageRange(
                 seen.focal_y(), seen.center_y(), seen.height(), config.z_near
             )
@@ -220,7 +224,7 @@ def add_collision_scene(
 
 
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
-    """The block's parameters, with the height of the table that the scenario knows, or none."""
+    """Returns the segmentation parameters, with the table height of the scenario by default."""
     if source.segmentation.table_height is not None:
         return source.segmentation
     if scenario.table_height is None:
@@ -233,26 +237,26 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
         return None
     if source.X_WC.base_frame not in (None, "", "world"):
         raise ScenarioError(
-            f"perception.X_WC.base_frame: '{source.X_WC.base_frame}' is not valid here; "
-            "the pose is in the world frame: leave it out"
+            f"perception.X_WC.base_frame: must be 'world', not '{source.X_WC.base_frame}'; "
+            "leave it out"
         )
     if not source.X_WC.IsDeterministic():
-        raise ScenarioError("perception.X_WC: is random; it must be the one pose the camera had")
+        raise ScenarioError("perception.X_WC: must be one fixed pose, not a random one")
     return source.X_WC.GetDeterministicValue()
 
 
 def add_descriptor(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+    signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds ellipsoid_descriptor where there are obstacles: obstacles_W -> ellipsoids_W."""
-    if station_model is None or "obstacles_W" not in signals:
+    """Adds ellipsoid_descriptor: obstacles_W -> ellipsoids_W."""
+    if station is None or "obstacles_W" not in signals:
         return
     goal = "goal" if scenario.task.goal_moves else None
     signals.add("ellipsoid_descriptor", make_ellipsoid_descriptor(scenario), inputs={"goal": goal})
 
 
 def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
-    """Makes the descriptor, which dilates by the robot's tool in each of the ways it is held."""
+    """Creates the descriptor; it dilates obstacles by the tool in each orientation of the task."""
     task = scenario.task
     held = list(map(tool_link_corners, robots_along_motion(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
@@ -261,7 +265,7 @@ def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
     return EllipsoidDescriptor(
         np.concatenate(links),
         method="least_squares" if fitted else "enclosing",
-        # A goal that moves comes by a port.
+        # A moving goal is read from an input port.
         free_W=[task.start] if task.goal_moves else [task.start, task.goal],
         tool_parts=merged_parts(links),
     )

@@ -1,4 +1,4 @@
-"""The simulated station and the models of its robot."""
+"""Builder of the simulated station, and models of its robot."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from drake_oa.world.station import Station, make_station
 
 @dataclass(frozen=True)
 class StationModel(Station):
-    """A station with the robot alone beside it, as the layers know it.
+    """Simulated station with the models of its robot that the layers use.
 
     Attributes:
-        scenario: what it was made from.
-        robot_plant: the robot alone.
-        q_start: (nq,) its positions with E at the start.
+        scenario: configuration of the station.
+        robot_plant: plant of the robot without its environment.
+        q_start: (nq,) positions of the robot with the tool point E at the start.
     """
 
     scenario: Scenario
@@ -37,19 +37,19 @@ class StationModel(Station):
 
     @cached_property
     def chain(self) -> Chain:
-        """The joints of the arm."""
+        """Kinematic chain of the arm."""
         plant, tool_frame = self.robot_plant.plant, self.robot_plant.tool_frame
         return make_chain(plant, tool_frame, self.q_start, self.spheres.arrays)
 
     @property
     def robot_shapes(self) -> RobotGeometries:
-        """The robot's collision geometry, which perception does not take for an obstacle."""
+        """Collision geometry of the robot, for the self filter of perception."""
         robot = self.robot_plant
         return robot_geometries(robot.plant, robot.scene_graph.model_inspector(), robot.instance)
 
     @property
     def spheres(self) -> ArmSpheres:
-        """The robot as spheres."""
+        """Spheres that cover the robot."""
         return covered_arm(robot_of(self.scenario))
 
 
@@ -60,23 +60,23 @@ def add_station(
     avoid_obstacles: bool = True,
     external: ExternalInputs | None = None,
 ) -> StationModel | None:
-    """Adds plant, scene graph and, where perception looks through them, the cameras.
+    """Adds plant, scene graph and the cameras that perception uses.
 
-    Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
-    camera_pose, image_stamp and plant_state_at_image; of several cameras each of them with _NAME
-    behind it.
+    Signals: robot_state, plant_state, query_object and body_poses; of the camera depth_image,
+    camera_pose, image_stamp and plant_state_at_image, with the suffix _NAME if there are several
+    cameras.
 
     Args:
-        signals: that are added to.
-        scenario: what to build.
-        avoid_obstacles: whether anything is seen.
+        signals: builder that receives the systems.
+        scenario: configuration of the station.
+        avoid_obstacles: whether images are rendered.
         external: state and clocks for cameras outside the simulation.
 
     Returns:
-        None without a robot.
+        The station; None without a robot.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
+        ScenarioError: naming the wrong field.
     """
     if scenario.robot is None:
         return None
@@ -104,14 +104,14 @@ def add_station(
 
 
 _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}
-"""The robots of this process as spheres, which take seconds to make."""
+"""Spheres of robots that this process has computed, because computing them requires seconds."""
 
 
 def covered_arm(robot: Robot) -> ArmSpheres:
-    """Returns the robot as spheres, as near as its block asks; made once.
+    """Returns spheres that cover a robot with the protrusion of its block.
 
-    They are made at home: from where else would change their last bits, and with these what a
-    process does later.
+    Computed once per process, in the home configuration: in another one rounding would differ, and
+    results would depend on the scenarios that the process ran before.
 
     Raises:
         ScenarioError: for a robot that cannot be covered.

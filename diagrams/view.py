@@ -1,4 +1,4 @@
-"""Wiring of the viewer: Drake's visualizer, and the overlay of intermediate results."""
+"""Builder of the viewer: Drake's visualizer and the overlay of intermediate results."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from drake_oa.viewing.viewer import dress_scene, show_world
 
 
 def add_view(
-    signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None, meshcat: Meshcat
+    signals: SignalBuilder, scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> None:
-    """Adds overlay, and the cost rings that it draws where what only reacts goes without."""
+    """Adds overlay, and cost rings for it where `!Paper` decides without them."""
     if isinstance(scenario.inference, Paper) and "shown_route" not in signals:
         outputs = {"decision": None, "route": "shown_route"}
         signals.add("cost_ring_selector", make_cost_ring_selector(scenario), outputs=outputs)
     signals.add(
-        "overlay", make_overlay(scenario, station_model, meshcat), inputs={"route": "shown_route"}
+        "overlay", make_overlay(scenario, station, meshcat), inputs={"route": "shown_route"}
     )
-    if station_model is not None:
-        show_world(signals.builder, station_model.scene_graph, meshcat)
+    if station is not None:
+        show_world(signals.builder, station.scene_graph, meshcat)
 
 
 def make_overlay(
-    scenario: Scenario, station_model: StationModel | None, meshcat: Meshcat
+    scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> MeshcatOverlay:
-    """Makes the overlay of intermediate results; also sets background and camera of the viewer."""
+    """Creates the overlay of intermediate results, and sets background and camera of the viewer."""
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show
     if show is None:
         show = ["decision", "motion"]
         show += ["descriptor"] if isinstance(scenario.inference, Paper) else []
     robot, hand = scenario.robot, None
-    if station_model is not None and robot is not None:
-        hand = station_model.plant.GetBodyByName(robot.hand_link, station_model.robot).index()
+    if station is not None and robot is not None:
+        hand = station.plant.GetBodyByName(robot.hand_link, station.robot).index()
     return MeshcatOverlay(
         meshcat,
         planned_W=_planned_path(scenario),
@@ -52,7 +52,7 @@ def make_overlay(
 
 
 def _planned_path(scenario: Scenario) -> FloatArray | None:
-    """(T, 3) the planned motion in the world; None for the straight line."""
+    """Returns the path (T, 3) of the nominal motion in the world [m]; None: a straight line."""
     task = scenario.task
     if not task.demonstration:
         return None

@@ -104,15 +104,13 @@ def add_hardware(
     arm, _ = arm_of(scenario)
     measured = signals.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
     external = ExternalInputs(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
-    station_model = add_station(
-        signals, scenario, avoid_obstacles=avoid_obstacles, external=external
-    )
-    if station_model is None:
+    station = add_station(signals, scenario, avoid_obstacles=avoid_obstacles, external=external)
+    if station is None:
         raise ScenarioError("robot: hardware is a robot; this scenario has null")
-    station_model.plant.SetDefaultPositions(station_model.robot, q_measured)
+    station.plant.SetDefaultPositions(station.robot, q_measured)
     stream = CommandStream(link, arm, 2 * len(q_measured), table_plane(scenario))
     signals.add("command_stream", stream)
-    return station_model
+    return station
 
 
 def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:

@@ -71,8 +71,8 @@ def ready(scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None) -
     arm, limits = arm_of(known)
     q = start_positions(known)
     q[arm] = link.ready_arm(q[arm], limits)
-    station_model = partial(add_hardware, link=link, q_measured=q)
-    diagram = build_avoidance(known, add_station_model=station_model, meshcat=meshcat)
+    station = partial(add_hardware, link=link, q_measured=q)
+    diagram = build_avoidance(known, add_station=station, meshcat=meshcat)
     with link.warmup():
         simulator = Simulator(diagram)
         try:

@@ -82,7 +82,7 @@ settled                ()             bool     whether all came to rest
 decision_time          (D,)           s        when decisions began; (0,) where a file does
                                                not tell, or they cost no time
 decision_latency          (D,)           s        the simulated time that each takes
-decision_layer         (D,)           text     whose it is: "inference" or "guard"
+decision_layer         (D,)           text     layer that decides: "verification" or "guard"
 event_hold             (E,)           text     what held the motion from then on, one of `HoldReason`
 ended                  ()             text     how the motion ended, one of `MotionEnd`
 =====================  =============  =======  ==========================================

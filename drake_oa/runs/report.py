@@ -27,7 +27,7 @@ from drake_oa.scenario.task import goal_at
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "made_contacts", "self_contacts")
-_COST_KEYS = {"inference": "decision_latency", "guard": "guard_latency"}
+_COST_KEYS = {"verification": "decision_latency", "guard": "guard_latency"}
 """Layer -> key of the costs of its decisions in the report."""
 
 
@@ -173,7 +173,7 @@ def latency_statistics(costs: ArrayLike, period: float) -> dict[str, float] | No
     }
 
 
-def layer_costs(log: MotionLog, layer: str = "inference") -> FloatArray:
+def layer_costs(log: MotionLog, layer: str = "verification") -> FloatArray:
     """Returns the costs of a layer's decisions that began in the motion [s]."""
     of_layer = np.array(log.decision_layer, dtype=str) == layer
     return log.decision_latency[of_layer & (log.decision_time <= log.duration)]

@@ -30,23 +30,21 @@ def gallery() -> dict[str, dict[str, str]]:
         tables = re.findall(r"(?:^\|.*\n)+", page.read_text("utf-8"), re.MULTILINE)
         (table,) = (table for table in tables if "| scenario |" in table.splitlines()[0])
         head, _, *rows = (
-            [station_model.strip() for station_model in line[1:-1].split("|")]
+            [station.strip() for station in line[1:-1].split("|")]
             for line in table.split("\n")[:-1]
         )
         for row in (dict(zip(head, cells, strict=True)) for cells in rows):
             name = re.findall(r"\[`(\w+)`\]", row["scenario"])[0]
             found[name] = {
-                key: text
-                for title, station_model in row.items()
-                for key, text in numbers(title, station_model)
+                key: text for title, station in row.items() for key, text in numbers(title, station)
             }
     return found
 
 
-def numbers(title: str, station_model: str) -> list[tuple[str, str]]:
+def numbers(title: str, station: str) -> list[tuple[str, str]]:
     """Figures of a cell "2 / 0" under a title like "contacts: planned / ours"; of others none."""
     keys = [next(filter(part.endswith, FIGURES), "") for part in title.split(" / ")]
-    return list(zip(keys, re.findall(r"-?[\d.]+", station_model), strict=True)) if all(keys) else []
+    return list(zip(keys, re.findall(r"-?[\d.]+", station), strict=True)) if all(keys) else []
 
 
 def differs(written: str, value: float) -> bool:

@@ -74,7 +74,7 @@ cameras:
 """
 
 
-def station_model(X_WN: RigidTransform, blocks: str) -> Scenario:
+def station(X_WN: RigidTransform, blocks: str) -> Scenario:
     """A cell whose robot, table, camera, task and obstacles are moved."""
     p, yaw = X_WN.translation().tolist(), float(RollPitchYaw(X_WN.rotation()).yaw_angle())
     text = _CELL.format(
@@ -114,8 +114,8 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
     ],
 )
 def test_the_arm_moves_alike(blocks: str, duration: float, apart: float, joints: float) -> None:
-    here = simulate(station_model(RigidTransform(), blocks), duration=duration)
-    away = simulate(station_model(TURNED, blocks), duration=duration)
+    here = simulate(station(RigidTransform(), blocks), duration=duration)
+    away = simulate(station(TURNED, blocks), duration=duration)
     p_WE, p_WO = ((TURNED @ p.reshape(-1, 3).T).T.reshape(p.shape) for p in (here.p_WE, here.p_WO))
     np.testing.assert_allclose(away.p_WO, p_WO, atol=2e-3)
     np.testing.assert_allclose(away.p_WE, p_WE, atol=apart)

@@ -66,7 +66,9 @@ def test_a_link_without_shape_is_told_of_and_joints_without_limits_are_turned(tm
     elbow = '(<link name="elbow">.*?)<collision>.*?</collision>'
     limits = f'{elbow}|type="revolute"|lower="-6.28" upper="6.28"'
     log = simulate(an_arm(tmp_path, limits, changed), duration=0.5)
-    assert "robot.model: elbow: no collision geometry, so nothing keeps it clear" in caplog.text
+    assert (
+        "robot.model: no collision geometry of elbow: its clearance is not checked" in caplog.text
+    )
     assert np.isfinite(log.q).all()
     assert np.linalg.norm(log.p_WE[-1] - log.p_WE[0]) > 0.01
 

@@ -27,7 +27,7 @@ PAPER = "inference.weights=package://drake_oa/weights/paper_chain.safetensors"
         (BOX, ["perception=!RecordedClouds {folder: /a}"], ["perception.folder", "/a"]),
         (BOX, ["task.demonstration=/no.npz"], ["task.demonstration", "/no.npz"]),
         (BOX, ["inference.chain=/no.npz"], ["inference.chain: "]),
-        (BOX, GIVEN, ["!Verified needs obstacles that are seen"]),
+        (BOX, GIVEN, ["!Verified requires the collision geometry"]),
         (BOX, ["faults=[!Push {body: tail}]"], ["faults[0].body: ", "no link 'tail'"]),
         (BOX, ["robot.tool_links=[panda_thumb]"], ["robot.tool_links", "panda_thumb"]),
         (BOX, ["robot.tool_links=[panda_link8]"], ["robot.tool_links", "panda_link8"]),

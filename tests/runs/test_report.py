@@ -96,7 +96,14 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
         AROUND,
         decision_time=np.array([0.0, 0.1, 0.1, 0.4, 1.0, 5.5]),
         decision_latency=costs,
-        decision_layer=("inference", "inference", "guard", "inference", "guard", "inference"),
+        decision_layer=(
+            "verification",
+            "verification",
+            "guard",
+            "verification",
+            "guard",
+            "verification",
+        ),
     )
     found = motion_report(FREE, log)
     assert found["decision_latency"] == {

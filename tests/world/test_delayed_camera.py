@@ -157,6 +157,8 @@ def test_noise_depends_on_the_capture_time(scenario: Scenario, camera: Backgroun
     noise = partial(add_depth_noise, K=[60.0, 60.0, 31.5, 23.5], seed=3)
     state = np.concatenate([READY, np.zeros(9)])
     ideal = camera.request(state, 0.0).result().depth
-    noisy = BackgroundCamera(scenario, scenario.cameras[0], noise).request(state, 0.1).result().depth
+    noisy = (
+        BackgroundCamera(scenario, scenario.cameras[0], noise).request(state, 0.1).result().depth
+    )
     np.testing.assert_array_equal(noisy, noise(ideal, 0.1))
     assert not np.array_equal(noisy, noise(ideal, 0.2), equal_nan=True)

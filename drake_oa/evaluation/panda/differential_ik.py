@@ -326,9 +326,9 @@ def simulate_differential_ik(scenario: Scenario, duration: float | None = None) 
     stiff = replace(scenario, robot=replace(robot, gains=gains))
 
     def add_program(
-        signals: SignalBuilder, scenario: Scenario, station_model: StationModel | None
+        signals: SignalBuilder, scenario: Scenario, station: StationModel | None
     ) -> None:
-        if station_model is None:
+        if station is None:
             return
         checker = make_collision_checker(
             scenario,
@@ -337,9 +337,7 @@ def simulate_differential_ik(scenario: Scenario, duration: float | None = None) 
             world=arm - safety,
             own=SELF_DISTANCE - safety,
         )
-        signals.add(
-            "commanded_joints", CommandedJoints(scenario, checker.plant(), station_model.q_start)
-        )
+        signals.add("commanded_joints", CommandedJoints(scenario, checker.plant(), station.q_start))
         steady = ConstantVectorSource(np.zeros(len(robot.q_seed)))
         signals.add("steady", steady, outputs={"y0": "desired_joint_acceleration"})
         program = make_differential_ik(scenario, checker, safety)
@@ -348,7 +346,7 @@ def simulate_differential_ik(scenario: Scenario, duration: float | None = None) 
     layers = replace(
         without_avoidance(Layers()),
         safety=add_program,
-        control=lambda signals, _, station_model: add_control(signals, stiff, station_model),
+        control=lambda signals, _, station: add_control(signals, stiff, station),
     )
     with _without_solver_messages():
         log = replace(simulate(scenario, duration=duration, layers=layers), inference=METHOD)
