@@ -318,7 +318,9 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
         this.scenario = driven.known
         panel = _open_panel(this)
         _add_motion(this, "avoiding", partial(drive, driven, link, duration=this.duration), panel)
-        print(f"the arm was at most {link.motion.farthest:.3f} rad off", file=sys.stderr)
+        print(
+            f"the arm was at most {link.trajectory.max_tracking_error:.3f} rad off", file=sys.stderr
+        )
 
 
 def _add_motion(

@@ -1,9 +1,9 @@
-"""Commands of joint positions: sent from a planned motion, and checked before the arm follows.
+"""Joint position commands: streamed from a shared trajectory, and validated before the arm follows.
 
-Decisions may need longer than the arm can wait: the diagram writes the planned joint positions
-into shared memory, a little ahead, and a `CommandStreamer` in a process of its own sends commands
-from there at its own rate. Where the planned motion ends the player slows along it and waits; it
-never extrapolates. On the arm's side a `CommandValidator` checks each command; it does not use LCM.
+A decision may last longer than the period of commands. Therefore the diagram writes the planned
+joint positions into shared memory, a little ahead, and a `CommandStreamer` in a separate process
+sends commands at a constant rate. Near the end of the written positions it slows down and waits;
+it never extrapolates. On the arm's side, a `CommandValidator` checks each command, without LCM.
 """
 
 import ctypes
@@ -26,9 +26,9 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import RobotLimits
 
 STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
-"""LCM channels of the arm."""
+"""LCM channels of the arm's statuses and commands."""
 ARM_JOINTS = 7
-"""Number of joints in messages."""
+"""Number of joints of a Panda, in messages."""
 POSITION_MODE = int(PandaControlMode.kPosition)
 """Control mode of commands and statuses in messages: joint positions."""
 MICROSECOND = 1e-6
@@ -36,65 +36,66 @@ MICROSECOND = 1e-6
 
 _logger = logging.getLogger("drake_oa")
 
-_NOT_FREE = {
+_BLOCKED_MODES = {
     lcmt_panda_status.kGuiding: "being guided by hand",
     lcmt_panda_status.kReflex: "stopped by a reflex",
     lcmt_panda_status.kUserStopped: "stopped by its user",
     lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
 }
-"""Modes of the arm in which it cannot be driven."""
+"""Robot modes in which the arm does not follow commands, with their descriptions."""
 
 _ROWS = 4096
-"""Capacity of the shared buffers of planned and measured positions."""
-_NOTE = 400
-"""Size of the longest note [byte]."""
-_REMEMBERED = 400
-"""Number of sent commands that are compared with received commands and statuses."""
+"""Capacity of the shared buffers of planned and measured positions, in rows."""
+_NOTE_SIZE = 400
+"""Maximum size of a shared note [byte]."""
+_SENT_COUNT = 400
+"""Number of recent commands that are compared with received commands and statuses."""
 
 
 COMMAND_PERIOD = 0.004
 """Time between two commands [s]."""
 LEAD = 0.04
-"""Time by which the motion is computed ahead of its commands [s]: tolerates pauses of the
-simulation of up to half of it."""
+"""Time by which planned positions are written ahead of their commands [s]. Pauses of the
+simulation of up to half this time do not slow down the arm."""
 _RAMP = 0.15
 """Time from rest to full speed, and from full speed to rest after a failure [s]."""
-SILENCE = 0.1
-"""Time without a status message after which the arm is held and simulated time stops [s]."""
-_PATIENCE = 0.3
-"""Further time without a status message after which the run stops [s]."""
+STATUS_TIMEOUT = 0.1
+"""Time without a valid status after which the arm holds and simulated time pauses [s]."""
+_STOP_TIMEOUT = 0.3
+"""Additional time without a valid status after which the run ends [s]."""
 _RESTART_TOLERANCE = 0.03
-"""Maximum distance of a joint from its command when the motion resumes from rest [rad]."""
-_ASTRAY, _ASTRAY_TIME = 0.1, 0.2
-"""Distance of a joint from all commands of a period that stops the run [rad], and period [s]."""
-EXPIRY = 0.1
-"""Time for which the arm follows a command, and maximum difference of its stamp from the wall clock
-[s]. The vendor's driver has the same."""
-SPEED_SHARE = 1.2
+"""Maximum distance of a joint from its planned position when the motion starts from rest [rad]."""
+_MAX_TRACKING_ERROR, _TRACKING_WINDOW = 0.1, 0.2
+"""Maximum distance of a joint from the nearest of its recent commands [rad], and the age up to
+which a command is recent [s]. A larger distance stops the arm."""
+COMMAND_TIMEOUT = 0.1
+"""Time for which the arm follows a command, and maximum difference of the command's stamp from the
+wall clock [s]; the same as in the vendor's driver."""
+MAX_SPEED_RATIO = 1.2
 """Maximum speed between two accepted commands, relative to the joint's limit [1]."""
-SLACK = 0.01
+STEP_TOLERANCE = 0.01
 """Additional joint displacement allowed between two accepted commands [rad]."""
 
 
 def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
-    """Returns a message about the first of the positions (n,) beyond its limits; "" if none is."""
+    """Returns an error text for the first joint of q (n,) beyond its limits; "" without one."""
     lower, upper = limits.position_lower, limits.position_upper
     for name, value, low, high in zip(limits.position_name, q, lower, upper, strict=True):
         if not low <= value <= high:
-            return f"{name} at {value:.4g} rad is out of [{low:.4g}, {high:.4g}]"
+            return f"{name} at {value:.4g} rad is outside [{low:.4g}, {high:.4g}] rad"
     return ""
 
 
 class SharedTrajectory(ctypes.Structure):
-    """Memory shared by the diagram and the player: planned and measured motion, and progress.
+    """Memory shared by diagram and streamer: planned and measured positions, and progress.
 
-    Each field has one writer. Rows are written before they are counted.
+    Each field is written by one process only. A row is written before its count increases.
 
     Attributes:
-        stopped: 1 once the player has stopped for good.
-        played: simulated time that the arm is at [s].
-        end: 1 once the player is to end.
-        farthest: greatest distance of a joint from its commands [rad].
+        is_stopped: 1 after the streamer has stopped the arm permanently.
+        executed_time: simulated time of the last sent command [s].
+        end_requested: 1 after the diagram has requested the end of the streamer.
+        max_tracking_error: maximum distance of a joint from its recent commands so far [rad].
     """
 
     _fields_ = (
@@ -102,31 +103,31 @@ class SharedTrajectory(ctypes.Structure):
         ("_planned_count", ctypes.c_int64),
         ("_measured", ctypes.c_double * (2 * ARM_JOINTS) * _ROWS),
         ("_measured_count", ctypes.c_int64),
-        ("_note", ctypes.c_char * _NOTE),
-        ("stopped", ctypes.c_double),
-        ("played", ctypes.c_double),
-        ("end", ctypes.c_double),
-        ("farthest", ctypes.c_double),
+        ("_note", ctypes.c_char * _NOTE_SIZE),
+        ("is_stopped", ctypes.c_double),
+        ("executed_time", ctypes.c_double),
+        ("end_requested", ctypes.c_double),
+        ("max_tracking_error", ctypes.c_double),
     )
 
     def write_planned(self, t: float, q: FloatArray) -> None:
-        """Adds the planned positions of the joints (7,) at a simulated time [s, rad]."""
+        """Appends the planned joint positions q (7,) at a simulated time t [s, rad]."""
         self._planned[self._planned_count % _ROWS][:] = [t, *q]
         self._planned_count += 1
 
     def write_measured(self, q: FloatArray, v: FloatArray) -> None:
-        """Adds positions and speeds of the joints (7,) in a status [rad, rad/s]."""
+        """Appends the measured joint positions q and velocities v (7,) of a status [rad, rad/s]."""
         self._measured[self._measured_count % _ROWS][:] = [*q, *v]
         self._measured_count += 1
 
     @property
     def planned_until(self) -> float:
-        """Simulated time of the last planned positions; -inf before the first [s]."""
+        """Simulated time of the last planned positions [s]; -inf before the first."""
         count = self._planned_count
         return float(self._planned[(count - 1) % _ROWS][0]) if count else -math.inf
 
     def planned(self, t: float) -> FloatArray:
-        """Returns the planned positions (7,) at a simulated time that was written [rad]."""
+        """Interpolates the planned joint positions (7,) at a simulated time t [rad]."""
         count = self._planned_count
         latest = np.arange(max(0, count - _ROWS // 2), count) % _ROWS
         times, *joints = np.ctypeslib.as_array(self._planned)[latest].T
@@ -134,7 +135,7 @@ class SharedTrajectory(ctypes.Structure):
 
     @property
     def measured(self) -> tuple[FloatArray, FloatArray]:
-        """Positions and speeds (7,) in the last status; NaN before the first [rad, rad/s]."""
+        """Joint positions and velocities (7,) of the last status, NaN before it [rad, rad/s]."""
         count, row = self._measured_count, np.full(2 * ARM_JOINTS, np.nan)
         if count:
             row[:] = self._measured[(count - 1) % _ROWS]
@@ -142,104 +143,118 @@ class SharedTrajectory(ctypes.Structure):
 
     @property
     def note(self) -> str:
-        """Reason for which the arm is stopped or held; "" if it is not."""
+        """Reason why the arm is stopped or holds; "" while it moves."""
         return bytes(self._note).decode(errors="replace")
 
     @note.setter
     def note(self, note: str) -> None:
-        self._note = note.encode()[: _NOTE - 1]
+        self._note = note.encode()[: _NOTE_SIZE - 1]
 
 
 def shared_trajectory() -> SharedTrajectory:
-    """Allocates the memory, without any row."""
+    """Allocates a shared trajectory without any row."""
     return multiprocessing.get_context("spawn").RawValue(SharedTrajectory)
 
 
 class _StoppedError(Exception):
-    """A condition that stops the arm for good; the message says why."""
+    """Failure that stops the arm permanently; its message is the reason."""
 
 
 class CommandStreamer:
-    """Commands the positions in a `SharedTrajectory`, monitors the arm, and stops it where necessary.
+    """Sender of the commands in a `SharedTrajectory`, which also monitors and stops the arm.
 
-    Simulated time is played at `rate` seconds in one of the wall clock, more slowly where less
-    than half of `LEAD` is written, and not at all where the arm is silent, astray or
-    commanded by somebody else.
+    One second of wall time executes `rate` seconds of the trajectory. The pace is lower while less
+    than half of `LEAD` is written ahead.
+
+        no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
+        no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
+        tracking error, other command source,       the arm stops permanently
+        or robot or control mode without commands
     """
 
-    def __init__(self, motion: SharedTrajectory, lcm: DrakeLcm, rate: float) -> None:
+    def __init__(self, trajectory: SharedTrajectory, lcm: DrakeLcm, rate: float) -> None:
         """Subscribes to statuses and commands.
 
         Args:
-            motion: shared with the diagram.
-            lcm: the bus of the messages.
-            rate: simulated seconds in one of the wall clock, at most.
+            trajectory: trajectory shared with the diagram.
+            lcm: LCM bus of the messages.
+            rate: maximum simulated time per wall time [1].
         """
-        self._motion, self._lcm, self._rate = motion, lcm, rate
-        # Speed of simulated time, and when each was last: a status, a step, each by a clock that
-        # is never set.
-        self._pace, self._heard, self._stepped = 0.0, -math.inf, -math.inf
-        self._rejected = "no status has come"
-        self._sent: deque[tuple[float, int, FloatArray]] = deque(maxlen=_REMEMBERED)
+        self._trajectory, self._lcm, self._rate = trajectory, lcm, rate
+        # Present rate of simulated time, and monotonic times of the last valid status and step.
+        self._pace, self._status_tick, self._step_tick = 0.0, -math.inf, -math.inf
+        self._status_problem = f"no status received on {STATUS_CHANNEL}"
+        self._sent: deque[tuple[float, int, FloatArray]] = deque(maxlen=_SENT_COUNT)
         self._statuses: list[bytes] = []
         self._commands: list[bytes] = []
         lcm.Subscribe(STATUS_CHANNEL, self._statuses.append)
         lcm.Subscribe(COMMAND_CHANNEL, self._commands.append)
 
     @property
-    def finished(self) -> bool:
-        """True if it was told to end, and the arm is at rest as far as it is commanded."""
-        motion = self._motion
-        rests = self._pace < 1e-3 or motion.planned_until <= motion.played
-        return bool(motion.end and (motion.stopped or rests))
+    def is_finished(self) -> bool:
+        """Whether the end was requested and the commanded arm is at rest."""
+        trajectory = self._trajectory
+        is_at_rest = self._pace < 1e-3 or trajectory.planned_until <= trajectory.executed_time
+        return bool(trajectory.end_requested and (trajectory.is_stopped or is_at_rest))
 
     def step(self, now: float, tick: float | None = None) -> None:
         """Handles received messages, and sends the next command.
 
         Args:
-            now: the wall clock, which may be set [s].
-            tick: a clock that is never set [s]; None: the wall clock is not.
+            now: time of the wall clock, which may be adjusted [s].
+            tick: time of a monotonic clock [s]; None: `now`.
         """
         try:
             self._step(now, now if tick is None else tick)
         except _StoppedError as error:
-            self._motion.note, self._motion.stopped = str(error), 1.0
+            self._trajectory.note, self._trajectory.is_stopped = str(error), 1.0
             _logger.warning("stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
-        motion = self._motion
+        """Performs `step`.
+
+        Raises:
+            _StoppedError: if the arm must stop permanently.
+        """
+        trajectory = self._trajectory
         while self._lcm.HandleSubscriptions(0):
             pass
-        if motion.stopped:
+        if trajectory.is_stopped:
             return
         self._check_status(now, tick)
         self._check_commands()
-        silence = tick - self._heard
-        trouble = self._rejected if silence > SILENCE else ""
-        if SILENCE + _PATIENCE < silence < math.inf:
-            raise _StoppedError(trouble)
-        if trouble != motion.note:
-            motion.note = trouble
+        silence = tick - self._status_tick
+        problem = self._status_problem if silence > STATUS_TIMEOUT else ""
+        if STATUS_TIMEOUT + _STOP_TIMEOUT < silence < math.inf:
+            raise _StoppedError(problem)
+        if problem != trajectory.note:
+            trajectory.note = problem
             if self._sent:
-                _logger.warning("holding: %s" if trouble else "resumed%s", trouble)
-        elapsed, self._stepped = tick - self._stepped, tick
-        if motion.planned_until == -math.inf or (trouble and not self._sent):
+                _logger.warning("holding: %s" if problem else "resumed%s", problem)
+        elapsed, self._step_tick = tick - self._step_tick, tick
+        if trajectory.planned_until == -math.inf or (problem and not self._sent):
             return
-        if elapsed > SILENCE:
-            # By now the arm holds.
+        if elapsed > STATUS_TIMEOUT:
+            # After a pause of this length the arm holds: the motion starts again from rest.
             self._pace = 0.0
-        if self._pace == 0.0 and not trouble:
-            off = float(np.abs(motion.measured[0] - motion.planned(motion.played)).max())
-            if off > _RESTART_TOLERANCE:
-                raise _StoppedError(f"the arm is {off:.3g} rad from where it was left")
+        if self._pace == 0.0 and not problem:
+            q = trajectory.planned(trajectory.executed_time)
+            deviation = float(np.abs(trajectory.measured[0] - q).max())
+            if deviation > _RESTART_TOLERANCE:
+                raise _StoppedError(
+                    f"a joint at rest is {deviation:.3g} rad from its planned position, at most "
+                    f"{_RESTART_TOLERANCE:g} allowed: the arm was moved"
+                )
         elapsed = min(elapsed, 3.0 * COMMAND_PERIOD)
-        lead = motion.planned_until - motion.played
+        lead = trajectory.planned_until - trajectory.executed_time
         change = self._rate * elapsed / _RAMP
-        slows = trouble or motion.end > 0.0
-        pace = max(0.0, self._pace - change) if slows else self._pace + change
+        is_slowing = problem or trajectory.end_requested > 0.0
+        pace = max(0.0, self._pace - change) if is_slowing else self._pace + change
         self._pace = min(pace, self._rate * min(1.0, max(0.0, lead / (0.5 * LEAD))))
-        motion.played = min(motion.played + self._pace * elapsed, motion.planned_until)
-        q = motion.planned(motion.played)
+        trajectory.executed_time = min(
+            trajectory.executed_time + self._pace * elapsed, trajectory.planned_until
+        )
+        q = trajectory.planned(trajectory.executed_time)
         message = lcmt_panda_command()
         message.utime = round(now / MICROSECOND)
         message.control_mode_expected = POSITION_MODE
@@ -248,7 +263,8 @@ class CommandStreamer:
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
 
     def _check_status(self, now: float, tick: float) -> None:
-        # Handlers may not raise: messages are decoded here. The last one counts.
+        """Checks the last received status; raises `_StoppedError` if the arm must stop."""
+        # LCM handlers must not raise: messages are decoded here. Earlier statuses are ignored.
         data, self._statuses[:] = self._statuses[-1:], []
         if not data:
             return
@@ -257,98 +273,110 @@ class CommandStreamer:
             q, v = np.array([status.joint_position, status.joint_velocity])
             age = now - MICROSECOND * status.utime
             if q.shape != (ARM_JOINTS,) or not np.isfinite([q, v]).all():
-                raise ValueError(f"statuses hold no {ARM_JOINTS} finite positions and speeds")
-            if abs(age) > SILENCE:
+                raise ValueError(f"statuses must hold {ARM_JOINTS} finite positions and velocities")
+            if abs(age) > STATUS_TIMEOUT:
                 raise ValueError(
-                    f"statuses are {age:.3f} s old by this clock, at most {SILENCE:g} "
-                    "may be: are both clocks set alike?"
+                    f"statuses are {age:.3f} s old, at most {STATUS_TIMEOUT:g} allowed: "
+                    "synchronize the clocks of both computers"
                 )
         except Exception as error:
-            self._rejected = f"{STATUS_CHANNEL}: {error}"
+            self._status_problem = f"{STATUS_CHANNEL}: {error}"
             return
-        self._heard, self._rejected = tick, f"no status on {STATUS_CHANNEL} for {SILENCE:g} s"
-        if status.robot_mode in _NOT_FREE:
-            name = _NOT_FREE[status.robot_mode]
-            raise _StoppedError(f"the arm is {name}; it has to be free to move")
-        # Zero is the mode of a driver that does not state it.
+        self._status_tick = tick
+        self._status_problem = f"no status on {STATUS_CHANNEL} for {STATUS_TIMEOUT:g} s"
+        if status.robot_mode in _BLOCKED_MODES:
+            name = _BLOCKED_MODES[status.robot_mode]
+            raise _StoppedError(f"arm is {name}: enable motion before the run")
+        # Zero is the control mode of a driver that does not report it.
         if status.control_mode not in (0, POSITION_MODE):
-            raise _StoppedError("the arm does not take positions; start it in position mode")
-        self._motion.write_measured(q, v)
+            raise _StoppedError("arm does not follow positions: start its driver in position mode")
+        self._trajectory.write_measured(q, v)
         stamp = now - age
-        recent = [at for when, _, at in self._sent if stamp - _ASTRAY_TIME <= when <= stamp]
+        recent = [at for when, _, at in self._sent if stamp - _TRACKING_WINDOW <= when <= stamp]
         if not recent:
             return
-        off = float(np.abs(np.array(recent) - q).max(axis=1).min())
-        self._motion.farthest = max(self._motion.farthest, off)
-        if off > _ASTRAY:
-            raise _StoppedError(f"the arm is {off:.3g} rad from where it was sent")
+        deviation = float(np.abs(np.array(recent) - q).max(axis=1).min())
+        self._trajectory.max_tracking_error = max(self._trajectory.max_tracking_error, deviation)
+        if deviation > _MAX_TRACKING_ERROR:
+            raise _StoppedError(
+                f"a joint is {deviation:.3g} rad from its commands of the last "
+                f"{_TRACKING_WINDOW:g} s, at most {_MAX_TRACKING_ERROR:g} allowed"
+            )
 
     def _check_commands(self) -> None:
-        own = {utime for _, utime, _ in self._sent}
+        """Raises `_StoppedError` if a received command was not sent by this streamer."""
+        sent_stamps = {utime for _, utime, _ in self._sent}
         received, self._commands[:] = self._commands[:], []
         for data in received:
             with suppress(Exception):
-                if lcmt_panda_command.decode(data).utime in own:
+                if lcmt_panda_command.decode(data).utime in sent_stamps:
                     continue
-            raise _StoppedError(f"somebody else commands on {COMMAND_CHANNEL}")
+            raise _StoppedError(f"another command source sends on {COMMAND_CHANNEL}: end it")
 
 
-def stream_commands(motion: SharedTrajectory, lcm_url: str, rate: float, parent: int) -> None:
-    """Streams commands until told to stop or until the parent process ends.
+def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, parent: int) -> None:
+    """Streams commands until the end is requested or the parent process ends.
+
+    This function is the body of the streamer's process.
 
     Args:
-        motion: shared with the parent process.
-        lcm_url: of the bus.
-        rate: simulated seconds in one of the wall clock, at most.
-        parent: process that computes the motion.
+        trajectory: trajectory shared with the parent process.
+        lcm_url: URL of the LCM bus.
+        rate: maximum simulated time per wall time [1].
+        parent: ID of the process that computes the motion.
     """
-    # A signal to the whole group would stop the arm at full speed.
+    # A signal to the process group would end the streamer, and stop the arm from full speed.
     for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(kind, signal.SIG_IGN)
     logging.basicConfig(format="%(levelname)s: arm: %(message)s")
     gc.disable()
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
-    player = CommandStreamer(motion, DrakeLcm(lcm_url), rate)
+    streamer = CommandStreamer(trajectory, DrakeLcm(lcm_url), rate)
     due = time.monotonic()
-    while not player.finished:
-        if os.getppid() != parent and not motion.end:
+    while not streamer.is_finished:
+        if os.getppid() != parent and not trajectory.end_requested:
             _logger.warning("parent process ended: stopping the arm")
-            motion.end = 1.0
-        player.step(time.time(), time.monotonic())
+            trajectory.end_requested = 1.0
+        streamer.step(time.time(), time.monotonic())
         due = max(due + COMMAND_PERIOD, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))
 
 
 class CommandValidator:
-    """Follows one commander, and holds where there is none, or more than one.
+    """Check of received commands, and the desired motion of the arm that follows them.
 
-    Commands that are old, out of limits, that jump, or of another mode are ignored. Where none is
-    accepted for `EXPIRY` the arm holds the last position, and goes on from there.
+    Commands are rejected if they are old, out of limits, discontinuous, of another control mode, or
+    not in order of their stamps, as with two command sources. After `COMMAND_TIMEOUT` without a
+    valid command, the arm holds its last desired position, and may follow again from there.
 
     Attributes:
-        events: message whenever its behavior changed.
+        events: log lines of changes: following, holding, and rejected commands.
     """
 
     def __init__(self, q: FloatArray, limits: RobotLimits) -> None:
-        """Holds.
+        """Starts with an arm that holds its position.
 
         Args:
-            q: (n,) positions of the arm [rad].
-            limits: of its joints, in the same order.
+            q: (n,) joint positions of the arm [rad].
+            limits: limits of these joints, in the same order.
         """
         self._q = np.array(q, dtype=float)
         self._v = np.zeros_like(self._q)
         self._limits = limits
-        self._accepted = -np.inf
+        self._accepted_at = -np.inf
         self._stamp: int | None = None
         self.events: list[str] = []
 
     def receive(self, command: lcmt_panda_command, now: float) -> bool:
-        """Checks a command at a time of the wall clock [s]; returns whether the arm follows it."""
+        """Checks a command at a time of the wall clock [s].
+
+        Returns:
+            Whether the command is valid, so that the arm follows it.
+        """
         self._update(now)
-        if why := self._problem(command, now):
-            self._log(f"command refused: {why}")
+        if reason := self._problem(command, now):
+            self._log(f"command rejected: {reason}")
             return False
         q = np.array(command.joint_position)
         if self._stamp is None:
@@ -356,29 +384,30 @@ class CommandValidator:
             self._v[:] = 0.0
         else:
             self._v = (q - self._q) / (MICROSECOND * (command.utime - self._stamp))
-        self._q, self._stamp, self._accepted = q, command.utime, now
+        self._q, self._stamp, self._accepted_at = q, command.utime, now
         return True
 
     def desired(self, now: float) -> tuple[FloatArray, FloatArray]:
-        """Returns desired positions [rad] and speeds [rad/s], (n,) each, at a time [s]."""
+        """Returns desired positions [rad] and velocities [rad/s], (n,) each, at a wall time [s]."""
         self._update(now)
         return self._q, self._v
 
     @property
-    def holding(self) -> bool:
-        """True if no command is followed."""
+    def is_holding(self) -> bool:
+        """Whether the arm holds, without a command to follow."""
         return self._stamp is None
 
     def _update(self, now: float) -> None:
-        """Holds when the last command has expired."""
-        if self._stamp is not None and now - self._accepted > EXPIRY:
+        """Lets the arm hold if the last command has expired at a wall time [s]."""
+        if self._stamp is not None and now - self._accepted_at > COMMAND_TIMEOUT:
             self._v, self._stamp = np.zeros_like(self._q), None
-            self._log(f"holding: no command for {EXPIRY:g} s")
+            self._log(f"holding: no command for {COMMAND_TIMEOUT:g} s")
 
     def _problem(self, command: lcmt_panda_command, now: float) -> str:
+        """Returns the reason to reject a command; "" if it is valid."""
         n, limits, elapsed = len(self._q), self._limits, 0.0
         age = now - MICROSECOND * command.utime
-        if abs(age) > EXPIRY:
+        if abs(age) > COMMAND_TIMEOUT:
             return f"its stamp is {age:.3f} s before the wall clock"
         sizes = (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque)
         if sizes != (n, 0, 0) or command.control_mode_expected != POSITION_MODE:
@@ -386,20 +415,22 @@ class CommandValidator:
         if self._stamp is not None:
             elapsed = MICROSECOND * (command.utime - self._stamp)
             if elapsed <= 0.0:
-                return f"a second commander: its stamp is {-1e3 * elapsed:.1f} ms before the last"
+                return (
+                    f"a second command source: its stamp is {-1e3 * elapsed:.1f} ms before the last"
+                )
         q = np.array(command.joint_position)
-        if beyond := beyond_limits(q, limits):
-            return beyond
+        if problem := beyond_limits(q, limits):
+            return problem
         step = np.abs(q - self._q)
-        allowed = SLACK + SPEED_SHARE * elapsed * limits.velocity_limit
+        allowed = STEP_TOLERANCE + MAX_SPEED_RATIO * elapsed * limits.velocity_limit
         j = int(np.argmax(step - allowed))
         if step[j] <= allowed[j]:
             return ""
         name = limits.position_name[j]
-        return f"{name} jumps by {step[j]:.3g} rad, {allowed[j]:.3g} are possible"
+        return f"{name} jumps by {step[j]:.3g} rad, at most {allowed[j]:.3g} allowed"
 
     def _log(self, event: str) -> None:
-        """Adds an event, unless it differs from the last one in numbers only."""
+        """Logs and stores an event, unless it equals the last one up to its text after " is "."""
         if not self.events or self.events[-1].split(" is ")[0] != event.split(" is ")[0]:
             self.events.append(event)
             _logger.warning("station: %s", event)

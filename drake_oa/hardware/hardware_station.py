@@ -1,4 +1,4 @@
-"""Station of a scenario on hardware: robot and cameras are messages, obstacles are unknown."""
+"""Station of a scenario on hardware: messages of robot and cameras instead of a simulated world."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drake_oa.world.world_model import flat_directives
 
 
 def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
-    """Returns the places of the arm's joints in the robot's positions, and their limits.
+    """Returns the indices of the arm's joints in the robot's positions, and their limits.
 
     Raises:
         ScenarioError: for an arm without seven joints, or without a robot.
@@ -34,7 +34,7 @@ def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
     arm = [joint.position_start() for joint in joints]
     if len(arm) != ARM_JOINTS:
         raise ScenarioError(
-            f"robot.model: an arm of {len(arm)} joints; a Panda's messages are of {ARM_JOINTS}"
+            f"robot.model: the arm has {len(arm)} joints; a Panda's messages have {ARM_JOINTS}"
         )
     limits = robot_plant.limits
     return arm, RobotLimits(
@@ -45,30 +45,30 @@ def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
     )
 
 
-def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Scenario:
-    """Returns a scenario as a run on hardware knows it, without its obstacles.
+def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0) -> Scenario:
+    """Returns a scenario for a run on hardware: without obstacles, with `!LcmCamera`.
 
     Args:
-        scenario: whose `!DepthCamera` becomes an `!LcmCamera`.
-        lcm_url: of the bus.
-        late: known delay of the images, for which the motion does not slow down [s].
+        scenario: scenario with `!DepthCamera` or `!LcmCamera`.
+        lcm_url: URL of the LCM bus.
+        image_delay: known delay of the images, tolerated without slowing down [s].
 
     Raises:
-        ScenarioError: naming the field that is of the simulated world.
+        ScenarioError: naming a field that requires a simulated world.
     """
     robot_of(scenario)
     if scenario.faults:
-        raise ScenarioError("faults: are simulated; leave them out (--set 'faults=[]')")
+        raise ScenarioError("faults: require a simulated world; remove them (--set 'faults=[]')")
     source = scenario.perception
     if isinstance(source, GroundTruth | RecordedClouds | GivenEllipsoids):
         raise ScenarioError(
-            f"perception: !{type(source).__name__} does not see the world that the robot is in; "
-            "!LcmCamera does"
+            f"perception: !{type(source).__name__} does not perceive the real world; valid: "
+            "!LcmCamera, !DepthCamera"
         )
     if type(source) is DepthCamera:
-        own = {item.name: getattr(source, item.name) for item in fields(DepthCamera)}
-        source = LcmCamera(**own | {"noise": None, "lcm_url": lcm_url})
-    frames = scenario.guard.stale_frames + late / perception_period(scenario)
+        shared = {item.name: getattr(source, item.name) for item in fields(DepthCamera)}
+        source = LcmCamera(**shared | {"noise": None, "lcm_url": lcm_url})
+    frames = scenario.guard.stale_frames + image_delay / perception_period(scenario)
     return replace(
         scenario,
         guard=replace(scenario.guard, stale_frames=frames),
@@ -86,27 +86,27 @@ def add_hardware(
     link: RobotLink,
     q_measured: FloatArray,
 ) -> StationModel:
-    """Adds the robot and cameras of messages, in place of the simulated ones.
+    """Adds the robot's messages and live cameras, instead of a simulated world.
 
-    What is simulated is the robot's model alone, which makes positions of torques: where it is,
-    the arm is to be.
+    Only the robot model is simulated: it integrates the controller's torques, and its positions
+    are the commands of the arm.
 
     Args:
-        signals: that are added to; the signals are `add_station`'s.
-        scenario: of `hardware_scenario`.
+        signals: builder of the diagram; the signals are those of `add_station`.
+        scenario: scenario from `hardware_scenario`.
         avoid_obstacles: as for `add_station`.
-        link: to the arm.
-        q_measured: (n,) where the robot is [rad, m].
+        link: connection to the arm.
+        q_measured: (n,) measured configuration of the robot [rad, m].
 
     Raises:
-        ScenarioError: naming the field that does not fit.
+        ScenarioError: naming the wrong field.
     """
     arm, _ = arm_of(scenario)
     measured = signals.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
     external = ExternalInputs(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
     station = add_station(signals, scenario, avoid_obstacles=avoid_obstacles, external=external)
     if station is None:
-        raise ScenarioError("robot: hardware is a robot; this scenario has null")
+        raise ScenarioError("robot: must be set for a run on hardware; the scenario has null")
     station.plant.SetDefaultPositions(station.robot, q_measured)
     stream = CommandStream(link, arm, 2 * len(q_measured), table_plane(scenario))
     signals.add("command_stream", stream)
@@ -114,11 +114,11 @@ def add_hardware(
 
 
 def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Returns the models in the world, one by one, except those named as obstacles."""
-    kept = []
+    """Returns the directives without those of obstacles, included files flattened."""
+    models = []
     for directive in flat_directives(directives):
         model, weld = directive.add_model, directive.add_weld
         names = [model.name] if model else [weld.parent, weld.child] if weld else []
         if not any(str(name).startswith(OBSTACLE_PREFIX) for name in names):
-            kept.append(directive)
-    return kept
+            models.append(directive)
+    return models

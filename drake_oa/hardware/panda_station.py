@@ -1,4 +1,4 @@
-"""A simulated Panda and its cameras behind the messages of the real ones."""
+"""Simulated Panda and depth cameras behind the LCM messages of the real ones."""
 
 from __future__ import annotations
 
@@ -41,45 +41,46 @@ from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.station import make_station, release_cameras
 
 _STIFFNESS = 400.0
-"""Stiffness of each joint, critically damped [1/s^2]."""
-_PATIENCE = 0.9
-"""Share of a camera's period for which a late image is not waited for [1]."""
+"""Stiffness of the joint controller, with critical damping [1/s^2]."""
+_MAX_LATENESS = 0.9
+"""Lateness of an image up to which the station does not wait for its rendering, relative to the
+period of the camera [1]."""
 _AT_REST, _REST_TIME = 0.01, 1.0
-"""Speed below which joints are at rest [rad/s, m/s], and time for which they must be [s]."""
+"""Maximum speed of joints at rest [rad/s, m/s], and time at rest after which a run ends [s]."""
 _CATCH_UP = 0.02
-"""Maximum delay that later steps make up for [s]."""
+"""Maximum delay for which later steps compensate [s]."""
 
 _logger = logging.getLogger("drake_oa")
 
 
 class _ImageSender:
-    """Sends a camera's images as they come."""
+    """Sender of a camera's depth images by LCM."""
 
     def __init__(self, name: str, camera: Camera, period: float) -> None:
         self._name, self._camera, self._period = name, camera, period
         self._system = camera.depth_image.get_system()
         self._count, self._sent = 0, -math.inf
 
-    def is_due(self, root: Context, now: float, stands: bool) -> bool:
-        """Returns whether an image is to be sent, at a time of the wall clock [s].
+    def is_due(self, root: Context, now: float, is_paused: bool) -> bool:
+        """Checks whether an image must be sent at a time of the wall clock [s].
 
-        While the world stands, the same image is repeated. Else a late image is not waited for
-        during most of a period, as the status must not pause; then the camera is slower than its
-        rate, and the station as slow as the camera.
+        While the simulation is paused, the last image is repeated every period. Otherwise the
+        station does not wait for an image that is late by up to `_MAX_LATENESS` of a period, so
+        that statuses do not pause. After that it waits, and is as slow as the camera.
         """
-        if stands:
+        if is_paused:
             return now - self._sent >= self._period
-        late = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
-        waits = isinstance(self._system, DelayedCamera) and late <= _PATIENCE * self._period
+        lateness = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
+        waits = isinstance(self._system, DelayedCamera) and lateness <= _MAX_LATENESS * self._period
         context = self._system.GetMyContextFromRoot(root)
-        return late >= 0.0 and (not waits or self._system.is_ready(context))
+        return lateness >= 0.0 and (not waits or self._system.is_ready(context))
 
-    def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, stands: bool) -> None:
-        """Sends the latest image."""
+    def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, is_paused: bool) -> None:
+        """Sends the latest image, stamped with its capture time by the wall clock."""
         camera, context = self._camera, self._system.GetMyContextFromRoot(root)
         image = camera.depth_image.Eval(context)
         age = root.get_time() - camera.image_time.Eval(context)[0]
-        self._count += not stands
+        self._count += not is_paused
         self._sent = now
         message = pack_depth(
             image.data[:, :, 0], camera=self._name, utime=round((now - age / rate) / MICROSECOND)
@@ -88,19 +89,19 @@ class _ImageSender:
 
 
 class PandaStation:
-    """A scenario's robot, obstacles and cameras, the robot driven by messages.
+    """Simulated station of a scenario whose arm is controlled by LCM messages.
 
-    The arm follows the positions that a `CommandValidator` lets through, by inverse dynamics and PD
-    control; what else moves stays where it is at the start. Each step of the plant it sends a
-    status. Simulated time begins at 0; stamps are of the wall clock, and so are the seconds of
-    speeds: at half the rate the arm can go half as fast.
+    The arm follows the positions accepted by a `CommandValidator`, with inverse dynamics and PD
+    control; other joints of the robot hold their start positions. Each step of the plant publishes
+    a status. Simulated time begins at 0. Stamps and velocities in messages are by the wall clock:
+    at half the rate, the maximum speeds of the arm are half as high.
 
     Attributes:
         diagram: simulated robot, obstacles and cameras.
-        simulator: of the diagram.
-        guard: accepts or refuses commands.
-        event_times: simulated times of its events [s].
-        num_positions: of the whole plant.
+        simulator: simulator of the diagram.
+        validator: check of the received commands.
+        event_times: simulated times of the validator's events [s].
+        num_positions: number of positions of the whole plant.
     """
 
     def __init__(
@@ -113,22 +114,24 @@ class PandaStation:
         log: bool = False,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        """Builds the cell, the arm at the scenario's start.
+        """Builds the station, with the arm at the scenario's start.
 
         Args:
-            scenario: with a Panda.
-            lcm: what messages come and go by.
-            rate: simulated seconds in one of the wall clock, at most.
-            waits: whether the world stands still until the arm follows a command, so that courses
-                begin with the motion, and `run` ends when nobody commands and all is at rest.
+            scenario: scenario with a Panda.
+            lcm: LCM bus of the messages.
+            rate: maximum simulated time per wall time [1].
+            waits: whether the simulation pauses until the first valid command, so that obstacles
+                start with the motion, and `run` ends once commands end and all bodies are at rest.
             log: whether states and torques are logged.
-            clock: the wall clock [s].
+            clock: function that returns the time of the wall clock [s].
 
         Raises:
-            ScenarioError: for a robot that the messages are not of, or a field that does not fit.
+            ScenarioError: for a robot without seven joints, or naming the wrong field.
         """
         if scenario.faults:
-            raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
+            raise ScenarioError(
+                "faults: not simulated by a station; remove them (--set 'faults=[]')"
+            )
         self._arm, limits = arm_of(scenario)
         builder = DiagramBuilder()
         station = make_station(builder, with_simulated_cameras(scenario))
@@ -170,71 +173,71 @@ class PandaStation:
                 LogVectorOutput(port, builder, LOG_PERIOD).set_name(f"log_{name}")
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
-        # Of the wall clock's seconds, as all that is in messages.
+        # Velocities in messages are by the wall clock, and so are their limits.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
-        self.guard = CommandValidator(self._q_start[self._arm], limits)
+        self.validator = CommandValidator(self._q_start[self._arm], limits)
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._waits = self._ends = waits
         self.event_times: list[float] = []
         self.num_positions = plant.num_positions()
         self._world_end = last_change(scenario.obstacles)
-        self._moved = 0.0
+        self._last_motion_time = 0.0
         periods = {config.name: 1.0 / config.fps for config in scenario.cameras}
         self._senders = [
             _ImageSender(name, camera, periods[name]) for name, camera in station.cameras.items()
         ]
-        lcm.Subscribe(COMMAND_CHANNEL, self._take)
+        lcm.Subscribe(COMMAND_CHANNEL, self._receive)
         self._actuate()
         self.simulator.Initialize()
         for camera in station.cameras.values():
-            # The first image takes longest: a renderer begins with it.
+            # The first image takes longest, because it initializes the renderer.
             system = camera.depth_image.get_system()
             camera.depth_image.Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
 
     def step(self) -> None:
-        """Takes the commands that have come, goes on by a step of the plant, sends the status."""
+        """Handles received commands, advances the plant by a step, and sends status and images."""
         while self._lcm.HandleSubscriptions(0):
             pass
         self._actuate()
         context = self.simulator.get_context()
-        still = self._waits and self.guard.holding
-        if not still:
+        is_paused = self._waits and self.validator.is_holding
+        if not is_paused:
             self._waits = False
             self.simulator.AdvanceTo(context.get_time() + self._step)
         now, simulated = self._clock(), context.get_time()
-        self.event_times += [simulated] * (len(self.guard.events) - len(self.event_times))
+        self.event_times += [simulated] * (len(self.validator.events) - len(self.event_times))
         self._lcm.Publish(STATUS_CHANNEL, self.status(now).encode())
         for sender in self._senders:
-            if sender.is_due(context, now, still):
-                sender.send(context, self._lcm, now, self._rate, still)
+            if sender.is_due(context, now, is_paused):
+                sender.send(context, self._lcm, now, self._rate, is_paused)
 
     @property
-    def finished(self) -> bool:
-        """True if it waited for a commander that is done, and all has been at rest since."""
+    def is_finished(self) -> bool:
+        """Whether the run has ended: a station with `waits` is at rest after its last command."""
         root = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(root)
-        if not self.guard.holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
-            self._moved = root.get_time()
-        rests = root.get_time() > max(self._moved, self._world_end) + _REST_TIME
-        return self._ends and not self._waits and rests
+        if not self.validator.is_holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
+            self._last_motion_time = root.get_time()
+        is_at_rest = root.get_time() > max(self._last_motion_time, self._world_end) + _REST_TIME
+        return self._ends and not self._waits and is_at_rest
 
     def run(self, duration: float, each_step: Callable[[], None] = lambda: None) -> None:
-        """Goes on until a time, no faster than the rate.
+        """Runs the station until a simulated time, at most at its rate.
 
-        Where a step takes longer than it may, later ones catch up by `_CATCH_UP` at most: else
-        the arm would move faster than the wall clock.
+        After a step that takes too long, later steps catch up by `_CATCH_UP` at most. Otherwise the
+        arm would move faster than commanded by the wall clock.
 
         Args:
-            duration: simulated time [s]; inf: until what is called raises.
-            each_step: called after each step.
+            duration: simulated time of the end [s]; inf: until `each_step` raises.
+            each_step: function called after each step.
         """
         with suppress(OSError):
-            # A real arm shares its computer with nobody.
+            # A real arm has its own control computer.
             os.setpriority(os.PRIO_PROCESS, 0, -10)
         context = self.simulator.get_context()
         due = self._clock()
         try:
-            while context.get_time() < duration - 0.5 * self._step and not self.finished:
+            while context.get_time() < duration - 0.5 * self._step and not self.is_finished:
                 self.step()
                 each_step()
                 due = max(due + self._step / self._rate, self._clock() - _CATCH_UP)
@@ -242,18 +245,21 @@ class PandaStation:
         finally:
             release_cameras(self.diagram)
 
-    def _take(self, data: bytes) -> None:
-        # Drake forbids a handler to raise.
+    def _receive(self, data: bytes) -> None:
+        """Passes a received command to the validator."""
+        # LCM handlers must not raise.
         try:
-            self.guard.receive(lcmt_panda_command.decode(data), self._clock())
+            self.validator.receive(lcmt_panda_command.decode(data), self._clock())
         except Exception as error:
-            _logger.warning("station: %s holds no lcmt_panda_command: %s", COMMAND_CHANNEL, error)
+            _logger.warning(
+                "station: message on %s ignored: no lcmt_panda_command: %s", COMMAND_CHANNEL, error
+            )
 
     def _actuate(self) -> None:
-        """Sets the desired state until the next step."""
+        """Sets the desired state of the joint controller until the next step."""
         n = len(self._q_start)
         desired = np.concatenate([self._q_start, np.zeros(n)])
-        q, v = self.guard.desired(self._clock())
+        q, v = self.validator.desired(self._clock())
         desired[self._arm] = q
         desired[n + np.array(self._arm)] = v / self._rate
         self.diagram.GetInputPort("desired_state").FixValue(
@@ -261,11 +267,11 @@ class PandaStation:
         )
 
     def status(self, now: float) -> lcmt_panda_status:
-        """Returns the message about the arm at a time of the wall clock [s]."""
+        """Returns the status message of the arm at a time of the wall clock [s]."""
         context = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(context)
         tau = self.diagram.GetOutputPort("actuation").Eval(context)[self._arm]
-        q, v = self.guard.desired(now)
+        q, v = self.validator.desired(now)
         zero = [0.0] * ARM_JOINTS
         status = lcmt_panda_status()
         status.utime = round(now / MICROSECOND)

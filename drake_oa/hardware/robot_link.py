@@ -1,4 +1,4 @@
-"""The robot's messages as systems, in place of the simulated world of a diagram."""
+"""Link to an arm behind LCM messages, as systems that replace a diagram's simulated world."""
 
 from __future__ import annotations
 
@@ -19,41 +19,42 @@ from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
 from drake_oa.hardware.command_streamer import (
     COMMAND_PERIOD,
     LEAD,
-    SILENCE,
+    STATUS_TIMEOUT,
     beyond_limits,
     shared_trajectory,
     stream_commands,
 )
 from drake_oa.robot.plant import RobotLimits
 
-_NAP = 5e-4
-"""Time between two checks of the player's progress [s]."""
-START_UP = 30.0
-"""Maximum time in which the player's process begins [s]."""
+_POLL_PERIOD = 5e-4
+"""Time between two checks of the streamer's progress [s]."""
+STARTUP_TIMEOUT = 30.0
+"""Maximum time from the start of the streamer's process to the first status [s]."""
 _START_TOLERANCE, _START_SPEED = 0.1, 0.05
-"""Maximum distance of a joint from the scenario's start before the motion [rad], and maximum speed
-[rad/s]."""
+"""Maximum distance of a joint from the scenario's start before the motion [rad], and its maximum
+speed [rad/s]."""
 _TABLE_TOLERANCE, _TABLE_TILT = 0.015, math.radians(1.5)
-"""Maximum difference between the heights of the perceived and the configured table [m], and maximum
-angle between them [rad]."""
+"""Maximum difference in height between the perceived and the configured table [m], and maximum
+angle between both [rad]."""
 
 
 class HardwareError(Exception):
-    """Reason for which the robot is not driven, or not any more."""
+    """Failure that prevents or ends the motion of the arm; its message is the reason."""
 
 
 class RobotLink:
-    """Joins a diagram to the arm behind LCM messages: the diagram writes, a player commands.
+    """Link between a diagram, which plans joint positions, and an arm behind LCM messages.
 
-    The player is a process of its own, which `start` begins, so that the diagram may think.
+    The diagram writes into shared memory. A `CommandStreamer` in a separate process, started by
+    `start`, sends the commands, so that long computations of the diagram do not delay them.
 
     Attributes:
-        motion: what both share.
-        rate: simulated seconds in one of the wall clock, at most.
-        url: of the bus.
-        clock: the wall clock [s].
-        wait: called repeatedly during waits.
-        events: (simulated time [s], message about the player's state) at each change.
+        trajectory: planned and measured positions, shared with the streamer.
+        rate: maximum simulated time per wall time [1].
+        url: URL of the LCM bus.
+        clock: function that returns the time of the wall clock [s].
+        wait: function called repeatedly during waits.
+        events: (simulated time [s], text) at each change of the streamer's state.
     """
 
     def __init__(
@@ -61,20 +62,20 @@ class RobotLink:
         lcm_url: str,
         *,
         rate: float = 1.0,
-        wait: Callable[[], None] = lambda: time.sleep(_NAP),
+        wait: Callable[[], None] = lambda: time.sleep(_POLL_PERIOD),
         raise_if_asked: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        """Makes the shared memory.
+        """Allocates the shared memory.
 
         Args:
-            lcm_url: of the bus.
-            rate: simulated seconds in one of the wall clock, at most.
-            wait: called again and again while the diagram is too far ahead.
-            raise_if_asked: raises KeyboardInterrupt when somebody has asked for the end.
-            clock: the wall clock [s].
+            lcm_url: URL of the LCM bus.
+            rate: maximum simulated time per wall time [1].
+            wait: function called repeatedly while the diagram is too far ahead of the arm.
+            raise_if_asked: function that raises KeyboardInterrupt after a requested end.
+            clock: function that returns the time of the wall clock [s].
         """
-        self.motion, self.rate = shared_trajectory(), rate
+        self.trajectory, self.rate = shared_trajectory(), rate
         self.url, self.wait, self.clock = lcm_url, wait, clock
         self._raise_if_asked = raise_if_asked
         self.events: list[tuple[float, str]] = []
@@ -82,19 +83,19 @@ class RobotLink:
         self._process: BaseProcess | None = None
 
     def start(self) -> None:
-        """Starts the player; nothing is commanded before something is written."""
+        """Starts the streamer's process; it sends no command before the first call of `write`."""
         self._process = multiprocessing.get_context("spawn").Process(
             target=stream_commands,
-            args=(self.motion, self.url, self.rate, os.getpid()),
-            name="command player",
-            # Ends the arm's motion by itself when this process is gone.
+            args=(self.trajectory, self.url, self.rate, os.getpid()),
+            name="command streamer",
+            # The streamer must outlive this process, to bring the arm to rest.
             daemon=False,
         )
         self._process.start()
 
     def close(self) -> None:
-        """Brings the arm to rest along the planned motion, and ends the player."""
-        self.motion.end = 1.0
+        """Brings the arm to rest along the planned positions, and ends the streamer."""
+        self.trajectory.end_requested = 1.0
         if self._process is not None:
             self._process.join(timeout=5.0)
             if self._process.is_alive():
@@ -103,9 +104,9 @@ class RobotLink:
 
     @contextmanager
     def warmup(self) -> Iterator[None]:
-        """Suppresses commands in the block, where simulated time follows the clock.
+        """Suppresses commands within the block, in which simulated time follows the wall clock.
 
-        Slow first-time work is done then: kernels are loaded, images awaited.
+        Slow initial work is done in this block: loading of kernels, waiting for images.
         """
         self._warmed_up_since = self.clock()
         try:
@@ -114,94 +115,100 @@ class RobotLink:
             self._warmed_up_since = math.nan
 
     def to_simulated(self, stamp: float) -> float:
-        """Computes the simulated time of the arm at a recent time of the wall clock [s]."""
+        """Computes the simulated time executed by the arm at a recent wall-clock time [s]."""
         if not math.isnan(self._warmed_up_since):
             return self.rate * (stamp - self._warmed_up_since)
-        return self.motion.played - self.rate * (self.clock() - stamp)
+        return self.trajectory.executed_time - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
-        """Waits until the arm may be moved, and returns its positions.
+        """Waits for a status, and checks that the arm can start the motion.
 
         Args:
-            q_start: (7,) where the scenario begins [rad].
-            limits: of these joints.
+            q_start: (7,) start configuration of the scenario [rad].
+            limits: limits of these joints.
 
         Returns:
             (7,) measured positions [rad].
 
         Raises:
-            HardwareError: if it is silent, somewhere else, out of limits, moves, or is commanded.
+            HardwareError: if the arm sends no status, is not at the start, is beyond its limits, is
+                not at rest, or receives commands of another source.
         """
         since = self.clock()
-        while not self.motion.stopped and np.isnan(self.motion.measured[0]).all():
-            if self.clock() - since > START_UP:
+        while not self.trajectory.is_stopped and np.isnan(self.trajectory.measured[0]).all():
+            if self.clock() - since > STARTUP_TIMEOUT:
                 break
             self._raise_if_asked()
             self.wait()
-        # By then any other commander is heard.
-        listened = self.clock()
-        while self.clock() - listened < 2.0 * SILENCE:
+        # During this time, the streamer would detect another command source.
+        begin = self.clock()
+        while self.clock() - begin < 2.0 * STATUS_TIMEOUT:
             self.wait()
-        q, v = self.motion.measured
-        if self.motion.note or np.isnan(q).any():
-            raise HardwareError(f"{self.motion.note or 'no status of the arm'} ({self.url})")
-        if beyond := beyond_limits(q, limits):
-            raise HardwareError(beyond)
-        name, off = limits.position_name, np.abs(q - q_start)
+        q, v = self.trajectory.measured
+        if self.trajectory.note or np.isnan(q).any():
+            note = self.trajectory.note or "no status of the arm received"
+            raise HardwareError(f"{note} ({self.url})")
+        if problem := beyond_limits(q, limits):
+            raise HardwareError(problem)
+        name, deviation = limits.position_name, np.abs(q - q_start)
         if np.abs(v).max() > _START_SPEED:
             j = int(np.argmax(np.abs(v)))
-            raise HardwareError(f"{name[j]} moves at {v[j]:.3g} rad/s; the arm has to rest")
-        if off.max() > _START_TOLERANCE:
-            j = int(np.argmax(off))
+            raise HardwareError(f"{name[j]} moves at {v[j]:.3g} rad/s; the arm must be at rest")
+        if deviation.max() > _START_TOLERANCE:
+            j = int(np.argmax(deviation))
             raise HardwareError(
-                f"{name[j]} is at {q[j]:.4g} rad, {off[j]:.3g} from where the scenario begins; "
-                f"move the arm to {np.round(q_start, 4).tolist()} rad, to within "
-                f"{_START_TOLERANCE:g}"
+                f"{name[j]} is at {q[j]:.4g} rad, {deviation[j]:.3g} rad from the scenario's "
+                f"start; move the arm to within {_START_TOLERANCE:g} rad of "
+                f"{np.round(q_start, 4).tolist()} rad"
             )
         return q
 
     def write(self, t: float, q: FloatArray) -> None:
-        """Plans positions of the joints, and waits until the player is near.
+        """Writes planned joint positions, and waits until the arm is at most `LEAD` behind.
 
         Args:
             t: simulated time [s].
-            q: (7,) positions [rad].
+            q: (7,) planned positions [rad].
 
         Raises:
-            HardwareError: if the arm was stopped.
+            HardwareError: if the streamer has stopped the arm.
         """
         if not math.isnan(self._warmed_up_since):
             while self.rate * (self.clock() - self._warmed_up_since) < t:
                 self.wait()
             self._raise_if_asked()
             return
-        self.motion.write_planned(t, q)
+        self.trajectory.write_planned(t, q)
         self._check_streamer(t)
-        while t > self.motion.played + LEAD:
+        while t > self.trajectory.executed_time + LEAD:
             try:
                 self._raise_if_asked()
             except KeyboardInterrupt:
-                # The monitor of the simulation's steps raises it there.
+                # The monitor of the simulation raises it again after this step.
                 return
             self.wait()
             self._check_streamer(t)
 
     def _check_streamer(self, t: float) -> None:
-        """Records changes of the player's state at a simulated time; raises if it has stopped."""
-        motion, last = self.motion, self.events[-1][1] if self.events else ""
+        """Records changes of the streamer's state at a simulated time t [s].
+
+        Raises:
+            HardwareError: if the streamer has stopped the arm, or has ended.
+        """
+        trajectory, last = self.trajectory, self.events[-1][1] if self.events else ""
         note = "arm resumed" if last else ""
-        if motion.note:
-            note = f"arm {'stopped' if motion.stopped else 'holds'}: {motion.note}"
+        if trajectory.note:
+            note = f"arm {'stopped' if trajectory.is_stopped else 'holds'}: {trajectory.note}"
         if note != last:
             self.events.append((t, note))
-        if motion.stopped:
+        if trajectory.is_stopped:
             raise HardwareError(note)
         if self._process is not None and not self._process.is_alive():
-            raise HardwareError("arm stopped: the command player has ended")
+            raise HardwareError("arm stopped: the process of the command streamer has ended")
 
 
 class CommandStream(LeafSystem):
-    """Hands the joints' positions on to the arm, and keeps the simulation to its pace.
+    """System that writes the planned joint positions of the arm, and paces the simulation.
 
     .. pydrake_system::
 
@@ -210,13 +217,13 @@ class CommandStream(LeafSystem):
       - robot_state
       - obstacles_W (optional)
 
-    - robot_state: positions and velocities (2n,) of the robot's model, which is where the arm is
-      to be [rad, m, rad/s, m/s].
-    - obstacles_W (optional): abstract `ObstacleClouds`; the table in them is looked at before
-      anything moves.
+    - robot_state: (2n,) positions and velocities of the robot model, whose arm positions are the
+      planned ones [rad, m, rad/s, m/s].
+    - obstacles_W (optional): abstract `ObstacleClouds`, whose table is checked at initialization
+      (`check_table`). Not connected: the table is not checked.
 
-    It publishes at initialization and every `period`, and waits there while simulated time is
-    farther ahead of the arm than `LEAD`.
+    The system publishes every `COMMAND_PERIOD`, and waits while simulated time is more than `LEAD`
+    ahead of the arm.
     """
 
     def __init__(
@@ -229,51 +236,57 @@ class CommandStream(LeafSystem):
         """Declares ports and events.
 
         Args:
-            link: what commands.
-            arm: where the arm's joints are in the robot's positions.
+            link: link to the arm.
+            arm: indices of the arm's joints in the robot's positions.
             num_states: size 2n of the robot's state.
-            table: where it has to be; None: anywhere, or none.
+            table: configured table; None: the table is not checked.
         """
         super().__init__()
         self._link, self._arm, self._table = link, arm, table
         self._state = self.DeclareVectorInputPort("robot_state", num_states)
-        self._seen = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self.DeclareInitializationPublishEvent(self._begin)
         self.DeclarePeriodicPublishEvent(COMMAND_PERIOD, 0.0, self._publish)
 
     def _begin(self, context: Context) -> None:
-        if self._seen.HasValue(context):
-            seen: ObstacleClouds = self._seen.Eval(context)
-            check_table(seen, self._table)
+        """Checks the perceived table."""
+        if self._obstacles.HasValue(context):
+            perceived: ObstacleClouds = self._obstacles.Eval(context)
+            check_table(perceived, self._table)
 
     def _publish(self, context: Context) -> None:
+        """Writes the positions of the arm's joints."""
         q = self._state.Eval(context)[self._arm]
         self._link.write(context.get_time(), q)
 
 
-def check_table(seen: ObstacleClouds, table: TablePlane | None) -> None:
-    """Checks that the camera sees the table where it is, as one with the right pose does.
+def check_table(perceived: ObstacleClouds, table: TablePlane | None) -> None:
+    """Checks the pose of the camera by comparing the perceived table with the configured one.
+
+    Args:
+        perceived: observation with the perceived table.
+        table: configured table; None: no check.
 
     Raises:
-        HardwareError: if it is somewhere else, or not seen.
+        HardwareError: if no table is perceived, or its height or tilt differ.
     """
     if table is None:
         return
-    if not math.isfinite(seen.stamp) or seen.table is None:
-        raise HardwareError(f"the camera does not see the table: {seen.note or 'no plane found'}")
-    off = seen.table.offset - table.offset
-    tilt = math.acos(min(1.0, abs(float(seen.table.normal_W @ table.normal_W))))
-    if abs(off) > _TABLE_TOLERANCE or tilt > _TABLE_TILT:
+    if not math.isfinite(perceived.stamp) or perceived.table is None:
+        raise HardwareError(f"table not perceived: {perceived.note or 'no plane detected'}")
+    deviation = perceived.table.offset - table.offset
+    tilt = math.acos(min(1.0, abs(float(perceived.table.normal_W @ table.normal_W))))
+    if abs(deviation) > _TABLE_TOLERANCE or tilt > _TABLE_TILT:
         raise HardwareError(
-            f"the camera sees the table {1e3 * off:+.0f} mm from where it is, and tilted by "
-            f"{math.degrees(tilt):.1f} deg: its pose X_PB in the scenario does not fit "
-            f"({1e3 * _TABLE_TOLERANCE:.0f} mm and {math.degrees(_TABLE_TILT):.1f} deg "
-            "may be off)"
+            f"perceived table is {1e3 * deviation:+.0f} mm from the configured height and tilted "
+            f"by {math.degrees(tilt):.1f} deg, at most {1e3 * _TABLE_TOLERANCE:.0f} mm and "
+            f"{math.degrees(_TABLE_TILT):.1f} deg allowed: correct the camera pose X_PB in the "
+            "scenario"
         )
 
 
 class MeasuredState(LeafSystem):
-    """Measured state of the robot, in place of the state of a simulated one.
+    """System that outputs the measured state of the robot, instead of a simulated state.
 
     .. pydrake_system::
 
@@ -281,28 +294,28 @@ class MeasuredState(LeafSystem):
       output_ports:
       - measured_state
 
-    - measured_state: (2n,) positions and velocities; what the arm's messages do not tell, the
-      fingers, stays as at the start [rad, m, rad/s, m/s].
+    - measured_state: (2n,) positions and velocities [rad, m, rad/s, m/s]. Joints without
+      measurements, the fingers, have their start positions.
     """
 
     def __init__(self, link: RobotLink, arm: list[int], q_start: FloatArray) -> None:
         """Declares the port.
 
         Args:
-            link: what hears the arm.
-            arm: where its joints are in the robot's positions.
-            q_start: (n,) positions at the start [rad, m].
+            link: link to the arm.
+            arm: indices of the arm's joints in the robot's positions.
+            q_start: (n,) start positions of the robot [rad, m].
         """
         super().__init__()
         self._link, self._arm, self._q = link, arm, np.array(q_start)
         port = self.DeclareVectorOutputPort("measured_state", 2 * len(q_start), self._calc)
-        # The arm moves by itself: what was read is out of date at once.
+        # The measured state changes independently of the Context, so that it must not be cached.
         port.disable_caching_by_default()
 
     def _calc(self, _: Context, output: BasicVector) -> None:
         n = len(self._q)
         state: Any = np.concatenate([self._q, np.zeros(n)])
-        q, v = self._link.motion.measured
+        q, v = self._link.trajectory.measured
         if np.isfinite(q).all():
             state[self._arm] = q
             state[n + np.array(self._arm)] = v / self._link.rate

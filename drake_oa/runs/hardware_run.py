@@ -137,7 +137,7 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
         station: made with `log`.
     """
     t, signals = logged_signals(station.diagram, station.simulator.get_context())
-    events = zip(station.event_times, station.guard.events, strict=False)
+    events = zip(station.event_times, station.validator.events, strict=False)
     return log_of(
         scenario,
         t,

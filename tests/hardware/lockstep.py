@@ -1,4 +1,4 @@
-"""A station and a player in one process, by a clock that only tests advance."""
+"""Simulated station and command streamer in one process, with a clock advanced by tests."""
 
 from collections.abc import Callable
 from itertools import count
@@ -14,13 +14,14 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_messages import lcm_bus
 
 EPOCH, STEP = 1.7e9, 0.002
-BLIND = ["cameras=[]", "perception=!GroundTruth {}"]
-"""Fields of a scenario without cameras."""
+NO_CAMERAS = ["cameras=[]", "perception=!GroundTruth {}"]
+"""Overrides for a scenario without cameras."""
 _numbers = count()
+"""Numbers of the LCM buses of this process."""
 
 
 class Clock:
-    """A wall clock that a test advances."""
+    """Wall clock that a test advances."""
 
     def __init__(self) -> None:
         self.now = EPOCH
@@ -29,32 +30,32 @@ class Clock:
         return self.now
 
 
-class Deaf:
-    """An LCM bus on which what is published may be lost."""
+class LossyLcm:
+    """LCM bus that discards published messages while `is_lossy` is set."""
 
     def __init__(self, lcm: DrakeLcm) -> None:
-        self._lcm, self.lost = lcm, False
+        self._lcm, self.is_lossy = lcm, False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._lcm, name)
 
     def Publish(self, channel: str, data: bytes) -> None:
-        if not self.lost:
+        if not self.is_lossy:
             self._lcm.Publish(channel, data)
 
 
 def joints(arm: PandaStation) -> np.ndarray:
-    """(7,) positions of the simulated arm [rad]."""
+    """Returns the joint positions (7,) of the simulated arm [rad]."""
     return np.array(arm.status(EPOCH).joint_position)
 
 
 class Lockstep:
-    """The arm's side steps whenever the diagram's side waits.
+    """Simulation in which station and streamer step whenever the link to the arm waits.
 
     Attributes:
-        alive: whether the station steps.
-        statuses: `lost`, and with them images, or not.
-        each: called before each step of the arm's side.
+        station_runs: whether the station steps.
+        statuses: LCM bus of the station, which may discard its statuses and images.
+        before_step: function called before each step of station and streamer.
     """
 
     def __init__(
@@ -64,11 +65,11 @@ class Lockstep:
         images: bool = False,
         log: bool = False,
     ) -> None:
-        # Each its own, which nobody of before speaks on.
+        # A new bus, without messages of earlier tests.
         self.url = f"memq://{next(_numbers)}"
         self.lcm, self.clock = lcm_bus(self.url), Clock()
-        self.statuses: Any = Deaf(self.lcm)
-        self.scenario = load_scenario(scenario, [] if images else BLIND)
+        self.statuses: Any = LossyLcm(self.lcm)
+        self.scenario = load_scenario(scenario, [] if images else NO_CAMERAS)
         self.station = PandaStation(
             self.scenario,
             self.statuses,
@@ -77,16 +78,16 @@ class Lockstep:
             log=log,
         )
         self.link = RobotLink(self.url, wait=self.step, clock=self.clock)
-        self.player = CommandStreamer(self.link.motion, self.lcm, self.link.rate)
-        self.alive, self.ended = True, False
-        self.each: Callable[[], object] = lambda: None
+        self.streamer = CommandStreamer(self.link.trajectory, self.lcm, self.link.rate)
+        self.station_runs, self.ended = True, False
+        self.before_step: Callable[[], object] = lambda: None
 
     def step(self) -> None:
-        """One step of the plant's."""
-        self.each()
+        """Advances the clock by one step of the plant, and steps station and streamer."""
+        self.before_step()
         self.clock.now += STEP
-        if self.alive:
+        if self.station_runs:
             self.station.step()
-        self.ended = self.ended or self.player.finished
+        self.ended = self.ended or self.streamer.is_finished
         if not self.ended:
-            self.player.step(self.clock.now)
+            self.streamer.step(self.clock.now)

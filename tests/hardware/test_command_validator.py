@@ -1,4 +1,4 @@
-"""What a commanded position must be for the arm to follow it."""
+"""CommandValidator: valid and rejected commands of joint positions."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,13 @@ LIMITS = RobotLimits(
 )
 
 
-def guard() -> CommandValidator:
+def make_validator() -> CommandValidator:
+    """Returns a validator of an arm at zero positions."""
     return CommandValidator(np.zeros(N), LIMITS)
 
 
 def command(q: float, now: float, **fields: object) -> lcmt_panda_command:
+    """Returns a command of equal positions [rad], stamped now [s], with changed fields."""
     message = lcmt_panda_command()
     message.utime = round(1e6 * now)
     message.num_joint_position, message.joint_position = N, [q] * N
@@ -30,51 +32,53 @@ def command(q: float, now: float, **fields: object) -> lcmt_panda_command:
     return message
 
 
-def moving(moved: CommandValidator, steps: int = 20) -> tuple[float, float]:
-    """Follows a joint speed of 1 rad/s; returns time and position."""
+def follow(validator: CommandValidator, steps: int = 20) -> tuple[float, float]:
+    """Sends commands at a joint speed of 1 rad/s; returns time [s] and position [rad]."""
     for k in range(steps):
         now = START + k * PERIOD
-        assert moved.receive(command(k * PERIOD, now), now)
+        assert validator.receive(command(k * PERIOD, now), now)
     return START + (steps - 1) * PERIOD, (steps - 1) * PERIOD
 
 
-def test_holds_when_commands_end_and_goes_on_when_they_come_back() -> None:
-    lost = guard()
-    now, q = moving(lost)
-    positions, speeds = lost.desired(now + 0.11)
+def test_arm_holds_without_commands_and_follows_again_later() -> None:
+    validator = make_validator()
+    now, q = follow(validator)
+    positions, speeds = validator.desired(now + 0.11)
     np.testing.assert_allclose(positions, q)
     np.testing.assert_array_equal(speeds, 0.0)
-    assert "no command for 0.1 s" in lost.events[-1]
-    assert lost.receive(command(q, now + 1.0), now + 1.0)
-    assert not lost.holding
+    assert "no command for 0.1 s" in validator.events[-1]
+    assert validator.receive(command(q, now + 1.0), now + 1.0)
+    assert not validator.is_holding
 
 
 @pytest.mark.parametrize(
-    ("q", "fields", "why"),
+    ("q", "fields", "reason"),
     [
         (0.5, {}, "joint0 jumps by"),
-        (0.1, {"joint_position": [2.5] * N}, "joint0 at 2.5 rad is out of [-2, 2]"),
-        (0.1, {"joint_position": [np.nan] * N}, "joint0 at nan rad is out of [-2, 2]"),
+        (0.1, {"joint_position": [2.5] * N}, "joint0 at 2.5 rad is outside [-2, 2]"),
+        (0.1, {"joint_position": [np.nan] * N}, "joint0 at nan rad is outside [-2, 2]"),
         (0.1, {"control_mode_expected": 4}, "not 7 positions in position mode"),
         (0.1, {"num_joint_torque": N, "joint_torque": [0.0] * N}, "not 7 positions"),
-        (0.1, {"utime": round(1e6 * (START + 0.09))}, "a second commander: its stamp is 5.0 ms"),
+        (
+            0.1,
+            {"utime": round(1e6 * (START + 0.09))},
+            "a second command source: its stamp is 5.0 ms",
+        ),
     ],
 )
-def test_a_command_that_is_not_in_order_is_ignored(
-    q: float, fields: dict[str, object], why: str
-) -> None:
-    kept = guard()
-    now, before = moving(kept)
+def test_invalid_command_is_rejected(q: float, fields: dict[str, object], reason: str) -> None:
+    validator = make_validator()
+    now, before = follow(validator)
     now += PERIOD
-    assert not kept.receive(command(q, now, **fields), now)
-    np.testing.assert_allclose(kept.desired(now)[0], before)
-    assert f"refused: {why}" in kept.events[-1]
-    assert kept.receive(command(before, now), now)
+    assert not validator.receive(command(q, now, **fields), now)
+    np.testing.assert_allclose(validator.desired(now)[0], before)
+    assert f"rejected: {reason}" in validator.events[-1]
+    assert validator.receive(command(before, now), now)
 
 
 @pytest.mark.parametrize("shift", [-1.0, -0.2, 0.2, 1e9])
-def test_passes_over_what_is_not_of_now(shift: float) -> None:
-    fresh = guard()
-    assert not fresh.receive(command(0.0, START + shift), START)
-    assert fresh.holding
-    assert "before the wall clock" in fresh.events[-1]
+def test_old_and_future_commands_are_rejected(shift: float) -> None:
+    validator = make_validator()
+    assert not validator.receive(command(0.0, START + shift), START)
+    assert validator.is_holding
+    assert "before the wall clock" in validator.events[-1]

@@ -1,4 +1,4 @@
-"""A scenario driven through messages, in one process and in two."""
+"""Runs of scenarios with a simulated station behind LCM messages, in one and two processes."""
 
 import os
 import signal
@@ -26,45 +26,46 @@ from tests.hardware.lockstep import Lockstep
 from tests.test_systems import checked_systems
 
 
-def run(both: Lockstep, duration: float | None = None) -> MotionLog:
-    driven = ready(both.scenario, both.link)
+def run(lockstep: Lockstep, duration: float | None = None) -> MotionLog:
+    """Runs a scenario on the simulated station; returns the log of the commands."""
+    driven = ready(lockstep.scenario, lockstep.link)
     assert checked_systems(driven.diagram) >= {"CommandStream", "MeasuredState", "LiveCamera"}
     for _ in range(25):
-        both.step()
-    log = drive(driven, both.link, duration=duration)
-    while not both.station.finished:
-        both.step()
+        lockstep.step()
+    log = drive(driven, lockstep.link, duration=duration)
+    while not lockstep.station.is_finished:
+        lockstep.step()
     return log
 
 
-def test_a_scenario_begins_through_messages() -> None:
-    both = Lockstep(images=True, log=True)
-    log = run(both, duration=0.3)
+def test_run_starts_with_messages_of_the_simulated_station() -> None:
+    lockstep = Lockstep(images=True, log=True)
+    log = run(lockstep, duration=0.3)
     assert log.ended == MotionEnd.TIME_LIMIT
-    assert not any("refused" in event for event in both.station.guard.events)
+    assert not any("rejected" in event for event in lockstep.station.validator.events)
     assert log.observation_time.size >= 5
-    truth = station_log(both.scenario, both.station)
-    # The arm comes to rest where the log's end has it, or a little before.
+    truth = station_log(lockstep.scenario, lockstep.station)
+    # The arm comes to rest at the last commanded position, or slightly before.
     assert np.linalg.norm(truth.p_WE[-1] - log.p_WE[-1]) < 5e-3
     assert "following" in truth.event
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tabletop_box", "moving_obstacle"])
-def test_a_scenario_ends_as_in_one_process(name: str) -> None:
-    both = Lockstep(name, images=True, log=True)
-    log = run(both)
+def test_run_with_messages_arrives_without_contacts(name: str) -> None:
+    lockstep = Lockstep(name, images=True, log=True)
+    log = run(lockstep)
     assert log.ended == MotionEnd.GOAL
-    report = motion_report(both.scenario, station_log(both.scenario, both.station))
+    report = motion_report(lockstep.scenario, station_log(lockstep.scenario, lockstep.station))
     assert report["contacts"] == []
     assert report["goal_error"] < 5e-3
-    # In one process 0.162 and 0.166 m: images are 80 ms later here.
+    # Without messages the clearances are 0.162 and 0.166 m: here images are 80 ms later.
     assert report["robot_clearance_min"] > 0.14
 
 
-def test_what_is_of_the_simulated_world_is_refused() -> None:
+def test_fields_of_the_simulated_world_are_rejected() -> None:
     url = "memq://"
-    with pytest.raises(ScenarioError, match="!GroundTruth does not see"):
+    with pytest.raises(ScenarioError, match="!GroundTruth does not perceive"):
         hardware_scenario(load_scenario("tabletop_box", ["perception=!GroundTruth {}"]), url)
     with pytest.raises(ScenarioError, match="faults"):
         hardware_scenario(load_scenario("tabletop_box", ["faults=[!Push {}]"]), url)
@@ -75,26 +76,27 @@ def test_what_is_of_the_simulated_world_is_refused() -> None:
     assert names == ["table", "camera_mount"]
 
 
-def test_a_camera_that_is_not_where_it_should_be_is_told() -> None:
+def test_error_of_a_wrong_camera_pose_names_the_deviation_of_the_table() -> None:
     table = TablePlane()
-    seen = ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.01))
-    check_table(seen, table)
+    perceived = ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.01))
+    check_table(perceived, table)
     check_table(ObstacleClouds(), None)
-    with pytest.raises(HardwareError, match=r"\+20 mm from where it is"):
+    with pytest.raises(HardwareError, match=r"\+20 mm from the configured height"):
         check_table(ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.02)), table)
     tilted = TablePlane(normal_W=np.array([0.0, np.sin(0.05), np.cos(0.05)]))
     with pytest.raises(HardwareError, match=r"tilted by 2\.9 deg"):
         check_table(ObstacleClouds(stamp=0.0, table=tilted), table)
-    with pytest.raises(HardwareError, match="does not see the table: no valid pixel"):
+    with pytest.raises(HardwareError, match="table not perceived: no valid pixel"):
         check_table(ObstacleClouds(note="no valid pixel"), table)
 
 
 COMMAND = [sys.executable, "-m", "drake_oa.app.main"]
-# Slowly, so that whatever else this machine does is no matter.
+# Slow, so that other load of this computer has no influence.
 RATE = ["--rate", "0.25"]
 
 
 def popen(*words: str) -> subprocess.Popen[str]:
+    """Starts a command of drake-oa as a process."""
     pipe = subprocess.PIPE
     return subprocess.Popen(
         [*COMMAND, *words], stdout=pipe, stderr=pipe, text=True, start_new_session=True
@@ -103,53 +105,56 @@ def popen(*words: str) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
-def test_the_arm_slows_down_when_who_decides_is_ended(kind: int, tmp_path: Path) -> None:
+def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path) -> None:
     url = f"udpm://239.255.76.99:{7680 + kind}?ttl=0&recv_buf_size=4000000"
     truth, sent = tmp_path / "truth.npz", tmp_path / "sent.npz"
     arm = popen("station", "tabletop_box", "--lcm-url", url, *RATE, "--wait", "--log", str(truth))
     words = ["run", "tabletop_box", "--lcm-url", url, *RATE, "--hardware", "--log", str(sent)]
     driver = popen(*words)
-    lcm, got = DrakeLcm(url), list[bytes]()
-    lcm.Subscribe(STATUS_CHANNEL, got.append)
+    lcm, received = DrakeLcm(url), list[bytes]()
+    lcm.Subscribe(STATUS_CHANNEL, received.append)
     try:
         deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline:
             lcm.HandleSubscriptions(100)
-            if got and np.abs(lcmt_panda_status.decode(got[-1]).joint_velocity).max() > 0.05:
+            if (
+                received
+                and np.abs(lcmt_panda_status.decode(received[-1]).joint_velocity).max() > 0.05
+            ):
                 break
         if kind == signal.SIGKILL:
-            # Its player is left alone.
+            # The streamer continues without its parent process.
             driver.kill()
         else:
             os.killpg(driver.pid, kind)
-        _, told = driver.communicate(timeout=60.0)
-        _, said = arm.communicate(timeout=60.0)
+        _, output = driver.communicate(timeout=60.0)
+        _, error_text = arm.communicate(timeout=60.0)
     finally:
         arm.kill()
         driver.kill()
-    assert "Traceback" not in told
-    assert "no command for 0.1 s" in said
+    assert "Traceback" not in output
+    assert "no command for 0.1 s" in error_text
     (log,) = load_logs(truth).values()
     fast = np.abs(log.v[:, :7]).max(axis=1)
     assert fast.max() > 0.2
     assert fast[-1] < 0.01
-    # Not at once: from full speed in the lead, at a quarter of the rate, or slower.
+    # The arm decelerates within the lead, at a quarter of the rate.
     assert np.abs(np.diff(log.v[:, :7], axis=0)).max() / 0.004 < 40.0
     if kind == signal.SIGINT:
-        assert driver.returncode == 130, told
+        assert driver.returncode == 130, output
         (log,) = load_logs(sent).values()
         assert log.ended == MotionEnd.INTERRUPTED
     else:
-        assert "parent process ended" in told
+        assert "parent process ended" in output
 
 
-def test_no_arm_is_told_in_one_line(
+def test_missing_arm_gives_a_one_line_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("drake_oa.hardware.robot_link.START_UP", 0.5)
+    monkeypatch.setattr("drake_oa.hardware.robot_link.STARTUP_TIMEOUT", 0.5)
     url = "udpm://239.255.76.99:7674?ttl=0"
     assert main(["run", "tabletop_box", "--hardware", "--lcm-url", url, "--no-log"]) == 1
-    said = capsys.readouterr().err
-    assert "no status" in said
-    assert f"({url})" in said
+    error_text = capsys.readouterr().err
+    assert "no status" in error_text
+    assert f"({url})" in error_text
     assert main(["run", "tabletop_box", "--rate", "0.5"]) == 2
