@@ -282,7 +282,7 @@ def mbm(
     FK(goal), 5 s, with the turn between them; the posture leads from the start's joints
     to the goal's. The obstacles are known exactly, or with --perception depth seen by two
     cameras, 1.2 m left and right of and above the middle between start and goal; what the goal
-    grasps (the tool point is inside) is left out. ClearanceRequirements for are 3 cm, or what the whole robot
+    grasps (the tool point is inside) is left out. Requested are 3 cm, or what the whole robot
     has at start and goal, and the supervisor stops no farther from obstacles.
 
     Success: the simulated arm ends within 1 cm and 15 degrees of the goal, no contact

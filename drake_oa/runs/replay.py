@@ -119,7 +119,7 @@ def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray |
 def build_replay(
     scenario: Scenario, log: MotionLog, meshcat: Meshcat, *, planned_W: FloatArray | None = None
 ) -> Diagram:
-    """SignalBuilder a log to the viewer.
+    """Connects a log to the viewer.
 
     Args:
         scenario: the log's scenario.

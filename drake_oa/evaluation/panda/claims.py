@@ -11,7 +11,7 @@ of its center at the stamp. The ball of radius rho_i around c_i(t_k) is sampled 
 c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place is
 seen free if for some camera it is in the image, at a depth that perception uses, and not farther
 than the true depth of its pixel; it is unseen if at s it was neither seen free nor taken by a true
-solid or the arm. PlanningInputs is lacking at the point if any of its places is unseen. With d_i(t) the
+solid or the arm. Sight is lacking at the point if any of its places is unseen. With d_i(t) the
 distance of c_i(t) to the true solids that move at s, at their places then, the claims are violated
 at t_k if for some i
 
