@@ -1,20 +1,21 @@
-"""Regulation: the parameters of the coupling terms, by the paper's regressor chain.
+"""Inference layer: parameters of the coupling terms, by the paper's regressor chain.
 
 In:  ellipsoids_W `EllipsoidSet`, policy_state `PolicyState` (world frame W).
-Out: coupling_parameters `CouplingParameters` (alpha in turns a duration T, psi [rad], kappa
-     [1/m^2]).
+Out: coupling_parameters `CouplingParameters` (alpha [1/T] with the demonstrated duration T,
+     psi [rad], kappa [1/m^2]).
 
 Systems
-    RegressorChain  stateless; the chain of three networks from the section of each obstacle to its
-                    parameters
+    RegressorChain  stateless; three chained networks map the section of each obstacle to the
+                    parameters of its coupling term
 
-`planning.MotionVerifier` verifies the motion of these parameters.
+`planning.MotionVerifier` verifies the motion of these parameters by roll-out.
 
 Method
-    The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling law is scale
-    free, so lengths are counted in baselines.
+    The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling term is
+    scale invariant, so lengths are divided by the baseline (distance from start to goal).
 
-Parts, in the order data flows: `weights_file` (named arrays), `regressor`, `regressor_chain`.
+Modules, in the order of the data flow: `weights_file` (named arrays), `regressor`,
+`regressor_chain`.
 
 Configuration: the block `inference` of a scenario, tagged `!Verified` or `!Paper`.
 

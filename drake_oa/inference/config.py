@@ -44,19 +44,19 @@ class Verified:
     """Number of iterations after the first feasible motion [1]. Raising it gives shorter
     motions."""
     slack: float = Field(default=5e-4, ge=0.0, le=0.1)
-    """Maximum shortfall of the clearance of a feasible motion, and reduction of the clearance
-    available at start and goal [m]. Raising it accepts motions closer to the obstacles."""
+    """Maximum clearance shortfall of a feasible motion, and reduction of the clearance achievable
+    at start and goal [m]. Raising it accepts motions closer to the obstacles."""
     tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
     """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
     motions that end farther away."""
     link_clearance: float = Field(default=0.03, ge=0.0, le=1.0)
-    """Requested clearance between the links and everything, and between the tool and the cell
-    [m]. Raising it makes the arm pass at a larger distance."""
+    """Requested clearance of the links from all collision geometry, and of the tool from the
+    environment [m]. Raising it makes the arm pass at a larger distance."""
     ring_weight: float = Field(default=0.5, ge=0.0, le=100.0)
     """Cost of a side that a user-supplied cost ring rates with 1, as additional path length over
     the start-to-goal distance [1]. Raising it accepts longer detours to avoid such sides."""
     compute_budget: float = Field(default=0.028, ge=0.0, le=100.0)
-    """Maximum cost of one search while the robot or an obstacle moves, measured by
+    """Maximum compute latency of one search while the robot or an obstacle moves, by the model of
     `drake_oa.common.latency` [s]; a longer search continues with the next observation. Raising it
     decides later and better; keep it below the frame period of the camera."""
     configurations: int = Field(default=20_000, ge=0, le=10_000_000)

@@ -1,17 +1,17 @@
-"""The regressor chain: from the shape of an obstacle to coupling parameters.
+"""Regressor chain: networks that map the section of an obstacle to parameters of a coupling term.
 
-Three small networks are evaluated one after the other (section IV-C of the paper)::
+Three small networks are evaluated in sequence (section IV-C of Pairet et al., RA-L 2019)::
 
     Y1: h               -> kappa
     Y2: (h, kappa)      -> psi
     Y3: (h, kappa, psi) -> alpha
 
-The input is h = (lambda1', lambda2', Delta), or h = (lambda1', lambda2') for the chain
-that knows of no clearance.
+The input is h = (lambda1', lambda2', Delta): half-extents lambda' of the obstacle's section by the
+plane of motion, and requested clearance Delta. A chain of two inputs omits Delta.
 
-Lengths are divided by the baseline L, since the coupling law is scale free:
-h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per
-demonstrated duration T: the turning rate in units of 1/T.
+The coupling term is scale invariant: with lengths divided by the baseline L (distance from start to
+goal), h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is a turning rate in units of
+1/T, with T the demonstrated duration.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.inference.weights_file import array_of, read_weights, write_weights
 
 _ROUNDING = 1e-12
-"""By how much of L a query may be moved and still count as inside."""
+"""Distance from the trained range, divided by L, up to which an input counts as inside."""
 
 _NARROWEST = 1e-3
-"""Least psi [rad]."""
+"""Minimum of psi [rad]."""
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
 
 
 TARGETS = ("kappa", "psi", "alpha")
-"""The order of the chain."""
+"""Parameters in the order in which the networks of the chain compute them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Network(Frozen):
-    """A perceptron with tanh layers, a linear output and min-max scaling.
+    """Multilayer perceptron with tanh layers, a linear output and min-max scaling.
 
-    With x the input, the layers see ``(x - in_offset) * in_gain - 1``, and their
-    answer y becomes ``(y + 1) / out_gain + out_offset``.
+    The scaled input of the layers is ``(x - in_offset) * in_gain - 1``, and the result of their
+    output y is ``(y + 1) / out_gain + out_offset``.
 
     Attributes:
-        weights: one (n_out, n_in) matrix a layer.
-        biases: one (n_out,) vector a layer.
-        in_offset: (d,) smallest inputs.
+        weights: (n_out, n_in) matrix of each layer.
+        biases: (n_out,) vector of each layer.
+        in_offset: (d,) minima of the training inputs.
         in_gain: (d,) scale of the inputs.
-        out_offset: smallest target.
+        out_offset: minimum of the training targets.
         out_gain: scale of the target.
     """
 
@@ -74,14 +74,20 @@ class Network(Frozen):
 
 
 _SCALING = ("in_offset", "in_gain", "out_offset", "out_gain")
-"""Fields of a `Network` with a row each input, two, and its scalar ones."""
+"""Scaling fields of a `Network`: two with one element per input, then two scalars."""
 
 
 def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) -> Network:
-    """The network of that name in a file's arrays.
+    """Returns a network from the arrays of a weights file.
+
+    Args:
+        path: file, for errors.
+        arrays: arrays of the file: <name>_W1, <name>_b1, ..., and <name>_<field> for the scaling.
+        name: name of the network.
+        n_inputs: number of inputs of the network.
 
     Raises:
-        ValueError: naming file and array, if one is missing, misshapen or not finite.
+        ValueError: if an array is missing, misshapen or not finite; names file and array.
     """
     n_layers = sum(key.startswith(f"{name}_W") for key in arrays)
     n_in, weights, biases = n_inputs, [], []
@@ -98,13 +104,14 @@ def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) 
 
 @dataclass(frozen=True, eq=False)
 class ChainWeights(Frozen):
-    """The three networks of the chain, the range of their inputs, and their provenance.
+    """Networks of a regressor chain, range of their inputs, and provenance.
 
     Attributes:
-        networks: the networks by target name, see `TARGETS`.
-        lower: (d,) least lambda1'/L, lambda2'/L and, if d = 3, Delta/L of the training set.
-        upper: (d,) the greatest of them.
-        metadata: units, ranges, recipe, configuration, seed, NMSE, version, date, source digest.
+        networks: networks by target name, see `TARGETS`.
+        lower: (d,) minima of lambda1'/L, lambda2'/L and, if d = 3, Delta/L in the training set.
+        upper: (d,) maxima of the same inputs.
+        metadata: units, ranges, recipe, configuration, seed, normalized mean squared errors,
+            version, date, source digest.
     """
 
     networks: Mapping[str, Network]
@@ -113,7 +120,7 @@ class ChainWeights(Frozen):
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def evaluate(self, inputs: FloatArray) -> FloatArray:
-        """The bare chain, without any check of its range.
+        """Evaluates the chain without clipping its inputs to the trained range.
 
         Args:
             inputs: (N, d) lambda1'/L, lambda2'/L and, if d = 3, Delta/L.
@@ -121,38 +128,38 @@ class ChainWeights(Frozen):
         Returns:
             (N, 3) alpha, psi, kappa L^2.
         """
-        known = inputs
+        columns = inputs
         for target in TARGETS:
-            known = np.column_stack([known, self.networks[target].evaluate(known)])
-        return known[:, :-4:-1]
+            columns = np.column_stack([columns, self.networks[target].evaluate(columns)])
+        return columns[:, :-4:-1]
 
     def parameters(
         self, extents: FloatArray, clearance: float, baseline: float
     ) -> CouplingParameters:
-        """Coupling parameters for obstacles of given section, in physical units.
+        """Computes the coupling parameters of obstacles from their sections, in physical units.
 
-        A query outside the trained range is evaluated at the nearest input inside and flagged.
+        An input outside the trained range is clipped to it, and its `in_range` is False.
 
         Args:
-            extents: (M, 2) lambda' along and across the baseline [m], see
+            extents: (M, 2) half-extents lambda' along and across the baseline [m], see
                 `section_extents`.
-            clearance: requested clearance Delta [m]. A chain of two inputs knows nothing of it.
+            clearance: requested clearance Delta [m]; no effect on a chain of two inputs.
             baseline: distance L from start to goal [m].
 
         Returns:
-            One row an obstacle.
+            Parameters with one row per obstacle.
         """
         query = np.column_stack([extents, np.full(len(extents), clearance)]) / baseline
         query = query[:, : len(self.lower)]
         inside = np.clip(query, self.lower, self.upper)
         in_range = np.abs(query - inside).max(axis=1) <= _ROUNDING
-        # A linear output may leave the range of its targets (the print has a log-sigmoid).
+        # A linear output may leave the range of its targets (the paper has a log-sigmoid).
         alpha, psi, kappa = np.maximum(self.evaluate(inside), (0.0, _NARROWEST, 0.0)).T
         return CouplingParameters(alpha, psi, kappa / baseline**2, in_range)
 
 
 def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> FloatArray:
-    """Returns the directions in which the sections of M obstacles by planes are measured.
+    """Computes the axes along which the sections of M obstacles by planes are measured.
 
     Args:
         baseline: (3,) direction from start to goal.
@@ -160,12 +167,12 @@ def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> Fl
         normal: (M, 3) unit normals of the planes.
 
     Returns:
-        (M, 2, 3) unit vectors along the projection of the baseline, and across it.
+        (M, 2, 3) unit vectors in each plane, along the projection of the baseline and across it.
     """
     along = baseline - (normal @ baseline)[:, None] * normal
-    # A plane square to the baseline is measured along the direction to the obstacle.
-    square = np.linalg.norm(along, axis=1) <= _PARALLEL
-    along[square] = to_O[square]
+    # In a plane orthogonal to the baseline, the direction to the obstacle replaces the projection.
+    is_orthogonal = np.linalg.norm(along, axis=1) <= _PARALLEL
+    along[is_orthogonal] = to_O[is_orthogonal]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.stack([along, np.cross(normal, along)], axis=1)
 
@@ -173,20 +180,20 @@ def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> Fl
 def section_extents(
     p_WE: FloatArray, z_W: FloatArray, R_WL: FloatArray, shapes: EllipsoidSet
 ) -> FloatArray:
-    """lambda': half-extents of the shapes' sections by the plane of actuation.
+    """Computes the half-extents lambda' of the obstacles' sections by their planes of motion.
 
-    The P-plane of an obstacle is spanned by ``p_WO - p_WE`` and the scaled velocity ``z_W``; where
-    these do not span a plane, it is spanned by the local frame's x and z axes. With U = [u1, u2] of
-    `plane_axes`, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
-    ``A = R diag(1/l^2) R^T``, and its half-extents are the support function
-    ``sqrt(u^T S^-1 u)`` along u1 and u2. They vary continuously when an obstacle
-    turns, which principal semi-axes matched to directions would not.
+    The plane of motion (P-plane) of an obstacle is spanned by ``p_WO - p_WE`` and the scaled
+    velocity ``z_W``; if these are parallel, by the x and z axes of the local frame. With
+    U = [u1, u2] of `plane_axes`, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
+    ``A = R diag(1/l^2) R^T``, and its half-extents are the support function ``sqrt(u^T S^-1 u)``
+    along u1 and u2. Unlike the principal semi-axes of the section, they vary continuously when an
+    obstacle rotates.
 
     Args:
-        p_WE: (3,) position of the end effector [m].
+        p_WE: (3,) position of the tool point [m].
         z_W: (3,) scaled velocity [m].
         R_WL: (3, 3) local frame, x from start to goal, z up.
-        shapes: the M obstacles.
+        shapes: M obstacles.
 
     Returns:
         (M, 2) half-extents along and across the baseline [m].
@@ -203,10 +210,10 @@ def section_extents(
 
 
 def save_chain(chain: ChainWeights, path: str | Path) -> None:
-    """Writes a chain as .safetensors, its metadata inside.
+    """Writes a chain and its metadata to a .safetensors file.
 
     Raises:
-        ValueError: for any other file name extension.
+        ValueError: for another file name extension.
     """
     arrays = {"lower": chain.lower, "upper": chain.upper}
     for name, network in chain.networks.items():
@@ -217,22 +224,22 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
 
 
 def check_action_level(weights: ChainWeights, path: str | Path) -> None:
-    """Raises ValueError for a chain that was trained for another action level than runs here."""
+    """Raises ValueError if a chain was trained for another DMP integration than the policy's."""
     unit = weights.metadata.get("units", {}).get("alpha", "1/T")
     if unit != "1/T":
         raise ValueError(
-            f"{path} counts alpha in {unit}, for the released code's action level; the policy "
-            "needs a chain of `drake-oa train --recipe paper_running`"
+            f"{path}: alpha has the unit {unit} of the paper's released code; the policy requires "
+            "1/T, as in a chain of `drake-oa train --recipe paper_running`"
         )
 
 
 def load_chain(path: str | Path) -> ChainWeights:
-    """Reads a chain written by `save_chain`, of two or three inputs.
+    """Reads a chain of two or three inputs from a file of `save_chain`.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is not such a file, or an array is missing, misshapen or not finite; the
-            message names it.
+        FileNotFoundError: if the file does not exist.
+        ValueError: if the file has another format, or an array is missing, misshapen or not finite;
+            names file and array.
     """
     path = Path(path)
     arrays, metadata = read_weights(path, _FORMAT)
@@ -245,3 +252,4 @@ def load_chain(path: str | Path) -> ChainWeights:
 
 
 _FORMAT = "drake_oa regressor chain 1"
+"""Format name and version in the metadata of weights files."""

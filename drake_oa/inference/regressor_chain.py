@@ -1,4 +1,4 @@
-"""Inference layer: coupling parameters from the obstacles' descriptors, by the regressor chain."""
+"""System of the inference layer that computes coupling parameters by the regressor chain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drake_oa.inference.regressor import ChainWeights, section_extents
 
 
 class RegressorChain(LeafSystem):
-    """Computation of coupling parameters by the paper's regressor chain.
+    """Evaluator of the paper's regressor chain: obstacle descriptors to coupling parameters.
 
     .. pydrake_system::
 
@@ -23,26 +23,25 @@ class RegressorChain(LeafSystem):
       output_ports:
       - coupling_parameters
 
-    - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles; may be empty.
-    - policy_state: abstract `PolicyState` of the movement primitive. The P-plane through it
-      cuts the obstacles: lambda'.
-    - coupling_parameters: abstract `CouplingParameters`, M rows: alpha, psi, kappa about the
-      obstacles' centers, and whether the query lay in the range that the chain was trained for.
+    - ellipsoids_W: abstract `EllipsoidSet`, M obstacles dilated by the tool; may be empty.
+    - policy_state: abstract `PolicyState` of the movement primitive. Position and velocity define
+      the plane of motion of each obstacle, whose section is the input of the chain.
+    - coupling_parameters: abstract `CouplingParameters`, M rows: alpha, psi, kappa of terms about
+      the obstacles' centers, and whether the input was in the trained range.
 
-    There is no state. The output is computed when it is asked for, once for each
-    change of the inputs. While start and goal coincide (no motion has been set yet)
-    alpha is 0 and no row is in range.
+    The system has no state. The output is cached until an input changes. While start and goal
+    coincide (before the first motion) alpha is 0 and no row is in range.
     """
 
     def __init__(self, weights: ChainWeights, requested_clearance: float) -> None:
         """Declares the ports.
 
         Args:
-            weights: the trained chain, see `drake_oa.inference.regressor.load_chain`.
-            requested_clearance: asked distance Delta between tool and obstacle [m].
+            weights: trained chain, see `drake_oa.inference.regressor.load_chain`.
+            requested_clearance: requested clearance Delta between tool and obstacles [m].
         """
         super().__init__()
-        self._weights, self._asked_clearance = weights, requested_clearance
+        self._weights, self._requested_clearance = weights, requested_clearance
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
         self._policy = AbstractInput(self, "policy_state", PolicyState)
         self.DeclareAbstractOutputPort(
@@ -59,5 +58,5 @@ class RegressorChain(LeafSystem):
             output.set_value(CouplingParameters(zeros, zeros + 1.0, zeros, zeros > 0.0))
             return
         extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
-        clearance = self._asked_clearance
+        clearance = self._requested_clearance
         output.set_value(self._weights.parameters(extents, clearance, policy.baseline))

@@ -1,4 +1,4 @@
-"""Files of trained networks: named arrays and metadata, as .safetensors."""
+"""Reading and writing of trained networks: named arrays and metadata in .safetensors files."""
 
 from __future__ import annotations
 
@@ -18,30 +18,32 @@ from drake_oa.common.messages import FloatArray
 def write_weights(
     path: str | Path, arrays: Mapping[str, Any], metadata: Mapping[str, Any], kind: str
 ) -> None:
-    """Writes arrays and metadata; `kind` names the format.
+    """Writes arrays and metadata to a weights file of format `kind`.
 
     Raises:
-        ValueError: for any other file name extension than .safetensors.
+        ValueError: for another file name extension than .safetensors.
     """
     path = Path(path)
     if path.suffix != ".safetensors":
-        raise ValueError(f"weights are written as .safetensors, not {path.name!r}")
+        raise ValueError(
+            f"weights file {path.name!r}: the extension must be .safetensors, not {path.suffix!r}"
+        )
     ordered = {key: np.array(value, order="C") for key, value in arrays.items()}
     header = {"metadata": json.dumps({**metadata, "format": kind})}
-    replace_file(path, lambda beside: save_file(ordered, beside, header))
+    replace_file(path, lambda temporary: save_file(ordered, temporary, header))
 
 
 def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Reads arrays and metadata of a format.
+    """Reads arrays and metadata of a weights file of format `kind`.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it cannot be read, or is of another format.
+        FileNotFoundError: if the file does not exist.
+        ValueError: if the file cannot be read, or has another format.
     """
     if not path.is_file():
         raise FileNotFoundError(
             f"no weights file {path}: train one with `drake-oa train --out {path.parent}`, "
-            "or name a shipped one, package://drake_oa/weights/paper_chain.safetensors or "
+            "or use a shipped one, package://drake_oa/weights/paper_chain.safetensors or "
             "paper_chain_running.safetensors"
         )
     try:
@@ -50,26 +52,32 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]
             arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as .safetensors: {error}") from error
-    written = metadata.pop("format", None)
-    if written != kind:
-        raise ValueError(f"{path} is of the format {written!r}, not {kind!r}")
+    file_kind = metadata.pop("format", None)
+    if file_kind != kind:
+        raise ValueError(f"{path} has the format {file_kind!r}; it must be {kind!r}")
     return arrays, metadata
 
 
 def array_of(
     path: Path, arrays: Mapping[str, Any], key: str, shape: tuple[int | None, ...]
 ) -> FloatArray:
-    """Returns one of the arrays, of the given shape (None: any length) and finite.
+    """Returns an array of a weights file and checks its shape and values.
+
+    Args:
+        path: file, for errors.
+        arrays: arrays of the file.
+        key: name of the array.
+        shape: required shape; None: any length.
 
     Raises:
-        ValueError: naming file and array, if it is missing, misshapen or not finite.
+        ValueError: if the array is missing, misshapen or not finite; names file and array.
     """
     if key not in arrays:
         raise ValueError(f"{path} lacks the array '{key}'")
     value = np.asarray(arrays[key], dtype=float)
-    wanted = tuple(value.shape[i] if n is None else n for i, n in enumerate(shape[: value.ndim]))
-    if value.ndim != len(shape) or value.shape != wanted:
+    required = tuple(value.shape[i] if n is None else n for i, n in enumerate(shape[: value.ndim]))
+    if value.ndim != len(shape) or value.shape != required:
         raise ValueError(f"{path}: '{key}' has the shape {value.shape}, it must be {shape}")
     if not np.isfinite(value).all():
-        raise ValueError(f"{path}: '{key}' must hold finite numbers")
+        raise ValueError(f"{path}: '{key}' must contain only finite numbers")
     return value

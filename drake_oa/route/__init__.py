@@ -1,20 +1,21 @@
-"""The decision level: the side on which to pass each obstacle, and the ranking of all sides.
+"""Route layer: selects the side on which the motion passes each obstacle.
 
-In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m], and the table's plane if it is
-known apart, and the rows of candidate sides. Out: `Route`: for each obstacle the direction omega_d
-across the baseline, the normal of the plane in which it is passed, and the clearance to be led at;
-and the ranking of the candidate sides.
+In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m]; optionally the support plane.
+Out: `Route`: for each obstacle the direction omega_d from the baseline (the line from start to
+goal) to the selected side, the normal of the plane in which the obstacle is passed, and the
+clearance at which guidance passes it.
 
-System: `CostRingSelector`, 15 times a second, with hysteresis.
+System: `CostRingSelector`, updated 15 times per second, with hysteresis.
 
 A cost ring (Pairet et al., RA-L 2019, section IV-D) is a cost in [0, 1] of each direction of a
-circle about the baseline: length of the detour, table, limits of the workspace and of the joints;
-1 forbids. The direction of least sum is taken, and where obstacles stand one after the other the
-sequence of least total, by dynamic programming.
+circle around the baseline: length of the detour, height above the table, limits of the workspace
+and of the joints; 1 forbids a direction. The direction with the minimum sum of costs is selected;
+for several obstacles along the baseline the sequence with the minimum total cost, by dynamic
+programming.
 
-- `cost_rings`: the rings, groups of obstacles, legs between them, and the selection.
+- `cost_rings`: cost rings, groups of obstacles, path segments between them, and the selection.
 
-The configuration is in the block `policy`: `table_height`.
+The configuration is the field `table_height` of the block `policy`.
 
-Begin with `cost_rings.select_directions`.
+Read first: `cost_rings.select_directions`.
 """

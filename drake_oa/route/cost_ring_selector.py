@@ -1,4 +1,4 @@
-"""Decision layer: the side on which to pass each obstacle."""
+"""System of the route layer: selects the passing side of each obstacle by cost rings."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 class CostRingSelector(LeafSystem):
-    """Chooses the side of each obstacle by cost rings.
+    """Selector of the passing side of each obstacle by cost rings.
 
     .. pydrake_system::
 
@@ -53,28 +53,27 @@ class CostRingSelector(LeafSystem):
       - route
       - decision
 
-    - ellipsoids_W: abstract `EllipsoidSet`, the dilated obstacles in the world frame.
+    - ellipsoids_W: abstract `EllipsoidSet`, the obstacles dilated by the tool in the world frame.
     - policy_state: abstract `PolicyState` of the movement primitive.
     - goal: (3,) goal of the motion in the world frame [m].
-    - table (optional): abstract `TablePlane`; without it the plane that came with
-      the ellipsoids is used.
-    - route: abstract `Route`: for each obstacle the chosen direction omega_d, the plane's normal,
-      the clearance to keep there; the rings, and the prices of the sides by user-supplied rings;
-      empty while there is no motion. It does not change with every step of the policy, so
-      neither does what is computed from it; `DmpIntegrator` finds the headings.
-    - decision: the same.
+    - table (optional): abstract `TablePlane`, the support plane. Not connected: the plane of
+      the ellipsoids.
+    - route: abstract `Route`: for each obstacle the selected direction omega_d, the normal of its
+      plane and the clearance of the guidance; the cost rings; and the costs of the sides by
+      user-supplied rings. Empty before the first motion. It changes with decisions, not with each
+      step of the policy; `DmpIntegrator` computes the guidance headings.
+    - decision: the same `Route`.
 
-    The sides of several obstacles are chosen together (`drake_oa.route.cost_rings`). Where every
-    direction of an obstacle is forbidden, the route's note says so, and the policy holds
-    until one is free.
+    The sides of all obstacles are selected together (`drake_oa.route.cost_rings`). If all
+    directions of an obstacle are forbidden, `blocked` is set, the note names the obstacle, and the
+    policy holds the motion until a direction is allowed.
 
-    A motion that passes all obstacles on one side of the baseline has the price of the sum of the
-    user-supplied rings there, each at its maximum over the obstacles; where one is 1, the side is
-    forbidden.
+    `Route.side_cost` is the cost of passing all obstacles on one side: the sum of the user-supplied
+    rings, each at its maximum over the obstacles; infinite if one of them is 1.
 
-    The side is decided at initialization and every `period`, shortly after it so that
-    an observation of the same instant counts, and kept by hysteresis: the decision is
-    abstract state. When the set of obstacles changes, it is decided at once.
+    The sides are selected at initialization, once per `period`, and at once if the set of obstacles
+    changes; hysteresis prevents frequent changes. The periodic update has a small offset, so that
+    an observation at the same time is considered. The last decision is abstract state.
     """
 
     def __init__(
@@ -90,20 +89,21 @@ class CostRingSelector(LeafSystem):
         """Declares the ports.
 
         Args:
-            requested_clearance: asked distance Delta between tool and obstacle [m].
+            requested_clearance: requested clearance Delta between tool and obstacles [m].
             period: time between decisions [s].
-            table_height: least height of E above the table [m].
-            joint_margins: distance of the arm's joints to their limits along ways of the tool;
-                None: the rings "workspace" and "joint_limits" are absent.
-            extra_rings: more rings by name.
-            ring_weight: cost of a side on which such a ring is just below 1, in baselines.
+            table_height: minimum height of E above the table [m].
+            joint_margins: function for the distance of the joints from their limits along paths
+                of the tool; None: the rings "workspace" and "joint_limits" are omitted.
+            extra_rings: user-supplied rings by name.
+            ring_weight: cost of a side for which such a ring is just below 1, as additional path
+                length over the baseline.
 
         Raises:
             ValueError: if the period is not finite and positive.
         """
         super().__init__()
         period = valid_period(period)
-        self._asked_clearance = requested_clearance
+        self._requested_clearance = requested_clearance
         self._rings: dict[str, Ring] = {
             "table": partial(table_ring, height=table_height),
             "length": length_ring,
@@ -124,7 +124,7 @@ class CostRingSelector(LeafSystem):
                 name,
                 lambda: Value(Route()),
                 lambda context, output: output.set_value(self._current(context)),
-                # Not the goal: a constant source counts as new at every instant.
+                # Not the goal port: Drake marks a constant source as changed at each time step.
                 prerequisites_of_calc={
                     self._ellipsoids.ticket(),
                     self._table.ticket(),
@@ -135,7 +135,7 @@ class CostRingSelector(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
-        """Weighs the rings for a motion from p_WS to p_WG."""
+        """Computes the route of a motion from p_WS to p_WG by the cost rings."""
         ellipsoids = self._ellipsoids.read(context)
         R_WL = local_frame(p_WS, p_WG)
         table = self._table.find(context) or ellipsoids.table
@@ -145,18 +145,18 @@ class CostRingSelector(LeafSystem):
             R_WL,
             ellipsoids,
             table,
-            requested_clearance=self._asked_clearance,
+            requested_clearance=self._requested_clearance,
             joint_margins=self._joint_margins,
         )
         decided: Route = context.get_abstract_state(self._decided).get_value()
-        known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
-        previous = np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64)
+        sides = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
+        previous = np.array([sides.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64)
         index, costs, blocked = select_directions(scene, self._rings, previous=previous)
         names = ", ".join(map(str, np.unique(ellipsoids.ids[blocked] % PART_ID_STRIDE)))
         direction_W = scene.directions_W[index]
         return Route(
             direction_W=direction_W,
-            # A turn about them leads from the baseline toward the sides.
+            # A positive rotation about the normal turns the baseline toward the side.
             normal_W=np.cross(R_WL[:, 0], direction_W),
             remaining_clearance=remaining_clearance(scene),
             index=index,
@@ -181,7 +181,7 @@ class CostRingSelector(LeafSystem):
         state.get_mutable_abstract_state(self._decided).set_value(route)
 
     def _current(self, context: Context) -> Route:
-        """The decision in the Context, or for the same motion past other obstacles, if so."""
+        """Returns the decision in the Context, or computes one if the set of obstacles is new."""
         ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()
         if decided.baseline == 0.0:
@@ -194,7 +194,7 @@ class CostRingSelector(LeafSystem):
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
     def _side_cost(self, costs: Mapping[str, FloatArray]) -> FloatArray:
-        """Computes the costs (K,) that the user-supplied rings add to sides; (1,) without any."""
+        """Computes the costs (K,) of the sides by user-supplied rings; zeros (1,) without any."""
         costs = {name: cost for name, cost in costs.items() if name in self._extra and len(cost)}
         if not costs:
             return np.zeros(1)

@@ -1,30 +1,29 @@
-"""Route selection by heuristic cost rings.
+"""Cost rings, and the selection of the sides on which obstacles are passed.
 
-For each obstacle a circle of directions omega in the YZ-plane of the policy's
-local frame L is weighed by several rings, and the direction of least total cost
-is the side on which the obstacle is passed (Pairet et al. 2019, section IV-D, eq. 12):
+For each obstacle several cost rings rate a circle of directions omega in the YZ plane of the
+policy's local frame L. The direction with the minimum total cost is the side on which the obstacle
+is passed (Pairet et al., RA-L 2019, section IV-D, eq. 12):
 
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
-eta_limits is the sum of two rings that are nowhere both 1: what is out of reach, and what
-is reached only near a joint's limit, both by inverse kinematics along the way. A ring is a
-function from a `RingScene` to an (M, K) array of costs in [0, 1]; passing more of them to
-`select_directions` adds them to the sum.
+eta_limits is the sum of two rings, which are not both 1 for any direction: paths that the arm
+cannot reach, and paths close to a joint limit, both by inverse kinematics along the path. A ring is
+a function that maps a `RingScene` to an (M, K) array of costs in [0, 1]; `select_directions` also
+adds user-supplied rings to the sum.
 
-The choice of the sides on which obstacles are passed, by their cost rings.
-
-Where obstacles stand one after another the best side of one depends on that of the next:
-the way from one passing point to another has a length, may run through a third obstacle, and
-may leave what the arm reaches. With the groups of obstacles (`overlap_groups`)
-in their order along the baseline and omega_i the direction of group i, what is least is
+With several obstacles along the baseline (the line from start to goal) the best side of one depends
+on that of the next: the leg (straight segment) between two passing points has a length and may
+intersect a third obstacle. With N groups of obstacles (`overlap_groups`) in their order along the
+baseline, and the direction omega_i of group i, the selection minimizes
 
     sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / max(l_max - l_min, 0.1 N L)
-          + 2 sum over the legs of their obstruction,
+          + 2 sum over the legs of their obstruction.
 
-eta_i being the rings of the group but the length ring, and l the length of the way start,
-passing points in their order, goal, with l_min and l_max its bounds, and L the baseline. With one
-obstacle nothing else obstructs a leg, and this is eq. 12 of the paper. Each term looks at
-neighbors only, so that the least of all K^N combinations takes N K^2 steps (Viterbi).
+eta_i is the sum of the group's rings except the length ring. l is the length of the path from start
+via the passing points to the goal, with the bounds l_min and l_max, and L the baseline. With one
+obstacle no leg is obstructed, and this is eq. 12 of the paper. Each term depends on consecutive
+groups only, so that dynamic programming (Viterbi) finds the minimum of all K^N combinations in
+N K^2 steps.
 """
 
 from __future__ import annotations
@@ -42,31 +41,31 @@ from drake_oa.geometry.ellipsoid import signed_distance
 FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
 JOINT_MARGIN = 0.1
-"""Distance that the joints keep from their limits where there is room [rad]."""
+"""Distance from a joint limit below which `joint_limits_ring` forbids a direction [rad]."""
 _HYSTERESIS = 0.2
-"""Cost that another choice must save for a group to leave its side."""
+"""Reduction of the total cost that is required for a change of a group's side [1]."""
 LEAST_SPREAD = 0.1
-"""Spread of path lengths, in baselines, below which they count as near to each other."""
+"""Minimum range to which path lengths are scaled, in baselines."""
 
 
 @dataclass(frozen=True, eq=False)
 class RingScene:
-    """What a ring may look at: M obstacles, K directions.
+    """Input of the cost rings: M obstacles and K directions of passing them.
 
     Attributes:
         p_WS: (3,) start [m].
         p_WG: (3,) goal [m].
-        ellipsoids: the M obstacles, dilated by the tool.
-        table: the supporting plane, or None.
-        angles: (K,) angles on the local YZ circle [rad].
-        directions_W: (K, 3) the directions omega as unit vectors.
-        p_WP: (M, K, 3) passing points: where a motion that leaves the baseline
-            along omega has the requested clearance to the obstacle [m].
-        detour: (M, K) distance of the passing point from the baseline [m].
-        requested_clearance: the requested clearance Delta [m].
-        joint_margin: (M, K) the least distance of the arm's joints to their limits on the way
-            over the passing point [rad]; -inf where the arm cannot follow it, inf: not known.
-        straight_margin: the same on the baseline [rad].
+        ellipsoids: M obstacles, dilated by the tool.
+        table: support plane, or None.
+        angles: (K,) angles of the directions on the local YZ circle [rad].
+        directions_W: (K, 3) directions omega as unit vectors.
+        p_WP: (M, K, 3) passing points, which have the requested clearance from the obstacle and
+            are displaced from the baseline along omega [m].
+        detour: (M, K) distances of the passing points from the baseline [m].
+        requested_clearance: requested clearance Delta [m].
+        joint_margin: (M, K) minimum distance of the joints from their limits on the path via the
+            passing point [rad]; -inf if the arm cannot follow the path, inf if unknown.
+        straight_margin: minimum distance of the joints from their limits on the baseline [rad].
     """
 
     p_WS: FloatArray
@@ -83,9 +82,12 @@ class RingScene:
 
 
 Ring = Callable[[RingScene], FloatArray]
+"""Cost ring: scene -> (M, K) costs in [0, 1], where 1 forbids a direction."""
 JointMargins = Callable[[FloatArray], FloatArray]
-"""(N, P, 3) corners of N ways [m] -> (N, P) the least distance of the arm's joints to their limits
-on the leg to each corner [rad]; -inf from the first corner that the arm does not reach."""
+"""Joint margins along paths: corners (N, P, 3) of N paths [m] -> margins (N, P) [rad].
+
+A margin is the minimum distance of the joints from their limits on the leg to a corner; -inf from
+the first corner on that the arm cannot reach."""
 
 
 def ring_scene(
@@ -99,7 +101,7 @@ def ring_scene(
     n_directions: int = 36,
     joint_margins: JointMargins | None = None,
 ) -> RingScene:
-    """Lays the circle of directions round the baseline.
+    """Computes the input of the cost rings: directions, passing points and joint margins.
 
     The passing point of obstacle i along omega is
 
@@ -107,17 +109,17 @@ def ring_scene(
 
     with b the point of the baseline nearest to the center c_i and h_i the support
     function of the ellipsoid about its center: the plane through p_P with normal
-    omega is Delta away from the obstacle.
+    omega has the distance Delta from the obstacle.
 
     Args:
         p_WS: (3,) start [m].
         p_WG: (3,) goal [m].
         R_WL: (3, 3) local frame, x from start to goal.
-        ellipsoids: the obstacles.
-        table: the supporting plane, or None.
+        ellipsoids: M obstacles.
+        table: support plane, or None.
         requested_clearance: requested clearance Delta [m].
-        n_directions: K, how many directions.
-        joint_margins: of the arm; None: not known.
+        n_directions: number K of directions.
+        joint_margins: function for the joint margins of the arm; None: unknown.
     """
     angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
     circle_L = np.stack([np.zeros(n_directions), np.cos(angles), np.sin(angles)], axis=1)
@@ -132,8 +134,8 @@ def ring_scene(
     p_WP = p_WB[:, None, :] + detour[:, :, None] * directions_W
     margin, straight = np.full(detour.shape, np.inf), np.inf
     if joint_margins is not None and detour.size:
-        ways = np.stack(np.broadcast_arrays(p_WS, p_WP, p_WG), axis=2).reshape(-1, 3, 3)
-        margin = joint_margins(ways).min(axis=1).reshape(detour.shape)
+        paths = np.stack(np.broadcast_arrays(p_WS, p_WP, p_WG), axis=2).reshape(-1, 3, 3)
+        margin = joint_margins(paths).min(axis=1).reshape(detour.shape)
         straight = float(joint_margins(np.stack([p_WS, p_WG])[None]).min())
     return RingScene(
         p_WS=p_WS,
@@ -151,11 +153,11 @@ def ring_scene(
 
 
 def length_ring(scene: RingScene) -> FloatArray:
-    """eta_length: path start - passing point - goal, scaled to [0, 1] over the ring.
+    """Computes eta_length (M, K): length of the path via the passing point, scaled to [0, 1].
 
-    Lengths that differ by less than a tenth of the baseline count as near to each
-    other: else an obstacle right on the baseline, whose sides are about as long, would
-    change its side, against all hysteresis, with every millimeter it moves.
+    The lengths are scaled by their range over the ring, at least a tenth of the baseline. Without
+    this minimum an obstacle on the baseline, whose sides have about equal lengths, would change
+    sides with each millimeter of motion in spite of the hysteresis.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -167,12 +169,11 @@ def length_ring(scene: RingScene) -> FloatArray:
 
 
 def table_ring(scene: RingScene, *, height: float) -> FloatArray:
-    """eta_table: 1 where the passing point is lower than `height` above the table.
+    """Computes eta_table (M, K): 1 if the passing point is lower than `height` above the table.
 
     Args:
-        scene: the scene.
-        height: least height of E above the table [m]: how far the tool reaches
-            below E, and a margin.
+        scene: obstacles and directions.
+        height: minimum height of E above the table [m]: extent of the tool below E plus a margin.
     """
     if scene.table is None:
         return np.zeros(scene.detour.shape)
@@ -180,32 +181,33 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
 
 
 def reach_ring(scene: RingScene) -> FloatArray:
-    """1 where the arm cannot follow the way over the passing point."""
+    """Computes the ring of the workspace (M, K): 1 if the arm cannot follow the path."""
     return np.isneginf(scene.joint_margin).astype(float)
 
 
 def joint_limits_ring(scene: RingScene) -> FloatArray:
-    """1 where the arm follows the way, but comes nearer to a joint's limit than it must.
+    """Computes the ring of the joint limits (M, K): 1 if the path is reachable, but too close.
 
-    That is nearer than `JOINT_MARGIN`, and than on the baseline.
+    It is too close if its joint margin is below `JOINT_MARGIN` and below that of the baseline.
     """
     is_near = scene.joint_margin < min(JOINT_MARGIN, scene.straight_margin)
     return (is_near & ~np.isneginf(scene.joint_margin)).astype(float)
 
 
 _SAMPLES = 41
-"""Places on the baseline at which an obstacle's distance is looked at."""
+"""Number of samples of the baseline in `remaining_clearance`."""
 
 
 def remaining_clearance(scene: RingScene) -> FloatArray:
-    """(M,) clearance that the motion is to be led at, no more than start and goal leave [m].
+    """Computes the clearances (M,) at which guidance passes the obstacles [m].
 
-    0 where the baseline keeps it already, or is nearest at one of its ends: no side helps there.
+    They are the requested clearance, limited by the distances of start and goal. 0 (no guidance) if
+    the baseline already has this clearance, or is nearest to the obstacle at one of its ends.
     """
     shapes = scene.ellipsoids
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
-    place = scene.p_WS + share * (scene.p_WG - scene.p_WS)
-    distance = signed_distance(place, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
+    points = scene.p_WS + share * (scene.p_WG - scene.p_WS)
+    distance = signed_distance(points, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
     achievable_clearance = np.minimum(scene.requested_clearance, distance[[0, -1]].min(axis=0))
     nearest = distance.argmin(axis=0)
     between = (nearest > 0) & (nearest < _SAMPLES - 1)
@@ -215,13 +217,20 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
 
 
 def path_length(scene: RingScene, index: IntArray) -> float:
-    """length(pi-hat) of section IV-E: start, passing points in order, goal [m]."""
+    """Computes the path length from start via the selected passing points to the goal [m].
+
+    It is length(pi-hat) of section IV-E of the paper.
+
+    Args:
+        scene: obstacles and directions.
+        index: (M,) selected directions.
+    """
     rows = np.flatnonzero(scene.detour[np.arange(len(index)), index] > 0.0)
     points = scene.p_WP[rows, index[rows]]
     baseline = scene.p_WG - scene.p_WS
     points = points[np.argsort(points @ baseline, kind="stable")]
-    way = np.concatenate([scene.p_WS[None], points, scene.p_WG[None]])
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    path = np.concatenate([scene.p_WS[None], points, scene.p_WG[None]])
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def select_directions(
@@ -230,26 +239,24 @@ def select_directions(
     *,
     previous: IntArray | None = None,
 ) -> tuple[IntArray, dict[str, FloatArray], BoolArray]:
-    """Chooses omega_d: the directions of least total cost.
+    """Selects omega_d: the directions with the minimum total cost, see the module docstring.
 
-    Obstacles with no way between them (`overlap_groups`) are passed on one side:
-    the mean of their costs decides, and what one of them forbids is forbidden to
-    all. Equal costs are decided by the lowest angle, so the answer is definite. The sides
-    of several groups are chosen together.
+    Obstacles without a passage between them form a group (`overlap_groups`), which is passed on one
+    side. Its costs are the mean of its members' costs, and directions forbidden for one member are
+    forbidden for the group. Of equal costs the lowest angle is selected.
 
     Args:
-        scene: the scene.
-        rings: the rings by name.
-        previous: (M,) the columns chosen before, -1 where there was none. A group
-            keeps its side while that is allowed and no other choice takes `_HYSTERESIS` off the
-            total.
+        scene: obstacles and directions.
+        rings: rings by name.
+        previous: (M,) directions of the last decision, -1 for new obstacles. A group changes its
+            side only if that is forbidden or another reduces the total cost by `_HYSTERESIS`.
 
     Returns:
-        (M,) chosen columns of the rings, the rings (M, K) by name, and (M,) whether some ring
-        forbids every direction.
+        Selected columns (M,) of the rings, costs (M, K) by ring name, and booleans (M,): whether
+        every direction is forbidden.
 
     Raises:
-        ValueError: naming the ring, for costs of another shape.
+        ValueError: if the costs of a ring have another shape; names the ring.
     """
     count, width = scene.detour.shape
     costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
@@ -276,7 +283,7 @@ def select_directions(
     )
     for row, rows in enumerate(groups):
         for side in [] if previous is None else previous[rows][previous[rows] >= 0][:1]:
-            # A side is left where that takes more than the hysteresis off the whole.
+            # The discount keeps the side unless another one saves more than the hysteresis.
             choice[row, side] -= _HYSTERESIS * (not shut[row, side])
     for rows, side, is_shut in zip(groups, least_sequence(choice, pair)[0], shut, strict=True):
         index[rows], blocked[rows] = side, is_shut.all()
@@ -284,30 +291,31 @@ def select_directions(
 
 
 _OBSTRUCTED = 2.0
-"""Cost of a leg through an obstacle. Where the length outweighs it the way is cut short, and
-the coupling's bends add up near the obstacle; a larger one changes little
-(docs/decisions/0021-sides-chosen-together.md)."""
+"""Cost of a leg through an obstacle [1] (docs/decisions/0021-sides-chosen-together.md).
+
+With a smaller value shorter paths through obstacles are selected, and several coupling terms act
+at once near the obstacle; a larger value has little effect."""
 
 
 def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:
-    """Computes the support function of each of M ellipsoids about its center.
+    """Computes the support functions of M ellipsoids about their centers.
 
     Args:
         ellipsoids: M ellipsoids.
         directions: (M, J, 3) unit directions.
 
     Returns:
-        (M, J) [m].
+        (M, J) extents of the ellipsoids along the directions [m].
     """
     axes = ellipsoids.R_WO * ellipsoids.semi_axes[:, None]
     return np.asarray(np.linalg.norm(directions @ axes, axis=2))
 
 
 def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntArray:
-    """Numbers the groups of obstacles that leave no way between them, (M,).
+    """Computes the group number (M,) of each obstacle; members have no passage between them.
 
-    Two obstacles belong together when their gap along the line of centers is less
-    than two clearances; groups are the connected components.
+    Two obstacles are linked if their gap along the line of centers is less than two clearances;
+    groups are the connected components.
     """
     gap = ellipsoids.p_WO[:, None] - ellipsoids.p_WO
     distance = np.linalg.norm(gap, axis=2)
@@ -317,7 +325,7 @@ def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntA
 
 
 def groups_along_baseline(scene: RingScene) -> list[IntArray]:
-    """Rows of each group of obstacles, in the order in which the motion meets the groups."""
+    """Returns the rows of each group of obstacles, in the order along the baseline."""
     numbers = overlap_groups(scene.ellipsoids, scene.requested_clearance)
     groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
     place = scene.ellipsoids.p_WO @ (scene.p_WG - scene.p_WS)
@@ -325,11 +333,14 @@ def groups_along_baseline(scene: RingScene) -> list[IntArray]:
 
 
 def least_sequence(choice: FloatArray, pair: FloatArray) -> tuple[IntArray, float]:
-    """Finds the choices of least total cost (Viterbi), of equal ones the first, and that total.
+    """Finds the sequence of choices with the minimum total cost, by the Viterbi algorithm.
 
     Args:
-        choice: (N, K) costs of a choice at a stage.
-        pair: (N - 1, K, K) costs of a choice at a stage and one at the next.
+        choice: (N, K) costs of each choice at each stage.
+        pair: (N - 1, K, K) costs of each pair of choices at consecutive stages.
+
+    Returns:
+        Choices (N,), the lowest indices if costs are equal, and their total cost.
     """
     onward, after = choice[-1], []
     for stage in range(len(pair) - 1, -1, -1):
@@ -350,18 +361,21 @@ def sequence_costs(
     *,
     counts_length: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the costs of sequences of sides of N groups, see `least_sequence`.
+    """Computes the costs of sequences of sides of N groups, the arguments of `least_sequence`.
 
-    A group is passed over the passing point of its member that stands out farthest. The
-    legs from the start and to the goal pass their own group, whatever its side, by the
-    coupling's bend: it is not in their way.
+    The passing point of a group is that of its member with the largest detour. The first and the
+    last leg are not obstructed by their own group: the coupling terms bend the motion around it.
 
     Args:
-        scene: the scene.
+        scene: obstacles and directions.
         groups: rows of the groups along the baseline.
-        rings: (N, K) sum of the rings of each group but the length ring.
-        shut: (N, K) where a ring forbids the direction: it costs more than all else together.
-        counts_length: whether lengths count.
+        rings: (N, K) sums of the rings of each group except the length ring.
+        shut: (N, K) whether a ring forbids the direction, which then costs more than all other
+            terms together.
+        counts_length: whether the path length is part of the cost.
+
+    Returns:
+        Costs of single choices (N, K) and of pairs of choices (N - 1, K, K).
     """
     count, width = rings.shape
     farthest = [rows[scene.detour[rows].argmax(axis=0)] for rows in groups]
@@ -372,12 +386,12 @@ def sequence_costs(
     legs = list(pairwise(stages))
     length = [np.linalg.norm(b - a[:, None], axis=2) for a, b in legs]
     obstructed = [
-        obstruction(a, b, scene.ellipsoids, seen, scene.requested_clearance)
-        for (a, b), seen in zip(legs, counts, strict=True)
+        obstruction(a, b, scene.ellipsoids, mask, scene.requested_clearance)
+        for (a, b), mask in zip(legs, counts, strict=True)
     ]
 
     def chain(legs: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Adds the legs at both ends to the costs of the choices."""
+        """Returns costs of single choices, from the outer legs, and of pairs, from the others."""
         choice = np.zeros((count, width))
         choice[0] += legs[0][0]
         choice[-1] += legs[-1][:, 0]
@@ -390,7 +404,7 @@ def sequence_costs(
     scale = count / max(longest - shortest, count * spread) if counts_length else 0.0
     choice, pair = chain(obstructed)
     all_else = float(rings.max(axis=1).sum()) + count + _OBSTRUCTED * (count + 1)
-    # Of the length only what is over the shortest counts.
+    # Only the length in excess of the shortest path is a cost.
     lengths[0] -= shortest
     choice = rings + scale * lengths + _OBSTRUCTED * choice + (all_else + 1.0) * shut
     return choice, scale * between + _OBSTRUCTED * pair
@@ -403,21 +417,21 @@ def obstruction(
     counts: BoolArray,
     clearance: float,
 ) -> FloatArray:
-    """Computes the obstruction of straight legs by ellipsoids.
+    """Computes the obstruction of straight legs by ellipsoids, from 0 (free) to 1 (intersected).
 
-    With g the least norm of a leg's points in the axes of an obstacle, scaled so that the obstacle
-    grown by the clearance is the unit ball, it is 1 - g, at least 0; and 1 where the leg meets the
-    obstacle itself.
+    In coordinates in which the obstacle grown by the clearance is the unit ball, let g be the
+    minimum distance of a leg from the center. The obstruction is max(0, 1 - g), and 1 if the leg
+    intersects the obstacle itself.
 
     Args:
-        p_WA: (I, 3) beginnings of the legs [m].
+        p_WA: (I, 3) starts of the legs [m].
         p_WB: (J, 3) ends of the legs [m].
         ellipsoids: M obstacles.
-        counts: (M,) the obstacles that are considered.
+        counts: (M,) whether an obstacle is considered.
         clearance: growth of the obstacles [m].
 
     Returns:
-        (I, J) the largest of all obstacles.
+        (I, J) maximum over the obstacles of the obstruction of each leg.
     """
     centers, R_WO = ellipsoids.p_WO[counts, None], ellipsoids.R_WO[counts]
     ends = [(p - centers) @ R_WO for p in (p_WA, p_WB)]

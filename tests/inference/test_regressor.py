@@ -1,4 +1,4 @@
-"""The regressor chain: forward pass, weights files, sections of ellipsoids."""
+"""Tests of the regressor chain: forward pass, weights files, sections of ellipsoids."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ CHAIN = random_chain()
 
 
 def plain_forward(net, x):
-    """The network as the docstring states it, row by row."""
+    """Evaluates a network by the formula of its docstring, for one input."""
     y = (x - net.in_offset) * net.in_gain - 1.0
     for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
         y = np.tanh(weight @ y + bias)
@@ -51,29 +51,29 @@ def plain_forward(net, x):
     return (y[0] + 1.0) / net.out_gain + net.out_offset
 
 
-def test_chain_is_the_plain_networks_one_after_the_other():
+def test_the_chain_equals_its_networks_in_sequence():
     query = np.array([0.1, 0.2, 0.15])
     kappa = plain_forward(CHAIN.networks["kappa"], query)
     psi = plain_forward(CHAIN.networks["psi"], np.append(query, kappa))
     alpha = plain_forward(CHAIN.networks["alpha"], np.append(query, (kappa, psi)))
     np.testing.assert_allclose(CHAIN.evaluate(query[None])[0], (alpha, psi, kappa), rtol=1e-12)
-    # In physical units.
-    found = CHAIN.parameters(2.0 * query[None, :2], 0.3, 2.0)
-    np.testing.assert_allclose(found.as_array()[0], (max(alpha, 0), psi, kappa / 4.0), rtol=1e-12)
+    # In physical units, with a baseline of 2 m.
+    rows = CHAIN.parameters(2.0 * query[None, :2], 0.3, 2.0).as_array()
+    np.testing.assert_allclose(rows[0], (max(alpha, 0), psi, kappa / 4.0), rtol=1e-12)
 
 
-def test_reproduces_the_reference_samples(reference):
-    """The authors' released chain, trained on full widths and a baseline of 1 m."""
+def test_the_authors_chain_reproduces_their_samples(reference):
+    """Evaluates the released chain, trained on full widths and a baseline of 1 m."""
     path, samples = reference("authors_rc.npz"), np.load(reference("authors_rc_samples.npz"))
     with np.load(path) as file:
         networks = {n: network_of(path, dict(file), n, 3 + i) for i, n in enumerate(TARGETS)}
     inputs = np.column_stack((samples["widths"], samples["clearance"]))
-    found = replace(CHAIN, networks=networks).evaluate(inputs)
+    outputs = replace(CHAIN, networks=networks).evaluate(inputs)
     expected = np.column_stack([samples[name] for name in ("alpha", "psi", "kappa")])
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(outputs, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_a_query_outside_is_flagged_and_evaluated_at_the_border():
+def test_an_input_outside_the_trained_range_is_flagged_and_clipped():
     extents = np.array([[0.1, 0.7], [0.1, 0.4], [0.001, 0.1]])
     outside = CHAIN.parameters(extents, 0.1, 1.0)
     assert outside.in_range.tolist() == [False, True, False]
@@ -81,7 +81,7 @@ def test_a_query_outside_is_flagged_and_evaluated_at_the_border():
 
 
 @pytest.mark.parametrize("n_inputs", [2, 3])
-def test_a_file_gives_back_the_chain(tmp_path, n_inputs):
+def test_a_saved_chain_is_loaded_unchanged(tmp_path, n_inputs):
     path, chain = tmp_path / "chain.safetensors", random_chain(n_inputs)
     save_chain(chain, path)
     loaded = load_chain(path)
@@ -89,7 +89,7 @@ def test_a_file_gives_back_the_chain(tmp_path, n_inputs):
     np.testing.assert_array_equal(ours.as_array(), theirs.as_array())
     assert ours.in_range.all()
     assert loaded.metadata == chain.metadata
-    # The chain of two inputs knows of no clearance.
+    # A chain of two inputs does not depend on the clearance.
     other = loaded.parameters(np.full((1, 2), 0.1), 0.3, 1.0)
     assert (other.as_array() == theirs.as_array()).all() == (n_inputs == 2)
 
@@ -99,11 +99,11 @@ def test_a_file_gives_back_the_chain(tmp_path, n_inputs):
     [
         ("psi_b1", None, "lacks the array 'psi_b1'"),
         ("alpha_in_gain", np.ones(4), r"'alpha_in_gain' has the shape \(4,\)"),
-        ("kappa_b1", np.full(24, np.nan), "'kappa_b1' must hold finite numbers"),
-        ("metadata", None, "is of the format None, not 'drake_oa regressor chain 1'"),
+        ("kappa_b1", np.full(24, np.nan), "'kappa_b1' must contain only finite numbers"),
+        ("metadata", None, "has the format None; it must be 'drake_oa regressor chain 1'"),
     ],
 )
-def test_a_damaged_file_is_named_with_what_is_wrong(tmp_path, key, value, message):
+def test_the_error_of_a_damaged_file_names_file_and_problem(tmp_path, key, value, message):
     path = tmp_path / "chain.safetensors"
     save_chain(CHAIN, path)
     with safe_open(path, "numpy") as file:
@@ -115,7 +115,7 @@ def test_a_damaged_file_is_named_with_what_is_wrong(tmp_path, key, value, messag
         load_chain(path)
 
 
-def test_a_file_that_is_missing_or_no_weights_file_is_named(tmp_path):
+def test_the_error_of_a_missing_or_other_file_names_it(tmp_path):
     path = tmp_path / "noise.safetensors"
     with pytest.raises(FileNotFoundError, match=r"noise.safetensors.*drake-oa train --out"):
         load_chain(path)
@@ -133,19 +133,19 @@ def test_a_file_that_is_missing_or_no_weights_file_is_named(tmp_path):
     ],
     ids=["heading at the center", "at rest", "at the center"],
 )
-def test_without_a_plane_the_local_vertical_one_is_cut(p, z):
+def test_parallel_vectors_select_the_local_vertical_plane(p, z):
     shape = balls((0.5, 0.0, 0.0), radius=[0.1, 0.2, 0.3])
     extents = section_extents(np.array(p), np.array(z), np.eye(3), shape)
     np.testing.assert_allclose(extents, [[0.1, 0.3]], rtol=1e-12)
 
 
 @given(seed=st.integers(0, 10**6))
-def test_a_section_is_as_wide_as_its_points_in_the_plane(seed):
+def test_half_extents_equal_those_of_sampled_points_of_the_section(seed):
     rng = np.random.default_rng(seed)
     p, z, center = rng.normal(size=(3, 3))
     R_WL, R_WO = Rotation.random(2, random_state=rng).as_matrix()
     shape = replace(balls(center, radius=rng.uniform(0.05, 0.5, 3)), R_WO=R_WO[None])
-    found = section_extents(p, z, R_WL, shape)[0]
+    extents = section_extents(p, z, R_WL, shape)[0]
     normal = np.cross(center - p, z)
     normal /= np.linalg.norm(normal)
     along = R_WL[:, 0] - (R_WL[:, 0] @ normal) * normal
@@ -154,4 +154,4 @@ def test_a_section_is_as_wide_as_its_points_in_the_plane(seed):
     rays = np.cos(angle) * along + np.sin(angle) * np.cross(normal, along)
     reach = 1.0 / np.linalg.norm(rays @ R_WO / shape.semi_axes, axis=1, keepdims=True)
     expected = np.abs(reach * np.hstack([np.cos(angle), np.sin(angle)])).max(axis=0)
-    np.testing.assert_allclose(found, expected, rtol=1e-3)
+    np.testing.assert_allclose(extents, expected, rtol=1e-3)

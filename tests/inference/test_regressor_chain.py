@@ -1,4 +1,4 @@
-"""The system that computes the coupling parameters."""
+"""Tests of the system `RegressorChain`."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -21,15 +21,15 @@ def evaluate(policy: PolicyState):
     return system.GetOutputPort("coupling_parameters").Eval(context)
 
 
-def test_output_is_the_pure_functions_answer():
+def test_the_output_equals_the_functions_result():
     state = PolicyState(z_W=np.array([0.5, 0.1, 0.0]), p_WG=np.array([0.8, 0.0, 0.0]))
     extents = section_extents(state.p_WE, state.z_W, state.R_WL, OBSTACLES)
     expected = WEIGHTS.parameters(extents, 0.1, 0.8)
     np.testing.assert_array_equal(evaluate(state).as_array(), expected.as_array())
 
 
-def test_without_a_motion_nothing_is_coupled():
-    found = evaluate(PolicyState())
-    assert found.alpha.tolist() == [0.0, 0.0]
-    assert not found.in_range.any()
-    assert np.isfinite(found.as_array()).all()
+def test_without_a_motion_the_strength_is_zero():
+    output = evaluate(PolicyState())
+    assert output.alpha.tolist() == [0.0, 0.0]
+    assert not output.in_range.any()
+    assert np.isfinite(output.as_array()).all()

@@ -1,4 +1,4 @@
-"""The decision layer alone."""
+"""Tests of `CostRingSelector` without a diagram."""
 
 import logging
 
@@ -39,7 +39,7 @@ def decided(system: CostRingSelector, ellipsoids: EllipsoidSet, **inputs: object
     return route_of(system, prepared(system, ellipsoids, **inputs).get_context())
 
 
-def test_it_passes_on_the_side_that_is_shorter() -> None:
+def test_the_shorter_side_is_selected() -> None:
     route = decided(CostRingSelector(0.15), balls((0.5, 0.05, 0.3)))
     np.testing.assert_allclose(route.direction_W[0], [0.0, -1.0, 0.0], atol=1e-12)
     assert set(route.costs) == {"table", "length"}
@@ -58,7 +58,7 @@ def test_the_decision_is_the_route_and_does_not_follow_the_motion() -> None:
     assert system.GetOutputPort("decision").Eval(context) is decision
 
 
-def test_an_extra_ring_takes_part_in_the_choice() -> None:
+def test_a_user_supplied_ring_affects_the_selection() -> None:
     def only_up(scene: RingScene) -> FloatArray:
         up = scene.directions_W[:, 2] > 0.999
         return np.broadcast_to(~up, scene.detour.shape).astype(float)
@@ -69,35 +69,36 @@ def test_an_extra_ring_takes_part_in_the_choice() -> None:
     assert "only_up" in route.costs
 
 
-def test_joint_limits_are_a_ring_of_their_own() -> None:
-    def margins(ways: FloatArray) -> FloatArray:
-        left = ways[..., 1]
-        return np.where(left > -0.3, left + 0.15, -np.inf)
+def test_workspace_and_joint_limits_are_separate_rings() -> None:
+    def margins(paths: FloatArray) -> FloatArray:
+        y = paths[..., 1]
+        return np.where(y > -0.3, y + 0.15, -np.inf)
 
     system = CostRingSelector(0.15, joint_margins=margins)
     route = decided(system, balls((0.5, 0.05, 0.3)))
     assert route.direction_W[0, 1] > -0.5
-    beyond, strained = route.costs["workspace"][0] >= 1.0, route.costs["joint_limits"][0] >= 1.0
-    assert strained.any()
-    assert not (beyond & strained).any()
-    # Where the baseline is strained as well, a way is no worse.
-    strained_start = CostRingSelector(
-        0.15, joint_margins=lambda ways: np.minimum(margins(ways), 0.05)
+    unreachable = route.costs["workspace"][0] >= 1.0
+    near_limit = route.costs["joint_limits"][0] >= 1.0
+    assert near_limit.any()
+    assert not (unreachable & near_limit).any()
+    # If the baseline is as close to a joint limit, no direction is forbidden for it.
+    near_limit_everywhere = CostRingSelector(
+        0.15, joint_margins=lambda paths: np.minimum(margins(paths), 0.05)
     )
-    assert not decided(strained_start, balls((0.5, -0.05, 0.3))).note
+    assert not decided(near_limit_everywhere, balls((0.5, -0.05, 0.3))).note
 
 
-def test_the_table_port_goes_before_the_table_that_was_seen() -> None:
-    # Over it is longer than under it, but for the table.
+def test_the_table_port_replaces_the_perceived_table() -> None:
+    # Without a table the path below the obstacle is shorter than the path above it.
     high = balls((0.5, 0.0, 0.35), table=TablePlane(offset=-1.0))
     system = CostRingSelector(0.15)
     assert decided(system, high).direction_W[0, 2] == pytest.approx(-1.0)
-    near = decided(system, high, table=TablePlane(offset=0.2))
-    assert near.direction_W[0, 2] > -0.5
-    assert near.costs["table"].any()
+    route = decided(system, high, table=TablePlane(offset=0.2))
+    assert route.direction_W[0, 2] > -0.5
+    assert route.costs["table"].any()
 
 
-def test_the_side_is_kept_while_the_obstacle_drifts_a_little() -> None:
+def test_hysteresis_keeps_the_side_of_a_drifting_obstacle() -> None:
     system = CostRingSelector(0.15, period=0.1)
     simulator = prepared(system, balls((0.5, 0.02, 0.3)))
     first = route_of(system, simulator.get_context()).direction_W
@@ -105,14 +106,14 @@ def test_the_side_is_kept_while_the_obstacle_drifts_a_little() -> None:
     fix(system, simulator.get_mutable_context(), ellipsoids_W=balls((0.5, -0.01, 0.3)))
     simulator.AdvanceTo(0.25)
     np.testing.assert_array_equal(route_of(system, simulator.get_context()).direction_W, first)
-    # Without memory it would go the other way; far enough over, it does.
+    # Without hysteresis the other side is selected; with a larger drift also with hysteresis.
     assert decided(system, balls((0.5, -0.01, 0.3))).direction_W[0, 1] > 0.9
     fix(system, simulator.get_mutable_context(), ellipsoids_W=balls((0.5, -0.09, 0.3)))
     simulator.AdvanceTo(0.45)
     assert route_of(system, simulator.get_context()).direction_W[0, 1] > 0.9
 
 
-def test_a_new_obstacle_is_decided_at_once() -> None:
+def test_a_new_obstacle_triggers_a_decision_at_once() -> None:
     system = CostRingSelector(0.15, period=10.0)
     simulator = prepared(system, balls((0.3, 0.05, 0.3)))
     simulator.AdvanceTo(0.01)
@@ -128,7 +129,7 @@ def test_a_new_obstacle_is_decided_at_once() -> None:
     assert len(route_of(system, simulator.get_context()).ids) == 0
 
 
-def test_when_no_side_is_allowed_it_says_so(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_blocked_route_is_noted_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     system = CostRingSelector(0.15, joint_margins=lambda p: np.full(p.shape[:-1], -np.inf))
     with caplog.at_level(logging.INFO, "drake_oa"):
         simulator = prepared(system, balls((0.5, 0.0, 0.3), ids=[3]))
@@ -139,7 +140,7 @@ def test_when_no_side_is_allowed_it_says_so(caplog: pytest.LogCaptureFixture) ->
     assert route.note in caplog.text
 
 
-def test_a_ring_of_the_wrong_shape_is_refused_by_its_name() -> None:
+def test_the_error_of_a_wrong_shape_names_the_ring() -> None:
     system = CostRingSelector(0.15, extra_rings={"flat": lambda scene: np.zeros(3)})
     with pytest.raises(ValueError, match="'flat'"):
         prepared(system, balls((0.5, 0.0, 0.3)))
