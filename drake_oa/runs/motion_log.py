@@ -1,91 +1,91 @@
-"""The log of one motion, and its file.
+"""Log of one motion, and the file of the logs of a run.
 
-The file is a NumPy .npz archive of schema `SCHEMA_VERSION`: the key `schema_version`
-holds that number, and each motion has one key "MOTION/ATTRIBUTE" for every attribute
-of `MotionLog`, where MOTION is "nominal" or "avoiding". Texts are string arrays,
-zero-dimensional for a single text. `numpy.load` alone reads it, without pickle.
+The file is a NumPy .npz archive of schema `SCHEMA_VERSION`. The key `schema_version` holds that
+number. Each motion has one key MOTION/ATTRIBUTE for every attribute of `MotionLog`, where MOTION is
+"nominal" or "avoiding". Texts are string arrays, of dimension 0 for a single text. `numpy.load`
+reads the file without pickle.
 
-W is the world frame, E the tool point, O an obstacle; nq, nv and nu are the robot's
-positions, velocities and actuators, 0 without a robot. SI units: m, rad, s, N, N m.
+W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms), F
+observations, at most M obstacles in one of them, E notes, S changes of the supervision and D
+decisions. nq, nv and nu are the numbers of positions, velocities and actuators of the robot, 0
+without a robot.
 
-=====================  =============  =======  ==========================================
-key                    shape          unit     content
-=====================  =============  =======  ==========================================
-t                      (T,)           s        simulated time
-q                      (T, nq)        rad, m   positions of the robot
-v                      (T, nv)        rad/s    velocities of the robot (m/s: sliding)
-torque                 (T, nu)        N m, N   actuation applied
-saturated              (T,)           1        1 where a torque limit was reached
-p_WE                   (T, 3)         m        actual tool point; without a robot the
-                                               desired one
-desired_position       (T, 3)         m        p_WE asked of the controller
-desired_velocity       (T, 3)         m/s      its derivative
-desired_acceleration   (T, 3)         m/s^2    its second derivative
-phase                  (T,)           1        canonical phase k, 1 falling to 0
-speed_scale            (T,)           1        share of full speed that the guard allows, in
-                                               [0, 1]; 1 without one
-tracking_error         (T,)           m        distance of E to where it was asked to be,
-                                               as the controller tells it; NaN where none does
-q_world                (T, n)         rad, m   all positions of the station's plant, in its
-                                               order; (T, 0) where only the robot moves
-observation_time       (F,)           s        times at which observations arrived
-observation_stamp      (F,)           s        when the scene looked as they say; inf for
-                                               ellipsoids that are given
-p_WO                   (F, M, 3)      m        centers of the ellipsoids; NaN rows where an
+====================  =============  ========  ====================================================
+key                   shape          unit      content
+====================  =============  ========  ====================================================
+t                     (T,)           s         simulated time
+q                     (T, nq)        rad, m    positions of the robot
+v                     (T, nv)        rad/s     velocities of the robot (m/s: prismatic)
+torque                (T, nu)        N m, N    applied actuation
+saturated             (T,)           1         1 where an effort limit was reached
+p_WE                  (T, 3)         m         actual tool point; without a robot the desired one
+desired_position      (T, 3)         m         desired tool point p_WE
+desired_velocity      (T, 3)         m/s       its first derivative
+desired_acceleration  (T, 3)         m/s^2     its second derivative
+phase                 (T,)           1         canonical phase k, from 1 down to 0
+speed_scale           (T,)           1         speed scale of the motion guard in [0, 1]; 1 without
+                                               a guard
+tracking_error        (T,)           m         distance of E to its desired position, from the
+                                               controller; NaN without one
+q_world               (T, n)         rad, m    all positions of the station's plant; (T, 0) if only
+                                               the robot moves
+observation_time      (F,)           s         times at which observations became available
+observation_stamp     (F,)           s         times that the observations describe; inf: given
+                                               ellipsoids
+p_WO                  (F, M, 3)      m         centers of the ellipsoids; NaN rows where an
                                                observation has fewer than M
-R_WO                   (F, M, 3, 3)   1        their orientations, principal axes in columns
-semi_axes              (F, M, 3)      m        their semi-axes
-v_WO                   (F, M, 3)      m/s      velocities of their centers
-obstacle_id            (F, M)         -        their names; -1 where there is none
-out_of_range           (F,)           1        for how many of them the regressor chain was
-                                               asked for more than it was trained for
-inference             ()             text     "Verified" or "Paper"; "" unmodulated
-shortfall              (T,)           m        what the verified motion lacked of the
-                                               feasible clearance, as inference believed
-event_time             (E,)           s        times at which a note of the policy changed
-event                  (E,)           text     those notes; "": running freely again
-supervision_time       (S,)           s        times at which the guard's decision changed
-supervision_action     (S,)           text     "run", "slow", "hold" or "stop" from then on
-supervision_reason     (S,)           text     why; "" for "run"
-position_name          (nq,)          text     names of the robot's positions
-position_lower         (nq,)          rad, m   their lower limits
-position_upper         (nq,)          rad, m   their upper limits
-velocity_limit         (nv,)          rad/s    greatest speed of each (m/s: sliding)
-actuator_name          (nu,)          text     names of the actuated joints
-effort_limit           (nu,)          N m, N   their greatest actuation; inf: none
-stop_reason            ()             text     "goal", or what ended the motion short of it
-wall_time              ()             s        real time that the simulation took
-avoid_obstacles        ()             bool     whether the motion was bent round obstacles
-scenario               ()             text     the scenario as YAML, defaults included
-seed                   ()             1        the scenario's seed
-versions               (P,)           text     packages, date, source digest: "name value"
-goal                   (T, 3)         m        where the goal was
-desired_orientation    (T, 4)         1        quaternion w, x, y, z of R_WE asked of the
-                                               controller; (0, 4) where it stays
-orientation_error      (T, 3)         rad      rotation vector from the actual to the desired
-                                               orientation in W; (0, 3) likewise
-desired_posture        (T, 2n)        rad,     arm positions, then velocities, that the null space
-                                      rad/s    was drawn to; (T, 0) where none was planned
-guard_action           (T,)           1        action of the motion guard: 0 follow, 1 slow, 2 wait,
-                                               3 evade, 4 brake; (0,) without a guard
-guard_contact          (T,)           s        time of the first contact that it predicts on the
-                                               verified motion; inf: none; (0,) likewise
-guard_claim            (T,)           1        claim of passive motion safety that limits the speed:
-                                               0 none, 1 (A), 2 (B); (0,) likewise
-clearance_reduction    (T,)           m        reduction of the requested clearance, because the
-                                               start or the goal leaves no more; (0,): unknown
-motion_source          (T,)           1        source of the motion: -1 none, 0 nominal, 1 chain,
-                                               2 search, 3 joint_path; (0,) likewise
-motion_end             ()             s        when the motion ended; the world goes on after it
-                                               until all is at rest; NaN where a file does not tell
-settled                ()             bool     whether all came to rest
-decision_time          (D,)           s        when decisions began; (0,) where a file does
-                                               not tell, or they cost no time
-decision_latency          (D,)           s        the simulated time that each takes
-decision_layer         (D,)           text     layer that decides: "verification" or "guard"
-event_hold             (E,)           text     what held the motion from then on, one of `HoldReason`
-ended                  ()             text     how the motion ended, one of `MotionEnd`
-=====================  =============  =======  ==========================================
+R_WO                  (F, M, 3, 3)   1         their orientations, principal axes in columns
+semi_axes             (F, M, 3)      m         their semi-axes
+v_WO                  (F, M, 3)      m/s       velocities of their centers
+obstacle_id           (F, M)         -         their track IDs; -1: none
+out_of_range          (F,)           1         number of them with inputs beyond the training range
+                                               of the regressor chain
+inference             ()             text      "Verified" or "Paper"; "" for the nominal motion
+shortfall             (T,)           m         predicted clearance shortfall of the verified motion
+event_time            (E,)           s         times at which the note of the policy changed
+event                 (E,)           text      those notes; "": the motion continues
+supervision_time      (S,)           s         times at which the guard's supervision changed
+supervision_action    (S,)           text      "run", "slow", "hold" or "stop" from then on
+supervision_reason    (S,)           text      reason of the action; "" for "run"
+position_name         (nq,)          text      names of the robot's positions
+position_lower        (nq,)          rad, m    their lower limits
+position_upper        (nq,)          rad, m    their upper limits
+velocity_limit        (nv,)          rad/s     maximum speed of each velocity (m/s: prismatic)
+actuator_name         (nu,)          text      names of the actuated joints
+effort_limit          (nu,)          N m, N    their maximum actuation; inf: none
+stop_reason           ()             text      "goal", or the reason for which the motion ended
+                                               before it
+wall_time             ()             s         wall-clock time of the simulation
+avoid_obstacles       ()             bool      whether obstacles were avoided
+scenario              ()             text      the scenario as YAML, defaults included
+seed                  ()             1         seed of the scenario
+versions              (P,)           text      packages, date and source digest: "name value"
+goal                  (T, 3)         m         position of the goal
+desired_orientation   (T, 4)         1         quaternion w, x, y, z of the desired R_WE; (0, 4):
+                                               constant
+orientation_error     (T, 3)         rad       rotation vector from actual to desired orientation
+                                               in W; (0, 3): constant
+desired_posture       (T, 2n)        rad,      nominal arm positions, then velocities, of the null
+                                     rad/s     space; (T, 0): none
+guard_action          (T,)           1         action of the guard: 0 follow, 1 slow, 2 wait, 3
+                                               evade, 4 brake; (0,): no guard
+guard_contact         (T,)           s         time of the first contact predicted on the verified
+                                               motion; inf: none
+guard_claim           (T,)           1         claim that limits the speed: 0 none, 1 (A), 2 (B)
+clearance_reduction   (T,)           m         reduction of the requested clearance at start or
+                                               goal; (0,): unknown
+motion_source         (T,)           1         source of the motion: -1 none, 0 nominal, 1 chain, 2
+                                               search, 3 joint_path
+motion_end            ()             s         end of the motion; later instants are the world
+                                               until it rests; NaN: none
+settled               ()             bool      whether the world came to rest
+decision_time         (D,)           s         times at which decisions started; (0,): without
+                                               compute latency
+decision_latency      (D,)           s         simulated duration of each decision
+decision_layer        (D,)           text      layer that decides: "verification" or "guard"
+event_hold            (E,)           text      reason of the hold from then on, one of `HoldReason`
+ended                 ()             text      termination of the motion, one of `MotionEnd`
+====================  =============  ========  ====================================================
 """
 
 from __future__ import annotations
@@ -104,41 +104,42 @@ from drake_oa.common.files import read_arrays, replace_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 
 SCHEMA_VERSION = 3
-"""Schema of the files that are written and read; a file without a number has schema 1."""
+"""Schema of log files; a file without the key `schema_version` has schema 1."""
 
 _SCHEMA_KEY = "schema_version"
 DECISION_SIGNAL = "decision_"
-"""Prefix of the name of the log of a layer's port `decision`; the layer's name follows."""
+"""Prefix of the signals of decisions, before the name of the layer that decides."""
 
 
 def _empty(*shape: int) -> Any:
-    """Returns a field that is an empty array by default; a file may lack it."""
+    """Returns a dataclass field with an empty array as default, for keys that a file may lack."""
     return field(default_factory=partial(np.zeros, shape))
 
 
 class MotionEnd(StrEnum):
-    """How a motion ended; `stop_reason` says it in words."""
+    """Termination of a motion; `stop_reason` describes it in words."""
 
     GOAL = "goal"
+    """The tool reached the goal."""
     STOPPED = "stopped"
-    """By the supervisor."""
+    """The motion guard stopped the motion for good."""
     HELD = "held"
-    """For too long."""
+    """The motion was held longer than the maximum hold time."""
     MISSED = "goal missed"
-    """The tool did not come to the goal in time."""
+    """The tool did not reach the goal in the verified time."""
     LEFT = "goal left"
-    """It evaded there, and did not come back."""
+    """The tool evaded an obstacle at the goal and did not return."""
     TIME_LIMIT = "time limit"
+    """The maximum duration elapsed."""
     INTERRUPTED = "interrupted"
-    """Interrupted, or something was raised."""
+    """A signal or an exception interrupted the run."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionLog:
     """Log of one motion: T instants, F observations of up to M obstacles.
 
-    The attributes are the keys of the file: the table above has the shape, unit and
-    frame of each.
+    The attributes are the keys of the file; the module's table has shape, unit and frame of each.
     """
 
     t: FloatArray
@@ -200,21 +201,21 @@ class MotionLog:
 
     @property
     def simulated_time(self) -> float:
-        """Time until all was at rest, or the run was ended [s]."""
+        """Time until the world was at rest or the run ended [s]."""
         return float(self.t[-1]) if len(self.t) else 0.0
 
     @property
     def duration(self) -> float:
-        """Duration of the motion, to its end [s]."""
+        """Duration of the motion [s]."""
         return self.simulated_time if math.isnan(self.motion_end) else self.motion_end
 
     @property
     def moving(self) -> slice:
-        """The instants of the motion, without what came after its end."""
+        """Instants of the motion, without those after its end."""
         return slice(int(np.searchsorted(self.t, self.duration, side="right")))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Returns every attribute as an array, the form in which it is written to a file."""
+        """Returns all attributes as arrays, as they are written to a file."""
         return {
             name: np.asarray(value, dtype=str if isinstance(value, tuple) else None)
             for name, value in vars(self).items()
@@ -222,19 +223,19 @@ class MotionLog:
 
     def observation(self, row: int) -> EllipsoidSet:
         """Returns the ellipsoids of one of the F observations."""
-        there = np.isfinite(self.p_WO[row]).all(axis=1)
+        is_present = np.isfinite(self.p_WO[row]).all(axis=1)
         return EllipsoidSet(
             stamp=float(self.observation_stamp[row]),
-            p_WO=self.p_WO[row][there],
-            R_WO=self.R_WO[row][there],
-            semi_axes=self.semi_axes[row][there],
-            v_WO=self.v_WO[row][there],
-            ids=self.obstacle_id[row][there],
+            p_WO=self.p_WO[row][is_present],
+            R_WO=self.R_WO[row][is_present],
+            semi_axes=self.semi_axes[row][is_present],
+            v_WO=self.v_WO[row][is_present],
+            ids=self.obstacle_id[row][is_present],
         )
 
 
 def pack_ellipsoids(frames: Sequence[EllipsoidSet]) -> dict[str, Any]:
-    """Packs F sets into attributes of a log, NaN (names: -1) where one has fewer than M.
+    """Packs F sets of ellipsoids into attributes of a log, padded by NaN and ID -1 to M rows.
 
     Returns:
         `observation_stamp`, `p_WO`, `R_WO`, `semi_axes`, `v_WO` and `obstacle_id`.
