@@ -41,7 +41,7 @@ class MotionMetrics:
             first contact.
         initial_contacts: those of them that touched at the first instant: the motion
             started in them.
-        made_contacts: those of them that came to touch after it, in order: the motion
+        new_contacts: those of them that came to touch after it, in order: the motion
             made them. A pair that parted and met again is in both.
         self_contacts: "link - link" of the robot's own that touched, in order.
         contact_depth: pair of `contacts` or `self_contacts` -> its greatest penetration [m].
@@ -54,7 +54,7 @@ class MotionMetrics:
 
     contacts: tuple[str, ...]
     initial_contacts: tuple[str, ...]
-    made_contacts: tuple[str, ...]
+    new_contacts: tuple[str, ...]
     self_contacts: tuple[str, ...]
     contact_depth: dict[str, float]
     tool_clearance: FloatArray
@@ -116,7 +116,7 @@ def _metrics(
     return MotionMetrics(
         contacts=tuple(depth),
         initial_contacts=tuple(contacts[0]) if contacts else (),
-        made_contacts=tuple(dict.fromkeys(made)),
+        new_contacts=tuple(dict.fromkeys(made)),
         self_contacts=tuple(own_depth),
         contact_depth=depth | own_depth,
         tool_clearance=tool,

@@ -1,4 +1,4 @@
-"""The report of a run: what the pre-planned and the avoiding motion kept and touched."""
+"""Report of a run: clearances, contacts and decisions of the nominal and the avoiding motion."""
 
 from __future__ import annotations
 
@@ -24,19 +24,21 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
-TOLD = 1e-3
-"""Clearance that is missing by more than this is told, and counts as missing [m]."""
-_CONTACTS = ("contacts", "initial_contacts", "made_contacts", "self_contacts")
-_COST_KEYS = {"verification": "decision_latency", "guard": "guard_latency"}
-"""Layer -> key of the costs of its decisions in the report."""
+TOLERANCE = 1e-3
+"""Clearance shortfall above which a warning is given and a motion counts as short [m]."""
+_CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
+_LATENCY_KEYS = {"verification": "decision_latency", "guard": "guard_latency"}
+"""Keys of the decision latencies of the layers in the report."""
 
 
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
-    """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot.
+    """Computes clearances and contacts of a logged motion.
+
+    They are computed by SceneGraph, or from the given ellipsoids without a robot.
 
     Args:
-        scenario: what was run.
-        log: of the motion.
+        scenario: configuration of the run.
+        log: log of the motion.
     """
     if scenario.robot is not None:
         return robot_metrics(scenario, log.q, log.q_world)
@@ -44,9 +46,10 @@ def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
 
 
 def achievable_clearance_of(scenario: Scenario) -> float:
-    """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
+    """Computes the largest clearance that any motion of the task can have [m].
 
-    Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
+    min(Delta, d_start, d_goal), with the true distances d of the tool to resting obstacles; 0 where
+    start or goal is in contact. A moving goal counts at its last position.
 
     Raises:
         ScenarioError: if start or goal is out of reach.
@@ -66,38 +69,40 @@ def motion_report(
     log: MotionLog,
     achievable_clearance: float | None = None,
 ) -> dict[str, Any]:
-    """The figures of one motion; distances in meters, times in seconds.
+    """Computes the metrics of one motion [m, s, rad].
 
-    Contacts and clearances are judged until all was at rest; what is of the motion
-    itself, to its end. On hardware no obstacle is known: `collisions` without a contact with
-    anything else, `achievable_clearance` and `clearance_shortfall` are None.
+    Contacts and clearances count until the world is at rest; duration, path and decisions until the
+    end of the motion. On hardware the true obstacles are unknown: `collisions` without contacts,
+    `achievable_clearance` and `clearance_shortfall` are None.
 
-    Keys: `collisions` (pairs of a robot link and a thing that touched),
-    `contacts` (their names), `initial_contacts` (those the motion started in),
-    `made_contacts` (those it made), `self_contacts` (links of the robot that touched each
-    other), `contact_depth` (pair -> greatest penetration), `tool_clearance_min`,
-    `robot_clearance_min` (to obstacles; None where there is
-    none), `requested_clearance`, `achievable_clearance`, `resting_clearance_min` (of the tool to what
-    never moves; None where there is none), `clearance_shortfall` (what that lacks of the feasible
-    one), `goal_error` (at the motion's end or when all is at rest, the greater one),
-    `orientation_error` (angle to that of the goal when all is at rest [rad]; only where the
-    tool turns), `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
-    `out_of_range` (fraction of observations with an obstacle beyond what the regressor
-    chain was trained for), `inference` ("Verified", "Paper", or None without
-    modulation), `believed_shortfall` (most that the verified motion lacked of what inference
-    believed feasible; None unless it was verified), `clearance_reduction` (by how much inference
-    lowered the requested clearance at most; None unless verified), `sources` (source of the motion ->
-    fraction of the moving time; None unless verified), `guard_actions` and `guard_claims` (action
-    of the motion guard, and claim of passive motion safety that limits the speed -> fraction of the
-    moving time), `decision_latency` and `guard_latency` (`latency_statistics` of the decisions of the
-    inference and of the guard; None without decisions that cost time), `stop_reason`,
-    `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
-    the policy, and its notes), `supervision` (actions of the motion guard, with reasons).
+    Keys:
+        collisions: number of pairs of a robot link and an object in contact.
+        contacts, initial_contacts, new_contacts: names of all pairs, of those in contact at the
+            start, and of those that the motion caused.
+        self_contacts: pairs of links of the robot in contact.
+        contact_depth: maximum penetration of each pair.
+        tool_clearance_min, robot_clearance_min: minimum clearance to obstacles; None: no obstacle.
+        requested_clearance, achievable_clearance: see `achievable_clearance_of`.
+        resting_clearance_min: minimum clearance of the tool to resting obstacles; None: no such
+            obstacle.
+        clearance_shortfall: achievable clearance less `resting_clearance_min`, at least 0.
+        goal_error: distance to the goal at the end of the motion or at rest, whichever is larger.
+        orientation_error: angle to the goal's orientation at rest; only if the tool turns.
+        torque_saturation: fraction of logged instants with a joint at its effort limit.
+        duration, path_length: of the motion.
+        out_of_range: fraction of observations beyond the training range of the regressor chain.
+        inference: "Verified" or "Paper"; None for the nominal motion.
+        predicted_shortfall, clearance_reduction: maxima of the logged values; None unless verified.
+        sources, guard_actions, guard_claims: fraction of the moving time by source of the motion,
+            by action of the motion guard, and by claim that limits the speed.
+        decision_latency, guard_latency: `latency_statistics` of the layers; None: no latency.
+        stop_reason, ended, settled: termination, see `MotionLog`.
+        events, supervision: holds and notes of the policy; actions and reasons of the guard.
 
     Args:
-        scenario: what was run.
-        log: of the motion.
-        achievable_clearance: `achievable_clearance_of` the scenario; None: it is asked for.
+        scenario: configuration of the run.
+        log: log of the motion.
+        achievable_clearance: `achievable_clearance_of` the scenario; None: it is computed.
     """
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if achievable_clearance is None:
@@ -126,7 +131,7 @@ def motion_report(
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
         "inference": log.inference or None,
-        "believed_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
+        "predicted_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
         "clearance_reduction": float(log.clearance_reduction.max(initial=0.0))
         if verified
         else None,
@@ -134,8 +139,8 @@ def motion_report(
         "guard_actions": shares(log, log.guard_action, ACTIONS),
         "guard_claims": shares(log, log.guard_claim, CLAIMS),
         **{
-            key: latency_statistics(layer_costs(log, layer), period)
-            for layer, key in _COST_KEYS.items()
+            key: latency_statistics(layer_latencies(log, layer), period)
+            for layer, key in _LATENCY_KEYS.items()
         },
         "stop_reason": log.stop_reason,
         "ended": log.ended,
@@ -150,31 +155,34 @@ def motion_report(
 
 
 def _rows(**columns: Sequence[object]) -> list[dict[str, object]]:
-    """Returns rows by the names of their columns."""
+    """Returns the rows of a table as dictionaries with the names of the columns as keys."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def latency_statistics(costs: ArrayLike, period: float) -> dict[str, float] | None:
-    """Returns {median, p99, max [s], share_over_period, count} of decisions; None without any.
+def latency_statistics(latencies: ArrayLike, period: float) -> dict[str, float] | None:
+    """Returns {median, p99, max [s], fraction_over_period, count} of decision latencies.
 
     Args:
-        costs: of decisions [s].
-        period: of the perception [s].
+        latencies: latencies of decisions [s].
+        period: period of the perception [s].
+
+    Returns:
+        The statistics; None without decisions.
     """
-    costs = np.asarray(costs, dtype=float)
-    if not len(costs):
+    latencies = np.asarray(latencies, dtype=float)
+    if not len(latencies):
         return None
     return {
-        "median": float(np.median(costs)),
-        "p99": float(np.percentile(costs, 99.0)),
-        "max": float(costs.max()),
-        "share_over_period": float((costs > period).mean()),
-        "count": len(costs),
+        "median": float(np.median(latencies)),
+        "p99": float(np.percentile(latencies, 99.0)),
+        "max": float(latencies.max()),
+        "fraction_over_period": float((latencies > period).mean()),
+        "count": len(latencies),
     }
 
 
-def layer_costs(log: MotionLog, layer: str = "verification") -> FloatArray:
-    """Returns the costs of a layer's decisions that began in the motion [s]."""
+def layer_latencies(log: MotionLog, layer: str = "verification") -> FloatArray:
+    """Returns the latencies of the decisions that a layer started during the motion [s]."""
     of_layer = np.array(log.decision_layer, dtype=str) == layer
     return log.decision_latency[of_layer & (log.decision_time <= log.duration)]
 
@@ -183,7 +191,7 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     if not len(log.desired_orientation):
         return {}
     desired = Rotation.from_quat(log.desired_orientation[-1], scalar_first=True)
-    # The logged error leads from the actual to the desired orientation.
+    # The logged error is the rotation from the actual to the desired orientation.
     to_desired = Rotation.from_rotvec(log.orientation_error[-1])
     goal = Rotation.from_matrix(end_rotations(scenario)[1].matrix())
     return {"orientation_error": float((goal * desired.inv() * to_desired).magnitude())}
@@ -202,25 +210,25 @@ def _given(scenario: Scenario) -> EllipsoidSet:
 
 
 def min_clearance(clearance: FloatArray) -> float | None:
-    """Returns the minimum clearance [m]; None if there is none."""
+    """Returns the minimum of clearances [m]; None if there is no obstacle."""
     minimum = float(clearance.min(initial=math.inf))
     return minimum if math.isfinite(minimum) else None
 
 
 def shares(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str, float]:
-    """Returns the fractions of the moving time in which a logged code had each of its names."""
+    """Returns the fraction of the moving time of each name, from logged codes."""
     codes = codes[log.moving] if len(codes) else codes
     found = {name: float(np.mean(codes == code)) for code, name in enumerate(names) if len(codes)}
     return {name: share for name, share in found.items() if share > 0.0 and name}
 
 
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
-    """The report of `drake-oa run --json`; see `motion_report` for each motion.
+    """Creates the report of `drake-oa run --json`; `motion_report` describes each motion.
 
     Args:
-        name: the scenario's name.
-        scenario: the scenario.
-        logs: "nominal" and "avoiding" -> their logs.
+        name: name of the scenario.
+        scenario: configuration of the run.
+        logs: logs of the motions "nominal" and "avoiding".
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
     achievable_clearance = achievable_clearance_of(scenario)
@@ -255,7 +263,7 @@ _COLUMNS = (
 def report_table(report: dict[str, Any]) -> TextTable:
     """Returns the report as a table with one column for each motion.
 
-    The notes below it name clearance that was not feasible or not kept, and contacts.
+    Notes below the table name clearance shortfalls, their reasons, and self-contacts.
     """
     rows = []
     for motion in ("nominal", "avoiding"):
@@ -273,34 +281,38 @@ def contact_error(report: dict[str, Any]) -> str:
     return pairs and f"contact during the avoiding motion: {pairs}"
 
 
-def _notes(motion: str, found: dict[str, Any]) -> list[str]:
-    """What is to be said of one motion's clearance; less than `TOLD` is not."""
+def _notes(motion: str, metrics: dict[str, Any]) -> list[str]:
+    """Returns notes and warnings on the clearance of one motion."""
     notes = []
-    requested = found["requested_clearance"]
+    requested = metrics["requested_clearance"]
     achievable_clearance = (
-        requested if found["achievable_clearance"] is None else found["achievable_clearance"]
+        requested if metrics["achievable_clearance"] is None else metrics["achievable_clearance"]
     )
-    if requested - achievable_clearance > TOLD:
+    if requested - achievable_clearance > TOLERANCE:
         notes.append(
-            f"note: start and goal leave {achievable_clearance:.3f} m of the asked {requested:g} m"
+            f"note: at start or goal {achievable_clearance:.3f} m of the requested "
+            f"{requested:g} m are achievable"
         )
-    if found["self_contacts"]:
-        notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
-    if not found["inference"]:
+    if metrics["self_contacts"]:
+        notes.append(f"warning: {motion}: self-contact of the robot: {metrics['self_contacts']}")
+    if not metrics["inference"]:
         return notes
-    if found["inference"] == "Paper" and found["out_of_range"]:
+    if metrics["inference"] == "Paper" and metrics["out_of_range"]:
         notes.append(
-            f"note: {motion}: obstacles outside the regressor chain's trained range in "
-            f"{found['out_of_range']:.0%} of the observations"
+            f"note: {motion}: {metrics['out_of_range']:.0%} of the observations are beyond the "
+            "training range of the regressor chain"
         )
-    if (found["clearance_shortfall"] or 0.0) > TOLD:
+    if (metrics["clearance_shortfall"] or 0.0) > TOLERANCE:
         notes.append(
-            f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "
-            f"{1e3 * found['clearance_shortfall']:.1f} mm less than start and goal leave"
+            f"warning: {motion}: minimum clearance {metrics['resting_clearance_min']:.3f} m to "
+            f"resting obstacles, {1e3 * metrics['clearance_shortfall']:.1f} mm below the achievable one"
         )
-    if (found["clearance_reduction"] or 0.0) > max(TOLD, requested - achievable_clearance + TOLD):
+    if (metrics["clearance_reduction"] or 0.0) > max(
+        TOLERANCE, requested - achievable_clearance + TOLERANCE
+    ):
         notes.append(
-            f"note: {motion}: inference reduced the requested clearance by up to "
-            f"{1e3 * found['clearance_reduction']:.1f} mm: it took an obstacle to be that near"
+            f"note: {motion}: requested clearance reduced by up to "
+            f"{1e3 * metrics['clearance_reduction']:.1f} mm: an obstacle was perceived nearer to "
+            "start or goal"
         )
     return notes

@@ -44,7 +44,7 @@ def test_the_avoiding_motion_keeps_the_clearance_and_is_not_held_up() -> None:
     assert report["stop_reason"] == "goal"
     assert report["contacts"] == report["supervision"] == []
     assert 0.150 <= report["tool_clearance_min"] <= 0.165
-    assert report["believed_shortfall"] == report["torque_saturation"] == 0.0
+    assert report["predicted_shortfall"] == report["torque_saturation"] == 0.0
     assert (log.speed_scale == 1.0).all()
     p_WE = robot_metrics(scenario, log.q[::20]).p_WE
     np.testing.assert_allclose(p_WE, log.desired_position[::20], atol=0.01)

@@ -73,7 +73,7 @@ def test_each_fault_ends_as_it_should_without_a_contact(
         scenario.cameras[0].output_delay = 0.0
     log = simulate(scenario, customize=customize)
     report = motion_report(scenario, log)
-    assert report["made_contacts"] == []
+    assert report["new_contacts"] == []
     assert report["ended"] == MotionEnd.GOAL, report["stop_reason"]
     assert report["goal_error"] <= 1e-3
     if override != PLATE:

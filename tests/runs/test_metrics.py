@@ -32,7 +32,7 @@ def test_contacts_of_the_start_are_told_from_those_the_motion_made(
     found = free_point_metrics(path, balls((0.5, 0.0, 0.0), ids=[10]))
     name = ("tool point - ellipsoid 10",)
     assert found.initial_contacts == (name if initial else ())
-    assert found.made_contacts == (name if made else ())
+    assert found.new_contacts == (name if made else ())
     assert found.contacts == (name if initial or made else ())
 
 
@@ -67,7 +67,7 @@ def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> Non
     assert found.tool_clearance[2] > 0.0
     assert (found.robot_clearance <= found.tool_clearance).all()
     assert any(name.endswith("obstacle_box") for name in found.contacts)
-    assert any("table" in name for name in found.made_contacts)
+    assert any("table" in name for name in found.new_contacts)
 
 
 def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:

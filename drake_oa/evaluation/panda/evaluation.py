@@ -59,7 +59,7 @@ from drake_oa.inference.config import Paper, Verified
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.report import layer_costs, motion_report
+from drake_oa.runs.report import layer_latencies, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.end_poses import end_rotations
 from drake_oa.scenario.loading import parse_scenario, scenario_text
@@ -224,7 +224,7 @@ def _checked(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str
         found["claim_violations"] = {"instants": len(log.t), **counts}
     return found | {
         # To a tenth of a millisecond: to be taken together over scenes.
-        "decision_costs": np.round(layer_costs(log), 4).tolist(),
+        "decision_latencies": np.round(layer_latencies(log), 4).tolist(),
         "wall_time": log.wall_time,
         "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
     }

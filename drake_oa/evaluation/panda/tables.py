@@ -14,7 +14,7 @@ from drake_oa.common.files import software_versions
 from drake_oa.evaluation.panda.evaluation import PLANNER, PandaResults
 from drake_oa.evaluation.scenes.evaluation import over
 from drake_oa.runs.motion_log import MotionEnd
-from drake_oa.runs.report import TOLD, latency_statistics
+from drake_oa.runs.report import TOLERANCE, latency_statistics
 from drake_oa.scenario.loading import parse_scenario
 
 ALL = "all"
@@ -148,10 +148,10 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "claim_A": over(sum, (found["A"] for found in claims)),
         "claim_B": over(sum, (found["B"] for found in claims)),
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
-        "clearance_shortfall": sum((run["clearance_shortfall"] or 0.0) > TOLD for run in runs),
+        "clearance_shortfall": sum((run["clearance_shortfall"] or 0.0) > TOLERANCE for run in runs),
         "duration_median": of(np.median, "duration"),
         "decision_latency": latency_statistics(
-            [cost for run in runs for cost in run.get("decision_costs", ())], np.inf
+            [cost for run in runs for cost in run.get("decision_latencies", ())], np.inf
         ),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
