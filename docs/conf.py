@@ -18,6 +18,14 @@ version = release = installed_version("drake_oa")
 # myst_nb is myst_parser, and runs the tutorials.
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["dollarmath"]
+myst_update_mathjax = False
+# KaTeX 0.16.47 (npm) and its fonts are in docs/_static/katex, so that formulas need no network;
+# sphinx.ext.mathjax loads it on pages with formulas, and render.js renders them.
+html_static_path = ["_static"]
+mathjax_path = "katex/katex.min.js"
+mathjax_options = {"defer": "defer"}
+html_js_files = [("katex/render.js", {"defer": "defer"})]
+html_css_files = ["katex/katex.min.css"]
 myst_heading_anchors = 4
 # A tutorial runs whenever its page is read, in a folder of its own, and fails the build if a cell
 # does. The first run on a machine compiles the kernels.
@@ -28,7 +36,6 @@ nb_execution_raise_on_error = True
 default_role = "code"
 html_theme = "furo"
 html_title = "drake_oa"
-# Formulas are drawn by the reader's browser where it finds MathJax, and else read as text.
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
@@ -70,12 +77,11 @@ def _write_api(app: Sphinx) -> None:
     packages = []
     for found in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
         # Commands explain themselves in the terminal; how results come about is in results/method.
-        if found.ispkg and not {"models", "app", "studies"} & set(found.name.split(".")):
+        if found.ispkg and not {"models", "app", "evaluation"} & set(found.name.split(".")):
             packages.append(found.name)
     for package in packages:
         path = __import__(package, fromlist=["_"]).__path__
         names = [m.name for m in pkgutil.iter_modules(path) if not m.ispkg]
-        names = [name for name in names if not name.endswith("_kernels")]
         text = f"{package}\n{'=' * len(package)}\n\n.. automodule:: {package}\n   :no-members:\n\n"
         for name in names:
             text += f"{name}\n{'-' * len(name)}\n\n.. automodule:: {package}.{name}\n\n"

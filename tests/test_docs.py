@@ -5,6 +5,7 @@ import importlib
 import math
 import re
 import shlex
+import types
 from pathlib import Path
 
 import pytest
@@ -74,15 +75,25 @@ def test_the_python_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str
     assert re.search(r"of the arm 0\.\d+ m; contacts: \(\)", capsys.readouterr().out)
 
 
-def test_the_formula_of_the_concepts_page_is_the_computed_one() -> None:
-    formula = (
-        r"R \, v \; \alpha \operatorname{sign}(\theta) \, e^{-\theta^2 / \psi^2} \, e^{-\kappa d^2}"
-    )
-    assert formula in (ROOT / "docs" / "concepts.md").read_text()
+def test_avoidance_rate_is_the_formula_of_the_theory_page() -> None:
+    formula = r"\alpha \operatorname{sign}(\theta) \, e^{-\theta^2 / \psi^2} \, e^{-\kappa d^2}"
+    assert formula in (ROOT / "docs" / "theory" / "coupling.md").read_text()
     for theta, d, alpha, psi, kappa in ((0.0, 0.1, 50.0, 0.5, 2.0), (-0.7, 0.3, 9.0, 0.4, 5.0)):
         sign = -1.0 if theta < 0.0 else 1.0
         expected = alpha * sign * math.exp(-(theta**2) / psi**2) * math.exp(-kappa * d**2)
         assert dead_zone_free_rate(theta, d, alpha, psi, kappa) == pytest.approx(expected)
+
+
+def test_every_linked_object_of_the_package_exists() -> None:
+    for page in PAGES:
+        for name in re.findall(r"\{py:\w+\}`[^`]*?~?(drake_oa[\w.]*)>?`", page.read_text()):
+            found, *rest = name.split(".")
+            subject: object = importlib.import_module(found)
+            for part in rest:
+                if not hasattr(subject, part):
+                    assert isinstance(subject, types.ModuleType), f"{page.name}: {name}"
+                    importlib.import_module(f"{subject.__name__}.{part}")
+                subject = getattr(subject, part)
 
 
 def test_every_block_of_a_scenario_that_is_shown_is_taken() -> None:

@@ -17,7 +17,7 @@ In normalized time s = t / (tau T)
 the dynamic movement primitives of Ijspeert et al. (2013) in the form of Pairet et al. (RA-L 2019),
 with the coupling term C = Omega x z, which rotates z and leaves its length unchanged. A step is
 half a step of the spring, the rotation, and the other half step of the spring, each an exact flow
-(docs/equations.md).
+(docs/theory/integration.md).
 
 Modules:
 

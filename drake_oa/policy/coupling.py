@@ -11,7 +11,7 @@ guidance heading. By the right-hand rule, a positive rate rotates z away from th
 toward v_d. Where these products vanish, the normal of the plane is the axis: a positive rotation
 about it turns from the obstacle's center toward the selected side.
 
-The rotation in one step is derived in docs/equations.md ("Integration"). The kernels pass vectors
+The rotation in one step is derived in docs/theory/integration.md. The kernels pass vectors
 as triples, so that they do not allocate memory and can be inlined. Each term has an axis, the exact
 rotation angle over the step if it acted alone, and its initial rate times the step.
 """

@@ -18,6 +18,6 @@ The chains' networks are `torch.nn` modules of 24-24-24 tanh units (`networks`),
 Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by
 `torch.func`, in float64, on the CPU: the same seed gives the same weights on the same machine.
 
-Results: docs/results/learning.md; the choices, with measurements: docs/equations.md, "Regulation".
+Results: docs/results/learning.md; the choices, with measurements: docs/theory/inference.md.
 Read `paper` first.
 """

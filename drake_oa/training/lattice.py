@@ -116,8 +116,7 @@ def running_paths(parameters: FloatArray) -> FloatArray:
     """Rolls out motions about the middle of the baseline on the running system's action level.
 
     Lengths are in baselines, and time in units of the demonstration's: the path depends on neither.
-    With four times as many steps a path that converges keeps 0.4 mm a meter more (median;
-    docs/equations.md).
+    With four times as many steps a path that converges keeps 0.4 mm a meter more (median).
 
     Args:
         parameters: (N, 3) alpha [1/T], psi [rad] and kappa [1/L^2].
