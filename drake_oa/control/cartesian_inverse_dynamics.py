@@ -1,4 +1,4 @@
-"""The control layer of the paper: torques that make the tool follow its desired motion."""
+"""System of the control layer for the tool: operational-space inverse dynamics, as in the paper."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.robot.arm import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
-"""Error of the tool position along an axis above which the integral rests: another cause is likely
-then [m]."""
+"""Tool position error along an axis above which the integral is constant [m].
+
+A larger error is probably not caused by the model, but by contact or saturation."""
 LARGEST_ACCELERATION = 2.0
-"""Largest acceleration by which the integral corrects each axis [m/s^2]; a wrong model of the Panda
-needs less than 1."""
+"""Maximum correction of each axis by the integral [m/s^2]; model errors of a Panda require < 1."""
 
 
 class CartesianInverseDynamics(InverseDynamics):
@@ -45,33 +45,34 @@ class CartesianInverseDynamics(InverseDynamics):
       - tracking_error
       - orientation_error
 
-    - robot_state: positions and velocities of the robot, (2n,), 18 for the Panda with
+    - robot_state: (2n,) positions and velocities of the robot, 18 elements for the Panda with
       its hand [rad, m, rad/s, m/s].
     - desired_position: (3,) of the tool point in the world frame [m].
     - desired_velocity: (3,) of the tool point in the world frame [m/s].
     - desired_acceleration: (3,) of the tool point in the world frame [m/s^2].
     - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE, of either sign and
-      any length but zero. Without it the orientation is the constructor's.
-    - desired_angular_velocity (optional): (3,) w_WE in the world frame [rad/s]; without it 0.
-    - desired_angular_acceleration (optional): (3,) in the world frame [rad/s^2]; without it 0.
-    - desired_posture (optional): (2m,) positions and velocities of the arm's m joints that the
-      null space is drawn to [rad, rad/s]. Without it the constructor's, at rest.
-    - actuation: (n,) in the order of the plant's actuators [N m, N]: the law of
-      `drake_oa.control.operational_space` for the arm; a spring and damper that hold the fingers.
-    - torque_saturation: (1,) 1 while an arm joint is asked for more than its effort
-      limit, else 0.
+      any nonzero length. Not connected: the constructor's orientation.
+    - desired_angular_velocity (optional): (3,) w_WE in the world frame [rad/s]. Not connected: 0.
+    - desired_angular_acceleration (optional): (3,) alpha_WE in the world frame [rad/s^2]. Not
+      connected: 0.
+    - desired_posture (optional): (2m,) nominal positions [rad] and velocities [rad/s] of the arm's
+      m joints, which the null space tracks. Not connected: the constructor's posture, at rest.
+    - actuation: (n,) in the order of the plant's actuators [N m, N]: control law of
+      `drake_oa.control.operational_space` for the arm, spring and damper for the fingers.
+    - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
+      otherwise 0.
     - tracking_error: (3,) desired minus actual position in the world frame [m]; inf
-      while it is not known.
-    - stopping: (1,) 1 while an input is not finite, or the quaternion zero, and the joints are
-      braked instead, else 0; with a state that is not finite they have no torque.
+      while it is unknown.
+    - stopping: (1,) 1 while the joints are braked because an input is not finite or the
+      quaternion is zero, otherwise 0; the torque is 0 if the robot's state is not finite.
     - orientation_error: (3,) rotation vector from the actual to the desired orientation in
-      the world frame [rad]; inf while it is not known.
+      the world frame [rad]; inf while it is unknown.
 
-    The position error e obeys e'' + kd e' + kp e = d under a lasting disturbance d, as of a wrong
-    model: it would stay at d / kp. `ki_position` times its integral, summed up each period, is
-    added to the desired acceleration, so that it goes to zero. The integral rests while the error
-    is larger than `LARGEST_ERROR`, and never adds more than `LARGEST_ACCELERATION`, so that a tool
-    that is held back does not gather force.
+    Under a constant disturbance d, such as a model error, the position error e obeys
+    e'' + kd e' + kp e = d and would remain at d / kp. Integral action removes it: `ki_position`
+    times the integral of e is added to the desired acceleration. The integral is constant while the
+    error exceeds `LARGEST_ERROR`, and its correction is limited to `LARGEST_ACCELERATION`, so that
+    the force of a blocked tool does not grow.
 
     The task acceleration is A_c = (alpha_c, a_c) with
 
@@ -97,10 +98,10 @@ class CartesianInverseDynamics(InverseDynamics):
         """Declares ports and state.
 
         Args:
-            plant: as of `InverseDynamics`, like all other arguments.
-            R_WE_desired: orientation of the tool, held where no other is asked for.
-            q_posture: (nq,) positions of the plant, to whose arm the null space is drawn, where no
-                other posture is asked for [rad, m].
+            plant: plant of the robot, see `InverseDynamics`, as for all other arguments.
+            R_WE_desired: orientation of the tool while desired_orientation is not connected.
+            q_posture: (nq,) positions of the plant that contain the nominal posture while
+                desired_posture is not connected [rad, m].
         """
         super().__init__(plant, **options)
         gains = self._gains

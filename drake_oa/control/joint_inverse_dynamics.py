@@ -1,12 +1,12 @@
-"""The control layer in joint space: torques that make the arm follow a desired joint motion.
+"""System of the control layer in joint space, and the base class of both controllers.
 
 With the arm's equation of motion M(q) dv/dt + h(q, v) = tau, computed torque (J. Y. S. Luh,
 M. W. Walker and R. P. C. Paul, IEEE Trans. Automatic Control 25(3), 1980) is
 
     tau = M (a_d + kd (v_d - v) + kp (q_d - q) + i) + h,    di/dt = ki (q_d - q).
 
-`InverseDynamics`, from which `CartesianInverseDynamics` derives as well, has all that is the same
-for a desired motion of the joints and of the tool.
+with desired joint positions q_d, velocities v_d and accelerations a_d, and integral action i.
+`InverseDynamics` is the common base class of `JointInverseDynamics` and `CartesianInverseDynamics`.
 """
 
 from __future__ import annotations
@@ -29,26 +29,28 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.02
-"""Error of a joint above which the integral does not grow: an obstacle holds the arm then [rad]."""
+"""Joint error above which the integral is constant [rad]; contact probably blocks the arm then."""
 LARGEST_ACCELERATION = 4.0
-"""Largest acceleration by which the integral corrects each joint [rad/s^2]."""
+"""Maximum correction of each joint by the integral [rad/s^2]."""
 FINGER_STIFFNESS = 400.0
-"""Stiffness of the springs that hold the joints of the hand [N/m]."""
+"""Stiffness of the finger joints of the hand [N/m]."""
 FINGER_DAMPING = 10.0
-"""Damping of the joints of the hand [N s/m]."""
+"""Damping of the finger joints of the hand [N s/m]."""
 LARGEST_STATE = 1e9
-"""Magnitude from which a position or velocity counts as not finite, as torques would overflow."""
+"""Magnitude above which a position [rad] or velocity [rad/s] counts as not finite.
+
+Torques computed from larger values would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Command(Frozen):
-    """Torques of one instant.
+    """Result of one evaluation of the control law.
 
     Attributes:
-        tau: (m,) of all joints, finite and within the limits [N m, N].
-        saturated: whether an arm joint needs more than its effort limit.
-        stopping: whether an input is not finite, and the joints are braked.
-        error: (k,) control error; all inf while the joints are braked.
+        tau: (m,) torques of all joints, finite and within the limits [N m, N].
+        saturated: whether the control law exceeds the effort limit of an arm joint.
+        stopping: whether the joints are braked because an input is not finite.
+        error: (k,) control error; inf while the joints are braked.
     """
 
     tau: FloatArray = zeros(0)
@@ -58,7 +60,7 @@ class Command(Frozen):
 
 
 class InverseDynamics(LeafSystem):
-    """Base class of controllers by inverse dynamics of the arm, with springs on the hand's joints.
+    """Base class of inverse-dynamics controllers of an arm with springs on the finger joints.
 
     .. pydrake_system::
 
@@ -70,15 +72,22 @@ class InverseDynamics(LeafSystem):
       - torque_saturation
       - stopping
 
-    With M dv/dt + h = tau a subclass computes tau - h and the control error. It declares a discrete
-    state of the error's size: `ki_position` times the integral of the error, an acceleration. The
-    torque is evaluated once for all outputs; the robot's model is a cache entry of the Context.
+    - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
+    - actuation: (m,) in the order of the plant's actuators [N m, N].
+    - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
+      otherwise 0.
+    - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0.
+
+    With the equation of motion M dv/dt + h = tau, a subclass computes tau - h and the control
+    error. It declares a discrete state of the error's size: `ki_position` times the integral of the
+    error, an acceleration. The control law is evaluated once for all outputs. The Context of the
+    robot's plant is a cache entry.
     """
 
     largest_error: FloatArray | float
-    """Magnitude of a component of the error above which its integral does not grow."""
+    """Magnitude of each component of the error above which its integral is constant [m or rad]."""
     max_correction: float
-    """Largest acceleration by which the integral corrects a component of the error."""
+    """Maximum correction of a component of the error by the integral [m/s^2 or rad/s^2]."""
 
     def __init__(
         self,
@@ -95,9 +104,9 @@ class InverseDynamics(LeafSystem):
             plant: finalized plant of the robot alone, its base welded to the world, every joint of
                 one degree of freedom and actuated. It must outlive the system.
             tool_frame: name of the frame E, which the arm's joints move.
-            gains: of the controller; None: the defaults.
+            gains: gains of the controller; None: the defaults.
             finger_opening: set point of each joint that does not move the tool [m].
-            period: of the integral [s].
+            period: period of the integral's update [s].
 
         """
         super().__init__()
@@ -128,7 +137,7 @@ class InverseDynamics(LeafSystem):
         self._offer("stopping", 1, lambda command: np.full(1, command.stopping))
 
     def _offer(self, name: str, size: int, part: Callable[[Command], Any]) -> None:
-        """Declares an output port for a part of the command."""
+        """Declares an output port that publishes a part of the command."""
         self.DeclareVectorOutputPort(
             name,
             size,
@@ -147,23 +156,23 @@ class InverseDynamics(LeafSystem):
         """Computes the torques that accelerate the arm.
 
         Args:
-            context: of the system.
-            model: of the plant, at a finite state.
+            context: context of the system.
+            model: context of the plant, at a finite state.
             M: (n, n) mass matrix of the arm, reflected rotor inertia included [kg m^2].
-            correction: (k,) acceleration by the integral.
+            correction: (k,) acceleration by the integral [m/s^2 or rad/s^2].
 
         Returns:
-            (n,) torques tau - h [N m], not finite if an input is not; and (k,) the control error.
+            Torques tau - h (n,) [N m], not finite if an input is not; and control error (k,).
         """
 
     def _integrate(self, context: Context, values: DiscreteValues) -> None:
         error = self._evaluate(context).error
-        known = np.where(np.abs(error) <= self.largest_error, error, 0.0)
+        integrand = np.where(np.abs(error) <= self.largest_error, error, 0.0)
         rate = self._period * self._gains.ki_position
-        correction = context.get_discrete_state_vector().value() + rate * known
+        correction = context.get_discrete_state_vector().value() + rate * integrand
         values.set_value(np.clip(correction, -self.max_correction, self.max_correction))
 
-    # Values that are not finite are an expected input; the sum of the drive shows them.
+    # Inputs that are not finite are expected, and detected by the sum of the drive.
     @np.errstate(over="ignore", invalid="ignore")
     def _calc_command(self, context: Context, value: AbstractValue) -> None:
         plant, arm, hand, effort = self._plant, self._arm, self._hand, self._effort
@@ -204,19 +213,25 @@ class JointInverseDynamics(InverseDynamics):
       - torque_saturation
       - stopping
 
-    - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
+    - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
     - desired_joint_state: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints.
-    - desired_joint_acceleration: (n,) [rad/s^2].
-    - actuation: (m,) in the order of the plant's actuators [N m, N]: computed torque of the arm,
-      a spring and a damper of the other joints.
-    - torque_saturation: (1,) 1 while an arm joint needs more than its effort limit, else 0.
-    - stopping: (1,) 1 while an input is not finite; the joints are braked then, or have no torque
-      if the robot's state is not finite.
+    - desired_joint_acceleration: (n,) accelerations of the arm's joints [rad/s^2].
+    - actuation: (m,) in the order of the plant's actuators [N m, N]: computed torque for the arm,
+      spring and damper for the other joints.
+    - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
+      otherwise 0.
+    - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0; the
+      torque is 0 if the robot's state is not finite.
 
-    Gains are `kp_position`, `kd_position` and `ki_position` of `Gains`, and `kd_stop` for braking.
-    Where a torque exceeds its limit, the drive of all joints is reduced by the same factor, so
-    that the direction of the acceleration stays; Drake's `InverseDynamicsController` limits nothing
-    and outputs NaN for a state that is not finite.
+    The control law is
+
+        tau = M (a_d + kd_position (v_d - v) + kp_position (q_d - q) + i) + h,
+        di/dt = ki_position (q_d - q),
+
+    with the gains of `Gains`; `kd_stop` is the damping of braking. If a torque exceeds its limit,
+    the accelerating torques of all joints are reduced by the same factor, so that the direction of
+    the acceleration does not change (`limit_torque`). Drake's `InverseDynamicsController` does not
+    limit torques, and outputs NaN for a state that is not finite.
     """
 
     largest_error, max_correction = LARGEST_ERROR, LARGEST_ACCELERATION
@@ -243,16 +258,16 @@ class JointInverseDynamics(InverseDynamics):
 
 
 def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
-    """Finds the joints that move the tool, by their indices in the velocities of the plant.
+    """Returns the indices of the joints that move the tool in the velocities of the plant.
 
     Raises:
-        ValueError: if no joint moves it, or those that do are not consecutive.
+        ValueError: if no joint moves the tool frame, or these joints are not consecutive.
     """
     arm = [joint.velocity_start() for joint in joints_to(plant, frame)]
     if not arm or arm != list(range(arm[0], arm[0] + len(arm))):
         raise ValueError(
-            f"tool_frame: the joints that move '{frame.name()}' have indices {arm}; they must "
-            "follow one another in the plant's velocities, and there must be one at least"
+            f"tool_frame: the joints that move '{frame.name()}' have indices {arm}; there must be "
+            "at least one, and the indices in the plant's velocities must be consecutive"
         )
     return slice(arm[0], arm[0] + len(arm))
 
@@ -260,20 +275,20 @@ def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
 def limit_torque(
     bias: FloatArray, drive: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, bool]:
-    """Fits tau = bias + drive into the effort limits.
+    """Limits the torques tau = bias + drive to the efforts of the joints.
 
-    When a joint needs too much, the whole drive is scaled by the largest factor in [0, 1] that
-    fits: gravity stays carried and the commanded acceleration keeps its direction, where clipping
-    joint by joint would bend the tool's path and turn the tool. A bias that alone is beyond its
-    limit is clipped.
+    If a joint exceeds its effort, the drive of all joints is scaled by the largest admissible
+    factor in [0, 1]. Gravity remains compensated, and the acceleration keeps its direction;
+    clipping each joint separately would bend the tool's path and rotate the tool. A bias that
+    exceeds its limit alone is clipped.
 
     Args:
-        bias: (n,) torques that carry the arm [N m].
-        drive: (n,) torques that accelerate it [N m].
-        effort: (n,) largest torque either way [N m].
+        bias: (n,) torques that compensate gravity and velocity terms [N m].
+        drive: (n,) torques that accelerate the arm [N m].
+        effort: (n,) maximum magnitudes of the torques [N m].
 
     Returns:
-        (n,) torques within the limits, and whether a joint needed more.
+        Torques (n,) within the limits [N m], and whether a joint exceeded its effort.
     """
     saturated: BoolArray = np.abs(bias + drive) > effort
     acts = drive != 0.0

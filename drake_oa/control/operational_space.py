@@ -1,4 +1,4 @@
-"""Operational-space inverse dynamics on arrays: torques that accelerate the tool as commanded.
+"""Operational-space inverse dynamics on arrays: torques for a commanded tool acceleration.
 
 With the arm's equation of motion M(q) dv/dt + h(q, v) = tau and the tool's spatial acceleration
 A = J dv/dt + dJ/dt v, a task acceleration A_c and a posture acceleration a_0 give (Khatib, IEEE J.
@@ -25,17 +25,17 @@ def operational_space_drive(
     posture: FloatArray,
     gains: Gains,
 ) -> FloatArray:
-    """Computes M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0).
+    """Computes the torques tau - h = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0).
 
     Args:
         M: (n, n) mass matrix [kg m^2].
-        J: (6, n) Jacobian of the tool.
-        task: (6,) A_c - dJ/dt v [rad/s^2, m/s^2].
-        posture: (n,) acceleration towards the posture [rad/s^2].
-        gains: `max_effective_mass` and `rotation_length`.
+        J: (6, n) Jacobian of the tool, rotation first.
+        task: (6,) task acceleration A_c - dJ/dt v [rad/s^2, m/s^2].
+        posture: (n,) posture acceleration a_0 [rad/s^2].
+        gains: gains, of which `max_effective_mass` and `rotation_length` are used.
 
     Returns:
-        (n,) torques tau - h [N m]; not finite if an argument is not.
+        (n,) torques [N m]; not finite if an argument is not.
     """
     J_by_M = np.linalg.solve(M, J.T).T
     remaining = task - J @ posture
@@ -51,29 +51,29 @@ def damped_task_force(
 ) -> FloatArray:
     """Computes the task force (J M^-1 J^T)^-1 A of an acceleration A, damped near singularities.
 
-    In the eigenvectors u_i of S (J M^-1 J^T) S, where S multiplies angles by a
-    length, an eigenvalue w_i is one over the effective mass in that direction. The
-    inverse used is S sum_i u_i u_i^T / (w_i + mu_i) S with
+    Let u_i and w_i be eigenvectors and eigenvalues of S (J M^-1 J^T) S, where S multiplies angles
+    by a length. w_i is the inverse of the effective mass in direction u_i. The damped inverse is
+    S sum_i u_i u_i^T / (w_i + mu_i) S with
 
-        mu_i = w_0 (1 - w_i / w_0)^2 where w_i < w_0 = 1 / max_mass, else 0:
+        mu_i = w_0 (1 - w_i / w_0)^2 where w_i < w_0 = 1 / max_mass, else 0.
 
-    damped least squares along the near-singular directions only. Task accuracy in
-    the others is untouched, and the joint accelerations stay bounded because the
-    smallest denominator is 3 w_0 / 4 (compare Chiaverini, IEEE T. Robotics and
-    Automation 13(3), 1997, with singular values in place of effective masses).
+    This is damped least squares in the near-singular directions only; the other directions are
+    exact. Joint accelerations are bounded because the smallest denominator is 3 w_0 / 4 (compare
+    Chiaverini, IEEE T. Robotics and Automation 13(3), 1997, with singular values instead of
+    effective masses).
 
     Args:
         inverse_inertia: (6, 6) J M^-1 J^T, rotation first.
-        acceleration: (6,) task acceleration A, rotation first.
-        max_mass: heaviest direction that is driven exactly [kg].
-        length: weighs angles against distances [m].
+        acceleration: (6,) task acceleration A, rotation first [rad/s^2, m/s^2].
+        max_mass: effective mass above which a direction is damped [kg].
+        length: length that converts angles to distances [m].
 
     Returns:
-        (6,) spatial force.
+        (6,) spatial force, torque first [N m, N].
     """
     scale = np.repeat([length, 1.0], 3)
     eigenvalues, vectors = np.linalg.eigh(np.outer(scale, scale) * inverse_inertia)
-    # Rounding may leave a vanishing eigenvalue slightly negative.
+    # Rounding may make a vanishing eigenvalue slightly negative.
     w = np.maximum(eigenvalues, 0.0)
     damping = np.maximum(1.0 - max_mass * w, 0.0) ** 2 / max_mass
     force: FloatArray = scale * (vectors @ (vectors.T @ (scale * acceleration) / (w + damping)))

@@ -1,6 +1,6 @@
-"""From obstacle clouds to descriptors: an ellipsoid an obstacle, the tool included.
+"""Computation of obstacle descriptors: ellipsoids of obstacle clouds dilated by the tool.
 
-Where that one ellipsoid holds a point that is known to be free, the obstacle gets several.
+An obstacle has one ellipsoid, or several if one would contain a point that is known to be free.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from drake_oa.geometry.ellipsoid import dilate, enclosing_ellipsoid, signed_dist
 from drake_oa.geometry.superquadric import fit_superquadric
 
 HALVINGS = (1, 2, 3)
-"""How often a cloud is halved, one after the other until there is room enough."""
+"""Numbers of successive halvings of a cloud that are tried, until free points are outside."""
 _FEWEST = 8
-"""A cloud of fewer points is not halved."""
+"""Minimum number of points of a cloud that is halved."""
 _MERGED = 1.3
-"""Parts of a tool become one where the box round both is at most this many times theirs."""
+"""Maximum ratio of the box volume of two merged tool parts to the sum of their box volumes."""
 
 
 def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
-    """Halves a cloud across its longest principal axis, and the halves again.
+    """Divides a cloud into parts by recursive halving across its longest principal axis.
 
     Args:
         points: (N, 3) points [m].
-        halvings: how often.
+        halvings: number of halvings.
 
     Returns:
-        At most 2^halvings clouds (N_i, 3), each point in one. Fewer than 8 points, or points
-        that are all equal, are not halved.
+        At most 2^halvings clouds (N_i, 3), which partition the points. Fewer than 8 points, or
+        equal points, are not divided.
     """
     if halvings == 0 or len(points) < _FEWEST:
         return [points]
@@ -47,13 +47,13 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 
 
 def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """Vertices of a tool's parts, those that fill their common box made one.
+    """Merges parts of a tool that fill most of their common bounding box.
 
     Args:
         parts: (K_i, 3) vertices of each part [m].
 
     Returns:
-        As many parts or fewer, with all the vertices.
+        Vertices of the merged parts [m].
     """
     merged = [np.asarray(part, dtype=float) for part in parts]
     i = 0
@@ -70,13 +70,15 @@ def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
 
 
 def _box_volume(points: FloatArray) -> float:
+    """Computes the volume of the axis-aligned bounding box of points [m^3]."""
     return float(np.prod(np.ptp(points, axis=0)))
 
 
 Method = Literal["enclosing", "least_squares"]
+"""Name of a method of describing a cloud, see `describe`."""
 
 _ROOM = 0.02
-"""Ellipsoids that leave less room than this to a point that is free are too large [m]."""
+"""Minimum distance of an obstacle's ellipsoids from free points; otherwise it is divided [m]."""
 
 
 Shape = tuple[FloatArray, FloatArray, FloatArray]
@@ -91,27 +93,27 @@ def describe(
     free_W: ArrayLike = (),
     tool_parts: Sequence[FloatArray] = (),
 ) -> EllipsoidSet:
-    """The unified system-obstacle descriptors of all clouds.
+    """Computes the ellipsoids of obstacle clouds dilated by the tool.
 
-    Points that are not finite are left out; an obstacle without any other point is dropped and
-    noted. Velocities are those of the clouds.
+    Points that are not finite are ignored; an obstacle without finite points is omitted and noted.
+    Velocities are those of the clouds.
 
     Args:
-        obstacles: M clouds in W [m], their names, velocities, stamp, table and note.
-        tool_W: (K, 3) vertices of the tool's convex geometry from the TCP, in W
+        obstacles: M clouds in W [m] with IDs, velocities, stamp, table and note.
+        tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point E, in world
             orientation [m].
-        method: "enclosing" (`ellipsoid.enclosing_ellipsoid`) or "least_squares": the paper's
-            superquadric of eq. 11, squared, with exponents of 1. It is fitted to the support points
-            of the dilated cloud and runs through it: parts of the obstacle stay outside.
-        free_W: (F, 3) tool points that are known to be free, start and goal for two [m]. An
-            obstacle whose ellipsoid holds one, or leaves it less than 2 cm, is described by
-            those of its parts (`drake_oa.descriptor.descriptor`) if they leave more: rows
-            whose names differ by multiples of `messages.PART_ID_STRIDE`. Of the method "enclosing" alone.
-        tool_parts: (K_i, 3) vertices of the tool's convex parts; none: the tool itself.
+        method: "enclosing": the ellipsoid of minimum volume (`ellipsoid.enclosing_ellipsoid`).
+            "least_squares": the superquadric of eq. 11 of the paper, squared, with exponents of 1,
+            fitted to the support points of the dilated cloud; parts of the obstacle stay outside.
+        free_W: (F, 3) positions of E that are known to be free, such as start and goal [m]. An
+            obstacle whose ellipsoid contains one, or is closer than 2 cm, is divided into parts if
+            these have a larger distance. Method "enclosing" only.
+        tool_parts: (K_i, 3) vertices of the tool's convex parts, for divided obstacles [m]; empty:
+            the whole tool.
     """
     free = np.asarray(free_W, dtype=float).reshape(-1, 3)
     tool, tools = _key(tool_W), [_key(part) for part in tool_parts or (tool_W,)]
-    found: list[Shape] = []
+    shapes: list[Shape] = []
     rows: list[int] = []
     ids: list[int] = []
     notes = [obstacles.note] if obstacles.note else []
@@ -119,21 +121,21 @@ def describe(
         points = np.asarray(cloud, dtype=float)
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
-            notes.append(f"obstacle {name} dropped: none of its {len(cloud)} points is finite")
+            notes.append(f"obstacle {track} omitted: none of its {len(cloud)} points is finite")
             continue
-        # A perception source hands on the same cloud while it sees nothing new.
-        described = [_ellipsoid(_key(points), tool, method)]
-        room = math.inf if method == "least_squares" else _room(free, described)
+        # Cached: the cloud of an obstacle does not change until it is observed again.
+        ellipsoids = [_ellipsoid(_key(points), tool, method)]
+        room = math.inf if method == "least_squares" else _room(free, ellipsoids)
         for halvings in HALVINGS:
             if room >= _ROOM:
                 break
-            parts, left = _parts(points, tools, halvings, free, room)
-            if left > room:
-                described, room = parts, left
-        found += described
-        rows += [row] * len(described)
-        ids += [name + PART_ID_STRIDE * part for part in range(len(described))]
-    p_WO, R_WO, semi_axes = zip(*found, strict=True) if found else ((), (), ())
+            parts, parts_room = _parts(points, tools, halvings, free, room)
+            if parts_room > room:
+                ellipsoids, room = parts, parts_room
+        shapes += ellipsoids
+        rows += [row] * len(ellipsoids)
+        ids += [track + PART_ID_STRIDE * part for part in range(len(ellipsoids))]
+    p_WO, R_WO, semi_axes = zip(*shapes, strict=True) if shapes else ((), (), ())
     return EllipsoidSet(
         stamp=obstacles.stamp,
         p_WO=np.reshape(p_WO, (-1, 3)),
@@ -147,13 +149,19 @@ def describe(
 
 
 def _key(points: FloatArray) -> bytes:
-    """Returns an array (N, 3) in a form that a cache can look up."""
+    """Returns the bytes of an array (N, 3), as a hashable argument of cached functions."""
     return np.ascontiguousarray(points, dtype=float).tobytes()
 
 
 @lru_cache(maxsize=256)
 def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shape:
-    """Returns the ellipsoid of a cloud dilated by a tool."""
+    """Computes the ellipsoid of a cloud dilated by a tool.
+
+    Args:
+        points: cloud, see `_key`.
+        tool: vertices of the tool, see `_key`.
+        method: "enclosing" or "least_squares", see `describe`.
+    """
     cloud, corners = (np.frombuffer(key).reshape(-1, 3) for key in (points, tool))
     if method == "enclosing":
         one = enclosing_ellipsoid(cloud, tool=corners)
@@ -164,9 +172,17 @@ def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shap
 def _parts(
     points: FloatArray, tools: Sequence[bytes], halvings: int, free: FloatArray, least: float
 ) -> tuple[list[Shape], float]:
-    """Returns ellipsoids around parts of a cloud, and their least distance to free points [m].
+    """Computes the ellipsoids of parts of a cloud, each dilated by each part of the tool.
 
-    Incomplete as soon as the distance is not above `least`.
+    Args:
+        points: (N, 3) points of the cloud [m].
+        tools: vertices of the tool's parts, see `_key`.
+        halvings: number of halvings of the cloud.
+        free: (F, 3) free points [m].
+        least: distance from free points at or below which the computation stops early [m].
+
+    Returns:
+        Ellipsoids, and their minimum distance from free points [m].
     """
     ellipsoids: list[Shape] = []
     room = math.inf
@@ -180,6 +196,6 @@ def _parts(
 
 
 def _room(free: FloatArray, ellipsoids: Sequence[Shape]) -> float:
-    """Least distance of the points (F, 3) to the ellipsoids [m]; inf without points."""
+    """Computes the minimum distance of points (F, 3) from ellipsoids [m]; inf without points."""
     distances = [signed_distance(free, *shape) for shape in ellipsoids]
     return float(np.min(distances, initial=np.inf))

@@ -1,4 +1,4 @@
-"""The descriptor layer: obstacles and tool as ellipsoids, found or given."""
+"""Systems of the descriptor layer: ellipsoids of perceived obstacles, or of a scenario."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drake_oa.geometry.ellipsoid import checked_points
 
 
 class EllipsoidDescriptor(LeafSystem):
-    """Dilates each obstacle by the tool and encloses the result in an ellipsoid.
+    """Computation of an ellipsoid for each obstacle dilated by the tool.
 
     .. pydrake_system::
 
@@ -30,14 +30,15 @@ class EllipsoidDescriptor(LeafSystem):
 
     - obstacles_W: abstract `ObstacleClouds`, points of the obstacles in the world frame
       [m]; may be empty.
-    - goal (optional): (3,) a tool point that is known to be free besides `free_W`, the goal
-      of a motion whose goal may be moved [m].
-    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, names,
-      velocities, table and note of the clouds; an obstacle without a finite point is dropped
-      and noted. One that would hold a free point, or all but do so, has several rows.
+    - goal (optional): (3,) goal of the motion in the world frame [m], a position of the tool point
+      that is known to be free. Not connected: only `free_W` is known to be free.
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs,
+      velocities, table and note of the clouds. An obstacle without finite points is omitted
+      and noted. An obstacle whose ellipsoid would contain a free point, or come within 2 cm of it,
+      has several rows.
 
-    There is no state. The output is computed when it is asked for, once for each
-    change of the input.
+    The system has no state. The output is cached until an input changes. The computation is
+    described in `drake_oa.descriptor.descriptor.describe`.
     """
 
     def __init__(
@@ -51,14 +52,14 @@ class EllipsoidDescriptor(LeafSystem):
         """Declares the ports.
 
         Args:
-            tool_W: (K, 3) vertices of the tool's convex geometry from the TCP, in world
-                orientation [m]: the tool keeps it while it passes obstacles.
-                [[0, 0, 0]] for a point.
-            method: "enclosing": the smallest ellipsoid that holds every dilated point.
-                "least_squares": the paper's superquadric, which leaves some outside.
-            free_W: (F, 3) tool points that are known to be free: start and goal [m].
+            tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point, in world
+                orientation [m], which is assumed constant. [[0, 0, 0]] for a point.
+            method: "enclosing": the minimum-volume ellipsoid of all dilated points.
+                "least_squares": the superquadric of the paper; some points stay outside.
+            free_W: (F, 3) positions of the tool point that are known to be free, such as the
+                start [m].
             tool_parts: (K_i, 3) vertices of the tool's convex parts, for obstacles near
-                those points [m]; none: the whole tool.
+                free points [m]; empty: the whole tool.
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, or free_W is
@@ -91,7 +92,7 @@ class EllipsoidDescriptor(LeafSystem):
 
 
 class GivenEllipsoidSource(LeafSystem):
-    """Hands out one set of ellipsoids, always the same.
+    """Source of a constant set of ellipsoids.
 
     .. pydrake_system::
 
@@ -101,16 +102,16 @@ class GivenEllipsoidSource(LeafSystem):
 
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame.
 
-    Drake's `ConstantValueSource` counts as new at every instant, and with it all that is
-    computed from it; this output depends on nothing.
+    Drake marks the output of its `ConstantValueSource` as changed at each time step, so that all
+    dependent values are computed again. The output of this system has no prerequisites.
     """
 
     def __init__(self, ellipsoids: EllipsoidSet) -> None:
         """Declares the port.
 
         Args:
-            ellipsoids: what is handed out; with a stamp of `np.inf` they are never out of
-                date, with another one the policy is held when it has become too old.
+            ellipsoids: constant output. With a stamp of `np.inf` it is never too old; otherwise
+                the policy holds the motion once the stamp is older than `max_observation_age`.
         """
         super().__init__()
         self.DeclareAbstractOutputPort(

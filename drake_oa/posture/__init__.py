@@ -1,17 +1,17 @@
-"""Posture: where the rest of a redundant arm goes while its tool follows a path.
+"""Posture layer: nominal joint motion that the null space of a redundant arm tracks.
 
-In:  motion `PlannedMotion` with the arm's joints (T, n) [rad]; policy_state.
+In:  motion `PlannedMotion` with joint positions (T, n) [rad]; policy_state `PolicyState`.
 Out: desired_posture (2n,) [rad, rad/s] for `CartesianInverseDynamics`.
 
 System
-    NominalPostureSource    every step of the policy (8 ms); the joints of the motion as a smooth course
-                       of time
+    NominalPostureSource  planned joint positions as a continuous trajectory over time, updated at
+                          each step of the policy (8 ms)
 
 Method
-    Monotone cubics through the samples (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput.
-    5(2), 1984), taken over critically damped.
+    Monotone cubic interpolation of the samples (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat.
+    Comput. 5(2), 1984), and a critically damped transition to each new plan.
 
-Parts: `posture_trajectory` (a plan over time), `nominal_posture_source`.
+Modules: `posture_trajectory` (trajectory of one plan), `nominal_posture_source`.
 
 Read first: `posture_trajectory`.
 """

@@ -1,4 +1,4 @@
-"""What the null space of the arm is drawn to while its tool moves."""
+"""System of the posture layer: nominal posture of the arm's null space along the tool's motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drake_oa.posture.posture_trajectory import PostureTrajectory, trajectory_of
 
 
 class NominalPostureSource(LeafSystem):
-    """Follows the posture that is planned along the motion of the tool.
+    """Source of the nominal posture that is planned along the motion of the tool.
 
     .. pydrake_system::
 
@@ -26,15 +26,15 @@ class NominalPostureSource(LeafSystem):
       output_ports:
       - desired_posture
 
-    - motion: abstract `PlannedMotion` with the arm's positions, or without.
+    - motion: abstract `PlannedMotion`; without joint positions the nominal posture is `q_rest`.
     - policy_state: abstract `PolicyState` of the movement primitive.
-    - desired_posture: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints, for
-      `CartesianInverseDynamics`.
+    - desired_posture: (2n,) nominal positions [rad] and velocities [rad/s] of the arm's n joints,
+      for `CartesianInverseDynamics`.
 
-    The posture is that of the plan at the policy's normalized time, so that it rests while the
-    motion is held, and where it begins anew until there is a plan for that. A new plan is
-    taken over smoothly (`drake_oa.posture.posture_trajectory`); without one it is the posture given
-    here, at rest. The plan under way is abstract state.
+    The posture is that of the plan at the policy's normalized time. It is at rest while the motion
+    is held, and after a restart until there is a plan for the new motion. The transition to a new
+    plan is continuous (`drake_oa.posture.posture_trajectory`). The abstract state is the current
+    `PostureTrajectory`.
     """
 
     def __init__(
@@ -47,9 +47,9 @@ class NominalPostureSource(LeafSystem):
         """Declares the ports.
 
         Args:
-            q_rest: (n,) posture while none is planned [rad].
-            alpha_k: decay of the policy's phase.
-            period: time between looks at the plan [s].
+            q_rest: (n,) nominal posture without a plan [rad].
+            alpha_k: decay rate of the policy's phase, per normalized time.
+            period: period at which the input `motion` is checked for a new plan [s].
 
         """
         super().__init__()
@@ -57,29 +57,35 @@ class NominalPostureSource(LeafSystem):
         self._rest, self._alpha_k = np.array(q_rest, dtype=float), alpha_k
         self._motion = AbstractInput(self, "motion", PlannedMotion)
         self._policy = AbstractInput(self, "policy_state", PolicyState)
-        self._course = self.DeclareAbstractState(Value(trajectory_of(PlannedMotion(), self._rest)))
+        self._trajectory = self.DeclareAbstractState(
+            Value(trajectory_of(PlannedMotion(), self._rest))
+        )
         self.DeclareVectorOutputPort(
             "desired_posture",
             2 * len(self._rest),
             self._calc,
-            {self.time_ticket(), self._policy.ticket(), self.abstract_state_ticket(self._course)},
+            {
+                self.time_ticket(),
+                self._policy.ticket(),
+                self.abstract_state_ticket(self._trajectory),
+            },
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._take_over)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 2.0 * DECISION_OFFSET, self._take_over)
 
     def _read(self, context: Context) -> PostureTrajectory:
-        return context.get_abstract_state(self._course).get_value()
+        return context.get_abstract_state(self._trajectory).get_value()
 
     def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
-        """Normalized time of a motion, its rate [1/s], and the time [s]."""
+        """Computes normalized time in a motion, its rate [1/s], and the time [s]."""
         policy = self._policy.read(context)
         time = context.get_time()
         if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():
-            # The policy has begun anew since: where it rested.
+            # The policy has restarted since: the sample nearest to its position, at rest.
             off = np.linalg.norm(motion.p_WE - policy.p_WE, axis=1)
             return float(motion.s[off.argmin()]), 0.0, time
         s = normalized_time(policy.phase, self._alpha_k)
-        # Between two of its steps the policy goes on at its rate.
+        # Between two steps of the policy, normalized time is extrapolated.
         return s + policy.speed * max(time - policy.stamp, 0.0), policy.speed, time
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
@@ -88,10 +94,10 @@ class NominalPostureSource(LeafSystem):
         if motion is before.motion or not (len(motion.q) or len(before.motion.q)):
             return EventStatus.DidNothing()
         after = trajectory_of(motion, self._rest)
-        left = before.at(*self._now(context, before.motion))
-        left -= after.at(*self._now(context, motion))
-        state.get_mutable_abstract_state(self._course).set_value(
-            replace(after, away=left, since=context.get_time())
+        offset = before.at(*self._now(context, before.motion))
+        offset -= after.at(*self._now(context, motion))
+        state.get_mutable_abstract_state(self._trajectory).set_value(
+            replace(after, offset=offset, since=context.get_time())
         )
         return EventStatus.Succeeded()
 

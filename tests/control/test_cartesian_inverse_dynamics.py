@@ -1,4 +1,4 @@
-"""The control layer of the paper alone, and in a loop with a simulated Panda."""
+"""Tests of `CartesianInverseDynamics`, alone and in closed loop with a simulated Panda."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TILTED = RollPitchYaw(2.9, 0.1, 0.3).ToRotationMatrix()
 
 
 def bare_plant(gravity: float = 9.81) -> MultibodyPlant:
-    """The robot without a scene graph."""
+    """Returns the plant of the robot without a scene graph."""
     plant = MultibodyPlant(0.001)
     parser = Parser(plant)
     models = Path(str(resources.files("drake_oa.models")))
@@ -50,7 +50,7 @@ def make(panda: RobotPlant) -> Callable[..., CartesianInverseDynamics]:
 
 
 def fixed(system: CartesianInverseDynamics, **ports: np.ndarray) -> Context:
-    """A context at rest at the start, with other values of some ports."""
+    """Returns a context at rest at the start, except for the values of the given ports."""
     context = system.CreateDefaultContext()
     rest = {"robot_state": X_START, "desired_position": START}
     rest |= {f"desired_{name}": np.zeros(3) for name in ("velocity", "acceleration")}
@@ -63,7 +63,7 @@ def read(system: CartesianInverseDynamics, name: str, context: Context) -> np.nd
     return np.array(system.GetOutputPort(name).Eval(context))
 
 
-def test_the_torque_gives_the_asked_tool_acceleration(panda: RobotPlant, make: Callable) -> None:
+def test_the_torque_causes_the_commanded_acceleration(panda: RobotPlant, make: Callable) -> None:
     system, random = make(), np.random.default_rng(0)
     x = np.concatenate([Q_START, 0.3 * random.normal(size=7), np.zeros(2)])
     w_d, alpha_d, a_d = 0.1 * random.normal(size=(3, 3))
@@ -83,11 +83,11 @@ def test_the_torque_gives_the_asked_tool_acceleration(panda: RobotPlant, make: C
     A = frame.CalcSpatialAccelerationInWorld(model)
     turn = (DOWN @ X.rotation().inverse()).ToAngleAxis()
     e = turn.angle() * turn.axis()
-    wanted = a_d - 40.0 * V.translational() + 400.0 * (START - X.translation())
-    turning = alpha_d + 40.0 * (w_d - V.rotational()) + 400.0 * e
-    # The law takes the fingers, of 15 g each, as fixed to the hand: hence one per cent.
-    assert np.linalg.norm(A.translational() - wanted) < 0.01 * np.linalg.norm(wanted)
-    assert np.linalg.norm(A.rotational() - turning) < 0.01 * np.linalg.norm(turning)
+    expected = a_d - 40.0 * V.translational() + 400.0 * (START - X.translation())
+    expected_alpha = alpha_d + 40.0 * (w_d - V.rotational()) + 400.0 * e
+    # The control law ignores that the fingers, of 15 g each, move: hence one per cent.
+    assert np.linalg.norm(A.translational() - expected) < 0.01 * np.linalg.norm(expected)
+    assert np.linalg.norm(A.rotational() - expected_alpha) < 0.01 * np.linalg.norm(expected_alpha)
     np.testing.assert_allclose(read(system, "orientation_error", context), e, atol=1e-12)
 
 
@@ -102,14 +102,14 @@ def test_the_torque_gives_the_asked_tool_acceleration(panda: RobotPlant, make: C
         ("robot_state", np.append(X_START[:-1], np.nan)),
     ],
 )
-def test_values_that_are_not_finite_brake(
+def test_an_input_that_is_not_finite_brakes_the_arm(
     panda: RobotPlant, make: Callable, name: str, bad: np.ndarray
 ) -> None:
     system, model = make(), panda.plant.CreateDefaultContext()
     context = fixed(system, **{name: np.array(bad)})
     panda.plant.SetPositions(model, Q_START)
     gravity = panda.plant.CalcGravityGeneralizedForces(model)[:7]
-    # Without a state the arm has no torque.
+    # Without a finite state the torque is 0.
     expected = 0.0 * gravity if name == "robot_state" else -gravity
     np.testing.assert_allclose(read(system, "actuation", context)[:7], expected, atol=1e-9)
     assert read(system, "stopping", context) == 1.0
@@ -117,7 +117,7 @@ def test_values_that_are_not_finite_brake(
         assert np.isinf(read(system, error, context)).all()
 
 
-def test_wrong_arguments_say_what_is_valid(make: Callable) -> None:
+def test_errors_of_wrong_arguments_name_valid_values(make: Callable) -> None:
     with pytest.raises(ValueError, match=r"16000 must be below .* 16000"):
         Gains(ki_position=16000.0)
     with pytest.raises(ValueError, match="joints that move 'panda_link0'"):
@@ -125,7 +125,7 @@ def test_wrong_arguments_say_what_is_valid(make: Callable) -> None:
 
 
 @pytest.mark.parametrize("factor", [1.0, -7.5, 1e-180])
-def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
+def test_sign_and_length_of_the_desired_quaternion_have_no_effect(
     make: Callable, factor: float
 ) -> None:
     system, reference = make(), make(TILTED)
@@ -137,18 +137,18 @@ def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
 @pytest.mark.parametrize(
     ("points", "ki", "gravity", "largest", "last"),
     [
-        # Straight and in a detour, with jumps of the acceleration, and by a jump that saturates.
+        # A straight motion, a detour with discontinuous acceleration, and a step that saturates.
         ([START, GOAL], 0.0, 9.81, 6e-3, 1e-4),
         ([START, [0.75, 0.0, 0.3], GOAL], 0.0, 9.81, 6e-3, 1e-4),
         ([GOAL, GOAL], 0.0, 9.81, 1.0, 1e-3),
         # The integral removes the error of a wrong model.
         ([START, START], 0.0, 9.0, 0.81 / 390.0, 0.81 / 390.0),
         ([START, START], 1000.0, 9.0, 0.81 / 390.0, 1e-5),
-        # Out of reach.
+        # A goal out of reach.
         ([START, [1.1, 0.2, 0.3]], 0.0, 9.81, 0.24, 0.24),
     ],
 )
-def test_it_tracks_motions_of_a_simulated_arm(
+def test_tracking_errors_of_a_simulated_arm_are_bounded(
     panda: RobotPlant,
     make: Callable,
     points: list,

@@ -1,4 +1,4 @@
-"""The inverse-dynamics controller of the joints."""
+"""Tests of `JointInverseDynamics` and of the torque limits."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ GAINS = Gains(kp_position=100.0, kd_position=20.0, ki_position=0.0)
 
 
 def torques(panda: RobotPlant, x: np.ndarray, desired: np.ndarray, a: np.ndarray) -> tuple:
-    """Actuation (9,), and whether a torque saturates and the arm is braked."""
+    """Computes the outputs: actuation (9,), torque_saturation (1,) and stopping (1,)."""
     system = JointInverseDynamics(
         panda.plant, tool_frame=panda.tool_frame.name(), gains=GAINS, finger_opening=0.02
     )
@@ -31,20 +31,20 @@ def torques(panda: RobotPlant, x: np.ndarray, desired: np.ndarray, a: np.ndarray
 
 
 def state(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Robot state (18,), desired joint state (14,) and acceleration (7,)."""
+    """Draws a robot state (18,), a desired joint state (14,) and acceleration (7,)."""
     rng, q = np.random.default_rng(seed), home_positions(Robot())
     x = np.concatenate([q + 0.1 * rng.normal(size=9), 0.2 * rng.normal(size=9)])
     desired = np.append(x[:7] + 0.01 * rng.normal(size=7), x[9:16] + 0.01 * rng.normal(size=7))
     return x, desired, rng.normal(size=7)
 
 
-def test_torques_are_those_of_drakes_controller(panda: RobotPlant) -> None:
+def test_torques_equal_those_of_drakes_controller(panda: RobotPlant) -> None:
     x, desired, a = state(1)
     tau, saturated, stopping = torques(panda, x, desired, a)
     gains = (np.full(9, GAINS.kp_position), np.zeros(9), np.full(9, GAINS.kd_position))
     drake = InverseDynamicsController(panda.plant, *gains, True)
     context = drake.CreateDefaultContext()
-    # The fingers are not accelerated.
+    # No acceleration of the fingers.
     q_d, v_d = np.append(desired[:7], x[7:9]), np.append(desired[7:], x[16:])
     drake.get_input_port_estimated_state().FixValue(context, x)
     drake.get_input_port_desired_state().FixValue(context, np.append(q_d, v_d))
@@ -54,7 +54,7 @@ def test_torques_are_those_of_drakes_controller(panda: RobotPlant) -> None:
     assert saturated[0] == stopping[0] == 0.0
 
 
-def test_the_integral_ignores_a_joint_that_an_obstacle_holds(panda: RobotPlant) -> None:
+def test_the_integral_ignores_a_joint_with_a_large_error(panda: RobotPlant) -> None:
     system = JointInverseDynamics(panda.plant, tool_frame=panda.tool_frame.name(), period=0.01)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
@@ -65,14 +65,14 @@ def test_the_integral_ignores_a_joint_that_an_obstacle_holds(panda: RobotPlant) 
     system.GetInputPort("desired_joint_acceleration").FixValue(context, np.zeros(7))
     before = np.array(system.GetOutputPort("actuation").Eval(context))
     simulator.AdvanceTo(0.055)
-    added = context.get_discrete_state_vector().value()
-    assert added[0] == pytest.approx(Gains().ki_position * 0.05 * 0.01)
-    np.testing.assert_array_equal(added[1:], 0.0)
+    integral = context.get_discrete_state_vector().value()
+    assert integral[0] == pytest.approx(Gains().ki_position * 0.05 * 0.01)
+    np.testing.assert_array_equal(integral[1:], 0.0)
     assert np.abs(system.GetOutputPort("actuation").Eval(context) - before).max() > 0.1
 
 
 @given(st.integers(0, 2**31 - 1))
-def test_limited_torque_keeps_gravity_and_the_direction_of_the_drive(seed: int) -> None:
+def test_torque_limits_preserve_the_bias_and_the_direction_of_the_drive(seed: int) -> None:
     random = np.random.default_rng(seed)
     effort = random.uniform(5.0, 20.0, 7)
     bias, drive = random.uniform(-0.9, 0.9, 7) * effort, 30.0 * random.normal(size=7)
@@ -85,7 +85,7 @@ def test_limited_torque_keeps_gravity_and_the_direction_of_the_drive(seed: int) 
     assert saturated == np.any(np.isclose(np.abs(tau), effort))
 
 
-def test_a_bias_beyond_its_limit_is_clipped_and_may_be_unloaded() -> None:
+def test_a_bias_beyond_its_limit_is_clipped_and_a_drive_may_reduce_it() -> None:
     bias, effort = np.array([12.0, 1.0]), np.array([10.0, np.inf])
     tau, saturated = limit_torque(bias, np.array([-1.0, 2.0]), effort)
     np.testing.assert_allclose(tau, [10.0, 3.0])

@@ -1,4 +1,4 @@
-"""The operational-space law on arrays: properties for random arms."""
+"""Tests of operational-space inverse dynamics on arrays, for random arms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SEEDS = st.integers(0, 2**31 - 1)
 
 
 def arm(seed: int, rank: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mass matrix, Jacobian of a rank, and task acceleration of a random arm."""
+    """Draws mass matrix, Jacobian of the given rank, and task acceleration of an arm."""
     random = np.random.default_rng(seed)
     root = random.normal(size=(N, N))
     U, s, Vt = np.linalg.svd(random.normal(size=(6, N)), full_matrices=False)
@@ -23,13 +23,13 @@ def arm(seed: int, rank: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @given(SEEDS)
-def test_the_tool_accelerates_as_asked_and_the_posture_acts_in_the_null_space(seed: int) -> None:
+def test_the_task_is_exact_and_the_posture_acts_in_the_null_space(seed: int) -> None:
     M, J, task = arm(seed)
     posture, gains = np.random.default_rng(seed).normal(size=N), Gains(max_effective_mass=1e9)
     drive = operational_space_drive(M, J, task, posture, gains)
     np.testing.assert_allclose(J @ np.linalg.solve(M, drive), task, rtol=1e-7, atol=1e-6)
     drift = drive - operational_space_drive(M, J, task, np.zeros(N), gains)
-    # It pulls towards the posture, as far as the tool allows, and not away from it.
+    # The null-space torque accelerates toward the posture.
     assert drift @ posture > -1e-9
 
 
@@ -40,7 +40,7 @@ def test_a_singular_arm_is_bounded(seed: int, rank: int) -> None:
 
 
 @given(st.floats(1e-6, 1.0))
-def test_damping_is_bounded_by_the_heaviest_mass_and_leaves_other_directions(w: float) -> None:
+def test_damping_bounds_the_force_and_does_not_affect_other_directions(w: float) -> None:
     inverse_inertia = np.diag([8.0, 8.0, 8.0, 1.0, 0.5, w])
     force = damped_task_force(inverse_inertia, np.ones(6), 100.0, 0.25)
     np.testing.assert_allclose((inverse_inertia @ force)[:5], 1.0, rtol=1e-12)

@@ -1,4 +1,4 @@
-"""Obstacles in parts: what they enclose, and when they are used."""
+"""Tests of obstacles that are divided into several ellipsoids near free points."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -22,7 +22,7 @@ def box_cloud(size: tuple[float, float, float], spacing: float = 0.02) -> FloatA
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 60), halvings=st.integers(0, 3))
 @settings(max_examples=50)
-def test_parts_are_the_cloud(seed: int, count: int, halvings: int) -> None:
+def test_parts_partition_the_cloud(seed: int, count: int, halvings: int) -> None:
     cloud = np.random.default_rng(seed).normal(size=(count, 3))
     parts = cloud_parts(cloud, halvings)
     assert 1 <= len(parts) <= 2**halvings
@@ -30,7 +30,7 @@ def test_parts_are_the_cloud(seed: int, count: int, halvings: int) -> None:
     np.testing.assert_array_equal(np.unique(joined, axis=0), np.unique(cloud, axis=0))
 
 
-def test_parts_of_a_tool_are_merged_where_they_fill_their_box() -> None:
+def test_tool_parts_that_fill_their_common_box_are_merged() -> None:
     left, right = FINGERS[FINGERS[:, 0] < 0.0], FINGERS[FINGERS[:, 0] > 0.0]
     left = np.concatenate([left, left + [0.028, 0.0, 0.0]])
     right = np.concatenate([right, right - [0.028, 0.0, 0.0]])
@@ -40,7 +40,7 @@ def test_parts_of_a_tool_are_merged_where_they_fill_their_box() -> None:
 
 
 def test_an_obstacle_near_a_free_point_has_several_rows() -> None:
-    # The ellipsoid around the box holds the point though the tool touches nothing there.
+    # The ellipsoid of the box contains the point, although the tool is free there.
     obstacles = ObstacleClouds(0.0, (box_cloud((0.2, 0.3, 0.2)),), np.array([7]))
     free = np.array([0.5, -0.25, 0.1])
     one = describe(obstacles, TOOL)
@@ -58,9 +58,9 @@ def test_an_obstacle_near_a_free_point_has_several_rows() -> None:
     dilated = (obstacles.clouds_W[0][:, None] - TOOL).reshape(-1, 1, 3)
     distance = signed_distance(dilated, several.p_WO, several.R_WO, several.semi_axes)
     assert distance.min(axis=1).max() <= 1e-9
-    # Away from the free points it has one.
+    # An obstacle far from the free points has one ellipsoid.
     far = describe(obstacles, TOOL, free_W=[[0.5, 0.9, 0.1]], tool_parts=[HAND, FINGERS])
     np.testing.assert_array_equal(far.p_WO, one.p_WO)
-    # A point in the middle stays inside whatever the parts.
+    # A point in the middle is inside any parts.
     middle = describe(obstacles, TOOL, free_W=one.p_WO, tool_parts=[TOOL])
     assert signed_distance(one.p_WO[0], middle.p_WO, middle.R_WO, middle.semi_axes).min() < 0.0

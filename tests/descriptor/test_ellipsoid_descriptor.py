@@ -1,4 +1,4 @@
-"""EllipsoidDescriptor alone."""
+"""Tests of `EllipsoidDescriptor` without a diagram."""
 
 import numpy as np
 import pytest
@@ -31,10 +31,10 @@ def test_accepts_empty_sets_points_lines_and_planes(method):
     line = np.linspace([0.0, 0.0, 0.0], [0.3, 0.2, 0.1], 20)
     shapes = clouds(CLOUD[:1], line, CLOUD * [1.0, 1.0, 0.0], CLOUD)
     for tool in (TOOL_W, np.zeros((1, 3))):
-        found = evaluate(shapes, tool, method=method)
-        assert len(found) == 4
-        assert (found.semi_axes >= 1e-3).all()
-        np.testing.assert_allclose(np.linalg.det(found.R_WO), 1.0)
+        ellipsoids = evaluate(shapes, tool, method=method)
+        assert len(ellipsoids) == 4
+        assert (ellipsoids.semi_axes >= 1e-3).all()
+        np.testing.assert_allclose(np.linalg.det(ellipsoids.R_WO), 1.0)
 
 
 def test_least_squares_is_smaller_and_leaves_points_outside():
@@ -45,20 +45,20 @@ def test_least_squares_is_smaller_and_leaves_points_outside():
     assert signed_distance(dilated, *shape).max() > 0.0
 
 
-def test_hands_on_what_belongs_to_the_rows_and_notes_clouds_without_a_finite_point():
+def test_output_has_ids_and_velocities_of_the_clouds_and_notes_clouds_without_finite_points():
     broken, table = CLOUD.copy(), TablePlane(offset=0.1)
     broken[:7, 1] = np.nan
     v_WO = np.arange(9.0).reshape(3, 3)
     none = np.full((5, 3), np.nan)
-    found = evaluate(clouds(none, broken, CLOUD, v_WO=v_WO, stamp=1.5, table=table, note="dusty"))
-    np.testing.assert_array_equal(found.ids, [11, 12])
-    np.testing.assert_array_equal(found.v_WO, v_WO[1:])
-    assert (found.stamp, found.table) == (1.5, table)
-    assert found.note == "dusty; obstacle 10 dropped: none of its 5 points is finite"
-    assert np.isfinite(found.semi_axes).all()
+    output = evaluate(clouds(none, broken, CLOUD, v_WO=v_WO, stamp=1.5, table=table, note="dusty"))
+    np.testing.assert_array_equal(output.ids, [11, 12])
+    np.testing.assert_array_equal(output.v_WO, v_WO[1:])
+    assert (output.stamp, output.table) == (1.5, table)
+    assert output.note == "dusty; obstacle 10 omitted: none of its 5 points is finite"
+    assert np.isfinite(output.semi_axes).all()
 
 
-def test_is_computed_once_for_each_input_and_knows_that_the_goal_is_free(monkeypatch):
+def test_output_is_computed_once_for_each_input_with_the_goal_as_free_point(monkeypatch):
     calls, real = [], ellipsoid_descriptor.describe
 
     def counted(*args, **kwargs):

@@ -1,4 +1,4 @@
-"""The null space's course: smooth, at the plan's place, and without jumps."""
+"""Tests of the nominal posture: interpolation, continuous changes of the plan, restarts."""
 
 import math
 
@@ -18,18 +18,19 @@ REST = np.zeros(2)
 
 
 def motion(*q: float, p_WS: tuple[float, ...] = ()) -> PlannedMotion:
-    """A plan of joints (q, -q), along which the tool rises by 1 m."""
+    """Returns a plan of joint positions (q, -q), along which the tool rises by 1 m."""
     s, rows = np.linspace(0.0, 1.0, len(q)), np.column_stack([q, -np.array(q)])
     return PlannedMotion(s, np.outer(s, [0.0, 0.0, 1.0]), rows, np.array(p_WS))
 
 
 def policy(s: float, speed: float, stamp: float = 0.0, p: float = 0.0) -> PolicyState:
+    """Returns the state of a policy at normalized time s and height p [m]."""
     p_WE = np.array([0.0, 0.0, p])
     return PolicyState(phase=math.exp(-ALPHA_K * s), speed=speed, stamp=stamp, p_WE=p_WE)
 
 
 @given(st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=8))
-def test_course_passes_the_samples_stays_between_them_and_has_its_derivative(
+def test_the_trajectory_does_not_overshoot_and_its_velocity_is_its_derivative(
     values: list[float],
 ) -> None:
     trajectory, last = trajectory_of(motion(*values), REST), len(values) - 1
@@ -45,22 +46,22 @@ def test_course_passes_the_samples_stays_between_them_and_has_its_derivative(
             np.testing.assert_allclose(q[2:], slope, atol=1e-4)
 
 
-def test_it_follows_and_takes_new_plans_over_without_a_jump() -> None:
-    follower = NominalPostureSource(REST, ALPHA_K, period=0.01)
-    simulator = Simulator(follower)
+def test_the_posture_follows_new_plans_without_a_jump() -> None:
+    system = NominalPostureSource(REST, ALPHA_K, period=0.01)
+    simulator = Simulator(system)
     context = simulator.get_mutable_context()
-    plan = follower.GetInputPort("motion").FixValue(context, Value(PlannedMotion()))
-    state = follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.0, 0.2)))
-    np.testing.assert_array_equal(follower.get_output_port().Eval(context), 0.0)
+    plan = system.GetInputPort("motion").FixValue(context, Value(PlannedMotion()))
+    state = system.GetInputPort("policy_state").FixValue(context, Value(policy(0.0, 0.2)))
+    np.testing.assert_array_equal(system.get_output_port().Eval(context), 0.0)
     plan.GetMutableData().set_value(motion(0.0, 0.4, 0.8))
     last = np.zeros(4)
     for step in range(1, 1001):
         time = 0.01 * step
-        # The motion is held in its middle.
+        # The motion is held at s = 0.5.
         s = min(0.2 * time, 0.5)
         simulator.AdvanceTo(time)
         state.GetMutableData().set_value(policy(s, 0.2 * (s < 0.5), time))
-        now = follower.get_output_port().Eval(context)
+        now = system.get_output_port().Eval(context)
         assert np.abs(now[:2] - last[:2]).max() < 0.02
         last = now
         if step == 300:
@@ -72,21 +73,21 @@ def test_it_follows_and_takes_new_plans_over_without_a_jump() -> None:
     np.testing.assert_allclose(last[:2], REST, atol=1e-4)
 
 
-def test_where_the_motion_begins_anew_it_stays_until_there_is_a_plan_for_that() -> None:
-    follower = NominalPostureSource(REST, ALPHA_K, period=0.01)
-    simulator = Simulator(follower)
+def test_after_a_restart_the_posture_rests_until_there_is_a_new_plan() -> None:
+    system = NominalPostureSource(REST, ALPHA_K, period=0.01)
+    simulator = Simulator(system)
     context = simulator.get_mutable_context()
     plan = motion(0.0, 0.4, 0.8, p_WS=(0.0, 0.0, 0.0))
-    plans = follower.GetInputPort("motion").FixValue(context, Value(plan))
-    state = follower.GetInputPort("policy_state")
+    plans = system.GetInputPort("motion").FixValue(context, Value(plan))
+    state = system.GetInputPort("policy_state")
     port = state.FixValue(context, Value(policy(0.5, 0.0, p=0.5)))
     simulator.AdvanceTo(5.0)
-    here = np.array([0.0, 0.0, 0.5])
-    port.GetMutableData().set_value(PolicyState(p_WS=here, p_WE=here, stamp=5.0))
+    p_WE = np.array([0.0, 0.0, 0.5])
+    port.GetMutableData().set_value(PolicyState(p_WS=p_WE, p_WE=p_WE, stamp=5.0))
     simulator.AdvanceTo(5.03)
-    held = follower.get_output_port().Eval(context)
-    np.testing.assert_allclose(held, [0.4, -0.4, 0.0, 0.0], atol=1e-6)
-    plans.GetMutableData().set_value(motion(0.6, 0.6, p_WS=tuple(here)))
+    posture = system.get_output_port().Eval(context)
+    np.testing.assert_allclose(posture, [0.4, -0.4, 0.0, 0.0], atol=1e-6)
+    plans.GetMutableData().set_value(motion(0.6, 0.6, p_WS=tuple(p_WE)))
     simulator.AdvanceTo(10.0)
-    now = follower.get_output_port().Eval(context)
-    np.testing.assert_allclose(now[:2], [0.6, -0.6], atol=1e-6)
+    posture = system.get_output_port().Eval(context)
+    np.testing.assert_allclose(posture[:2], [0.6, -0.6], atol=1e-6)

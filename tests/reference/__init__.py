@@ -1,1 +1,1 @@
-"""Readable forms of what the package has compiled: slow, plain, and compared with it."""
+"""Readable reference forms of compiled functions, and synthetic data, for comparisons in tests."""

@@ -1,4 +1,4 @@
-"""The coupling terms of `drake_oa.policy.coupling`, readable: in vectors, a term at a time."""
+"""Reference form of the coupling terms of `drake_oa.policy.coupling`, with NumPy vectors."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import PARALLEL, dead_zone_free_rate
 
 MAX_STIFFNESS = 1e4
+"""Upper bound of the ratio of initial rate times step to exact rotation of a term [1]."""
 
 
 def turning(rows: FloatArray, p: FloatArray, z: FloatArray, step: float) -> FloatArray:
-    """The turn (3,) [rad] of z by terms (M, 12) over a step, see `coupling.turn_step`."""
-    # Linearly implicit: each term alone turns as its own exact flow does.
+    """Computes the rotation vector (3,) [rad] of z by terms (M, 12), as `coupling.turn_step`."""
+    # Linearly implicit: a term that acts alone rotates by its exact flow.
     A, b = np.eye(3), np.zeros(3)
     for axis, rate, angle in active(rows, p, z, step):
         if angle > 0.0:
@@ -28,7 +29,7 @@ def turning(rows: FloatArray, p: FloatArray, z: FloatArray, step: float) -> Floa
 def active(
     rows: FloatArray, p: FloatArray, z: FloatArray, step: float
 ) -> Iterator[tuple[FloatArray, float, float]]:
-    """Axis, rate and, over the step, the exact angle of each term that acts."""
+    """Yields axis, rate [rad per normalized time] and exact rotation over the step of each term."""
     if not z.any():
         return
     e = z / np.linalg.norm(z)
@@ -49,31 +50,31 @@ def active(
             axis, theta = between(e, v_d, np.zeros(3))
             if axis is None and theta > 0.0:
                 axis = stand_in(normal, e)
-            # In place of (eq. 9), its counterphase.
+            # This gain replaces that of (eq. 9).
             gain = -alpha * np.expm1(-kappa * d * d)
             if axis is not None and gain > 0.0:
                 yield axis, gain * theta, -theta * np.expm1(-gain * step)
 
 
 def avoidance_angle(rate: float, theta: float, psi: float, step: float) -> float:
-    """Turn of theta' = A exp(-theta^2 / psi^2), rate at theta; within 2.5 % of the exact one.
+    """Computes the rotation [rad] over a step of d theta/ds = A exp(-theta^2 / psi^2).
 
-    With u = theta / psi and c = rate step / psi the exact u' solves
-    int_u^u' exp(x^2 - u^2) dx = c. Here u'^2 = u^2 + log(1 + c g), where
-    g = 2 u + asinh(c / sqrt(1 + 2 u c)).
+    `rate` is d theta/ds at the initial theta. With u = theta / psi and c = rate step / psi the
+    exact u' solves int_u^u' exp(x^2 - u^2) dx = c. The approximation u'^2 = u^2 + log(1 + c g),
+    where g = 2 u + asinh(c / sqrt(1 + 2 u c)), has an error of at most 2.5 %.
     """
     u, c = theta / psi, rate * step / psi
     if c < 1e-14:
         return rate * step
-    grown = np.log1p(c * (2.0 * u + np.arcsinh(c / np.sqrt(1.0 + 2.0 * u * c))))
-    return float(psi * grown / (u + np.sqrt(u * u + grown)))
+    growth = np.log1p(c * (2.0 * u + np.arcsinh(c / np.sqrt(1.0 + 2.0 * u * c))))
+    return float(psi * growth / (u + np.sqrt(u * u + growth)))
 
 
 def between(a: FloatArray, b: FloatArray, normal: FloatArray) -> tuple[FloatArray | None, float]:
-    """Axis (None: undefined) and angle of the turn from unit a to unit b.
+    """Computes axis (None: undefined) and angle [rad] of the rotation from unit a to unit b.
 
-    Seen along a normal that is not zero the axis is the normal or its opposite, and undefined
-    where the two are opposite or one of them is seen as a point.
+    With a nonzero normal, a and b are projected along it: the axis is the normal or its opposite,
+    and undefined if the projections are opposite or one of them vanishes.
     """
     if not normal.any():
         across = np.cross(a, b)
@@ -89,8 +90,11 @@ def between(a: FloatArray, b: FloatArray, normal: FloatArray) -> tuple[FloatArra
 
 
 def stand_in(normal: FloatArray, e: FloatArray) -> FloatArray:
-    """The normal, the vertical or the world's x axis, the first that is not along e, made
-    orthogonal to it."""
+    """Returns a unit vector orthogonal to the unit vector e.
+
+    It is the component of the normal orthogonal to e; for a normal that is zero or parallel to e
+    that of the world's z axis, or of its x axis.
+    """
     for n in (normal, *np.eye(3)[[2, 0]]):
         across = n - (n @ e) * e
         if np.linalg.norm(across) > 1e-3 * np.linalg.norm(n):

@@ -1,13 +1,18 @@
-"""Exact depth images of a table and boxes on it, and the poses of their cameras."""
+"""Exact synthetic depth images of boxes on a table, and the poses of their cameras."""
 
 import numpy as np
 
 K = np.array([260.0, 260.0, 159.5, 119.5])
+"""Focal lengths fx, fy and principal point cx, cy of the camera [pixel]."""
 SIZE = (240, 320)
+"""Height and width of the images [pixel]."""
 
 
 def camera_pose(height: float = 0.8, pitch: float = 0.8, yaw: float = 0.0) -> np.ndarray:
-    """X_WC of a camera at (0, 0, height) that looks down by pitch, towards yaw."""
+    """Returns the pose X_WC (4, 4) of a camera at (0, 0, height) [m].
+
+    Its optical axis has the azimuth `yaw` and points down by `pitch` [rad].
+    """
     c, s = np.cos(pitch), np.sin(pitch)
     z = np.array([c * np.cos(yaw), c * np.sin(yaw), -s])
     x = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
@@ -18,7 +23,7 @@ def camera_pose(height: float = 0.8, pitch: float = 0.8, yaw: float = 0.0) -> np
 
 
 def look_at(p_WC, target) -> np.ndarray:
-    """X_WC of a camera at a place that looks at another, its x axis level."""
+    """Returns the pose X_WC (4, 4) of a camera that looks at a target, with a horizontal x axis."""
     z = np.subtract(target, p_WC) / np.linalg.norm(np.subtract(target, p_WC))
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -29,14 +34,21 @@ def look_at(p_WC, target) -> np.ndarray:
 
 
 def rays_of(X_WC: np.ndarray, K, size: tuple[int, int]) -> np.ndarray:
-    """(H, W, 3) rays of the pixels in the world, of unit depth."""
+    """Computes the rays (H, W, 3) of the pixels in the world frame, of unit depth [m]."""
     v, u = np.mgrid[: size[0], : size[1]]
     rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(size)], axis=-1)
     return rays @ X_WC[:3, :3].T
 
 
 def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0), K=K) -> np.ndarray:
-    """Exact depth of the rectangle z = 0 (x, y, half sizes) and of axis-aligned boxes."""
+    """Computes the exact depth image [m] of a table and axis-aligned boxes.
+
+    Args:
+        X_WC: (4, 4) pose of the camera.
+        boxes: lower and upper corner of each box [m].
+        table: center x, y and half sizes of the rectangle at z = 0 [m].
+        K: fx, fy, cx, cy [pixel].
+    """
     rays, origin = rays_of(X_WC, K, SIZE), X_WC[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = -origin[2] / rays[..., 2]
@@ -51,5 +63,6 @@ def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0), K=K) -> np.nda
 
 
 def box(x: float, y: float, size=(0.1, 0.1, 0.15), z: float = 0.0):
+    """Returns the lower and upper corner of a box with its bottom center at (x, y, z) [m]."""
     half = np.array([size[0] / 2, size[1] / 2, 0.0])
     return np.array([x, y, z]) - half, np.array([x, y, z + size[2]]) + half

@@ -1,4 +1,4 @@
-"""The movement primitive's step, readable."""
+"""Reference form of one step of the movement primitive, with NumPy and SciPy."""
 
 from __future__ import annotations
 
@@ -23,22 +23,23 @@ def step(
     spread: FloatArray,
     turn: Callable[[FloatArray, FloatArray, float], FloatArray],
 ) -> tuple[FloatArray, FloatArray, float]:
-    """One step of the whole action level over ds = dt / (tau T).
+    """Computes one step of the policy over normalized time ds = dt / (tau T).
 
-    Half a step of the spring, a turn of z by the coupling terms, half a step of the
-    spring. Both parts are exact flows: the turn keeps the length of z, and without
-    forcing the energy alpha_x beta_x |g - x|^2 / 2 + |z|^2 / 2 never rises, whatever
-    the turn. The forcing term is held at its value in the middle of the step.
+    The step is half a step of the spring, the rotation of z by the coupling terms, and the other
+    half step of the spring. Both parts are exact flows: the rotation preserves the length of z, and
+    without forcing term the energy alpha_x beta_x |g - x|^2 / 2 + |z|^2 / 2 never increases. The
+    forcing term is constant at its value in the middle of the step.
 
     Args:
-        dmp: the movement primitive, of three dimensions.
+        dmp: movement primitive of three dimensions.
         p: (3,) position [m].
         z: (3,) scaled velocity [m].
         k: phase.
-        ds: step of normalized time.
+        ds: step in normalized time.
         goal: (3,) goal [m].
-        spread: (3, 3) baseline of this motion times R_WL, see `local_frame` [m].
-        turn: turn (3,) of z over a step, of p_WE [m], z_W [m] and the step [rad].
+        spread: (3, 3) baseline of the motion times R_WL, see `local_frame` [m].
+        turn: function of p_WE [m], z_W [m] and the step that returns the rotation vector (3,) of z
+            over the step [rad].
 
     Returns:
         p, z and k at the end of the step.
