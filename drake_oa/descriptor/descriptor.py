@@ -117,7 +117,7 @@ def describe(
     rows: list[int] = []
     ids: list[int] = []
     notes = [obstacles.note] if obstacles.note else []
-    for row, (name, cloud) in enumerate(zip(obstacles.ids, obstacles.clouds_W, strict=True)):
+    for row, (track, cloud) in enumerate(zip(obstacles.ids, obstacles.clouds_W, strict=True)):
         points = np.asarray(cloud, dtype=float)
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
