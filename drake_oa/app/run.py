@@ -342,7 +342,7 @@ def _add_motion(
                 if panel is not None:
                     panel(monitor, root)
 
-            this.logs[name] = motion(on_look=look)
+            this.logs[name] = motion(on_step=look)
     except MotionInterruptedError as error:
         this.logs[name], this.failure = error.log, error.__cause__ or error
         logging.getLogger(__name__).info("where it happened", exc_info=True)

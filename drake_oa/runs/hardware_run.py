@@ -20,9 +20,9 @@ from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import (
     EVENT,
-    Look,
     MotionInterruptedError,
     MotionMonitor,
+    OnStep,
     columns_of,
     log_of,
     logged_signals,
@@ -89,7 +89,7 @@ def drive(
     link: RobotLink,
     *,
     duration: float | None = None,
-    on_look: Look = lambda monitor, root: None,
+    on_step: OnStep = lambda monitor, root: None,
 ) -> MotionLog:
     """Runs the avoiding motion on the arm; its end is `simulate`'s.
 
@@ -97,7 +97,7 @@ def drive(
         driven: of `ready`.
         link: likewise.
         duration: as for `simulate`.
-        on_look: as for `simulate`.
+        on_step: as for `simulate`.
 
     Returns:
         The log of what the arm was sent.
@@ -106,7 +106,7 @@ def drive(
         MotionInterruptedError: as `simulate` does; also if the arm was stopped.
     """
     # The world rests when the scenario's own would, as far as it tells.
-    monitor = MotionMonitor(driven.diagram, driven.scenario, duration, on_look)
+    monitor = MotionMonitor(driven.diagram, driven.scenario, duration, on_step)
     simulator = Simulator(driven.diagram)
     try:
         return _with_events(

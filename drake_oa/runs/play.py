@@ -174,7 +174,7 @@ class PlaySession:
             self._begin(None)
         elif self._wanted != self._taken and self._rested >= SETTLED:
             self._begin(self._positions())
-        elif self._monitor.settled and self._monitor.ending == AT_THE_GOAL:
+        elif self._monitor.settled and self._monitor.outcome == AT_THE_GOAL:
             self.homeward = not self.homeward
             self._begin(self._positions())
         paused = self._clicks("pause") % 2 == 1
@@ -293,7 +293,7 @@ class PlaySession:
         avoid_obstacles = self._active["inference"] != "nominal"
         self._monitor.finish(self._root())
         if not math.isfinite(self._monitor.motion_end):
-            self._monitor.ending = MotionOutcome(MotionEnd.INTERRUPTED, "restarted")
+            self._monitor.outcome = MotionOutcome(MotionEnd.INTERRUPTED, "restarted")
         log = collect_log(self._played, self._simulator, self._monitor, avoid_obstacles, math.nan)
         self.logs[f"leg_{self._leg}"] = log
         for name in list(self.logs)[:-_MAX_LEGS]:

@@ -305,7 +305,7 @@ def _notes(motion: str, metrics: dict[str, Any]) -> list[str]:
     if (metrics["clearance_shortfall"] or 0.0) > TOLERANCE:
         notes.append(
             f"warning: {motion}: minimum clearance {metrics['resting_clearance_min']:.3f} m to "
-            f"resting obstacles, {1e3 * metrics['clearance_shortfall']:.1f} mm below the achievable one"
+            f"resting obstacles, shortfall {1e3 * metrics['clearance_shortfall']:.1f} mm"
         )
     if (metrics["clearance_reduction"] or 0.0) > max(
         TOLERANCE, requested - achievable_clearance + TOLERANCE

@@ -1,4 +1,4 @@
-"""Runs a scenario's diagram to its end and keeps the log."""
+"""Simulation of one motion of a scenario, its monitor, and the collection of its log."""
 
 from __future__ import annotations
 
@@ -39,32 +39,31 @@ from drake_oa.scenario.task import goal_at, last_move_time
 from drake_oa.world.station import release_cameras
 
 LONGEST_HOLD = 5.0
-"""A motion that is held for longer than this, and after the last move of the goal, is ended [s]."""
+"""Maximum duration of a hold after the last move of the goal; a longer one ends the motion [s]."""
 LONGEST_SCALING = 6.0
-"""A motion that takes more than this many demonstrated durations is ended."""
+"""Time limit of a motion, in demonstrated durations."""
 LATEST_END = 2.2
-"""Normalized time s at which a motion that has not arrived is ended; counted from s = 1 at
-the latest move of the goal, where that comes after it. One that has been verified to arrive
-later may do so."""
+"""Normalized time s at which a motion that has not arrived ends, unless it is verified to arrive
+later. After a move of the goal later than s = 1 it counts from that move."""
 _NOTHING = EventStatus.DidNothing()
 _GRACE = 0.2
-"""How much later than verified a motion may arrive, in normalized time."""
+"""Delay of the arrival after the verified one at which a motion ends, in normalized time."""
 ARRIVED = Verified().tolerance
-"""A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
-velocity at which it would go no further than `STILL` times as far in a unit of s."""
+"""Distance of the desired position to the goal below which a motion has arrived after s = 1 [m]."""
 STILL = 20.0
+"""Scaled velocity below which a motion has arrived, in `ARRIVED` by unit of normalized time."""
 AT_GOAL = 5e-3
-"""The tool is at the goal when its point is nearer than this [m]."""
+"""Distance of the tool point to the goal below which the tool is at the goal [m]."""
 AT_REST = 0.01
-"""A robot whose joints are all slower than this rests [rad/s, m/s]."""
+"""Joint speed below which a robot is at rest [rad/s, m/s]."""
 REST_TIME = 1.0
-"""A run is over when all has been at rest for so long [s]."""
+"""Duration of rest of the whole world after which a run ends [s]."""
 LONGEST_SETTLING = 5.0
-"""One that never comes to rest is over so long after its end and that of all courses [s]."""
+"""Time after the end of the motion and of all trajectories at which a run ends without rest [s]."""
 
 
 class MotionInterruptedError(RuntimeError):
-    """A simulation that did not end by itself; `log` holds what happened until then."""
+    """Interrupted simulation; `log` is the log until the interruption."""
 
     def __init__(self, log: MotionLog) -> None:
         super().__init__(log.stop_reason)
@@ -72,14 +71,14 @@ class MotionInterruptedError(RuntimeError):
 
 
 class MotionOutcome(NamedTuple):
-    """End of a motion, and its reason in words."""
+    """Termination of a motion, and its reason in words."""
 
     end: MotionEnd
     reason: str
 
     @property
-    def may_go_on(self) -> bool:
-        """Whether the motion may yet go on."""
+    def may_continue(self) -> bool:
+        """Whether the motion may continue: it was stopped or held."""
         return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
 
@@ -91,19 +90,19 @@ _SUPERVISION = ("supervision_time", "supervision_action", "supervision_reason")
 T = TypeVar("T")
 
 
-def _reader(diagram: Diagram, system: str, port: str, otherwise: T) -> Callable[[Context], T]:
-    """Makes a function that reads an output port of a system by the Context of its diagram.
+def _reader(diagram: Diagram, system: str, port: str, default: T) -> Callable[[Context], T]:
+    """Creates the function that evaluates an output port from the Context of the diagram.
 
     Args:
-        diagram: what is read.
+        diagram: diagram that contains the system.
         system: name of the system.
-        port: name of the port.
-        otherwise: the value where the diagram lacks the system.
+        port: name of the output port.
+        default: value of the function if the diagram has no such system.
     """
     if not diagram.HasSubsystemNamed(system):
-        return lambda root: otherwise
-    found = diagram.GetSubsystemByName(system)
-    return lambda root: found.GetOutputPort(port).Eval(found.GetMyContextFromRoot(root))
+        return lambda root: default
+    subsystem = diagram.GetSubsystemByName(system)
+    return lambda root: subsystem.GetOutputPort(port).Eval(subsystem.GetMyContextFromRoot(root))
 
 
 def motion_state(supervision: tuple[str, str], note: str) -> str:
@@ -113,23 +112,23 @@ def motion_state(supervision: tuple[str, str], note: str) -> str:
 
 
 class MotionMonitor:
-    """Looks at the motion after each step: records, reports progress, ends the run.
+    """Monitor of a motion, for `Simulator.set_monitor`: records it and terminates the simulation.
 
-    The motion's end is not the run's: the world goes on until all obstacles have ended
-    their courses and everything has been at rest for `REST_TIME`, so that what is touched
-    then counts. A motion that was stopped or held, and goes on meanwhile, has not ended.
+    The simulation continues after the end of the motion, until all obstacles have ended their
+    trajectories and the world has been at rest for `REST_TIME`, so that later contacts count. A
+    motion that was stopped or held and continues in the meantime has not ended.
 
     Attributes:
-        frames: the observations, as they arrived.
-        frame_times: when each arrived [s].
-        out_of_range: of each, how many obstacles the regressor chain was not trained for.
-        events: (time [s], what holds the motion, note) whenever the policy's note changed.
-        supervision: (time [s], action, reason) whenever the supervisor's decision changed.
-        phase: canonical phase, 1 falling to 0.
-        ending: what ended the motion; None until then.
-        motion_end: when it did [s]; NaN until then.
-        settled: whether all has come to rest since.
-        num_positions: of the station's plant; 0 without a robot.
+        frames: observations, in the order in which they became available.
+        frame_times: times at which they became available [s].
+        out_of_range: number of obstacles beyond the training range of the chain, by observation.
+        events: (time [s], reason of the hold, note) at each change of the policy's note.
+        supervision: (time [s], action, reason) at each change of the guard's supervision.
+        phase: canonical phase, from 1 down to 0.
+        outcome: termination of the motion; None before it.
+        motion_end: time of the termination [s]; NaN before it.
+        settled: whether the world has come to rest since.
+        num_positions: number of positions of the station's plant; 0 without a robot.
     """
 
     def __init__(
@@ -137,19 +136,19 @@ class MotionMonitor:
         diagram: Diagram,
         scenario: Scenario,
         duration: float | None = None,
-        on_look: Look = lambda monitor, root: None,
+        on_step: OnStep = lambda monitor, root: None,
     ) -> None:
-        """Finds what it looks at.
+        """Finds the systems to monitor.
 
         Args:
-            diagram: with a `dmp_integrator`; the other systems of `build_avoidance` are
-                looked at where they are there.
-            scenario: what the diagram was made from.
-            duration: time limit of the motion, at which the run is over, whatever moves then
-                [s]; None: `LONGEST_SCALING` demonstrated durations, from the last move of the
-                goal on, and the run goes on for at most `LONGEST_SETTLING` after that and all
-                that is to happen.
-            on_look: called after each look with this and the diagram's Context.
+            diagram: diagram with a `dmp_integrator`; other systems of `build_avoidance` are
+                optional.
+            scenario: configuration of the diagram.
+            duration: time at which the simulation ends in any case [s]; None: the motion ends
+                after `LONGEST_SCALING` demonstrated durations from the last move of the goal, and
+                the simulation at most `LONGEST_SETTLING` after that and after all trajectories.
+            on_step: function that is called after each evaluation with the monitor and the root
+                Context.
         """
         self._diagram = diagram
         self._policy = _reader(diagram, "dmp_integrator", "policy_state", PolicyState())
@@ -164,7 +163,7 @@ class MotionMonitor:
         self._ellipsoids = _reader(diagram, source, "ellipsoids_W", EllipsoidSet())
         self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
-        self._on_look = on_look
+        self._on_step = on_step
         self.phase = 1.0
         self._next_time = 0.0
         self._last_move = last_move_time(scenario.task)
@@ -179,7 +178,7 @@ class MotionMonitor:
         self.events: list[tuple[float, HoldReason, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
         self._decided, self._noted = ("run", ""), ""
-        self.ending: MotionOutcome | None = None
+        self.outcome: MotionOutcome | None = None
         self.motion_end = math.nan
         self.settled = False
         self._rest_since = math.inf
@@ -197,7 +196,7 @@ class MotionMonitor:
         now = root.get_time()
         if now < self._next_time:
             return _NOTHING
-        # Policy and supervisor step once a period, and the look comes right after.
+        # The policy steps once a period, and the monitor is evaluated right after each step.
         self._next_time = now + 0.9 * self._period
         policy = self._policy(root)
         supervision = self._supervision(root)
@@ -206,16 +205,16 @@ class MotionMonitor:
             policy = replace(policy, hold=HoldReason.SUPERVISOR, note=note)
         self._record(root, now, policy, supervision)
         self.phase = policy.phase
-        self._on_look(self, root)
-        if self.ending and self.ending.may_go_on and policy.hold is HoldReason.NONE:
-            self.ending, self.motion_end = None, math.nan
-        if not self.ending:
-            self.ending = self._why_ended(root, now, policy, supervision)
-            self.motion_end = now if self.ending else math.nan
-        self._look_for_rest(root, now)
+        self._on_step(self, root)
+        if self.outcome and self.outcome.may_continue and policy.hold is HoldReason.NONE:
+            self.outcome, self.motion_end = None, math.nan
+        if not self.outcome:
+            self.outcome = self._find_outcome(root, now, policy, supervision)
+            self.motion_end = now if self.outcome else math.nan
+        self._update_settled(root, now)
         if self.settled:
             return EventStatus.ReachedTermination(
-                self._diagram, self.ending.reason if self.ending else ""
+                self._diagram, self.outcome.reason if self.outcome else ""
             )
         return _NOTHING
 
@@ -233,26 +232,26 @@ class MotionMonitor:
 
     @property
     def state(self) -> str:
-        """What has ended the motion, else what holds it, else that it runs."""
-        if self.ending:
-            return f"ended: {self.ending.reason}"
+        """Termination of the motion, the reason of its hold, or "running"."""
+        if self.outcome:
+            return f"terminated: {self.outcome.reason}"
         return motion_state(self._decided, self._noted)
 
     def finish(self, root: Context) -> None:
-        """Says what the end of the run makes of the motion's."""
-        if not self.ending:
-            self.ending, self.motion_end = self._time_limit(), self._end_time
+        """Sets the outcome of a motion that the end of the simulation terminates or changes."""
+        if not self.outcome:
+            self.outcome, self.motion_end = self._time_limit(), self._end_time
         error = self._goal_error(root)
-        if self.ending == AT_THE_GOAL and error > AT_GOAL:
-            self.ending = MotionOutcome(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
+        if self.outcome == AT_THE_GOAL and error > AT_GOAL:
+            self.outcome = MotionOutcome(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
 
     def _time_limit(self) -> MotionOutcome:
         return MotionOutcome(MotionEnd.TIME_LIMIT, f"time limit of {self._end_time:g} s")
 
-    def _why_ended(
+    def _find_outcome(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> MotionOutcome | None:
-        """How the motion has ended, if it has."""
+        """Returns the outcome of the motion; None while it continues."""
         s = normalized_time(policy.phase, self._alpha_k)
         if now <= self._last_move:
             self._latest_end = LATEST_END + max(0.0, s - 1.0)
@@ -268,7 +267,7 @@ class MotionMonitor:
         if is_late and s >= self._verified_end(root) + _GRACE:
             error = self._goal_error(root)
             if error <= AT_GOAL:
-                # The paper's terms act on there, and let it creep.
+                # The coupling terms of `!Paper` act near the goal, so the motion creeps there.
                 return AT_THE_GOAL
             return MotionOutcome(
                 MotionEnd.MISSED, f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}"
@@ -281,20 +280,20 @@ class MotionMonitor:
             return MotionOutcome(MotionEnd.HELD, why)
         return self._time_limit() if now >= self._end_time else None
 
-    def _look_for_rest(self, root: Context, now: float) -> None:
-        """Whether nothing has moved for `REST_TIME`, nor anything will.
+    def _update_settled(self, root: Context, now: float) -> None:
+        """Sets `settled` where nothing has moved for `REST_TIME` and nothing will.
 
-        One that may yet go on is given `LONGEST_HOLD`: a decision may take seconds.
+        A motion that may continue settles after `LONGEST_HOLD`: a decision may need seconds.
         """
-        if now < self.world_end or not self.ending or self._fastest(root) > AT_REST:
+        if now < self.world_end or not self.outcome or self._max_speed(root) > AT_REST:
             self._rest_since, self.settled = math.inf, False
             return
         self._rest_since = min(self._rest_since, now)
-        rest = LONGEST_HOLD if self.ending.may_go_on else REST_TIME
+        rest = LONGEST_HOLD if self.outcome.may_continue else REST_TIME
         self.settled = now - self._rest_since >= rest
 
-    def _fastest(self, root: Context) -> float:
-        """Speed of the fastest joint [rad/s, m/s]; without a robot that of the policy [m/s]."""
+    def _max_speed(self, root: Context) -> float:
+        """Returns the maximum joint speed [rad/s, m/s]; without a robot the speed of the policy [m/s]."""
         if self._plant is None:
             policy = self._policy(root)
             return math.hypot(*policy.z_W) * policy.speed
@@ -333,7 +332,7 @@ class MotionMonitor:
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _verified_end(self, root: Context) -> float:
-        """Normalized time at which the motion has been verified to arrive; 0: it has not."""
+        """Returns the normalized time at which the verified motion arrives; 0: none is verified."""
         motion = self._motion(root)
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
             return 0.0
@@ -341,14 +340,14 @@ class MotionMonitor:
 
 
 def _last_change(scenario: Scenario, end_time: float) -> float:
-    """When all courses, pushes, moves of the goal and passing faults are over [s]."""
+    """Returns the end of all trajectories, pushes, moves of the goal and temporary faults [s]."""
     changes = [last_change(scenario.obstacles), last_move_time(scenario.task)]
     for fault in scenario.faults:
         if isinstance(fault, Push):
             changes.append(fault.start + fault.duration)
         elif isinstance(fault, CameraDropout | TorqueSaturation):
             end = fault.start + fault.duration
-            # What outlasts the motion's time is no reason to wait.
+            # A fault that outlasts the motion does not delay the end of the run.
             changes.append(end if end < end_time else 0.0)
     return max(changes)
 
@@ -358,8 +357,8 @@ def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
     return error < ARRIVED and speed < STILL * ARRIVED
 
 
-Look = Callable[[MotionMonitor, Context], None]
-"""Function that is called with the watcher and the root Context of a diagram."""
+OnStep = Callable[[MotionMonitor, Context], None]
+"""Function of a monitor and the root Context of its diagram."""
 
 
 def simulate(
@@ -368,40 +367,35 @@ def simulate(
     avoid_obstacles: bool = True,
     duration: float | None = None,
     meshcat: Meshcat | None = None,
-    on_look: Look = lambda monitor, root: None,
+    on_step: OnStep = lambda monitor, root: None,
     layers: Layers | None = None,
     customize: Callable[[SignalBuilder], None] | None = None,
     diagram: Diagram | None = None,
 ) -> MotionLog:
-    """Runs one motion of a scenario until nothing moves any more, nor will.
+    """Simulates one motion of a scenario until the world is at rest.
 
-    The motion ends at the goal, with a stop, a lasting hold or at its time limit; the log's
-    `motion_end` is when. The world then goes on until all obstacles have ended their courses
-    and all has been at rest for `REST_TIME`; a motion that was stopped or held, and can go
-    on meanwhile, does.
+    The motion ends at the goal, by a stop, a long hold or its time limit (`motion_end` of the
+    log). The simulation then continues until all obstacles have ended their trajectories and the
+    world has been at rest for `REST_TIME`; a motion that was stopped or held may continue.
 
-    The goal is reached when the phase has passed s = 1, the desired motion has arrived where
-    the goal is at last, and the tool is within `AT_GOAL` of it; before its last move it goes on.
-    One that has not by `LATEST_END` is ended there; at the goal, if the tool is. The log's
-    `stop_reason` is "goal", "stopped: ..." (by the motion guard), "held for ...", "goal missed by
-    ...", "goal left by ..." (where it had to evade there, and did not come back), "at the goal,
-    but the tool cannot be turned back there", "time limit of ..." or, in what a
-    `MotionInterruptedError` carries, "interrupted" or what was raised.
+    The goal is reached when s > 1, the desired motion has arrived at the last position of the goal,
+    and the tool is within `AT_GOAL` of it. A motion that has not arrived by `LATEST_END` ends
+    there. `MotionEnd` lists the terminations, `stop_reason` of the log has one in words.
 
     Args:
-        scenario: what to run.
-        avoid_obstacles: False runs the nominal motion, blind to obstacles.
-        duration: time limit, see `MotionMonitor`.
+        scenario: configuration of the diagram.
+        avoid_obstacles: whether obstacles are avoided; False: the nominal motion.
+        duration: time limit [s], see `MotionMonitor`.
         meshcat: viewer, or None.
-        on_look: called a few hundred times a second, see `MotionMonitor`.
+        on_step: function that is called once a period of the policy, see `MotionMonitor`.
         layers: as for `build_avoidance`.
-        customize: likewise.
-        diagram: what `build_avoidance` made of all that; None: it is asked to.
+        customize: as for `build_avoidance`.
+        diagram: diagram that `build_avoidance` built from these; None: it is built.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
-        MotionInterruptedError: if the simulation raised or was interrupted; it
-            carries the log until then, and the cause.
+        ScenarioError: naming the wrong field.
+        MotionInterruptedError: if the simulation raised or was interrupted, with the log until
+            then and the cause.
     """
     if diagram is None:
         diagram = build_avoidance(
@@ -411,7 +405,7 @@ def simulate(
             customize=customize,
             meshcat=meshcat,
         )
-    monitor = MotionMonitor(diagram, scenario, duration, on_look)
+    monitor = MotionMonitor(diagram, scenario, duration, on_step)
     return run_motion(scenario, Simulator(diagram), monitor, avoid_obstacles=avoid_obstacles)
 
 
@@ -422,13 +416,13 @@ def run_motion(
     *,
     avoid_obstacles: bool,
 ) -> MotionLog:
-    """Runs a diagram with a `dmp_integrator` until the watcher ends it.
+    """Simulates a diagram with a `dmp_integrator` until its monitor terminates it.
 
     Args:
-        scenario: what the diagram was made from.
-        simulator: of the diagram, its Context as the motion starts.
-        monitor: the monitor.
-        avoid_obstacles: for the log.
+        scenario: configuration of the diagram.
+        simulator: simulator of the diagram, with the Context at the start of the motion.
+        monitor: monitor of the motion.
+        avoid_obstacles: value of this key in the log.
 
     Raises:
         MotionInterruptedError: as `simulate` does.
@@ -443,7 +437,7 @@ def run_motion(
     except (Exception, KeyboardInterrupt) as error:
         failure, name = error, "" if isinstance(error, KeyboardInterrupt) else type(error).__name__
         why = f"{name}: {error}".strip(": ") or "interrupted"
-        monitor.ending, monitor.motion_end = MotionOutcome(MotionEnd.INTERRUPTED, why), math.nan
+        monitor.outcome, monitor.motion_end = MotionOutcome(MotionEnd.INTERRUPTED, why), math.nan
     finally:
         simulator.clear_monitor()
         release_cameras(simulator.get_system())
@@ -468,10 +462,10 @@ def collect_log(
     avoid_obstacles: bool,
     wall_time: float,
 ) -> MotionLog:
-    """What a diagram of a scenario has logged until now; see `run_motion`."""
-    diagram, ending = (
+    """Collects the log of a simulated motion until now, with the arguments of `run_motion`."""
+    diagram, outcome = (
         simulator.get_system(),
-        monitor.ending or MotionOutcome(MotionEnd.INTERRUPTED, ""),
+        monitor.outcome or MotionOutcome(MotionEnd.INTERRUPTED, ""),
     )
     t, signals = logged_signals(diagram, simulator.get_context())
     return log_of(
@@ -486,8 +480,8 @@ def collect_log(
         inference=type(scenario.inference).__name__ if avoid_obstacles else "",
         **columns_of(monitor.events, EVENT),
         **columns_of(monitor.supervision, _SUPERVISION),
-        stop_reason=ending.reason,
-        ended=ending.end.value,
+        stop_reason=outcome.reason,
+        ended=outcome.end.value,
         motion_end=monitor.motion_end,
         settled=monitor.settled,
         wall_time=wall_time,
@@ -504,14 +498,14 @@ def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[st
 def log_of(
     scenario: Scenario, t: FloatArray, signals: dict[str, FloatArray], **facts: Any
 ) -> MotionLog:
-    """Makes a log of signals; one that is missing is as in a motion that nothing bends or holds.
+    """Creates a log from signals; missing ones have the values of a nominal motion without holds.
 
     Args:
-        scenario: what was run.
+        scenario: configuration of the run.
         t: (T,) instants [s].
-        signals: name -> (T, n) values; desired_position is needed without a robot only.
-        facts: attributes of the log that are no signals; without those of observations,
-            events and supervision there were none.
+        signals: values (T, n) by name; desired_position is required only without a robot.
+        facts: attributes of the log that are no signals; by default there were no observations,
+            events and changes of the supervision.
     """
     count = len(t)
     none, still = np.zeros((count, 0)), np.zeros((count, 3))

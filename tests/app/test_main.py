@@ -120,7 +120,7 @@ def test_a_motion_that_is_cut_short_is_reported_and_written(
             raise fault
 
     def simulate(scenario: object, *, avoid_obstacles: bool, **options: object) -> object:
-        options |= {"on_look": look} if avoid_obstacles else {}
+        options |= {"on_step": look} if avoid_obstacles else {}
         return original(scenario, avoid_obstacles=avoid_obstacles, **options)
 
     monkeypatch.setattr(simulation, "simulate", simulate)

@@ -71,7 +71,7 @@ def test_the_command_yields_and_the_arm_returns(link: str, speed: float) -> None
         commands.append(np.array(guard.GetOutputPort("desired_joint_state").Eval(own)))
         times.append(root.get_time())
 
-    log = simulate(scenario, diagram=diagram, duration=10.0, on_look=look)
+    log = simulate(scenario, diagram=diagram, duration=10.0, on_step=look)
     found = robot_metrics(scenario, log.q, log.q_world)
     assert found.contacts
     t, x = np.array(times), np.array(commands)

@@ -54,7 +54,7 @@ def page(viewer: Meshcat) -> Iterator[LivePage]:
 def shown(viewer: Meshcat) -> tuple[MotionLog, str]:
     """A log, and what the live page showed at its end."""
     page = open_page(viewer, "mine", "")
-    log = simulate(SCENARIO, duration=0.3, on_look=LivePanel(page, SCENARIO))
+    log = simulate(SCENARIO, duration=0.3, on_step=LivePanel(page, SCENARIO))
     text: str = json.loads(get(page, "/reading/0"))[1]
     page.close()
     return log, text
