@@ -293,7 +293,7 @@ class MotionMonitor:
         self.settled = now - self._rest_since >= rest
 
     def _max_speed(self, root: Context) -> float:
-        """Returns the maximum joint speed [rad/s, m/s]; without a robot the speed of the policy [m/s]."""
+        """Returns the maximum joint speed; without a robot the speed of the policy [rad/s, m/s]."""
         if self._plant is None:
             policy = self._policy(root)
             return math.hypot(*policy.z_W) * policy.speed
