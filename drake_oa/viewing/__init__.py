@@ -1,14 +1,14 @@
-"""Intermediate results of the layers, drawn into Drake's Meshcat beside the robot.
+"""Visualization: the robot and intermediate results of the layers in Drake's Meshcat.
 
 In, all in the world frame: `EllipsoidSet`, `PolicyState`, `Route`, the cloud and the bodies' poses;
-only the policy's state is needed. Out: nothing, it writes to Meshcat under "/drake_oa".
+only the policy state is required. Out: objects in Meshcat under "/drake_oa".
 
-- `MeshcatOverlay` draws at 15 Hz, and a cloud every 0.2 s: ellipsoids, cost rings, chosen
-  directions, planned and executed paths. It works live and in a recording, which holds transforms
-  and properties but no objects.
-- `drawing` has the geometry of it, as functions of arrays; `viewer` starts, dresses, records and
-  keeps Meshcat for the commands.
+- `MeshcatOverlay` draws ellipsoids, cost rings, selected directions, planned and executed paths at
+  15 Hz, and a cloud every 0.2 s. It works in the live view and in a recording.
+- `drawing` computes the geometry of cost rings from arrays. `viewer` starts Meshcat, sets its
+  background and camera, records it, and keeps it open for the commands.
 - `panel` adds title, readings and legend to Meshcat's page, recorded or live (`LivePage`).
+- `still` draws a scenario as an image file, `layer_figure` a diagram's layers as SVG.
 
-Begin with the class docstring of `meshcat_overlay.MeshcatOverlay`.
+Read the class docstring of `meshcat_overlay.MeshcatOverlay` first.
 """

@@ -1,7 +1,7 @@
-"""Geometry of the pictures in the viewer: cost rings.
+"""Colors of the viewer, and meshes of cost rings.
 
-Everything here is a function of arrays; `drake_oa.viewing.meshcat_overlay` sends
-the results to Meshcat.
+The functions depend on arrays only; `drake_oa.viewing.meshcat_overlay` sends their results to
+Meshcat.
 """
 
 from __future__ import annotations
@@ -14,39 +14,45 @@ from numpy.typing import ArrayLike, NDArray
 from drake_oa.common.messages import FloatArray
 
 Color = tuple[float, float, float]
+"""Type of a color: red, green and blue in [0, 1]."""
 
 PLANNED: Color = (0.0, 128 / 255, 1.0)
+"""Color of the planned path, blue."""
 EXECUTED: Color = (0.90, 0.07, 0.09)
+"""Color of the executed path, red."""
 ELLIPSOID: Color = (0.93, 0.36, 0.52)
-CHOSEN: Color = (0.86, 0.0, 0.78)
+"""Color of obstacle ellipsoids, rose."""
+SELECTED: Color = (0.86, 0.0, 0.78)
+"""Color of the selected passing direction, magenta."""
 CLOUD: Color = (0.0, 0.42, 0.45)
+"""Color of the point cloud, teal."""
 COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80, 0.10, 0.12))
-"""Colors of costs 0, 0.5 and 1 on a ring."""
+"""Colors of the costs 0, 0.5 and 1 on a cost ring: green, yellow, red."""
 
 INNER_RADIUS, BAND, GAP = 0.17, 0.022, 0.005
-"""Radius of the innermost cost ring, width of a ring, gap between rings and sectors [m]."""
+"""Radius of the innermost cost ring, width of a ring, and gap between rings and sectors [m]."""
 
 
 def ring_mesh(
     costs: Mapping[str, ArrayLike], angles: ArrayLike
 ) -> tuple[FloatArray, NDArray[np.int32], FloatArray]:
-    """Meshes the cost rings of one obstacle as colored bands, one in the other.
+    """Computes a mesh of the cost rings of one obstacle, as concentric colored bands.
 
-    The bands lie in the local YZ-plane about the origin, in the order of `costs`
-    from the inside; a sector has the color of its cost on the scale `COST_COLORS`.
+    The bands are in the local YZ-plane around the origin, in the order of `costs` from the inside
+    out. Each sector has the color of its cost on the scale `COST_COLORS`.
 
     Args:
-        costs: name of a ring -> (K,) its cost in [0, 1]; at least one.
-        angles: (K,) directions [rad], evenly spread, 0 along y, pi/2 along z.
+        costs: cost (K,) of each direction in [0, 1], by name of the ring; at least one ring.
+        angles: (K,) evenly spaced directions [rad], 0 along y, pi/2 along z.
 
     Returns:
-        (3, n) vertices [m]; (3, m) vertices of each triangle; and (3, n) linear colors of the
-        vertices, unlike all others of the viewer.
+        (3, n) vertices [m]; (3, m) vertex indices of the triangles; (3, n) colors of the vertices
+        in linear RGB, while Meshcat's other colors are sRGB.
     """
     middle = np.asarray(angles, dtype=float)
     inside = INNER_RADIUS + np.arange(len(costs))[:, None] * (BAND + GAP)
     half = np.pi / len(middle) - 0.25 * GAP / inside
-    # Two quadrangles a sector, so that few sectors still look round.
+    # Each sector has two quadrangles, so that rings of few sectors still look circular.
     sweep = middle[:, None] + half[..., None] * [-1.0, 0.0, 1.0]
     circle = np.stack([0.0 * sweep, np.cos(sweep), np.sin(sweep)], axis=-1)
     radii = np.stack([inside, inside + BAND], axis=1)
@@ -61,5 +67,5 @@ def ring_mesh(
 
 
 def ring_radius(n_rings: int) -> float:
-    """Returns the outer radius of `ring_mesh` with that many rings [m]."""
+    """Returns the outer radius of a `ring_mesh` of n rings [m]."""
     return INNER_RADIUS + n_rings * (BAND + GAP) - GAP

@@ -1,4 +1,4 @@
-"""Figure of a diagram's layers: the systems between camera and torques, and their signals."""
+"""N2 chart of a diagram's layers: the systems from camera to torques, and their signals."""
 
 from __future__ import annotations
 
@@ -20,20 +20,23 @@ LAYERS = (
     "controller",
     "plant",
 )
-"""Names of the drawn subsystems, those that a diagram has, in the order data flows."""
+"""Names of the drawn subsystems in the order of data flow; those that a diagram lacks are skipped.
+"""
 _WIDTH, _HEIGHT, _LINE = 170, 76, 15
+"""Width and height of a cell of the chart, and height of a text line [pixel]."""
 _STYLE = (
     "<style>text { font: 13px sans-serif; fill: #222; text-anchor: middle }"
     " .name { font-weight: bold } .small { font-size: 11px; fill: #555 }"
     " rect { fill: #eef3fa; stroke: #456 } .signal { fill: #fff; stroke: #cdd }</style>"
 )
+"""CSS style of the chart."""
 
 
 def layer_figure(diagram: Diagram) -> str:
-    """Returns an SVG of the layers of a diagram and their signals, an N2 chart.
+    """Draws the layers of a diagram and their signals as an N2 chart, in SVG.
 
     The layers are on the diagonal. A signal is in the row of the layer that outputs it and in the
-    column of the layer that reads it: above the diagonal it leads on, below it leads back.
+    column of the layer that reads it: above the diagonal forward, below it as feedback.
     """
     names = [name for name in LAYERS if diagram.HasSubsystemNamed(name)]
     cells = {

@@ -1,4 +1,4 @@
-"""Panel beside the picture of Meshcat, in recordings and live pages: title, readings, legend."""
+"""Panel on Meshcat's page, recorded or live: title, readings and legend."""
 
 from __future__ import annotations
 
@@ -16,16 +16,22 @@ from pydrake.geometry import Meshcat
 
 from drake_oa.viewing import drawing
 
-_LATE = 0.15
-"""Time that a frame may be sent before the page has drawn the previous one [s]."""
-_GONE = 10.0
-"""A page that has not asked for so long holds nobody back [s]."""
+_MAX_LAG = 0.15
+"""Time after which an undrawn frame delays the next frame [s]."""
+_PAGE_TIMEOUT = 10.0
+"""Time without a request after which a page is considered closed [s]."""
 _FRAME = "/drake_oa_frame"
-"""Node of the scene whose render order is the number of the last frame sent."""
+"""Node of the scene tree whose render order is the number of the last sent frame."""
 
 
 class Reading(NamedTuple):
-    """Text of the panel at one instant: time in the page [s], lines, and what is wrong."""
+    """Text of the panel at one time.
+
+    Attributes:
+        time: time of the page [s].
+        text: lines of the readings.
+        alert: warning in red; empty: none.
+    """
 
     time: float
     text: str
@@ -33,22 +39,24 @@ class Reading(NamedTuple):
 
 
 def _css(color: drawing.Color) -> str:
+    """Returns a color in CSS."""
     return f"rgb{tuple(round(255 * part) for part in color)}"
 
 
 _LEGEND = (
     (_css(drawing.PLANNED), "planned path", "motion/planned/path"),
     (_css(drawing.EXECUTED), "executed path", "motion/executed"),
-    (_css(drawing.CHOSEN), "chosen side", "decision/.*/direction"),
+    (_css(drawing.SELECTED), "selected side", "decision/.*/direction"),
     (
         f"linear-gradient(to right, {', '.join(map(_css, drawing.COST_COLORS))})",
         "cost of a side, 0 to 1; rings from inside: ",
         "decision/.*/rings/.*/.*",
     ),
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
-    ("#777", "points that a camera sees", "perception/cloud"),
+    ("#777", "observed points", "perception/cloud"),
 )
-"""Color, text and path in the scene of what may be drawn; shown while it is visible there."""
+"""Rows of the legend: color, text, and path in the scene tree. A row is displayed while an object
+at its path is visible."""
 _STYLE = """
 <style>
   body { overflow: hidden; }
@@ -65,7 +73,7 @@ _PANEL = Template("""
 <div id="drake-oa"><b>$title</b> <span>$description</span><div id="drake-oa-now"></div>
 <div id="drake-oa-alert"></div>$legend</div>
 <script>
-  // The key of what is visible under a node along a path of patterns, or nothing.
+  // Name of a visible node at a path of patterns below a node; undefined if none is visible.
   function drakeOaShown(node, path, key) {
     if (!node || !node.object.visible) return undefined;
     if (!path.length && "<object>" in node.children) return key;
@@ -101,7 +109,7 @@ _LIVE = """
   function drakeOaAsk(now) {
     requestAnimationFrame(drakeOaAsk);
     if (now < drakeOaAsked) return;
-    drakeOaAsked = now + 2000;  // Until the answer.
+    drakeOaAsked = now + 2000;  // Timeout of the answer.
     const frame = viewer.scene_tree.children["drake_oa_frame"];
     const drawn = frame ? frame.object.renderOrder : 0;
     fetch(`${location.origin}/reading/${drawn}`).then((answer) => answer.json())
@@ -109,13 +117,13 @@ _LIVE = """
   }
   requestAnimationFrame(drakeOaAsk);
   function drakeOaHidden() {
-    // Nothing is drawn in a page that is hidden or closed, so that all counts as drawn.
+    // A hidden or closed page draws no frames: report all as drawn, so that the server continues.
     if (document.hidden) fetch(`${location.origin}/reading/Infinity`, {keepalive: true});
   }
   document.addEventListener("visibilitychange", drakeOaHidden);
   drakeOaHidden();"""
 _FOLDERS = """
-    // A control called "FOLDER: NAME" is in a folder; the first one opens the panel.
+    // A control named "FOLDER: NAME" is placed in a folder; the first control opens the panel.
     const drakeOaAdd = viewer.set_control.bind(viewer);
     viewer.set_control = (name, ...rest) => {
       const gui = viewer.gui, [folder, label] = name.split(": ");
@@ -134,10 +142,11 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
     """Adds the panel to a page of Meshcat.
 
     Args:
-        page: HTML of Meshcat, a recording or its live page.
-        title: of the panel and the window.
-        description: text behind the title.
-        readings: rows by time, one at least; None: the page asks its server for them.
+        page: HTML of Meshcat's recording or live page.
+        title: title of the panel and the window.
+        description: text after the title.
+        readings: at least one reading, in order of time; None: the page requests readings from
+            its server.
     """
     title, description = html.escape(title), html.escape(description)
     legend = "".join(
@@ -147,7 +156,7 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
     )
     script = _LIVE
     if readings is not None:
-        # A "<" could end the script.
+        # An unescaped "<" could end the script element.
         rows = json.dumps(readings).replace("<", "\\u003c")
         script = _RECORDED.safe_substitute(readings=rows)
     panel = _PANEL.safe_substitute(
@@ -159,8 +168,8 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
 
 
 def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
-    """Fetches Meshcat's page; its script and messages come from where Meshcat serves them."""
-    # A proxy of the environment does not reach this machine's own ports.
+    """Returns Meshcat's live page with the panel; scripts and messages remain with its server."""
+    # A proxy set in the environment cannot reach ports of this computer.
     with build_opener(ProxyHandler({})).open(meshcat.web_url()) as answer:
         page: str = answer.read().decode()
     page = page.replace("<head>", f'<head><base href="{meshcat.web_url()}/">', 1)
@@ -170,48 +179,49 @@ def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
 
 
 class _PageServer(ThreadingHTTPServer):
-    """Serves a page that may be closed at any time."""
+    """HTTP server that ignores connections closed by the page."""
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Prints what went wrong, unless the page was closed."""
+        """Prints an error, unless the page closed the connection."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
 
 class LivePage:
-    """Meshcat's live page with the panel, served to this machine only.
+    """Server of Meshcat's live page with the panel, for this computer only.
 
-    The page says which frame it has drawn whenever it asks for the reading. `pace` holds back
-    whoever draws until the previous frame is drawn, so that the page stays less than half a
-    second behind; a page that is hidden or closed holds nobody back.
+    Each request of the page for the reading contains the number of the last drawn frame. `pace`
+    waits until the previous frame is drawn, so that the page is less than half a second late. It
+    does not wait for a hidden or closed page.
 
     Attributes:
-        url: where it is.
-        reading: what the panel shows.
+        url: address of the page.
+        reading: present text of the panel.
     """
 
     def __init__(self, meshcat: Meshcat, title: str, description: str = "") -> None:
         """Starts the server.
 
         Args:
-            meshcat: the viewer.
-            title: of the panel.
-            description: text behind the title.
+            meshcat: Meshcat instance.
+            title: title of the panel and the window.
+            description: text after the title.
         """
         self.reading = Reading(0.0, "")
         self._meshcat = meshcat
-        self._frame, self._drawn = 0, 0.0
-        self._sent = self._asked = -_GONE
+        self._frame, self._drawn_frame = 0, 0.0
+        self._sent_time = self._request_time = -_PAGE_TIMEOUT
         live, page = self, _live_page(meshcat, title, description)
 
         class Handler(BaseHTTPRequestHandler):
-            """Answers with the page, or with the reading."""
+            """Request handler that returns the page or the reading."""
 
             def do_GET(self) -> None:
+                """Returns the reading for paths below /reading/, otherwise the page."""
                 kind, body = "application/json", json.dumps(live.reading)
                 if self.path.startswith("/reading/"):
-                    live._drawn = float(self.path.rpartition("/")[2])
-                    live._asked = time.monotonic()
+                    live._drawn_frame = float(self.path.rpartition("/")[2])
+                    live._request_time = time.monotonic()
                 else:
                     kind, body = "text/html", page
                 self.send_response(200)
@@ -220,10 +230,10 @@ class LivePage:
                 self.wfile.write(body.encode())
 
             def log_message(self, *_: object) -> None:
-                """Logs nothing."""
+                """Suppresses the log of requests."""
 
         try:
-            # The same address run after run, where it is free.
+            # The same address in each run, if its port is free.
             self._server = _PageServer(("localhost", meshcat.port() + 1000), Handler)
         except OSError:
             self._server = _PageServer(("localhost", 0), Handler)
@@ -232,17 +242,17 @@ class LivePage:
         self.url = f"http://localhost:{self._server.server_port}"
 
     def pace(self) -> None:
-        """Ends a frame; waits while the page has not drawn the previous one for too long."""
-        while self._drawn < self._frame:
+        """Ends a frame; if the last one is undrawn for `_MAX_LAG`, waits until it is drawn."""
+        while self._drawn_frame < self._frame:
             now = time.monotonic()
-            if now - self._sent < _LATE or now - self._asked > _GONE:
+            if now - self._sent_time < _MAX_LAG or now - self._request_time > _PAGE_TIMEOUT:
                 return
             time.sleep(0.005)
         self._frame += 1
-        self._sent = time.monotonic()
+        self._sent_time = time.monotonic()
         self._meshcat.SetProperty(_FRAME, "renderOrder", float(self._frame))
 
     def close(self) -> None:
-        """Ends the server."""
+        """Stops the server."""
         self._server.shutdown()
         self._server.server_close()

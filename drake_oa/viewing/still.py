@@ -1,4 +1,4 @@
-"""A picture of a scenario before it runs: the cell, and what its cameras see."""
+"""Image of a scenario before its run: the station, and the depth images of its cameras."""
 
 from __future__ import annotations
 
@@ -31,22 +31,24 @@ from drake_oa.world.cameras import give_normals
 from drake_oa.world.station import make_station
 
 _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
+"""Width and height of the view of the station [pixel], and its vertical field of view [rad]."""
 _EYE_B, _AT_B = (2.3, -1.8, 1.4), (0.4, 0.0, 0.3)
-"""Where one looks from, and at, in the base's frame B [m]."""
+"""Position of the viewer's camera, and the point that it looks at, in the base frame B [m]."""
 _MARK, _GREEN, _RED = 0.02, Rgba(0.1, 0.6, 0.2), Rgba(0.8, 0.1, 0.1)
-"""The balls at start and goal: radius [m] and colors."""
+"""Radius of the spheres that mark start and goal [m], color at the start, color at the goal."""
 _RENDERER = "still"
+"""Name of the renderer in the scene graph."""
 
 
 def draw_scenario(scenario: Scenario, file: Path) -> None:
-    """Draws the cell with the arm at the start, and the depth images of all its cameras.
+    """Draws the station with the arm at the start, and the depth images of all cameras.
 
     Args:
-        scenario: with a robot.
-        file: an image that matplotlib writes; its ending says which.
+        scenario: scenario with a robot.
+        file: image file; its suffix sets the format, as in matplotlib.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
+        ScenarioError: naming the wrong field.
     """
     scenario = with_simulated_cameras(copy.deepcopy(scenario))
     for config in scenario.cameras:
@@ -55,11 +57,11 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     station = make_station(builder, scenario)
     graph = station.scene_graph
     source = station.plant.get_source_id()
-    for name, place, color in (
+    for name, position, color in (
         ("start", scenario.task.start, _GREEN),
         ("goal", scenario.task.goal, _RED),
     ):
-        ball = GeometryInstance(RigidTransform(place), Sphere(_MARK), name)
+        ball = GeometryInstance(RigidTransform(position), Sphere(_MARK), name)
         properties = PerceptionProperties()
         properties.AddProperty("phong", "diffuse", color)
         ball.set_perception_properties(properties)
@@ -74,7 +76,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         _RENDERER, CameraInfo(_WIDTH, _HEIGHT, _FOV), ClippingRange(0.05, 20.0), RigidTransform()
     )
     query = graph.get_query_output_port().Eval(graph.GetMyContextFromRoot(context))
-    seen = query.RenderColorImage(
+    picture = query.RenderColorImage(
         ColorRenderCamera(core),
         graph.world_frame_id(),
         looking_pose(base_pose(scenario.robot), _EYE_B, _AT_B),
@@ -82,13 +84,13 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     panels = 1 + len(station.cameras)
     with saved_figure(file, 6.4 * panels, 4.8) as figure:
         axes = figure.subplots(1, panels, squeeze=False)[0]
-        axes[0].imshow(seen.data[..., :3])
+        axes[0].imshow(picture.data[..., :3])
         axes[0].set_title("at the start; green: start, red: goal")
         for axis, (name, camera) in zip(axes[1:], station.cameras.items(), strict=True):
             port = camera.depth_image
             depth = port.Eval(port.get_system().GetMyContextFromRoot(context)).data[..., 0]
-            shown = axis.imshow(np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan))
-            figure.colorbar(shown, ax=axis, label="depth [m]", shrink=0.8)
-            axis.set_title(f"camera '{name}' sees, without noise")
+            plot = axis.imshow(np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan))
+            figure.colorbar(plot, ax=axis, label="depth [m]", shrink=0.8)
+            axis.set_title(f"camera '{name}', without noise")
         for axis in axes:
             axis.set_axis_off()

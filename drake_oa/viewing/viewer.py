@@ -1,4 +1,4 @@
-"""Drake's Meshcat as the commands use it: started, dressed, recorded, kept open."""
+"""Functions that start, set up, record and keep open Drake's Meshcat for the commands."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.viewing.panel import LivePage
 
 FRAME_PERIOD = 1.0 / 30.0
-"""Time between two pictures of the world [s]."""
+"""Time between two updates of the robot and the environment in the viewer [s]."""
 RECORDING_RATE = 15.0
-"""Frames of a recording a second."""
+"""Frame rate of a recording [1/s]."""
 _EYE_F, _TARGET_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
-"""Position of the viewer's camera, and the point that it looks at, in the floor's frame F [m]."""
+"""Position of the viewer's camera, and the point that it looks at, in the floor frame F [m]."""
 
 
 def start_viewer(*, browser: bool) -> Meshcat:
-    """Starts a viewer for this machine only.
+    """Starts Meshcat for this computer only.
 
     Args:
-        browser: take one of Meshcat's usual ports, as a browser connects to it; without it the
-            viewer has any free port.
+        browser: whether a browser will connect, so that one of Meshcat's usual ports is required;
+            otherwise any free port is used.
 
     Raises:
         ValueError: if no port is free.
     """
-    # Drake's default host is every interface.
+    # By default Drake's Meshcat would be reachable on all network interfaces.
     params = MeshcatParams(host="localhost", port=None if browser else 0)
     try:
         return Meshcat(params)
@@ -51,12 +51,12 @@ def start_viewer(*, browser: bool) -> Meshcat:
 def looking_pose(
     X_WF: RigidTransform, p_FC: ArrayLike = _EYE_F, p_FT: ArrayLike = _TARGET_F
 ) -> RigidTransform:
-    """Returns X_WC of a camera C that looks along its z axis at T, x to the right of the image.
+    """Returns the pose X_WC of a camera C whose z axis points at T, with x to the image's right.
 
     Args:
         X_WF: frame of the two points.
         p_FC: (3,) position of the camera [m].
-        p_FT: (3,) the point that it looks at [m].
+        p_FT: (3,) position of the target T [m].
     """
     p_WC = X_WF @ np.asarray(p_FC)
     ahead = X_WF @ np.asarray(p_FT) - p_WC
@@ -66,14 +66,14 @@ def looking_pose(
 
 
 def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
-    """Prepares the view for presentation: background and camera.
+    """Sets background and camera of the viewer, and hides grid and axes.
 
-    Hides grid and axes. All of it can be changed in the browser.
+    The user can change all of these settings in the browser.
 
     Args:
-        meshcat: the viewer.
+        meshcat: Meshcat instance.
         X_WB: pose of the robot's base.
-        floor: height of the floor's frame F, which has the base's heading [m].
+        floor: height of the floor frame F, whose x axis has the heading of the base [m].
     """
     (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
     R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
@@ -87,7 +87,7 @@ def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
 
 
 def show_world(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat) -> None:
-    """Adds Drake's visualizer of a scene graph to a builder."""
+    """Adds Drake's Meshcat visualizer of a scene graph to a builder."""
     params = MeshcatVisualizerParams(
         role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
     )
@@ -95,7 +95,7 @@ def show_world(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshca
 
 
 def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
-    """Serves the viewer's page with the panel, and prints its address."""
+    """Serves Meshcat's page with the panel, and prints its address."""
     page = LivePage(meshcat, title, description)
     print(f"viewer: {page.url}", file=sys.stderr)
     return page
@@ -103,7 +103,10 @@ def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
 
 @contextlib.contextmanager
 def recording(meshcat: Meshcat | None) -> Iterator[None]:
-    """Records the scene of a viewer, also when it is cut short; None: nothing is recorded."""
+    """Records Meshcat within the block, and publishes the recording even after an exception.
+
+    Without Meshcat (None) nothing is recorded.
+    """
     if meshcat is None:
         yield
         return
@@ -117,7 +120,7 @@ def recording(meshcat: Meshcat | None) -> Iterator[None]:
 
 
 def wait_for_viewer() -> None:
-    """Keeps the viewer until Enter is pressed, where somebody can press it."""
+    """Waits until Enter is pressed, if the standard input is a terminal."""
     if sys.stdin.isatty():
         with contextlib.suppress(EOFError, KeyboardInterrupt):
             input("press Enter to close the viewer ")

@@ -1,4 +1,4 @@
-"""The overlay in Meshcat."""
+"""MeshcatOverlay: drawn objects, their visibility over time, and the camera of the viewer."""
 
 from unittest.mock import Mock
 
@@ -23,21 +23,25 @@ ROOT = "/drake_oa"
 
 @pytest.fixture(scope="module")
 def server():
+    """Returns a Meshcat server for all tests of this module."""
     return Meshcat(MeshcatParams(host="localhost"))
 
 
 @pytest.fixture
 def meshcat(server):
+    """Returns the Meshcat server without objects of earlier tests."""
     server.Delete(ROOT)
     server.DeleteRecording()
     return server
 
 
 def obstacles(*ids):
+    """Returns ellipsoids of equal size and position with the given IDs."""
     return balls(*[(0.5, 0.0, 0.2)] * len(ids), radius=(0.1, 0.15, 0.2), stamp=-np.inf, ids=ids)
 
 
 def sides(*ids, cost=0.0):
+    """Returns a route with the selected direction up for each obstacle ID."""
     count = len(ids)
     return Route(
         direction_W=np.tile([0.0, 0.0, 1.0], (count, 1)),
@@ -49,8 +53,8 @@ def sides(*ids, cost=0.0):
     )
 
 
-class Moving(LeafSystem):
-    """Emits `value(time)` as an abstract value."""
+class TimeFunctionSource(LeafSystem):
+    """System that outputs `value(time)` as an abstract value."""
 
     def __init__(self, value):
         super().__init__()
@@ -62,6 +66,7 @@ class Moving(LeafSystem):
 
 
 def moving_policy(time):
+    """Returns the policy state of a motion along y at 0.2 m/s."""
     return PolicyState(
         p_WE=np.array([0.3, -0.4 + 0.2 * time, 0.3]),
         z_W=np.array([0.0, 0.2, 0.0]),
@@ -72,7 +77,7 @@ def moving_policy(time):
 
 
 def simulator(meshcat, ellipsoids=None, route=None, policy=moving_policy, more=(), **options):
-    """Overlay with sources; a callable input is a function of time."""
+    """Builds a simulator of an overlay with sources; a callable input is a function of time."""
     builder = DiagramBuilder()
     overlay = builder.AddNamedSystem("overlay", MeshcatOverlay(meshcat, **options))
     inputs = {
@@ -83,7 +88,7 @@ def simulator(meshcat, ellipsoids=None, route=None, policy=moving_policy, more=(
     }
     for name, value in inputs.items():
         if callable(value):
-            source = builder.AddSystem(Moving(value))
+            source = builder.AddSystem(TimeFunctionSource(value))
         else:
             wrapped = value if hasattr(value, "get_value") else Value(value)
             source = builder.AddSystem(ConstantValueSource(wrapped))
@@ -92,10 +97,11 @@ def simulator(meshcat, ellipsoids=None, route=None, policy=moving_policy, more=(
 
 
 def is_visible(meshcat, path):
+    """Checks whether the property `visible` of a path is true."""
     return b"\xc3" in meshcat._GetPackedProperty(f"{ROOT}/{path}", "visible")
 
 
-def test_the_objects_that_only_move_are_set_at_the_start(meshcat):
+def test_objects_of_constant_shape_are_drawn_at_the_start(meshcat):
     simulator(meshcat, show=["motion"]).Initialize()
     places = ("descriptor/7/ellipsoid/shape", "decision/7/direction/line")
     for path in (*places, "motion/planned/start", "motion/planned/goal", "motion/planned/path"):
@@ -104,7 +110,7 @@ def test_the_objects_that_only_move_are_set_at_the_start(meshcat):
 
 
 def frames(meshcat, path):
-    """Frames that have an object of their own."""
+    """Returns the numbers of the frames with an object below a path."""
     return [k for k in range(10) if meshcat.HasPath(f"{ROOT}/{path}/{k}")]
 
 
@@ -112,13 +118,13 @@ def test_executed_path_grows_while_moving_and_restarts_with_the_simulation(meshc
     sim = simulator(meshcat)
     sim.AdvanceTo(3.5 * PERIOD)
     assert frames(meshcat, "motion/executed") == [1, 2, 3]
-    # Nothing is kept on the system: one may serve several simulations.
+    # The state is in the Context, so that one system can be part of several simulations.
     other = Simulator(sim.get_system())
     other.AdvanceTo(1.5 * PERIOD)
     assert frames(meshcat, "motion/executed") == [1]
 
 
-def test_executed_path_is_that_of_the_body_when_connected(meshcat):
+def test_executed_path_is_that_of_the_tool_body_if_its_poses_are_connected(meshcat):
     bodies = Value[list[RigidTransform]]()
     bodies.set_value([RigidTransform(), RigidTransform([1.0, 2.0, 3.0])])
     sim = simulator(meshcat, more=[("body_poses", bodies)], body_index=BodyIndex(1))
@@ -126,7 +132,7 @@ def test_executed_path_is_that_of_the_body_when_connected(meshcat):
     assert not meshcat.HasPath(f"{ROOT}/motion/executed")
 
 
-def test_obstacles_keep_their_places_and_rings_are_those_of_obstacles(meshcat):
+def test_obstacles_keep_their_slots_and_rings_are_those_of_obstacles(meshcat):
     points = Value(PointCloud(1))
     sim = simulator(
         meshcat,
@@ -135,14 +141,14 @@ def test_obstacles_keep_their_places_and_rings_are_those_of_obstacles(meshcat):
         more=[("cloud", points)],
     )
     sim.AdvanceTo(3.5 * PERIOD)
-    for layer, shown in (("descriptor", [2]), ("decision", [2])):
-        assert [k for k in range(8) if is_visible(meshcat, f"{layer}/{k}")] == shown
+    for layer, slots in (("descriptor", [2]), ("decision", [2])):
+        assert [k for k in range(8) if is_visible(meshcat, f"{layer}/{k}")] == slots
     assert frames(meshcat, "decision/2/rings") == [0, 3]
     assert not is_visible(meshcat, "decision/2/rings/0")
     assert frames(meshcat, "perception/cloud") == [0, 3]
 
 
-def test_the_scene_is_looked_at_from_the_base():
+def test_viewer_camera_follows_the_base_pose():
     hanging = RigidTransform(RollPitchYaw(np.pi, 0.0, np.pi / 2.0), [1.0, 2.0, 1.3])
     usual, there = Mock(), Mock()
     dress_scene(usual, RigidTransform(), 0.0)
