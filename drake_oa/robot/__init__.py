@@ -1,22 +1,20 @@
-"""The arm: its plant, its kinematics as arrays, inverse kinematics and limits.
+"""Robot arm: plant, kinematics as arrays, inverse kinematics, limits, and covering spheres.
 
-In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool and gains;
-its defaults are the Panda's, and nothing else here knows of one arm). Out: a finalized
+In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool and gains), whose
+defaults are those of the Panda; no other code here is specific to one arm. Out: a finalized
 `MultibodyPlant` of the robot alone (`plant.RobotPlant`), its base link welded to the world at X_WB,
-with the frame E at the tool point; and `arm.Chain`, the same arm as arrays for compiled
-kernels: revolute joints in series, six or more. Positions q [rad, m] are the plant's, the arm's
-joints first; poses X_WE in the world. There are no systems here: the layers above hold a plant
-each.
+with the frame E at the tool point; and `arm.Chain`, the same arm as arrays for compiled kernels,
+with six or more revolute joints in series. Configurations q [rad, m] are in the order of the
+plant, the arm's joints first; poses X_WE are in the world. The package has no systems.
 
-- `plant`, `grasped_object`: parsing once a process, welding, limits, what the hand holds, the
-  tool's corners. `formats`: a model with meshes that Drake does not read, without actuators, or in
-  a package of Python, as Drake takes it.
-- `arm`: forward kinematics, the geometric Jacobian, tracking of a path of the tool, and inverse
-  kinematics within the joint limits.
-- `spheres`: the robot, with what it holds, as spheres that enclose its collision geometry; pairs of
-  bodies that may touch are found in random postures. `sphere_cover`: a body's spheres by a greedy
-  set cover, proven; those of the Panda are shipped.
-- `inertias`: a model with those of a file in place of its own.
+- `plant`, `grasped_object`: model parsing, once per process, base pose, limits, grasped object, and
+  corners of the tool. `formats`: conversion of models that Drake cannot read.
+- `arm`: forward kinematics, geometric Jacobian, tracking of tool paths, and inverse kinematics
+  within the joint limits.
+- `spheres`: the robot and its grasped object as spheres that enclose the collision geometry, with
+  the pairs of bodies that can collide. `sphere_cover`: spheres of a body by a greedy set cover with
+  proven enclosure; those of the Panda are shipped.
+- `inertias`: a model with the inertial parameters of a file.
 
-Begin with `plant.make_robot_plant` and `arm.make_chain`.
+Read `plant.make_robot_plant` and `arm.make_chain` first.
 """

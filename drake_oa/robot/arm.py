@@ -1,15 +1,17 @@
-"""Kinematics of the arm: poses, Jacobian, tracking of poses and inverse kinematics, compiled.
+"""Compiled kinematics of the arm: poses, Jacobian, tracking of tool poses, inverse kinematics.
 
-From pose to pose of the tool two damped Gauss-Newton steps (Y. Nakamura and H. Hanafusa, 1986),
+To track a path, each next pose of the tool is reached by damped Gauss-Newton steps (Y. Nakamura and
+H. Hanafusa, 1986) with the Jacobian J,
 
     dq = l + J^T (J J^T + damp I)^-1 (e - J l),    l = g' - g + k (g - q),
 
-e the way and turn to the next pose, g a posture that the null space is led along, g' the next one,
-k by how much it is drawn to it. The first step leads, the second one, with l = 0, lands. An arm of
-six joints has no null space but where it is singular; what its posture says there, landing leaves.
-A joint that a step would take beyond its limit stops there, and the others make the step without
-it. Inverse kinematics takes such steps from several configurations, damped in proportion to the
-square of the error (T. Sugihara, 2011).
+where e is the rotation and translation to the next pose, g and g' are the present and the next
+nominal posture, and k is the fraction of the distance to g that is corrected per pose (`pull`). A
+first step follows the nominal posture in the null space; corrective steps with l = 0 reduce the
+remaining pose error. An arm of six joints has a null space at singularities only, where corrective
+steps keep the first step's null-space motion. A joint that would exceed its limit is fixed at the
+limit, and the other joints perform the step. Inverse kinematics performs such steps from several
+seeds, with a damping proportional to the squared error (T. Sugihara, 2011).
 """
 
 from __future__ import annotations
@@ -26,32 +28,35 @@ from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 PULL = 20.0
-"""Rate at which the null space is drawn to the guiding posture: the distance to it falls to
-1 / e in 1 / 20 of the motion."""
-_DRAWN, _LANDED = 1e-4, 1e-7
-"""Damping of the two steps [m^2]: at 1e-4 a singular arm moves a joint by 1 rad for 1 cm."""
-_LANDINGS, _MISSED = 4, 1e-4
-"""The second step is repeated so often, until no more is missed [m, rad]."""
-_STEPS, _NEAR = 60, 1e-6
-"""Steps of the inverse kinematics from one configuration, and the error that it leaves [m, rad]."""
-_DAMPED = 0.01
-"""Share of the square of the error that damps such a step."""
-_OFF_PATH = 5e-3
-"""Error at which a path counts as not followed [m, rad]."""
-_SAME = 0.1
-"""Configurations are the same whose joints all differ by less [rad]."""
+"""Rate at which the arm approaches the nominal posture in its null space, per duration of the
+motion: the distance decreases to 1 / e in 1 / 20 of the motion [1]."""
+_TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
+"""Damping of the first and of the corrective steps of path tracking [m^2]. At 1e-4, a joint of a
+singular arm moves by 1 rad for an error of 1 cm."""
+_MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
+"""Maximum number of corrective steps per pose, and the pose error [m, rad] at which they end."""
+_MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
+"""Maximum number of steps of the inverse kinematics from one seed, and the maximum pose error of a
+solution [m, rad]."""
+_ERROR_DAMPING = 0.01
+"""Damping of a step of the inverse kinematics, relative to the squared pose error [1]."""
+_MAX_PATH_ERROR = 5e-3
+"""Maximum pose error of a path that the arm can follow [m, rad]."""
+_MIN_DIFFERENCE = 0.1
+"""Minimum difference of at least one joint between distinct configurations [rad]."""
 
 
 class Chain(NamedTuple):
-    """n revolute joints in series, from the world to the tool.
+    """Arm as arrays for kernels: n revolute joints in series, from the world to the tool.
 
     Attributes:
-        X_PJ: (n + 1, 4, 4) frame of each joint in the body before it (the first in the world),
-            its z axis being the joint's, and of the tool point E in the last body.
-        lower, upper: (n,) limits of the joints, finite [rad].
-        speed: (n,) their greatest speeds [rad/s].
-        reach: (n,) no point of a sphere is farther from the joint's axis than this [m].
-        q_index: (n,) places of the joints in the plant's positions.
+        X_PJ: (n + 1, 4, 4) pose of each joint's frame, whose z axis is the joint axis, in the frame
+            of the previous joint (of the first joint in the world); last: pose of the tool frame E
+            in the frame of the last joint.
+        lower, upper: (n,) finite position limits of the joints [rad].
+        speed: (n,) maximum speeds of the joints [rad/s].
+        reach: (n,) upper bound of the distance of the robot's spheres from each joint axis [m].
+        q_index: (n,) indices of the joints in the plant's positions.
     """
 
     X_PJ: FloatArray
@@ -63,21 +68,22 @@ class Chain(NamedTuple):
 
 
 class Spheres(NamedTuple):
-    """S spheres of a robot in G groups, a body a group, by joint and then by body.
+    """Spheres that cover a robot: S spheres in G groups, one per body, sorted by joint and body.
 
     Attributes:
-        joint: (S,) the joint that moves each; -1: fixed to the world.
-        p_JS: (S, 3) centers in that joint's frame (`chain_poses`), or in the world [m].
-        radius: (S,) [m].
-        of_tool: (S,) whether it is of the tool or of what the tool holds.
-        first: (G + 1,) where each group's spheres begin, and S.
-        group_joint: (G,) the joint that moves each group.
-        bound: (G, 4) center as `p_JS`, and radius, of a sphere that holds the group's [m].
-        cluster: (G + 1,) where each group's clusters of neighbors begin, and C.
-        cluster_first: (C + 1,) where each cluster's spheres begin, and S.
-        cluster_bound: (C, 4) as `bound`, of a cluster.
-        pairs: (P, 2) groups that may touch each other.
-        allowance: (P,) what a pair's spheres may overlap before its true shapes come near [m].
+        joint: (S,) index of the joint that moves each sphere; -1: fixed to the world.
+        p_JS: (S, 3) centers in the frame of that joint (`chain_poses`), or in the world [m].
+        radius: (S,) radii [m].
+        of_tool: (S,) whether a sphere belongs to the tool or the grasped object.
+        first: (G + 1,) index of the first sphere of each group; last: S.
+        group_joint: (G,) index of the joint that moves each group; -1: fixed to the world.
+        bound: (G, 4) center, as in `p_JS`, and radius of a sphere that contains the group [m].
+        cluster: (G + 1,) index of the first cluster of neighboring spheres of each group; last: C.
+        cluster_first: (C + 1,) index of the first sphere of each cluster; last: S.
+        cluster_bound: (C, 4) center and radius of a sphere that contains the cluster [m].
+        pairs: (P, 2) pairs of groups that can collide with each other.
+        allowance: (P,) overlap of the spheres of a pair at which its exact shapes are still apart
+            [m].
     """
 
     joint: IntArray
@@ -97,14 +103,14 @@ class Spheres(NamedTuple):
 def make_chain(
     plant: MultibodyPlant, tool_frame: Frame, q: FloatArray, spheres: Spheres | None = None
 ) -> Chain:
-    """Reads the joints between the world and the tool.
+    """Builds the chain of the joints between the world and the tool.
 
     Args:
         plant: finalized plant of the robot alone, its base welded to the world.
-        tool_frame: the frame E.
-        q: (nq,) configuration; joints that do not move the tool stay as they are here, and those
-            without limits go a turn either way from here [rad, m].
-        spheres: of the robot; None: `reach` is 0.
+        tool_frame: tool frame E.
+        q: (nq,) configuration [rad, m]. Joints that do not move the tool are fixed at it; joints
+            without limits can turn by one revolution in each direction from it.
+        spheres: spheres of the robot; None: `reach` is 0.
 
     Raises:
         ValueError: if a joint that moves the tool is not revolute.
@@ -137,7 +143,11 @@ def make_chain(
 
 
 def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
-    """The moving joints from the world to the tool, in that order."""
+    """Returns the moving joints from the world to the tool, in this order.
+
+    Raises:
+        ValueError: if one of them is not revolute.
+    """
     moving = [
         joint
         for joint in map(plant.get_joint, plant.GetJointIndices())
@@ -147,14 +157,14 @@ def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
     for joint in moving:
         if not isinstance(joint, RevoluteJoint):
             raise ValueError(
-                f"joint '{joint.name()}' moves '{tool_frame.name()}' and is of type "
+                f"joint '{joint.name()}' moves '{tool_frame.name()}' and has type "
                 f"{joint.type_name()}; the arm's joints must be revolute"
             )
     return moving
 
 
 def axis_frame(joint: RevoluteJoint) -> RigidTransform:
-    """Pose in the child body of a frame whose z axis is the joint's."""
+    """Returns the pose in the child body of a frame whose z axis is the joint axis."""
     X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
     return X_BM @ RigidTransform(
         RotationMatrix.MakeFromOneVector(joint.revolute_axis(), 2), [0] * 3
@@ -162,14 +172,14 @@ def axis_frame(joint: RevoluteJoint) -> RigidTransform:
 
 
 class Scratch(NamedTuple):
-    """Working memory of the kernels.
+    """Working memory of the kernels for an arm of n joints.
 
     Attributes:
-        X: (n + 2, 12) poses.
-        J, JJ: (6, n) the tool's Jacobian, and (6, 6) its square.
-        e, b: (6,) the error, and the right-hand side of a step.
-        lead, dq: (n,) the way of the joints in the null space, and the step.
-        held: (n,) whether a joint stays at its limit.
+        X: (n + 2, 12) poses, as from `chain_poses`.
+        J, JJ: (6, n) Jacobian of the tool, and (6, 6) the damped product J J^T.
+        e, b: (6,) pose error (`pose_error`), and right-hand side of a step.
+        null_step, dq: (n,) desired joint displacement l in the null space, and step [rad].
+        is_fixed: (n,) whether a joint is fixed at its limit.
     """
 
     X: FloatArray
@@ -177,24 +187,25 @@ class Scratch(NamedTuple):
     JJ: FloatArray
     e: FloatArray
     b: FloatArray
-    lead: FloatArray
+    null_step: FloatArray
     dq: FloatArray
-    held: BoolArray
+    is_fixed: BoolArray
 
 
 @compiled
 def scratch(n: int) -> Scratch:
     """Allocates the working memory for an arm of n joints."""
     X, J, JJ = np.empty((n + 2, 12)), np.empty((6, n)), np.empty((6, 6))
-    lead, dq, held = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.bool_)
-    return Scratch(X, J, JJ, np.empty(6), np.empty(6), lead, dq, held)
+    null_step, dq, is_fixed = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.bool_)
+    return Scratch(X, J, JJ, np.empty(6), np.empty(6), null_step, dq, is_fixed)
 
 
 @leaf
 def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
-    """Forward kinematics: X (n + 2, 12) of the world, the n joints and E, rotation, then position.
+    """Computes the forward kinematics at q (n,) into X (n + 2, 12), in the world.
 
-    Row i + 1 is the frame of joint i, so that row 0 is that of what is fixed to the world, -1.
+    A row is a rotation matrix, row by row, and a position [m]. Row 0 is the world, the frame of
+    bodies with joint index -1; row i + 1 is the frame of joint i; the last row is the tool frame E.
     """
     n = len(q)
     for i in range(12):
@@ -213,7 +224,10 @@ def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
 
 @compiled
 def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
-    """(T, 12) poses of the tool, rotation, row by row, and position [m], of (T, n) [rad]."""
+    """Computes the tool poses (T, 12) at configurations q (T, n) [rad].
+
+    A pose is a rotation matrix, row by row, and a position [m], in the world.
+    """
     X, X_WE = np.empty((q.shape[1] + 2, 12)), np.empty((len(q), 12))
     for row in range(len(q)):
         chain_poses(q[row], chain.X_PJ, X)
@@ -223,9 +237,9 @@ def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
 
 @leaf
 def jacobian(X: FloatArray, J: FloatArray) -> None:
-    """Sets J (6, n) to the tool's Jacobian, rotation before translation, in the world.
+    """Sets J (6, n) to the tool's Jacobian in the world, rotation before translation.
 
-    X is (n + 2, 12) as `chain_poses` leaves it.
+    X (n + 2, 12) holds the poses from `chain_poses`.
     """
     n = len(X) - 2
     for i in range(n):
@@ -239,7 +253,10 @@ def jacobian(X: FloatArray, J: FloatArray) -> None:
 
 @leaf
 def _solve(A: FloatArray, b: FloatArray) -> None:
-    """b becomes A^-1 b, A (m, m) positive definite, of which the lower half is read, and lost."""
+    """Replaces b (m,) by A^-1 b, for a positive definite matrix A (m, m), by LDL^T factorization.
+
+    Only the lower half of A is read; it is overwritten.
+    """
     m = len(b)
     for j in range(m):
         d = A[j, j]
@@ -263,13 +280,13 @@ def _solve(A: FloatArray, b: FloatArray) -> None:
 
 @leaf
 def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
-    """Sets e (6,) to the turn [rad] and the way [m] from the last pose of X to another (12,).
+    """Sets e (6,) to the rotation [rad] and translation [m] from the last pose of X to the target.
 
-    Half a turn, whose axis the skew part does not tell, counts as 1 rad about the world's x axis:
-    a step leads out of it.
+    For a rotation by half a turn, the skew part of the rotation matrix has no axis; it counts as 1
+    rad about the world's x axis, so that one step leaves this case.
 
     Returns:
-        The largest of them.
+        Maximum absolute element of e [rad, m].
     """
     # The skew part of R_WT R_WE^T, and its trace.
     last = len(X) - 1
@@ -296,43 +313,45 @@ def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
 
 
 @leaf
-def step_toward(q: FloatArray, damping: float, chain: Chain, room: Scratch) -> None:
-    """Moves q (n,), in place and within the limits, one step toward a pose of the tool.
+def step_toward(q: FloatArray, damping: float, chain: Chain, work: Scratch) -> None:
+    """Moves q in place, within the joint limits, by one damped step toward a pose of the tool.
+
+    See the equation of dq in the module.
 
     Args:
-        q: (n,) [rad]; `room.X` holds its poses, see `chain_poses`, `room.e` the error, see
-            `pose_error`, and `room.lead` where its null space is led.
-        damping: [m^2].
-        chain: the arm.
-        room: working memory.
+        q: (n,) configuration [rad].
+        damping: damping of the step [m^2].
+        chain: chain of the arm.
+        work: working memory with the poses of q in `X`, the pose error in `e`, and the desired
+            null-space displacement l in `null_step`.
     """
     n = len(q)
-    X, J, JJ, e, b, lead, dq, held = room
+    X, J, JJ, e, b, null_step, dq, is_fixed = work
     jacobian(X, J)
-    held[:] = False
+    is_fixed[:] = False
     for _ in range(n + 1):
-        # What the held joints and the lead of the others leave of the error.
+        # Pose error that remains after the steps of fixed joints and the null-space displacement.
         for i in range(6):
             b[i] = e[i]
             for k in range(n):
-                b[i] -= J[i, k] * (dq[k] if held[k] else lead[k])
+                b[i] -= J[i, k] * (dq[k] if is_fixed[k] else null_step[k])
             for j in range(i + 1):
                 v = 0.0
                 for k in range(n):
-                    if not held[k]:
+                    if not is_fixed[k]:
                         v += J[i, k] * J[j, k]
                 JJ[i, j] = v
             JJ[i, i] += damping
         _solve(JJ, b)
         is_within = True
         for k in range(n):
-            if not held[k]:
-                v = lead[k]
+            if not is_fixed[k]:
+                v = null_step[k]
                 for i in range(6):
                     v += J[i, k] * b[i]
                 dq[k] = min(max(v, chain.lower[k] - q[k]), chain.upper[k] - q[k])
                 if dq[k] != v:
-                    held[k], is_within = True, False
+                    is_fixed[k], is_within = True, False
         if is_within:
             break
     for k in range(n):
@@ -343,98 +362,98 @@ def step_toward(q: FloatArray, damping: float, chain: Chain, room: Scratch) -> N
 def follow(
     q: FloatArray,
     target: FloatArray,
-    guide: FloatArray,
+    postures: FloatArray,
     row: int,
     pull: float,
     chain: Chain,
-    room: Scratch,
+    work: Scratch,
 ) -> float:
-    """Moves q, in place, to the next pose of the tool; leaves the poses of the new q in `room`.
+    """Moves q in place to the next pose of the tool, and sets `work.X` to the poses of the new q.
 
     Args:
-        q: (n,) [rad].
-        target: (12,) the next pose.
-        guide: (T, n) postures that the null space is led along [rad].
-        row: of the next of them; 0: it is not led.
-        pull: share of the way to them that it is drawn.
-        chain: the arm.
-        room: working memory.
+        q: (n,) configuration [rad].
+        target: (12,) next pose of the tool.
+        postures: (T, n) nominal postures, tracked in the null space [rad].
+        row: index of the next nominal posture; 0: no motion in the null space.
+        pull: fraction of the distance to the nominal posture that is corrected [1].
+        chain: chain of the arm.
+        work: working memory.
 
     Returns:
-        The error that is left [m, rad].
+        Remaining pose error [m, rad].
     """
-    chain_poses(q, chain.X_PJ, room.X)
-    missed = pose_error(room.X, target, room.e)
+    chain_poses(q, chain.X_PJ, work.X)
+    error = pose_error(work.X, target, work.e)
     if row > 0:
         for i in range(len(q)):
-            ahead = guide[row, i] - guide[row - 1, i]
-            room.lead[i] = ahead + pull * (guide[row - 1, i] - q[i])
-    step_toward(q, _DRAWN, chain, room)
-    room.lead[:] = 0.0
-    chain_poses(q, chain.X_PJ, room.X)
-    missed = pose_error(room.X, target, room.e)
-    for _ in range(_LANDINGS):
-        step_toward(q, _LANDED if len(q) > 6 else _DRAWN, chain, room)
-        chain_poses(q, chain.X_PJ, room.X)
-        missed = pose_error(room.X, target, room.e)
-        if missed < _MISSED:
+            ahead = postures[row, i] - postures[row - 1, i]
+            work.null_step[i] = ahead + pull * (postures[row - 1, i] - q[i])
+    step_toward(q, _TRACKING_DAMPING, chain, work)
+    work.null_step[:] = 0.0
+    chain_poses(q, chain.X_PJ, work.X)
+    error = pose_error(work.X, target, work.e)
+    for _ in range(_MAX_CORRECTIONS):
+        step_toward(q, _CORRECTION_DAMPING if len(q) > 6 else _TRACKING_DAMPING, chain, work)
+        chain_poses(q, chain.X_PJ, work.X)
+        error = pose_error(work.X, target, work.e)
+        if error < _POSE_TOLERANCE:
             break
-    return missed
+    return error
 
 
 @compiled
 def reach(
     q: FloatArray, target: FloatArray, chain: Chain, near: FloatArray, pull: float
 ) -> FloatArray:
-    """Moves configurations to a pose of the tool.
+    """Moves configurations in place to a pose of the tool, by damped steps.
 
     Args:
-        q: (N, n) where to begin [rad]; they are changed.
-        target: (12,) the pose.
-        chain: the arm.
-        near: (n,) configuration that the null space is drawn to [rad].
-        pull: share of the way there that it is drawn in each step; 0: a pose that is reached is
-            left at once.
+        q: (N, n) initial configurations, modified in place [rad].
+        target: (12,) pose of the tool.
+        chain: chain of the arm.
+        near: (n,) nominal posture, tracked in the null space [rad].
+        pull: fraction of the distance to the nominal posture that is corrected per step [1]; 0: the
+            steps of a configuration end once the pose is reached.
 
     Returns:
-        (N,) the errors that are left [m, rad].
+        (N,) remaining pose errors [m, rad].
     """
-    missed, room = np.empty(len(q)), scratch(q.shape[1])
+    errors, work = np.empty(len(q)), scratch(q.shape[1])
     for row in range(len(q)):
-        for step in range(_STEPS + 1):
-            chain_poses(q[row], chain.X_PJ, room.X)
-            missed[row] = pose_error(room.X, target, room.e)
-            if step == _STEPS or (pull == 0.0 and missed[row] <= _NEAR):
+        for step in range(_MAX_STEPS + 1):
+            chain_poses(q[row], chain.X_PJ, work.X)
+            errors[row] = pose_error(work.X, target, work.e)
+            if step == _MAX_STEPS or (pull == 0.0 and errors[row] <= _IK_TOLERANCE):
                 break
             for i in range(q.shape[1]):
-                room.lead[i] = pull * (near[i] - q[row, i])
-            damping = _LANDED + _DAMPED * (room.e @ room.e)
-            step_toward(q[row], damping, chain, room)
-    return missed
+                work.null_step[i] = pull * (near[i] - q[row, i])
+            damping = _CORRECTION_DAMPING + _ERROR_DAMPING * (work.e @ work.e)
+            step_toward(q[row], damping, chain, work)
+    return errors
 
 
 @compiled
 def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Chain) -> FloatArray:
-    """Tracks paths of the tool, and computes how far the joints stay from their limits.
+    """Tracks paths of the tool, and computes the distances of the joints from their limits.
 
     Args:
-        q_start: (n,) where each path begins, and the null space is drawn to [rad].
-        X_WE: (N, T, 12) the paths.
-        pull: share of the way there that it is drawn from pose to pose.
-        chain: the arm.
+        q_start: (n,) configuration at the start of each path, also the nominal posture [rad].
+        X_WE: (N, T, 12) paths of tool poses.
+        pull: fraction of the distance to the nominal posture that is corrected per pose [1].
+        chain: chain of the arm.
 
     Returns:
-        (N, T) the least distance of a joint to its limit [rad]; -inf from the first pose that
-        the arm does not reach.
+        (N, T) minimum distance of a joint from its limits [rad]; -inf from the first pose that the
+        arm cannot reach.
     """
     N, T = X_WE.shape[:2]
-    margins, room = np.full((N, T), -np.inf), scratch(len(q_start))
-    guide = np.empty((2, len(q_start)))
-    guide[:] = q_start
+    margins, work = np.full((N, T), -np.inf), scratch(len(q_start))
+    postures = np.empty((2, len(q_start)))
+    postures[:] = q_start
     for i in range(N):
         q = q_start.copy()
         for row in range(T):
-            if follow(q, X_WE[i, row], guide, 1, pull, chain, room) > _OFF_PATH:
+            if follow(q, X_WE[i, row], postures, 1, pull, chain, work) > _MAX_PATH_ERROR:
                 break
             margins[i, row] = np.minimum(q - chain.lower, chain.upper - q).min()
     return margins
@@ -443,65 +462,67 @@ def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Cha
 def inverse_kinematics(
     chain: Chain, X_WE: FloatArray, near: FloatArray, *, seeds: int = 32, seed: int = 0
 ) -> FloatArray:
-    """Computes configurations (m, n) with the tool at a pose, the nearest first [rad].
+    """Computes configurations (m, n) for a tool pose, in order of distance from `near` [rad].
 
-    The same arguments give the same configurations; those of an arm of seven joints are samples of
+    The same arguments give the same configurations. Those of an arm of seven joints are samples of
     its self-motion.
 
     Args:
-        chain: the arm.
-        X_WE: (12,) the pose: rotation, row by row, and position [m].
-        near: (n,) configuration to begin with [rad].
-        seeds: number of random ones to begin with as well.
-        seed: of those.
+        chain: chain of the arm.
+        X_WE: (12,) pose of the tool: rotation matrix, row by row, and position [m].
+        near: (n,) first seed of the search [rad].
+        seeds: number of additional random seeds.
+        seed: seed of the random number generator.
     """
     random = np.random.default_rng(seed)
     q = np.vstack([near, random.uniform(chain.lower, chain.upper, (seeds, len(near)))])
-    q = q[reach(q, *kernel_arrays(X_WE), chain, *kernel_arrays(near), 0.0) <= _NEAR]
-    kept: list[FloatArray] = []
+    q = q[reach(q, *kernel_arrays(X_WE), chain, *kernel_arrays(near), 0.0) <= _IK_TOLERANCE]
+    distinct: list[FloatArray] = []
     for one in q[np.argsort(np.linalg.norm(q - near, axis=1), kind="stable")]:
-        if all(np.abs(one - other).max() > _SAME for other in kept):
-            kept.append(one)
-    return np.array(kept).reshape(-1, len(near))
+        if all(np.abs(one - other).max() > _MIN_DIFFERENCE for other in distinct):
+            distinct.append(one)
+    return np.array(distinct).reshape(-1, len(near))
 
 
 def solve_tool_pose(
     plant: MultibodyPlant, tool_frame: str, X_WE: RigidTransform, q_seed: FloatArray
 ) -> FloatArray:
-    """Computes positions (nq,), within the joint limits, with the tool frame E at a pose.
+    """Computes the configuration (nq,) for a pose of the tool frame E, within the joint limits.
 
-    Of the configurations that are found it is the one nearest to the seed; its null space is drawn
-    there. The same arguments give the same positions. Joints that do not move the tool keep their
+    It is the solution nearest to the seed, moved closer to the seed in its null space. The same
+    arguments give the same configuration. Joints that do not move the tool have their values in the
     seed.
 
     Args:
         plant: finalized plant of the robot alone.
-        tool_frame: name of the frame E.
-        X_WE: the pose.
-        q_seed: (nq,) positions to begin with [rad, m].
+        tool_frame: name of the tool frame E.
+        X_WE: pose of the tool frame.
+        q_seed: (nq,) seed of the search [rad, m].
 
     Raises:
-        ValueError: "out of reach: ..." if none is found; or if a joint is not revolute.
+        ValueError: "out of reach: ..." without a solution; or if a joint is not revolute.
     """
     chain = make_chain(plant, plant.GetFrameByName(tool_frame), q_seed)
     near, target = kernel_arrays(q_seed[chain.q_index], X_WE.GetAsMatrix34())
     target = np.append(target[:, :3].ravel(), target[:, 3])
-    found = inverse_kinematics(chain, target, near)
-    if not len(found):
+    solutions = inverse_kinematics(chain, target, near)
+    if not len(solutions):
         rpy = np.round(X_WE.rotation().ToRollPitchYaw().vector(), 3).tolist()
         raise ValueError(
             f"out of reach: {tool_frame} cannot be at {np.round(target[9:], 4).tolist()} m in the "
             f"world, roll, pitch, yaw {rpy} rad, within the joint limits"
         )
-    drawn, q = found[:1].copy(), np.array(q_seed, dtype=float)
-    reach(drawn, target, chain, near, 1.0)
-    q[chain.q_index] = drawn[0] if reach(drawn, target, chain, near, 0.0)[0] <= _NEAR else found[0]
+    refined, q = solutions[:1].copy(), np.array(q_seed, dtype=float)
+    reach(refined, target, chain, near, 1.0)
+    q[chain.q_index] = (
+        refined[0] if reach(refined, target, chain, near, 0.0)[0] <= _IK_TOLERANCE else solutions[0]
+    )
     return q
 
 
 @compiled
 def rotation_vector(R: FloatArray) -> FloatArray:
-    """Log map of a rotation: unit axis times angle, the angle in [0, pi].
+    """Computes the rotation vector of a rotation: unit axis times angle in [0, pi] (log map).
 
     Args:
         R: (3, 3) rotation matrix.
@@ -516,8 +537,8 @@ def rotation_vector(R: FloatArray) -> FloatArray:
     if cosine > 0.0:
         scale = 0.5 * angle / sine if sine > 1e-8 else 0.5
         return scale * twice
-    # Towards half a turn the antisymmetric part fades; the symmetric part is
-    # cos I + (1 - cos) a a^T, from whose largest column the axis a follows.
+    # Near half a turn the antisymmetric part vanishes. The symmetric part is
+    # cos I + (1 - cos) a a^T; its largest column gives the axis a.
     k = 0
     for i in range(1, 3):
         if R[i, i] > R[k, k]:
@@ -532,9 +553,9 @@ def rotation_vector(R: FloatArray) -> FloatArray:
 
 
 def rotation_of(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
+    """Computes the rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
 
-    All NaN where the quaternion is zero or not finite.
+    All elements are NaN for a zero or non-finite quaternion.
     """
     with np.errstate(invalid="ignore"):
         scaled = quaternion / np.abs(quaternion).max()

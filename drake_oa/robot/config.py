@@ -1,4 +1,4 @@
-"""Configuration of the robot: a scenario's field `robot`."""
+"""Configuration block of the robot: a scenario's field `robot`."""
 
 import math
 from typing import Annotated
@@ -10,10 +10,11 @@ from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3, length
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
+"""Type of a maximum joint speed [rad/s]."""
 
 
 def _check_stable(ki: float, info: ValidationInfo) -> float:
-    """Checks an integral gain; the control error e obeys de'/dt + kd e' + kp e + ki int e = 0."""
+    """Checks the stability of the control error e: e'' + kd e' + kp e + ki int e dt = 0."""
     bound = info.data.get("kp_position", math.inf) * info.data.get("kd_position", math.inf)
     if ki > 0.0 and ki >= bound:
         raise ValueError(f"{ki:g} must be below kp_position times kd_position, {bound:g}")
@@ -25,43 +26,45 @@ class Gains:
     """Gains of the inverse-dynamics controllers.
 
     JointInverseDynamics uses `kp_position`, `kd_position` and `ki_position` for each joint, and
-    `kd_stop`; CartesianInverseDynamics uses all.
+    `kd_stop`. CartesianInverseDynamics uses all gains.
 
-    Stiffness and damping multiply accelerations, so the error of a free tool obeys
-    e'' + kd e' + kp e = 0 for any inertia of the arm; the defaults are critically damped.
+    The gains scale accelerations: without contact, the error obeys e'' + kd e' + kp e = 0 for any
+    inertia of the arm. The defaults are critically damped.
     """
 
     kp_position: float = Field(default=400.0, ge=0.0, le=1e5)
-    """Proportional gain of the tool position [1/s^2]. Raising it tracks more stiffly."""
+    """Proportional gain of the tool position [1/s^2]. Raising it reduces the tracking error."""
     kd_position: float = Field(default=40.0, ge=0.0, le=1e4)
-    """Derivative gain of the tool position [1/s]. Raising it damps more."""
+    """Derivative gain of the tool position [1/s]. Raising it increases the damping."""
     ki_position: Annotated[float, AfterValidator(_check_stable)] = Field(
         default=1000.0, ge=0.0, le=1e6
     )
-    """Integral gain of the tool position, less than kp kd [1/s^3]; 0: none. Raising it removes
-    steady errors sooner and oscillates more."""
+    """Integral gain of the tool position, below kp_position kd_position [1/s^3]; 0: no integral
+    action. Raising it removes steady-state errors sooner, with more oscillation."""
     kp_orientation: float = Field(default=400.0, ge=0.0, le=1e5)
-    """Proportional gain of the tool orientation [1/s^2]. Raising it tracks more stiffly."""
+    """Proportional gain of the tool orientation [1/s^2]. Raising it reduces the tracking error."""
     kd_orientation: float = Field(default=40.0, ge=0.0, le=1e4)
-    """Derivative gain of the tool orientation [1/s]. Raising it damps more."""
+    """Derivative gain of the tool orientation [1/s]. Raising it increases the damping."""
     kp_posture: float = Field(default=25.0, ge=0.0, le=1e5)
-    """Proportional gain of the posture in the null space of the task [1/s^2]. Raising it tracks the
-    posture more stiffly."""
+    """Proportional gain of the nominal posture in the null space of the task [1/s^2]. Raising it
+    reduces the error of the posture."""
     kd_posture: float = Field(default=10.0, ge=0.0, le=1e4)
-    """Derivative gain of the posture in the null space of the task [1/s]. Raising it damps more."""
+    """Derivative gain of the nominal posture in the null space of the task [1/s]. Raising it
+    increases the damping."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
-    """Effective mass above which the inverse is damped, near singularities [kg]. Raising it tracks
-    exactly closer to singularities."""
+    """Effective mass of the tool above which the inverse of the Jacobian is damped, near
+    singularities [kg]. Raising it tracks exactly closer to singularities, with faster joints."""
     rotation_length: float = Field(default=0.25, gt=0.0, le=10.0)
-    """Length that converts angles to distances when directions of the task are compared [m].
-    Raising it gives rotations more weight."""
+    """Length that converts angles to distances in comparisons of task directions [m]. Raising it
+    gives rotations more weight."""
     kd_stop: float = Field(default=10.0, gt=0.0, le=1e4)
-    """Joint damping while the control law cannot be evaluated [1/s]. Raising it stops sooner."""
+    """Joint damping while the control law cannot be evaluated [1/s]. Raising it stops the arm
+    sooner."""
 
 
 @dataclass(config=BLOCK)
 class BasePose:
-    """Pose X_WB of the base link in the world."""
+    """Pose X_WB of the robot's base link B in the world."""
 
     translation: Annotated[list[Annotated[float, Field(ge=-20.0, le=20.0)]], length(3)] = Field(
         default=[0.0, 0.0, 0.0]
@@ -76,19 +79,19 @@ class SphereParameters:
     """Accuracy of the spheres that cover the robot."""
 
     protrusion: float = Field(default=0.003, gt=0.0, le=0.1)
-    """Distance by which spheres of the links exceed the links' surface, approximately [m]. Raising
-    it needs fewer spheres and less time, and makes the arm thicker."""
+    """Approximate distance by which the spheres of a link protrude from its surface [m]. Raising it
+    gives fewer spheres and less computation, but a thicker arm."""
     max_tool_protrusion: float = Field(default=0.004, gt=0.0, le=0.1)
-    """The distance `protrusion` for the tool and the grasped object [m]. Raising it needs fewer
-    spheres and makes the tool thicker."""
+    """Approximate distance by which spheres protrude from the tool and the grasped object [m].
+    Raising it gives fewer spheres and a thicker tool."""
     max_fixed_protrusion: float = Field(default=0.02, gt=0.0, le=0.1)
-    """The distance `protrusion` for bodies that no joint moves [m]. Raising it needs fewer spheres
-    and makes those bodies thicker."""
+    """Approximate distance by which spheres protrude from bodies that no joint moves [m]. Raising
+    it gives fewer spheres and thicker bodies."""
 
 
 @dataclass(config=BLOCK)
 class Robot:
-    """A serial arm of revolute joints that carries the tool. The defaults are the Panda's."""
+    """Serial arm of revolute joints with a tool. The defaults are those of the Panda."""
 
     model: str = "package://drake_oa/panda/panda_arm_hand.urdf"
     """Model of the robot: a package:// URL, or a file relative to the scenario. Drake's Panda is
@@ -109,18 +112,20 @@ class Robot:
     default points the tool down and opens the fingers along the world's x axis, so that the hand is
     narrow along the motion."""
     q_seed: list[float] = Field(default=[-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608])
-    """Positions of the arm's joints, which are the first of the model: initial guess of the inverse
-    kinematics and posture of the null space [rad]."""
+    """Configuration of the arm: seed of the inverse kinematics, and nominal posture in the null
+    space [rad]. The arm's joints are the first joints of the model."""
     joint_speed: list[_Speed] | None = None
-    """Maximum speed of each joint of the arm where it is below that of the model or the model has
-    none [rad/s]; null: that of the model. Raising it moves faster."""
+    """Maximum speed of each joint of the arm, in addition to the model's limits [rad/s]; null: the
+    limits of the model. Raising it allows faster motions."""
     finger_opening: float = Field(default=0.005, ge=0.0, le=0.04)
-    """Opening of each finger [m]. At a joint limit the simulation is slower."""
+    """Opening of each finger [m]. Raising it widens the hand. At a joint limit, 0 or the maximum,
+    the simulation is slower."""
     carried: list[Annotated[Box | Cylinder | Sphere, Tagged()]] = Field(default_factory=list)
-    """Shapes of the grasped object, which is part of the tool, in the frame of the hand link H."""
+    """Shapes of the grasped object in the frame of the hand link H; the object is part of the tool.
+    """
     carried_mass: float = Field(default=0.5, gt=0.0, le=20.0)
-    """Mass of the grasped object, distributed by volume [kg]. Raising it needs more torque."""
+    """Mass of the grasped object, distributed by volume [kg]. Raising it increases the torques."""
     spheres: SphereParameters = Field(default_factory=SphereParameters)
     """Spheres that cover the robot for clearance computations."""
     gains: Gains = Field(default_factory=Gains)
-    """Gains of the controller."""
+    """Gains of the inverse-dynamics controller."""

@@ -12,29 +12,31 @@ from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.robot.config import Robot
 
 _COLOR = np.array([0.25, 0.35, 0.6, 1.0])
+"""Color of the grasped object: red, green, blue, opacity."""
 _FRICTION = 0.7
+"""Friction coefficient of the grasped object [1]."""
 
 
 def carried_links(robot: Robot) -> list[str]:
-    """Returns the names of the bodies that `add_carried` adds, one a shape."""
+    """Returns the names of the bodies added by `add_carried`, one per shape."""
     return [f"carried{row}" for row in range(len(robot.carried))]
 
 
 def tool_links(robot: Robot) -> list[str]:
-    """Returns the names of the tool's bodies: those of the model, and the grasped object's."""
+    """Returns the names of the tool's bodies, including those of the grasped object."""
     return [*robot.tool_links, *carried_links(robot)]
 
 
 def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robot) -> None:
-    """Adds `robot.carried` to the robot's model instance, welded to the hand link.
+    """Adds the grasped object `robot.carried` to the robot's model instance.
 
-    Each shape is a body of its own, posed in the frame of the hand link H; the mass is shared
-    out by volume.
+    Each shape is a separate body that is welded to the hand link H. The mass is distributed by
+    volume.
 
     Args:
-        plant: with the arm, not finalized.
-        instance: the robot.
-        robot: its `hand_link` and `tool_links` are in the plant.
+        plant: plant with the arm, not finalized.
+        instance: model instance of the robot.
+        robot: configuration of the robot, whose `hand_link` is in the plant.
     """
     if not robot.carried:
         return
@@ -50,24 +52,26 @@ def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robo
             plant.RegisterCollisionGeometry(body, identity, geometry, name, friction)
 
 
-def part_carried(plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | None) -> None:
+def exclude_grasp_contacts(
+    plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | None
+) -> None:
     """Excludes contacts between the grasped object and the tool.
 
     Args:
-        plant: finalized, with `robot.carried`.
-        scene_graph: its own; no Context of it has been made.
-        robot: or None, for which there is nothing to do.
+        plant: finalized plant with the grasped object.
+        scene_graph: scene graph of the plant, without Contexts.
+        robot: configuration of the robot; None: no effect.
     """
     if robot is None or not robot.carried:
         return
     instance = plant.GetBodyByName(carried_links(robot)[0]).model_instance()
     links = {robot.hand_link, *tool_links(robot)}
-    held = [
-        geometry
+    geometry_ids = [
+        geometry_id
         for link in sorted(links)
         if plant.HasBodyNamed(link, instance)
-        for geometry in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(link, instance))
+        for geometry_id in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(link, instance))
     ]
     scene_graph.collision_filter_manager().Apply(
-        CollisionFilterDeclaration().ExcludeWithin(GeometrySet(held))
+        CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometry_ids))
     )

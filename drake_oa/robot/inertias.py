@@ -1,7 +1,8 @@
-"""Other inertial parameters for a model's links: a wrong model for the controller.
+"""Replacement of a model's inertial parameters, to give the controller a wrong model.
 
-The package's Panda has identified ones (C. Gaz et al., IEEE RA-L 4(4), 2019). Those in the file
-beside it, of uniform density, are as far off as those of a robot without identification.
+The shipped Panda has identified parameters (C. Gaz et al., IEEE RA-L 4(4), 2019). The shipped file
+models/panda/uniform_density.yaml has those of links with uniform density, with the typical errors
+of a robot without identification.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from drake_oa.common.config import BLOCK, ScenarioError, Vector3, length, read_y
 
 @dataclass(config=BLOCK)
 class Inertia:
-    """Inertial parameters of a link."""
+    """Inertial parameters of a link: an entry of a file of inertias."""
 
     mass: Annotated[float, Field(gt=0.0, le=1e4)]
     """Mass [kg]. Raising it makes the link heavier."""
@@ -30,26 +31,26 @@ class Inertia:
 
 
 def set_inertias(urdf: Element | None, file: Path) -> None:
-    """Replaces the inertial parameters of some links by those in a YAML file.
+    """Replaces the inertial parameters of the links that are named in a YAML file.
 
     Args:
-        urdf: root of a URDF, to be changed; None: the model is none.
-        file: inertial parameters by the name of the link.
+        urdf: root of a URDF, modified in place; None: the model is no URDF.
+        file: file with inertial parameters by name of the link.
 
     Raises:
-        OSError: if there is no such file.
-        ScenarioError: listing every wrong value, or naming a link that the model lacks.
+        OSError: if the file does not exist.
+        ScenarioError: listing every wrong value, or naming a link that is not in the model.
     """
-    found = validate(dict[str, Inertia], read_yaml(file.read_text("utf-8")), "inertias")
+    inertias = validate(dict[str, Inertia], read_yaml(file.read_text("utf-8")), "inertias")
     links = {} if urdf is None else {link.get("name"): link for link in urdf.iter("link")}
-    for name, item in found.items():
+    for name, item in inertias.items():
         link = links.get(name)
         if link is None:
             raise ScenarioError(
                 f"robot.model has no link {name}; it has {', '.join(map(str, links))}"
             )
-        for old in link.findall("inertial"):
-            link.remove(old)
+        for previous in link.findall("inertial"):
+            link.remove(previous)
         inertial = SubElement(link, "inertial")
         SubElement(inertial, "origin", xyz=" ".join(map(repr, item.com)))
         SubElement(inertial, "mass", value=repr(item.mass))

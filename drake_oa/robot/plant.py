@@ -1,4 +1,4 @@
-"""Plant of the robot alone, as the controller and the self filter know it, and its limits."""
+"""Plant of the robot alone, for the controller and the self filter, and the robot's limits."""
 
 from __future__ import annotations
 
@@ -27,28 +27,41 @@ from drake_oa.robot.formats.model_file import (
     named_warnings,
     with_file_name,
 )
-from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
+from drake_oa.robot.grasped_object import add_carried, exclude_grasp_contacts, tool_links
 from drake_oa.robot.inertias import set_inertias
 
 TOOL_FRAME = "tool_point"
+"""Name of the tool frame E in plants."""
 
 
 def known_packages() -> PackageMap:
-    """Returns Drake's packages and `package://drake_oa`."""
+    """Returns the package map of Drake's packages and `package://drake_oa`."""
     packages = PackageMap()
     packages.AddPackageXml(str(package_file("package://drake_oa/package.xml")))
     return packages
 
 
 def make_parser(plant: MultibodyPlant) -> Parser:
-    """Makes a parser that has the `known_packages`."""
+    """Creates a parser of a plant with the `known_packages`."""
     parser = Parser(plant)
     parser.package_map().AddMap(known_packages())
     return parser
 
 
 def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> ModelInstanceIndex:
-    """Adds the arm, welds its base to the world, adds the tool frame E; see `make_robot_plant`."""
+    """Adds the robot with its base welded to the world, its tool frame E, and its grasped object.
+
+    Args:
+        plant: plant, not finalized.
+        robot: configuration of the robot.
+        inertias: file of inertial parameters, see `make_robot_plant`.
+
+    Returns:
+        Model instance of the robot.
+
+    Raises:
+        ScenarioError: naming the wrong field of the robot.
+    """
     parser = make_parser(plant)
     packages = parser.package_map()
     add_installed_package(packages, robot.model)
@@ -90,14 +103,14 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
 
 
 def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robot) -> None:
-    """Lowers the speed limits of the arm, whose joints are the first that move."""
+    """Lowers the speed limits of the arm's joints, the first moving ones, to `joint_speed`."""
     if robot.joint_speed is None:
         return
     joints = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
     moving = [joint for joint in joints if joint.num_velocities()]
     if len(robot.joint_speed) != len(robot.q_seed) or len(moving) < len(robot.q_seed):
         raise ScenarioError(
-            f"robot.joint_speed: expected {len(robot.q_seed)} numbers as robot.q_seed has, not "
+            f"robot.joint_speed: expected {len(robot.q_seed)} numbers, as in robot.q_seed, not "
             f"{len(robot.joint_speed)}"
         )
     for joint, speed in zip(moving, robot.joint_speed, strict=False):
@@ -106,25 +119,26 @@ def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Rob
 
 
 def base_pose(robot: Robot | None) -> RigidTransform:
-    """X_WB; the identity without a robot."""
+    """Returns the base pose X_WB; the identity without a robot."""
     return RigidTransform() if robot is None else pose(robot.X_WB)
 
 
 def _url(url_or_file: str) -> str:
+    """Returns a URL unchanged, and a file name as URL."""
     return url_or_file if "://" in url_or_file else Path(url_or_file).absolute().as_uri()
 
 
 @dataclass(frozen=True, eq=False)
 class RobotLimits:
-    """Names and limits of a robot's joints; all empty where there is no robot.
+    """Names and limits of a robot's joints; all empty without a robot.
 
     Attributes:
         position_name: (nq,) names of the positions.
-        position_lower: (nq,) lower limits [rad, m].
-        position_upper: (nq,) upper limits [rad, m].
-        velocity_limit: (nv,) greatest speeds [rad/s, m/s].
+        position_lower: (nq,) lower position limits [rad, m].
+        position_upper: (nq,) upper position limits [rad, m].
+        velocity_limit: (nv,) maximum speeds [rad/s, m/s].
         actuator_name: (nu,) names of the actuated joints.
-        effort_limit: (nu,) greatest actuation [N m, N]; inf: none.
+        effort_limit: (nu,) maximum actuation [N m, N]; inf: no limit.
     """
 
     position_name: tuple[str, ...] = ()
@@ -137,15 +151,15 @@ class RobotLimits:
 
 @dataclass(frozen=True, eq=False)
 class RobotPlant:
-    """The robot alone, for kinematics and the control law; see `make_robot_plant`.
+    """Plant of the robot alone, for kinematics and control; see `make_robot_plant`.
 
-    It is shared and not to be changed; each user creates a Context.
+    The plant is shared and must not be modified; each user creates a Context.
 
     Attributes:
-        diagram: owns plant and scene graph.
-        plant: finalized plant of arm and hand.
-        scene_graph: its geometry.
-        instance: the robot's model instance.
+        diagram: diagram of plant and scene graph.
+        plant: finalized plant of the robot.
+        scene_graph: scene graph of the plant.
+        instance: model instance of the robot.
     """
 
     diagram: Diagram
@@ -155,12 +169,12 @@ class RobotPlant:
 
     @property
     def tool_frame(self) -> Frame:
-        """The tool point's frame E."""
+        """Tool frame E of the plant."""
         return self.plant.GetFrameByName(TOOL_FRAME)
 
     @property
     def limits(self) -> RobotLimits:
-        """Names and limits of the joints, in the plant's order."""
+        """Names and limits of the robot's joints, in the order of the plant."""
         plant, robot = self.plant, self.instance
         actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices(robot)]
         return RobotLimits(
@@ -173,7 +187,7 @@ class RobotPlant:
         )
 
     def tool_poses(self, q: FloatArray) -> list[RigidTransform]:
-        """Computes X_WE at each of (T, nq) positions of the robot, by forward kinematics."""
+        """Computes the tool poses X_WE at configurations q (T, nq) of the robot."""
         context, poses = self.plant.CreateDefaultContext(), []
         for positions in q:
             self.plant.SetPositions(context, self.instance, positions)
@@ -181,26 +195,26 @@ class RobotPlant:
         return poses
 
     def tool_path(self, q: FloatArray) -> FloatArray:
-        """Computes p_WE (T, 3) at (T, nq) positions of the robot [m]."""
+        """Computes the tool positions p_WE (T, 3) at configurations q (T, nq) of the robot [m]."""
         return np.array([X_WE.translation() for X_WE in self.tool_poses(q)]).reshape(-1, 3)
 
 
 _PLANTS: dict[tuple[str, str], RobotPlant] = {}
-"""Robots of this process by their blocks and files of inertias."""
+"""Robot plants of this process, by configuration and file of inertial parameters."""
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
-    """Returns the robot alone, welded to the world as in the station.
+    """Returns the plant of the robot alone, welded to the world as in the station.
 
-    It is parsed once a process for each value of the block, and shared.
+    Each configuration is parsed once per process; the plant is shared.
 
     Args:
-        robot: the model, and its base.
-        inertias: URL or name of a file of inertias that it has in place of its own, see
-            `drake_oa.robot.inertias`; empty: it has its own.
+        robot: configuration of the robot.
+        inertias: URL or name of a file of inertial parameters that replace those of the model, see
+            `drake_oa.robot.inertias`; empty: those of the model.
 
     Raises:
-        ScenarioError: naming the field of the robot that does not fit.
+        ScenarioError: naming the wrong field of the robot.
     """
     key = repr(robot), inertias
     if key not in _PLANTS:
@@ -209,6 +223,7 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
 
 
 def _parse(robot: Robot, inertias: str) -> RobotPlant:
+    """Builds the plant of a robot, and checks the number of its joints; see `make_robot_plant`."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = add_robot(plant, robot, inertias=inertias)
@@ -220,16 +235,19 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
             f"robot.q_seed: expected {len(arm)} numbers, of "
             f"{', '.join(joint.name() for joint in arm)}, not {len(robot.q_seed)}"
         )
-    part_carried(plant, scene_graph, robot)
+    exclude_grasp_contacts(plant, scene_graph, robot)
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
 
 
 def tool_link_corners(robot: Robot) -> list[FloatArray]:
-    """Computes the corners of each tool link about E, in the world's orientation, (K_i, 3) [m].
+    """Computes the corners of each tool link relative to E, in world axes: list of (K_i, 3) [m].
 
-    They come from the collision geometry of `robot.tool_links` and `robot.carried`, posed
-    as in the task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
-    shape gives the corners of the box round it.
+    The corners are those of the collision geometry of `robot.tool_links` and `robot.carried`, with
+    the tool at `robot.rpy_WE` and the fingers open by `robot.finger_opening`. A rounded shape gives
+    the corners of its bounding box.
+
+    Raises:
+        ScenarioError: for an unknown link, or tool links without collision geometry.
     """
     robot_plant = make_robot_plant(robot)
     plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
@@ -260,7 +278,7 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
 
 
 def home_positions(robot: Robot) -> FloatArray:
-    """Returns all positions (nq,) of the robot at `q_seed`, fingers at their opening."""
+    """Returns the configuration (nq,) with the arm at `q_seed` and the fingers at their opening."""
     q = np.full(make_robot_plant(robot).plant.num_positions(), robot.finger_opening)
     q[: len(robot.q_seed)] = robot.q_seed
     return q

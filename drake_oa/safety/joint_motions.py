@@ -69,7 +69,7 @@ def track(
     follow(after, X_next, guide, 1, pull, chain, room)
     ahead = after.copy()
     room.e[:] = step * V_WE
-    room.lead[:] = step * (posture[n:] + rate * (posture[:n] - after))
+    room.null_step[:] = step * (posture[n:] + rate * (posture[:n] - after))
     step_toward(ahead, _DRAWN, chain, room)
     return after, (ahead - after) / step
 

@@ -22,7 +22,7 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import DepthCamera, LcmCamera
-from drake_oa.robot.grasped_object import part_carried
+from drake_oa.robot.grasped_object import exclude_grasp_contacts
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
@@ -183,7 +183,7 @@ def make_station(
     plant.SetUseSampledOutputPorts(False)
     robot = add_world(plant, scenario)
     plant.Finalize()
-    part_carried(plant, scene_graph, scenario.robot)
+    exclude_grasp_contacts(plant, scene_graph, scenario.robot)
     cameras = add_cameras(builder, scenario, plant, external) if render else {}
     obstacles = obstacle_instances(plant)
     _check_anchored(plant, obstacles, scenario.obstacles)

@@ -1,4 +1,4 @@
-"""Kinematics of the arm: tracking of poses and inverse kinematics."""
+"""Kinematics of the arm: tracking of tool poses, and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -30,49 +30,56 @@ HOME = np.array(Robot().q_seed)
 
 @pytest.fixture(scope="module")
 def panda_chain(panda: RobotPlant) -> Chain:
+    """Returns the chain of the Panda."""
     return make_chain(panda.plant, panda.tool_frame, home_positions(Robot()))
 
 
 @pytest.fixture(scope="module")
 def six_chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
+    """Returns the chain of an arm of six joints."""
     robot = make_robot_plant(six_robot(tmp_path_factory.mktemp("six")))
     return make_chain(robot.plant, robot.tool_frame, np.array(SIX_HOME))
 
 
 def pose(chain: Chain, q: FloatArray) -> FloatArray:
+    """Returns the tool pose (12,) at a configuration q (n,) [rad]."""
     return tool_poses(chain, q[None])[0]
 
 
 def shifted(X_WE: FloatArray, p: FloatArray, turn: FloatArray) -> FloatArray:
-    """(12,) pose moved by p (3,) and turned by a rotation vector (3,)."""
+    """Returns a pose (12,) translated by p (3,) and rotated by a rotation vector (3,)."""
     R = Rotation.from_rotvec(turn).as_matrix() @ X_WE[:9].reshape(3, 3)
     return np.append(R.ravel(), X_WE[9:] + p)
 
 
-def tracked(
-    chain: Chain, q: FloatArray, targets: FloatArray, guide: FloatArray, pull: float = 0.3
+def track(
+    chain: Chain, q: FloatArray, targets: FloatArray, posture: FloatArray, pull: float = 0.3
 ) -> tuple[FloatArray, FloatArray]:
-    """Joints (T, n) and errors (T,) along poses (T, 12), led along postures (T, n) or one (n,)."""
-    room, q = scratch(len(q)), np.array(q)
-    led = np.array(np.broadcast_to(guide, (len(targets), len(q))))
-    led = np.concatenate([led[:1], led])
+    """Tracks tool poses (T, 12) with nominal postures (T, n) or (n,) in the null space.
+
+    Returns:
+        (T, n) configurations [rad]; (T,) pose errors [m, rad].
+    """
+    work, q = scratch(len(q)), np.array(q)
+    postures = np.array(np.broadcast_to(posture, (len(targets), len(q))))
+    postures = np.concatenate([postures[:1], postures])
     joints, errors = [], []
     for row, target in enumerate(targets):
-        errors.append(follow(q, target, led, row + 1, pull, chain, room))
+        errors.append(follow(q, target, postures, row + 1, pull, chain, work))
         joints.append(q.copy())
-        np.testing.assert_array_equal(room.X[-1], pose(chain, q))
+        np.testing.assert_array_equal(work.X[-1], pose(chain, q))
     return np.array(joints), np.array(errors)
 
 
 @settings(max_examples=30)
 @given(seed=SEEDS)
-def test_a_path_is_followed(panda_chain: Chain, six_chain: Chain, seed: int) -> None:
+def test_arm_tracks_a_path(panda_chain: Chain, six_chain: Chain, seed: int) -> None:
     random = np.random.default_rng(seed)
     for chain, home in ((panda_chain, HOME), (six_chain, np.array(SIX_HOME))):
         p, turn = random.uniform(-0.01, 0.01, 3), random.uniform(-0.02, 0.02, 3)
-        way = np.linspace(0.0, 1.0, 9)[1:, None]
-        targets = np.array([shifted(pose(chain, home), u * p, u * turn) for u in way])
-        joints, errors = tracked(chain, home, targets, home)
+        path = np.linspace(0.0, 1.0, 9)[1:, None]
+        targets = np.array([shifted(pose(chain, home), u * p, u * turn) for u in path])
+        joints, errors = track(chain, home, targets, home)
         assert errors.max() < 1e-4
         np.testing.assert_allclose(tool_poses(chain, joints), targets, atol=2e-4)
         margin = joint_margins(home, targets[None], 0.3, chain)[0]
@@ -80,32 +87,32 @@ def test_a_path_is_followed(panda_chain: Chain, six_chain: Chain, seed: int) -> 
         np.testing.assert_allclose(margin, expected, atol=1e-9)
 
 
-def test_the_null_space_is_drawn_to_the_guide(panda_chain: Chain) -> None:
-    """The tool stands; only the elbow of seven joints can swing then."""
+def test_null_space_tracks_the_nominal_posture(panda_chain: Chain) -> None:
+    """At a constant tool pose, only the elbow of an arm with seven joints can move."""
     targets = np.tile(pose(panda_chain, HOME), (60, 1))
-    guide = HOME + [0.5, 0.2, -0.5, 0.0, 0.0, 0.0, 0.0]
-    way, errors = tracked(panda_chain, HOME, targets, guide)
+    posture = HOME + [0.5, 0.2, -0.5, 0.0, 0.0, 0.0, 0.0]
+    path, errors = track(panda_chain, HOME, targets, posture)
     assert errors.max() < 2e-3
-    assert np.linalg.norm(way[-1] - guide) < np.linalg.norm(HOME - guide) - 0.1
-    led, errors = tracked(panda_chain, way[0], targets, way)
+    assert np.linalg.norm(path[-1] - posture) < np.linalg.norm(HOME - posture) - 0.1
+    result, errors = track(panda_chain, path[0], targets, path)
     assert errors.max() < 1e-4
-    np.testing.assert_allclose(led, way, atol=2e-3)
+    np.testing.assert_allclose(result, path, atol=2e-3)
 
 
 @settings(max_examples=20)
 @given(seed=SEEDS)
-def test_joints_stay_within_their_limits_and_the_error_tells(
+def test_joints_remain_within_limits_on_an_unreachable_path(
     panda_chain: Chain, six_chain: Chain, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
     for chain in (panda_chain, six_chain):
-        q, guide = random.uniform(chain.lower, chain.upper, (2, len(chain.lower)))
-        # Far out of reach, along a straight way.
+        q, posture = random.uniform(chain.lower, chain.upper, (2, len(chain.lower)))
+        # A straight path to a position far out of reach.
         out = random.normal(size=3)
         out *= 2.5 / np.linalg.norm(out)
-        way = np.linspace(0.0, 1.0, 40)[:, None]
-        targets = np.array([shifted(pose(chain, q), u * out, np.zeros(3)) for u in way])
-        joints, errors = tracked(chain, q, targets, guide)
+        path = np.linspace(0.0, 1.0, 40)[:, None]
+        targets = np.array([shifted(pose(chain, q), u * out, np.zeros(3)) for u in path])
+        joints, errors = track(chain, q, targets, posture)
         assert np.isfinite(joints).all()
         assert (joints >= chain.lower).all()
         assert (joints <= chain.upper).all()
@@ -118,7 +125,7 @@ def test_joints_stay_within_their_limits_and_the_error_tells(
 def test_poses_of_random_configurations_are_reached(
     panda_chain: Chain, six_chain: Chain, seed: int
 ) -> None:
-    """Two joints of each second configuration are at their limits."""
+    """Two joints of every second configuration are at their limits."""
     random = np.random.default_rng(seed)
     for chain, home in ((panda_chain, HOME), (six_chain, np.array(SIX_HOME))):
         q = random.uniform(chain.lower, chain.upper)
@@ -137,7 +144,9 @@ def test_poses_of_random_configurations_are_reached(
         np.testing.assert_array_equal(found, inverse_kinematics(chain, X_WE, home))
 
 
-def test_a_tool_pose_is_solved_near_the_seed(panda: RobotPlant, panda_chain: Chain) -> None:
+def test_solution_of_a_tool_pose_is_the_nearest_to_the_seed(
+    panda: RobotPlant, panda_chain: Chain
+) -> None:
     tool, seed = panda.tool_frame.name(), home_positions(Robot())
     down = RotationMatrix(RollPitchYaw(np.pi, 0.0, np.pi / 2.0))
     X_WE = RigidTransform(down, [0.45, -0.3, 0.3])
@@ -145,7 +154,7 @@ def test_a_tool_pose_is_solved_near_the_seed(panda: RobotPlant, panda_chain: Cha
     np.testing.assert_array_equal(q[7:], seed[7:])
     (found,) = panda.tool_poses(q[None])
     assert found.IsNearlyEqualTo(X_WE, 4e-6)
-    # No other configuration of the self-motion is nearer.
+    # No sampled configuration of the self-motion is nearer.
     samples = inverse_kinematics(panda_chain, pose(panda_chain, q[:7]), HOME, seeds=100)
     assert np.linalg.norm(samples - HOME, axis=1).min() > np.linalg.norm(q[:7] - HOME) - 1e-6
     with pytest.raises(ValueError, match=r"out of reach: tool_point cannot be at \[1\.2, "):

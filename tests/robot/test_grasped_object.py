@@ -1,4 +1,4 @@
-"""What the hand holds: in every plant, part of the tool, and out of its own way."""
+"""Grasped object: part of the tool in every plant, without contacts with the hand."""
 
 import numpy as np
 import pytest
@@ -20,40 +20,41 @@ STEM = Box(size=[0.02, 0.012, 0.05], translation=[0.0, 0.0, 0.1])
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    found = Scenario()
-    assert found.robot is not None
-    found.robot.carried = [BAR, STEM]
-    found.robot.carried_mass = 0.6
-    return found
+    """Returns a scenario with a long bar and a stem as grasped object."""
+    scenario = Scenario()
+    assert scenario.robot is not None
+    scenario.robot.carried = [BAR, STEM]
+    scenario.robot.carried_mass = 0.6
+    return scenario
 
 
-def test_the_tool_reaches_as_far_as_the_bar(scenario: Scenario) -> None:
+def test_tool_corners_include_the_grasped_object(scenario: Scenario) -> None:
     corners = np.concatenate(tool_link_corners(scenario.robot))
     bare = np.concatenate(tool_link_corners(Robot()))
-    # Fingers open along the world's x.
+    # The fingers open along the world's x axis.
     np.testing.assert_allclose(np.abs(corners[:, 0]).max(), 0.25, atol=1e-9)
     np.testing.assert_allclose(corners[:, 1].max(), bare[:, 1].max(), atol=1e-9)
     np.testing.assert_allclose(corners[:, 2].min(), 0.1034 - 0.13, atol=1e-9)
 
 
-def test_it_is_in_the_plant_with_its_mass_and_in_every_list_of_shapes(scenario: Scenario) -> None:
-    held, bare = make_robot_plant(scenario.robot), make_robot_plant(Robot())
-    masses = [p.plant.CalcTotalMass(p.plant.CreateDefaultContext()) for p in (held, bare)]
+def test_grasped_object_is_part_of_plant_and_station_with_its_mass(scenario: Scenario) -> None:
+    loaded, bare = make_robot_plant(scenario.robot), make_robot_plant(Robot())
+    masses = [p.plant.CalcTotalMass(p.plant.CreateDefaultContext()) for p in (loaded, bare)]
     assert masses[0] - masses[1] == pytest.approx(0.6)
-    assert held.plant.num_positions() == bare.plant.num_positions()
+    assert loaded.plant.num_positions() == bare.plant.num_positions()
     station = make_station(DiagramBuilder(), scenario, render=False)
     assert station.plant.HasBodyNamed("carried1", station.robot)
 
 
-def test_what_is_held_does_not_touch_what_holds_it(scenario: Scenario) -> None:
-    held = make_robot_plant(scenario.robot)
-    root = held.diagram.CreateDefaultContext()
-    plant = held.plant.GetMyMutableContextFromRoot(root)
-    held.plant.SetPositions(plant, held.instance, start_positions(scenario))
-    query = held.scene_graph.get_query_output_port().Eval(
-        held.scene_graph.GetMyContextFromRoot(root)
+def test_grasped_object_has_no_contacts_with_the_hand(scenario: Scenario) -> None:
+    loaded = make_robot_plant(scenario.robot)
+    root = loaded.diagram.CreateDefaultContext()
+    plant = loaded.plant.GetMyMutableContextFromRoot(root)
+    loaded.plant.SetPositions(plant, loaded.instance, start_positions(scenario))
+    query = loaded.scene_graph.get_query_output_port().Eval(
+        loaded.scene_graph.GetMyContextFromRoot(root)
     )
-    inspector = held.scene_graph.model_inspector()
+    inspector = loaded.scene_graph.model_inspector()
     names = [
         inspector.GetName(hit.id_A) + inspector.GetName(hit.id_B)
         for hit in query.ComputePointPairPenetration()
@@ -61,14 +62,14 @@ def test_what_is_held_does_not_touch_what_holds_it(scenario: Scenario) -> None:
     assert not any("carried" in name for name in names)
 
 
-def test_what_it_touches_counts_as_the_tool(scenario: Scenario) -> None:
+def test_tool_clearance_includes_the_grasped_object(scenario: Scenario) -> None:
     ball = Obstacle(name="ball", shapes=[Sphere(radius=0.02)])
     start = np.array(scenario.task.start)
     ball.translation = [*(start + [0.3, 0.0, -0.0166])]
-    here = Scenario()
-    here.robot, here.obstacles = scenario.robot, [ball]
-    q = start_positions(here)
-    found = robot_metrics(here, q[None])
+    scene = Scenario()
+    scene.robot, scene.obstacles = scenario.robot, [ball]
+    q = start_positions(scene)
+    metrics = robot_metrics(scene, q[None])
     # The bar ends 5 cm from the middle of the ball.
-    np.testing.assert_allclose(found.tool_clearance, [0.03], atol=2e-3)
-    assert found.contacts == ()
+    np.testing.assert_allclose(metrics.tool_clearance, [0.03], atol=2e-3)
+    assert metrics.contacts == ()

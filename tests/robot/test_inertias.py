@@ -1,4 +1,4 @@
-"""Inertias from a file; the Panda of uniform density is Drake's own."""
+"""Inertial parameters from a file; those of uniform density equal Drake's Panda."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +12,9 @@ from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.faults import ModelError
 
 
-def test_it_is_drakes_panda_and_as_far_off_as_known(reference: Callable[[str], Path]) -> None:
+def test_uniform_density_equals_drakes_panda_and_has_the_known_errors(
+    reference: Callable[[str], Path],
+) -> None:
     plants = make_robot_plant(Robot()), make_robot_plant(Robot(), inertias=ModelError().inertias)
     expected = np.load(reference("panda_reference.npz"))
     mass_error, gravity_error = [], []
@@ -34,7 +36,7 @@ def test_it_is_drakes_panda_and_as_far_off_as_known(reference: Callable[[str], P
     assert 1.8 < np.max(gravity_error) < 2.1
 
 
-def test_a_file_that_does_not_fit_is_named(tmp_path: Path) -> None:
+def test_error_of_an_invalid_file_names_the_file(tmp_path: Path) -> None:
     file = tmp_path / "inertias.yaml"
     values = "{mass: 1, com: [0, 0, 0], inertia: [1, 1, 1, 0, 0, 0]}"
     for content, message in (

@@ -1,4 +1,4 @@
-"""The Panda: files that were checked once, and limits against the manufacturer's."""
+"""Model of the Panda: digest of the validated files, and the manufacturer's limits."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -11,17 +11,17 @@ from drake_oa.robot.plant import RobotPlant
 MODELS = Path(next(iter(drake_oa.models.__path__)))
 FILES = ["panda/panda_arm_hand.urdf", "scenes/panda.dmd.yaml"]
 CHECKED = "ae3e4d4195e0f17d413a08ba2051c04958ac27878ea20ef4c38eff3970348964"
-"""Digest of the files whose shapes were found to enclose the meshes by 1 mm (coarse ones by 5 mm),
-and whose dynamics to be within 5.4 % and 0.2 Nm of the identified ones."""
+"""Digest of the validated files: collision shapes enclose the meshes to 1 mm (coarse ones to 5 mm),
+and the dynamics are within 5.4 % and 0.2 N m of the identified ones."""
 
 
-def test_the_files_are_those_that_were_checked() -> None:
+def test_files_equal_the_validated_ones() -> None:
     meshes = sorted((MODELS / "panda" / "meshes").glob("*.obj"))
     files = [*(MODELS / name for name in FILES), *meshes]
     assert sha256(b"".join(file.read_bytes() for file in files)).hexdigest() == CHECKED
 
 
-def test_limits_and_reflected_inertia_are_the_makers(panda: RobotPlant) -> None:
+def test_limits_and_reflected_inertia_equal_the_manufacturers(panda: RobotPlant) -> None:
     plant = panda.plant
     joints = [f"panda_joint{i}" for i in range(1, 8)]
     actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]

@@ -1,3 +1,5 @@
+"""Rotation matrices of quaternions, and rotation vectors, against scipy."""
+
 import numpy as np
 import pytest
 from hypothesis import given

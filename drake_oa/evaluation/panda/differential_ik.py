@@ -45,7 +45,7 @@ from drake_oa.diagrams.control import add_control
 from drake_oa.diagrams.motion import make_dmp
 from drake_oa.diagrams.station import StationModel
 from drake_oa.policy.dmp import trajectory
-from drake_oa.robot.grasped_object import part_carried, tool_links
+from drake_oa.robot.grasped_object import exclude_grasp_contacts, tool_links
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import achievable_clearance_of
@@ -103,7 +103,7 @@ def make_collision_checker(
     plant = builder.plant()
     instance = add_world(plant, scenario)
     plant.Finalize()
-    part_carried(plant, builder.scene_graph(), scenario.robot)
+    exclude_grasp_contacts(plant, builder.scene_graph(), scenario.robot)
     obstacles = obstacle_instances(plant)
     checker = SceneGraphCollisionChecker(
         model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP

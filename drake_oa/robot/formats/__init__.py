@@ -1,14 +1,15 @@
-"""Models of robots that others made, as Drake reads them.
+"""Conversion of robot models of other packages, so that Drake can read them.
 
-In: a file of `robot.model`, as URDF, SDF or MJCF, and where its packages are. Out: the elements of
-the same model with meshes as .obj, joints that are driven, and a base that can be welded
-(`model_file.changed_model`), or None for an SDF, which Drake reads as it is. Converted meshes are
-in the user's cache folder, drake_oa/meshes-4, by their content; nothing is written beside a model.
+In: the file `robot.model`, as URDF, SDF or MJCF, and a package map. Out: the XML elements of the
+same model with meshes as .obj, actuated joints, and a base that can be welded
+(`model_file.changed_model`), or None for an SDF, which needs no conversion. Converted meshes are
+stored in the user's cache folder drake_oa/meshes-4, by a digest of their content. No file is
+written next to a model.
 
-- `model_file`: finds packages of Python, checks links, and chooses by the file's suffix.
-- `urdf`: URDF. `mjcf`: MuJoCo's.
-- `meshes`: .stl and what else open3d reads, and .dae by pycollada, as .obj; collision meshes as few
-  convex hulls.
+- `model_file`: adds Python packages, checks links, and selects the conversion by file suffix.
+- `urdf`: conversion of URDF. `mjcf`: conversion of MuJoCo's MJCF.
+- `meshes`: conversion of .stl, .dae (with pycollada) and other formats of open3d to .obj; collision
+  meshes become few convex hulls.
 
-Begin with `model_file.changed_model`.
+Read `model_file.changed_model` first.
 """

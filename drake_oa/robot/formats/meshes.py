@@ -1,4 +1,4 @@
-"""Meshes that Drake does not read, converted to .obj files in the user's cache folder."""
+"""Conversion of meshes that Drake cannot read to .obj files in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -20,71 +20,73 @@ if TYPE_CHECKING:
     from open3d.geometry import TriangleMesh
 
 _ADDED_VOLUME = 0.1
-"""Added share of volume up to which one hull replaces those of all closed surfaces [1]."""
+"""Maximum relative volume that one convex hull may add to the hulls of all closed surfaces [1]."""
 
 
 def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
-    """Converts a mesh to .obj files in the cache, once for each content of the file.
+    """Converts a mesh to .obj files in the cache, once per content of the file.
 
     Args:
-        mesh: a file that open3d reads, or COLLADA, .dae.
-        hulls: as convex hulls of its closed surfaces, one a file: one hull of them all, which
-            Drake would use, fills the side of an arm's link between its joints. A mesh with a
-            surface that is not closed has one hull. Else as it is, with normals, which cameras
-            need.
+        mesh: file that open3d reads, or COLLADA (.dae).
+        hulls: whether to write the convex hulls of the mesh's closed surfaces, one per file.
+            Drake's single hull would fill concave parts of a link. A mesh with an open surface has
+            one hull. If False, one mesh with vertex normals is written, for cameras.
+
+    Returns:
+        Files, sorted by name.
 
     Raises:
-        ValueError: if it holds no triangles, or cannot be read or written.
+        ValueError: if the mesh has no triangles, or cannot be read or written.
     """
     import open3d
 
     try:
         digest = hashlib.sha256(mesh.read_bytes()).hexdigest()[:16]
         kind = "hulls" if hulls else "whole"
-        made = user_cache("meshes-4") / f"{mesh.stem}-{digest}-{kind}"
-        if not made.is_dir():
+        target = user_cache("meshes-4") / f"{mesh.stem}-{digest}-{kind}"
+        if not target.is_dir():
             announce_first_use(f"converting meshes of {mesh.parent}")
             with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-                whole = _read(mesh)
-                pieces = _hulls(whole) if hulls else [whole.compute_vertex_normals()]
-                made.parent.mkdir(parents=True, exist_ok=True)
-                # Renamed when it is complete: another process may be converting the same mesh.
-                folder = tempfile.mkdtemp(dir=made.parent)
+                full_mesh = _read(mesh)
+                pieces = _hulls(full_mesh) if hulls else [full_mesh.compute_vertex_normals()]
+                target.parent.mkdir(parents=True, exist_ok=True)
+                # The complete folder is renamed, as another process may convert the same mesh.
+                folder = tempfile.mkdtemp(dir=target.parent)
                 for row, piece in enumerate(pieces):
                     open3d.io.write_triangle_mesh(f"{folder}/{row:03d}.obj", piece)
                 try:
-                    Path(folder).rename(made)
+                    Path(folder).rename(target)
                 except OSError:
-                    if not made.is_dir():
+                    if not target.is_dir():
                         raise
                     shutil.rmtree(folder)
     except OSError as error:
-        raise ValueError(f"{error}; XDG_CACHE_HOME names another folder for meshes") from None
-    return sorted(made.glob("*.obj"))
+        raise ValueError(f"{error}; set XDG_CACHE_HOME to use another folder for meshes") from None
+    return sorted(target.glob("*.obj"))
 
 
 def _read(mesh: Path) -> TriangleMesh:
-    """Returns the mesh of a file, each vertex once."""
+    """Reads the mesh of a file, without duplicate vertices."""
     import open3d
 
     if mesh.suffix.lower() == ".dae":
         corners = _read_collada(mesh)
-        read = open3d.geometry.TriangleMesh(
+        result = open3d.geometry.TriangleMesh(
             open3d.utility.Vector3dVector(corners),
             open3d.utility.Vector3iVector(np.arange(len(corners)).reshape(-1, 3)),
         )
     else:
-        read = open3d.io.read_triangle_mesh(str(mesh))
-    read = read.remove_duplicated_vertices()
-    if not len(read.triangles) or not np.isfinite(read.vertices).all():
+        result = open3d.io.read_triangle_mesh(str(mesh))
+    result = result.remove_duplicated_vertices()
+    if not len(result.triangles) or not np.isfinite(result.vertices).all():
         raise ValueError(f"'{mesh}' cannot be read as a mesh of triangles")
-    return read
+    return result
 
 
 def _read_collada(mesh: Path) -> FloatArray:
-    """Returns the corners of the triangles of a .dae's scene, (3 M, 3) [m].
+    """Reads the corners (3 M, 3) of the M triangles in the scene of a .dae file [m].
 
-    Its unit counts, its up axis does not, as where URDFs are usually shown.
+    The unit of the file is applied; its up axis is ignored, as in common viewers of URDFs.
     """
     try:
         import collada
@@ -94,21 +96,21 @@ def _read_collada(mesh: Path) -> FloatArray:
         ) from None
     unread = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
     try:
-        read = collada.Collada(str(mesh), ignore=unread)
-        found = [np.zeros((0, 3))]
-        for geometry in read.scene.objects("geometry"):
+        document = collada.Collada(str(mesh), ignore=unread)
+        corners = [np.zeros((0, 3))]
+        for geometry in document.scene.objects("geometry"):
             for part in geometry.primitives():
                 faces = part.triangleset() if hasattr(part, "triangleset") else part
                 if isinstance(faces, collada.triangleset.BoundTriangleSet) and len(faces):
-                    found.append(faces.vertex[faces.vertex_index].reshape(-1, 3))
+                    corners.append(faces.vertex[faces.vertex_index].reshape(-1, 3))
     except (collada.common.DaeError, AttributeError, IndexError, ValueError) as error:
         raise ValueError(f"'{mesh}' cannot be read as a mesh of triangles: {error}") from None
-    unit = read.assetInfo.unitmeter
-    return np.concatenate(found) * (1.0 if unit is None or math.isnan(unit) else unit)
+    unit = document.assetInfo.unitmeter
+    return np.concatenate(corners) * (1.0 if unit is None or math.isnan(unit) else unit)
 
 
 def _hulls(mesh: TriangleMesh) -> list[TriangleMesh]:
-    """Computes the convex hull of a mesh, or those of its closed surfaces if it would fill much."""
+    """Computes the hulls of a mesh's closed surfaces, or one hull if it adds little volume."""
     import open3d
 
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
@@ -122,6 +124,6 @@ def _hulls(mesh: TriangleMesh) -> list[TriangleMesh]:
         if ConvexHull(vertices).volume <= (1.0 + _ADDED_VOLUME) * volume:
             parts = [vertices]
     except QhullError:
-        raise ValueError("a collision mesh must enclose a volume, and a part is flat") from None
+        raise ValueError("a collision mesh must enclose a volume; a part of it is flat") from None
     clouds = [open3d.geometry.PointCloud(open3d.utility.Vector3dVector(part)) for part in parts]
     return [cloud.compute_convex_hull()[0] for cloud in clouds]

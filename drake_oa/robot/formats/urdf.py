@@ -1,8 +1,8 @@
-"""URDFs of other packages as Drake reads them: meshes as .obj, actuators, no linkages.
+"""Conversion of URDFs for Drake: meshes as .obj, actuators, and fixed gripper linkages.
 
-Drake reads meshes as .obj, .gltf and .vtk, of a URDF's joint without a <transmission> it makes
-none that can be driven, and of a gripper's linkage one that nothing holds together. Most models
-of arms have .stl and .dae, no transmissions and a linkage.
+Drake reads .obj, .gltf and .vtk meshes. It adds no actuator to a joint without a <transmission>,
+and does not close the kinematic loops of a gripper's linkage. Most models of arms have .stl or .dae
+meshes, no transmissions, and a linkage.
 """
 
 from __future__ import annotations
@@ -16,23 +16,25 @@ from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import as_objs
 
 _READ_BY_DRAKE = {".obj", ".gltf", ".vtk"}
+"""Suffixes of meshes that Drake reads."""
 _TURNING = ("revolute", "continuous")
+"""Types of rotational joints."""
 
 
 def change_urdf(model: Element, find: Callable[[str], Path]) -> None:
-    """Makes a URDF one that Drake reads.
+    """Converts a URDF in place so that Drake can read it.
 
-    - Meshes that Drake does not read are converted, see `as_objs`.
-    - Where no joint has a transmission, each that moves by itself has an actuator, with the effort
-      limit of the joint.
-    - Turning joints that mimic another, and the one that they do, are fixed at zero: a
-      gripper's linkage, as the arm's controller holds each joint of a hand by itself.
-    - A link `world`, and the joint that fixes the base to it, are left out: the base stands
-      where the scenario says.
+    - Meshes that Drake cannot read are converted, see `as_objs`.
+    - If no joint has a transmission, each independent joint gets an actuator, with the effort limit
+      of the joint.
+    - Rotational joints that mimic another joint, and that joint itself, are fixed at zero. They
+      form a gripper's linkage, while the controller holds each joint of a hand separately.
+    - The link `world` and the joint that fixes the base to it are removed: the scenario sets the
+      base pose.
 
     Args:
-        model: root of the file, to be changed.
-        find: returns the file of a mesh's URL.
+        model: root of the file.
+        find: function that returns the file of a mesh by its URL.
 
     Raises:
         ScenarioError: for a mesh that cannot be read.
@@ -52,6 +54,7 @@ def change_urdf(model: Element, find: Callable[[str], Path]) -> None:
 
 
 def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
+    """Replaces the meshes of a link by converted ones, collision meshes by their hulls."""
     for shape in [*link.findall("collision"), *link.findall("visual")]:
         mesh = shape.find("geometry/mesh")
         if mesh is None:
@@ -67,6 +70,7 @@ def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
 
 
 def _fix_linkage(model: Element) -> None:
+    """Fixes rotational mimic joints and their leading joints, and removes their transmissions."""
     joints = {joint.get("name"): joint for joint in model.findall("joint")}
     fixed = set()
     for name, joint in joints.items():
@@ -84,6 +88,7 @@ def _fix_linkage(model: Element) -> None:
 
 
 def _add_transmission(model: Element, joint: str) -> None:
+    """Adds a transmission and an actuator to a joint."""
     transmission = SubElement(model, "transmission", name=f"{joint}_transmission")
     SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
     SubElement(transmission, "joint", name=joint)

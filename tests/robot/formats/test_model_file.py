@@ -1,4 +1,4 @@
-"""Models with meshes, joints and packages that Drake does not read as they are."""
+"""Conversion of models with meshes, joints and packages that Drake cannot read."""
 
 from pathlib import Path
 
@@ -17,11 +17,12 @@ BOX = [0.04, 0.04, 0.04]
 
 @pytest.fixture(autouse=True)
 def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Uses a temporary cache folder for converted meshes."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def stl(file: Path, *boxes: tuple[list[float], list[float]], missing: int = 0) -> Path:
-    """Writes boxes, each by corner and size, without some triangles."""
+    """Writes a mesh of boxes, given by corner and size [m], without some of its triangles."""
     import open3d
 
     mesh = open3d.geometry.TriangleMesh()
@@ -33,7 +34,7 @@ def stl(file: Path, *boxes: tuple[list[float], list[float]], missing: int = 0) -
 
 
 def dae(file: Path) -> Path:
-    """Writes a box of 0.1, 0.2 and 0.3 m in millimeters, moved by its node by 1 m along x."""
+    """Writes a box of 0.1 x 0.2 x 0.3 m in millimeters, in a node translated by 1 m along x."""
     corners = [[x, y, z] for z in (0, 300) for y in (0, 200) for x in (0, 100)]
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     text = " ".join(str(v) for corner in corners for v in corner)
@@ -56,6 +57,7 @@ def dae(file: Path) -> Path:
 
 
 def corners(obj: Path) -> np.ndarray:
+    """Returns the vertices (N, 3) of an .obj file [m]."""
     rows = [line.split()[1:] for line in obj.read_text().splitlines() if line.startswith("v ")]
     return np.array(rows, dtype=float)
 
@@ -91,7 +93,7 @@ def arm(folder: Path, mesh: str, more: str = "") -> Robot:
     )  # fmt: skip
 
 
-def test_meshes_are_converted_joints_driven_and_the_base_placed(
+def test_meshes_are_converted_joints_actuated_and_the_base_placed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = arm(tmp_path, stl(tmp_path / "link.stl").name)
@@ -133,14 +135,14 @@ def test_transmissions_of_the_model_are_kept_and_a_linkage_is_fixed(tmp_path: Pa
 def test_a_dae_is_read_with_its_unit_and_its_nodes(tmp_path: Path) -> None:
     pytest.importorskip("collada", reason="pip install 'drake_oa[robots]'")
     for hulls in (True, False):
-        (made,) = as_objs(dae(tmp_path / "box.dae"), hulls=hulls)
-        np.testing.assert_allclose(corners(made).min(axis=0), [1.0, 0.0, 0.0], atol=1e-9)
-        np.testing.assert_allclose(corners(made).max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
-    # Cameras refuse a mesh without normals.
-    assert "\nvn " in made.read_text()
+        (converted,) = as_objs(dae(tmp_path / "box.dae"), hulls=hulls)
+        np.testing.assert_allclose(corners(converted).min(axis=0), [1.0, 0.0, 0.0], atol=1e-9)
+        np.testing.assert_allclose(corners(converted).max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
+    # Drake's renderers reject a mesh without normals.
+    assert "\nvn " in converted.read_text()
 
 
-def test_a_mesh_is_split_where_a_hull_would_fill_much(tmp_path: Path) -> None:
+def test_mesh_is_split_if_one_hull_would_add_much_volume(tmp_path: Path) -> None:
     size = [0.1] * 3
     one, beside, between = (
         ([0.0] * 3, size),
@@ -150,7 +152,7 @@ def test_a_mesh_is_split_where_a_hull_would_fill_much(tmp_path: Path) -> None:
     assert len(as_objs(stl(tmp_path / "a.stl", one, beside), hulls=True)) == 2
     assert len(as_objs(stl(tmp_path / "b.stl", one, between, beside), hulls=True)) == 1
     assert len(as_objs(stl(tmp_path / "c.stl", one, beside, missing=1), hulls=True)) == 1
-    # Converted again after a change.
+    # A changed file is converted again.
     (changed,) = as_objs(stl(tmp_path / "a.stl", one), hulls=True)
     np.testing.assert_allclose(np.ptp(corners(changed), axis=0), size)
 
@@ -161,10 +163,14 @@ def test_a_mesh_is_split_where_a_hull_would_fill_much(tmp_path: Path) -> None:
         ("link.stl", "no mesh", "of link0: .*cannot be read as a mesh"),
         ("link.stl", None, "of link0: .*No such file"),
         ("link.dae", "<a/>", "of link0: .*cannot be read as a mesh"),
-        ("package://nowhere/link.stl", None, r"'nowhere', .* pip install 'drake_oa\[robots\]'"),
+        (
+            "package://nowhere/link.stl",
+            None,
+            r"'nowhere' is neither .* pip install 'drake_oa\[robots\]'",
+        ),
     ],
 )
-def test_a_mesh_that_cannot_be_read_is_named(
+def test_error_of_an_unreadable_mesh_names_the_mesh(
     tmp_path: Path, name: str, content: str | None, message: str
 ) -> None:
     if name.endswith(".dae"):
@@ -189,7 +195,7 @@ def test_errors_and_warnings_of_drake_name_the_file(
         add_robot(MultibodyPlant(0.001), broken)
 
 
-# The second joint's axis is that of the outer class, which its own class does not state.
+# The second joint inherits its axis from the outer class.
 _MJCF = """<mujoco model="two"><compiler angle="radian" autolimits="true" meshdir="meshes"/>
 <default><default class="arm"><joint axis="0 1 0" range="-2 2"/>
 <general forcerange="-150 150"/><default class="weak"><general forcerange="-28 28"/></default>
@@ -206,7 +212,7 @@ _MJCF = """<mujoco model="two"><compiler angle="radian" autolimits="true" meshdi
 </actuator><keyframe><key name="home" qpos="0 0"/></keyframe></mujoco>"""
 
 
-def test_an_mjcf_keeps_what_its_classes_inherit(tmp_path: Path) -> None:
+def test_mjcf_keeps_inherited_attributes(tmp_path: Path) -> None:
     (tmp_path / "meshes").mkdir()
     stl(tmp_path / "meshes" / "box.stl")
     (tmp_path / "two.xml").write_text(_MJCF)
@@ -218,7 +224,7 @@ def test_an_mjcf_keeps_what_its_classes_inherit(tmp_path: Path) -> None:
     robot = make_robot_plant(config)
     np.testing.assert_allclose(robot.limits.effort_limit, [150.0, 28.0])
     np.testing.assert_allclose(robot.limits.position_upper, [2.0, 2.0])
-    # Both turn about y.
+    # Both joints rotate about y.
     x, z = 0.5 * np.sin(0.3) + 0.1 * np.sin(0.7), 0.5 + 0.5 * np.cos(0.3) + 0.1 * np.cos(0.7)
     p_WE = robot.tool_path(home_positions(config)[None])[0]
     np.testing.assert_allclose(p_WE, [1.0 + x, 0.0, z], atol=1e-9)
@@ -228,7 +234,7 @@ def test_an_mjcf_keeps_what_its_classes_inherit(tmp_path: Path) -> None:
     assert robot.scene_graph.model_inspector().GetConvexHull(shape).num_vertices() == 8
 
 
-def test_a_model_of_a_package_of_python_is_found(
+def test_model_in_a_python_package_is_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     package = tmp_path / "some_arms"
