@@ -45,7 +45,7 @@ class LatencyModel:
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
-"""Counters of the innermost `counted` block."""
+"""Work counters of the decision that is being computed, set by `counted`."""
 
 
 @contextmanager
@@ -66,7 +66,10 @@ def counted() -> Iterator[Counter[str]]:
 
 
 def count(**work: int) -> None:
-    """Adds to the counters of the innermost `counted` block, if any; keys are listed there."""
+    """Adds to the counters "searches", "steps", "configurations" of the enclosing `counted` block.
+
+    Does nothing outside of such a block.
+    """
     _account.get(Counter()).update(work)
 
 

@@ -188,7 +188,7 @@ class PolicyState(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion(Frozen):
-    """Predicted motion of the tool point and the arm from now on, as the inference layer plans it.
+    """Motion of tool point and arm that the inference layer predicts from the current time on.
 
     Attributes:
         s: (T,) normalized times, increasing; (0,): no motion is planned.

@@ -82,7 +82,7 @@ class SignalBuilder:
     """
 
     def __init__(self, builder: DiagramBuilder) -> None:
-        """Starts without systems.
+        """Initializes the builder without systems and signals.
 
         Args:
             builder: diagram builder to which `connect` adds the systems.
@@ -145,7 +145,7 @@ class SignalBuilder:
         inputs: Names | None = None,
         outputs: Names | None = None,
     ) -> _Added:
-        """Replaces the system of a name.
+        """Replaces a system that was added before; its signals stay by default.
 
         Args:
             name: name of the subsystem.

@@ -16,11 +16,11 @@ from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.robot.arm import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
-"""Tool position error along an axis above which the integral is constant [m].
+"""Tool position error along an axis above which integral action pauses [m].
 
 A larger error is probably not caused by the model, but by contact or saturation."""
 LARGEST_ACCELERATION = 2.0
-"""Maximum correction of each axis by the integral [m/s^2]; model errors of a Panda require < 1."""
+"""Maximum correction of each axis by integral action [m/s^2]; model errors of a Panda need < 1."""
 
 
 class CartesianInverseDynamics(InverseDynamics):
@@ -70,9 +70,9 @@ class CartesianInverseDynamics(InverseDynamics):
 
     Under a constant disturbance d, such as a model error, the position error e obeys
     e'' + kd e' + kp e = d and would remain at d / kp. Integral action removes it: `ki_position`
-    times the integral of e is added to the desired acceleration. The integral is constant while the
-    error exceeds `LARGEST_ERROR`, and its correction is limited to `LARGEST_ACCELERATION`, so that
-    the force of a blocked tool does not grow.
+    times the integral of e is added to the desired acceleration. The integral does not change while
+    the error exceeds `LARGEST_ERROR`, and its correction is limited to `LARGEST_ACCELERATION`, so
+    that the force of a blocked tool does not grow.
 
     The task acceleration is A_c = (alpha_c, a_c) with
 
@@ -122,8 +122,8 @@ class CartesianInverseDynamics(InverseDynamics):
             for name, default in defaults.items()
         ]
         self.DeclareDiscreteState(6)
-        self._offer("tracking_error", 3, lambda command: command.error[3:])
-        self._offer("orientation_error", 3, lambda command: command.error[:3])
+        self._declare_output("tracking_error", 3, lambda command: command.error[3:])
+        self._declare_output("orientation_error", 3, lambda command: command.error[:3])
 
     def _drive(
         self, context: Context, model: Context, M: FloatArray, correction: FloatArray

@@ -29,22 +29,22 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.02
-"""Joint error above which the integral is constant [rad]; contact probably blocks the arm then."""
+"""Joint error above which integral action pauses [rad]; contact probably blocks the arm then."""
 LARGEST_ACCELERATION = 4.0
-"""Maximum correction of each joint by the integral [rad/s^2]."""
+"""Maximum correction of each joint by integral action [rad/s^2]."""
 FINGER_STIFFNESS = 400.0
 """Stiffness of the finger joints of the hand [N/m]."""
 FINGER_DAMPING = 10.0
 """Damping of the finger joints of the hand [N s/m]."""
 LARGEST_STATE = 1e9
-"""Magnitude above which a position [rad] or velocity [rad/s] counts as not finite.
+"""Magnitude of a position [rad, m] or velocity [rad/s, m/s] that counts as not finite.
 
 Torques computed from larger values would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Command(Frozen):
-    """Result of one evaluation of the control law.
+    """Torques and status from one evaluation of the control law.
 
     Attributes:
         tau: (m,) torques of all joints, finite and within the limits [N m, N].
@@ -85,9 +85,9 @@ class InverseDynamics(LeafSystem):
     """
 
     largest_error: FloatArray | float
-    """Magnitude of each component of the error above which its integral is constant [m or rad]."""
+    """Control error above which integral action pauses, for each component [m or rad]."""
     max_correction: float
-    """Maximum correction of a component of the error by the integral [m/s^2 or rad/s^2]."""
+    """Maximum correction of a component by integral action [m/s^2 or rad/s^2]."""
 
     def __init__(
         self,
@@ -132,11 +132,11 @@ class InverseDynamics(LeafSystem):
             ValueProducer(allocate=lambda: Value(Command()), calc=self._calc_command),
             prerequisites_of_calc={self.all_input_ports_ticket(), self.xd_ticket()},
         )
-        self._offer("actuation", self._m, lambda command: command.tau[self._order])
-        self._offer("torque_saturation", 1, lambda command: np.full(1, command.saturated))
-        self._offer("stopping", 1, lambda command: np.full(1, command.stopping))
+        self._declare_output("actuation", self._m, lambda command: command.tau[self._order])
+        self._declare_output("torque_saturation", 1, lambda command: np.full(1, command.saturated))
+        self._declare_output("stopping", 1, lambda command: np.full(1, command.stopping))
 
-    def _offer(self, name: str, size: int, part: Callable[[Command], Any]) -> None:
+    def _declare_output(self, name: str, size: int, part: Callable[[Command], Any]) -> None:
         """Declares an output port that publishes a part of the command."""
         self.DeclareVectorOutputPort(
             name,

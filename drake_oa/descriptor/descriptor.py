@@ -170,7 +170,7 @@ def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shap
 
 
 def _parts(
-    points: FloatArray, tools: Sequence[bytes], halvings: int, free: FloatArray, least: float
+    points: FloatArray, tools: Sequence[bytes], halvings: int, free: FloatArray, min_room: float
 ) -> tuple[list[Shape], float]:
     """Computes the ellipsoids of parts of a cloud, each dilated by each part of the tool.
 
@@ -179,7 +179,7 @@ def _parts(
         tools: vertices of the tool's parts, see `_key`.
         halvings: number of halvings of the cloud.
         free: (F, 3) free points [m].
-        least: distance from free points at or below which the computation stops early [m].
+        min_room: distance from free points at or below which the computation stops early [m].
 
     Returns:
         Ellipsoids, and their minimum distance from free points [m].
@@ -190,7 +190,7 @@ def _parts(
         for tool in tools:
             ellipsoids.append(_ellipsoid(_key(part), tool))
             room = min(room, _room(free, ellipsoids[-1:]))
-            if room <= least:
+            if room <= min_room:
                 return ellipsoids, room
     return ellipsoids, room
 

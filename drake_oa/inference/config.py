@@ -10,7 +10,7 @@ from drake_oa.common.config import BLOCK
 
 @dataclass(config=BLOCK)
 class Paper:
-    """The paper's regressor chain; each field selects an interpretation of the paper.
+    """Coupling parameters by the paper's regressor chain; fields select interpretations of it.
 
     `policy.fade` is an interpretation, too.
     """

@@ -28,17 +28,17 @@ from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.inference.weights_file import array_of, read_weights, write_weights
 
 _ROUNDING = 1e-12
-"""Distance from the trained range, divided by L, up to which an input counts as inside."""
+"""Distance outside the trained range, in baselines, at which an input still counts as inside."""
 
 _NARROWEST = 1e-3
-"""Minimum of psi [rad]."""
+"""Minimum of psi, the width of a coupling term's response to the heading [rad]."""
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
 
 
 TARGETS = ("kappa", "psi", "alpha")
-"""Parameters in the order in which the networks of the chain compute them."""
+"""Names of the coupling parameters in the order in which the chain's networks compute them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class ChainWeights(Frozen):
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def evaluate(self, inputs: FloatArray) -> FloatArray:
-        """Evaluates the chain without clipping its inputs to the trained range.
+        """Evaluates the three networks in sequence, without clipping inputs to the trained range.
 
         Args:
             inputs: (N, d) lambda1'/L, lambda2'/L and, if d = 3, Delta/L.
@@ -224,7 +224,10 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
 
 
 def check_action_level(weights: ChainWeights, path: str | Path) -> None:
-    """Raises ValueError if a chain was trained for another DMP integration than the policy's."""
+    """Raises ValueError if a chain was trained for another unit of alpha than the policy's, 1/T.
+
+    Chains of the paper's released code have another unit.
+    """
     unit = weights.metadata.get("units", {}).get("alpha", "1/T")
     if unit != "1/T":
         raise ValueError(

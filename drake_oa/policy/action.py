@@ -226,7 +226,7 @@ class CouplingInputs(Frozen):
         coupling: CouplingParameters | None,
         route: Route | None,
     ) -> CouplingInputs:
-        """Combines the values of the input ports.
+        """Combines the values of the policy's input ports.
 
         Args:
             ellipsoids: M obstacles; None: there is no perception, and the terms do not act.
@@ -297,7 +297,16 @@ class CouplingInputs(Frozen):
 
 
 def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | None) -> Obstacles:
-    """Returns the obstacles with their coupling terms; raises as `CouplingInputs.of`."""
+    """Assembles obstacles and coupling terms for the compiled kernels.
+
+    Args:
+        shapes: ellipsoids of the obstacles.
+        coupling: parameters of the coupling terms.
+        route: sides to pass on; None: no guidance.
+
+    Raises:
+        ValueError: as `CouplingInputs.of`.
+    """
     count = len(coupling) if coupling.verified else len(shapes)
     sizes = {"coupling_parameters": len(coupling), "center_W": len(coupling.center_W) or count}
     sizes["normal_W"] = len(coupling.normal_W) or count

@@ -15,11 +15,13 @@ from drake_oa.policy.coupling import Triple, mixed, norm, rotate, triple, turn_s
 from drake_oa.policy.guidance import Obstacles, guide
 
 Flow = tuple[float, float, float, float]
-"""Coefficients a, b, c, d of a linear flow: e <- a e + b z, z <- c e + d z."""
+"""Coefficients a, b, c, d of a step of the DMP's spring: e <- a e + b z, z <- c e + d z."""
 
 
 def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
-    """Computes the exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z.
+    """Computes a step of the DMP's spring exactly: dz/ds = -alpha_x (beta_x e + z), de/ds = z.
+
+    e is the position relative to the equilibrium, and z the scaled velocity.
 
     Args:
         alpha_x: gain of the spring, per normalized time.

@@ -40,13 +40,13 @@ POINTS = 201
 SPARSE = 100
 """Number of samples below which a demonstration is interpolated exactly, as a list of waypoints."""
 _SPANS_PER_BASIS = 0.4
-"""Number of spline spans per basis function of the primitive; more spans would fit tremor."""
+"""Number of spline spans per basis function of the primitive; more spans would fit hand tremor."""
 _PENALTY = 1e-6
-"""Weight lambda of the third differences, which determines the spline in gaps of recordings."""
+"""Weight lambda of the spline's third differences, which determine it in gaps of recordings [1]."""
 _SHORT = 0.05
-"""Minimum ratio of baseline to extent of a recording, for a well-defined frame and scale."""
+"""Minimum ratio of a recorded path's baseline (start to end) to its extent [1]."""
 _UNLIKE = math.pi / 2.0
-"""Maximum rotation of a recording from the mean [rad]; others rotate in different directions."""
+"""Maximum rotation between a recording's orientations and their mean; above it is refused [rad]."""
 
 
 def average_paths(

@@ -53,7 +53,7 @@ _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 
 
 def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """Computes Hoffmann's turning rate (eq. 7): gamma theta exp(-beta |theta|).
+    """Computes the turning rate of Hoffmann et al. (eq. 7): gamma theta exp(-beta |theta|).
 
     Args:
         theta: signed angle from the obstacle's center to the heading [rad].
@@ -70,7 +70,7 @@ def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatA
 def dead_zone_free_rate(
     theta: ArrayLike, d: ArrayLike, alpha: ArrayLike, psi: ArrayLike, kappa: ArrayLike
 ) -> FloatArray:
-    """Computes the turning rate without dead zone (eq. 8).
+    """Computes the turning rate of the avoidance term (eq. 8), which has no dead zone.
 
     The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1: a heading
     straight at the obstacle turns fastest, to the side that the normal of the plane determines.

@@ -99,7 +99,7 @@ class Dmp(Frozen):
     def setup(
         self, k: FloatArray, ds: float, goal: FloatArray, spread: FloatArray, **more: Any
     ) -> MotionSetup:
-        """Computes the constants of an integration.
+        """Computes the constants of an integration of this primitive over T steps.
 
         Args:
             k: (T,) phases in the middle of the T steps.
@@ -615,13 +615,13 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
 
 
 QUATERNION, W, ALPHA = slice(0, 4), slice(4, 7), slice(7, 10)
-"""Elements of quaternion, angular velocity and angular acceleration in results of `evaluate`."""
+"""Slices of quaternion, angular velocity and angular acceleration in the result of `evaluate`."""
 _DIFFERENCE = 1e-5
 """Time between the samples of the central difference of the angular velocity [s]."""
 
 
 def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> FloatArray:
-    """Evaluates the motion between two steps: quaternion, angular velocity and acceleration.
+    """Interpolates an orientation between two steps: quaternion, angular velocity, acceleration.
 
     The rotation vector r is the cubic polynomial in time between both steps; afterwards its rate is
     constant.

@@ -181,7 +181,7 @@ class CostRingSelector(LeafSystem):
         state.get_mutable_abstract_state(self._decided).set_value(route)
 
     def _current(self, context: Context) -> Route:
-        """Returns the decision in the Context, or computes one if the set of obstacles is new."""
+        """Returns the last decision, or a new one if the set of obstacles has changed since."""
         ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()
         if decided.baseline == 0.0:

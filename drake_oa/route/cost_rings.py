@@ -39,13 +39,13 @@ from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArr
 from drake_oa.geometry.ellipsoid import signed_distance
 
 FORBIDDEN = 1.0
-"""Cost at which a ring forbids a direction."""
+"""Cost at which a cost ring forbids a direction of passing an obstacle [1]."""
 JOINT_MARGIN = 0.1
 """Distance from a joint limit below which `joint_limits_ring` forbids a direction [rad]."""
 _HYSTERESIS = 0.2
-"""Reduction of the total cost that is required for a change of a group's side [1]."""
+"""Reduction of the total cost that is required to change the side of a group of obstacles [1]."""
 LEAST_SPREAD = 0.1
-"""Minimum range to which path lengths are scaled, in baselines."""
+"""Minimum range of path lengths that is scaled to costs from 0 to 1, in baselines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +164,8 @@ def length_ring(scene: RingScene) -> FloatArray:
     if not length.size:
         return length
     low, high = length.min(axis=1, keepdims=True), length.max(axis=1, keepdims=True)
-    least = LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
-    return np.asarray((length - low) / np.maximum(high - low, least))
+    min_range = LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
+    return np.asarray((length - low) / np.maximum(high - low, min_range))
 
 
 def table_ring(scene: RingScene, *, height: float) -> FloatArray:
@@ -181,12 +181,12 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
 
 
 def reach_ring(scene: RingScene) -> FloatArray:
-    """Computes the ring of the workspace (M, K): 1 if the arm cannot follow the path."""
+    """Computes the workspace ring (M, K): 1 if the arm cannot reach the passing point's path."""
     return np.isneginf(scene.joint_margin).astype(float)
 
 
 def joint_limits_ring(scene: RingScene) -> FloatArray:
-    """Computes the ring of the joint limits (M, K): 1 if the path is reachable, but too close.
+    """Computes the joint limit ring (M, K): 1 if a reachable path is too close to a joint limit.
 
     It is too close if its joint margin is below `JOINT_MARGIN` and below that of the baseline.
     """
@@ -285,13 +285,15 @@ def select_directions(
         for side in [] if previous is None else previous[rows][previous[rows] >= 0][:1]:
             # The discount keeps the side unless another one saves more than the hysteresis.
             choice[row, side] -= _HYSTERESIS * (not shut[row, side])
-    for rows, side, is_shut in zip(groups, least_sequence(choice, pair)[0], shut, strict=True):
+    for rows, side, is_shut in zip(groups, best_sequence(choice, pair)[0], shut, strict=True):
         index[rows], blocked[rows] = side, is_shut.all()
     return index, costs, blocked
 
 
 _OBSTRUCTED = 2.0
-"""Cost of a leg through an obstacle [1] (docs/decisions/0021-sides-chosen-together.md).
+"""Cost of a straight path segment through an obstacle [1].
+
+The value is discussed in docs/decisions/0021-sides-chosen-together.md.
 
 With a smaller value shorter paths through obstacles are selected, and several coupling terms act
 at once near the obstacle; a larger value has little effect."""
@@ -332,7 +334,7 @@ def groups_along_baseline(scene: RingScene) -> list[IntArray]:
     return sorted(groups, key=lambda rows: float(place[rows].mean()))
 
 
-def least_sequence(choice: FloatArray, pair: FloatArray) -> tuple[IntArray, float]:
+def best_sequence(choice: FloatArray, pair: FloatArray) -> tuple[IntArray, float]:
     """Finds the sequence of choices with the minimum total cost, by the Viterbi algorithm.
 
     Args:
@@ -361,7 +363,7 @@ def sequence_costs(
     *,
     counts_length: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the costs of sequences of sides of N groups, the arguments of `least_sequence`.
+    """Computes the costs of sequences of sides of N groups of obstacles, for `best_sequence`.
 
     The passing point of a group is that of its member with the largest detour. The first and the
     last leg are not obstructed by their own group: the coupling terms bend the motion around it.
@@ -398,8 +400,8 @@ def sequence_costs(
         return choice, np.array(legs[1:-1]).reshape(-1, width, width)
 
     lengths, between = chain(length)
-    shortest = least_sequence(lengths, between)[1]
-    longest = -least_sequence(-lengths, -between)[1]
+    shortest = best_sequence(lengths, between)[1]
+    longest = -best_sequence(-lengths, -between)[1]
     spread = LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
     scale = count / max(longest - shortest, count * spread) if counts_length else 0.0
     choice, pair = chain(obstructed)
@@ -436,7 +438,7 @@ def obstruction(
     centers, R_WO = ellipsoids.p_WO[counts, None], ellipsoids.R_WO[counts]
     ends = [(p - centers) @ R_WO for p in (p_WA, p_WB)]
     axes = ellipsoids.semi_axes[counts, None]
-    least: FloatArray = np.zeros((2, len(p_WA), len(p_WB)))
+    min_norms: FloatArray = np.zeros((2, len(p_WA), len(p_WB)))
     for row, growth in enumerate((clearance, 0.0)):
         a, b = (p / (axes + growth) for p in ends)
         aa, bb = (a * a).sum(axis=2)[:, :, None], (b * b).sum(axis=2)[:, None]
@@ -444,5 +446,5 @@ def obstruction(
         squared = aa + bb - 2.0 * ab
         share = np.clip((aa - ab) / np.maximum(squared, 1e-300), 0.0, 1.0)
         g = np.sqrt(np.maximum(aa + share * (2.0 * (ab - aa) + share * squared), 0.0))
-        least[row] = g.min(axis=0, initial=1.0)
-    return np.where(least[1] < 1.0, 1.0, 1.0 - least[0])
+        min_norms[row] = g.min(axis=0, initial=1.0)
+    return np.where(min_norms[1] < 1.0, 1.0, 1.0 - min_norms[0])

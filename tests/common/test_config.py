@@ -1,4 +1,4 @@
-"""Configuration blocks check and describe each field; the schema accepts shipped scenarios."""
+"""Tests of configuration blocks and of the JSON schema: checks and descriptions of each field."""
 
 import dataclasses as dc
 import math
@@ -24,7 +24,7 @@ SCHEMA = scenario_schema()
 
 
 def blocks_in(kind: Any) -> set[Any]:
-    """The configuration blocks in a type, with those in their fields."""
+    """Returns the configuration blocks in a type, with those in their fields."""
     if hasattr(kind, "__pydantic_fields__"):
         fields = kind.__pydantic_fields__.values()
         return {kind}.union(*(blocks_in(field.annotation) for field in fields))
@@ -36,7 +36,7 @@ BLOCKS = sorted(blocks_in(Scenario) | OTHERS, key=lambda block: block.__name__)
 
 
 def wrong_values(schema: dict[str, Any]) -> Iterator[Any]:
-    """Values below, above, of another type and not finite, for a field's schema."""
+    """Yields invalid values of a field's schema: out of range, of another type, not finite."""
     kind = schema.get("type")
     if "anyOf" in schema:
         for option in schema["anyOf"]:
@@ -78,7 +78,7 @@ def test_each_field_rejects_wrong_values_and_is_described(block: Any) -> None:
             validate(block, {f"{name}_": 1})
 
 
-def test_values_are_checked_in_python_too() -> None:
+def test_blocks_are_checked_when_constructed_or_changed_in_python() -> None:
     robot = Robot()
     with pytest.raises(ValidationError, match="carried_mass"):
         dc.replace(robot, carried_mass=-1.0)
@@ -119,7 +119,7 @@ cameras: [{name: c, fpz: 3}]
 
 
 def untagged(data: Any) -> Any:
-    """Data without tags, as an editor sees them."""
+    """Returns plain data without tags, as an editor validates them."""
     if isinstance(data, dict):
         return {name: untagged(value) for name, value in data.items() if name != "_tag"}
     return [untagged(item) for item in data] if isinstance(data, list) else data
