@@ -163,6 +163,25 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             raise ValueError(f"{path} cannot be read as .npz: {error}") from None
 
 
+def cached_arrays(
+    name: str, compute: Callable[[], Mapping[str, Any]]
+) -> Mapping[str, NDArray[Any]]:
+    """Reads arrays from a file of the user's cache; computes and writes them if it has none.
+
+    Args:
+        name: name of the file without suffix: folder, and digest of all that the arrays depend on.
+        compute: makes the arrays by name.
+    """
+    path = user_cache(f"{name}.npz")
+    try:
+        return read_arrays(path)
+    except (OSError, ValueError):
+        arrays = compute()
+        with contextlib.suppress(OSError):
+            replace_arrays(path, arrays)
+        return arrays
+
+
 @contextlib.contextmanager
 def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
     """Provides an empty figure in the common style, and writes it in one piece after the block.
