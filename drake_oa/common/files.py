@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
-from importlib import import_module, resources
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -212,12 +210,15 @@ def user_cache(name: str) -> Path:
     return Path(base) / "drake_oa" / name
 
 
+def package_folder(name: str) -> Path:
+    """Returns the folder of a package."""
+    return Path(import_module(name).__path__[0])
+
+
 def package_file(url_or_file: str) -> Path:
     """Returns the file of a `package://drake_oa/...` URL, or the path itself."""
     name = url_or_file.removeprefix("package://drake_oa/")
-    return (
-        Path(str(resources.files("drake_oa.models"))) / name if name != url_or_file else Path(name)
-    )
+    return package_folder("drake_oa.models") / name if name != url_or_file else Path(name)
 
 
 def import_extra(module: str, extra: str) -> Any:
@@ -240,8 +241,10 @@ def installed_package(name: str) -> Path | None:
     That is share/NAME of the distribution NAME, or the package that is imported as NAME; which
     is not imported here. None: there is neither.
     """
-    with contextlib.suppress(PackageNotFoundError, ValueError):
-        for file in distribution(name).files or ():
+    from importlib import metadata
+
+    with contextlib.suppress(metadata.PackageNotFoundError, ValueError):
+        for file in metadata.distribution(name).files or ():
             prefix, share, _ = str(file.locate()).partition(f"/share/{name}/")
             if share:
                 return Path(prefix) / "share" / name
@@ -256,9 +259,11 @@ def source_digest() -> str:
 
     Computed once per process, so that files edited during a run do not change it.
     """
+    import hashlib
+
     digest = hashlib.sha256()
     for package, patterns in _SOURCES.items():
-        folder = Path(str(resources.files(package)))
+        folder = package_folder(package)
         for path in sorted(p for pattern in patterns for p in folder.rglob(pattern)):
             relative = path.relative_to(folder)
             if relative.parts[0] not in _NOT_IN_DIGEST:
@@ -269,6 +274,8 @@ def source_digest() -> str:
 
 def provenance() -> dict[str, str]:
     """Version of this package, today's date (UTC) and source digest, to be kept with a result."""
+    from importlib.metadata import version
+
     return {
         "version": version("drake_oa"),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
@@ -278,6 +285,8 @@ def provenance() -> dict[str, str]:
 
 def software_versions() -> dict[str, str]:
     """Returns versions of packages, date and source digest, on which a result depends."""
+    from importlib.metadata import PackageNotFoundError, version
+
     found = {}
     for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
         with contextlib.suppress(PackageNotFoundError):

@@ -1,16 +1,15 @@
 """Scenarios of the package: their files, descriptions and required packages."""
 
-from importlib import resources
 from pathlib import Path
 
-from drake_oa.common.files import installed_package
+from drake_oa.common.files import installed_package, package_folder
 
 _SUFFIX = ".scenario.yaml"
 
 
 def shipped_scenarios() -> dict[str, Path]:
     """Name -> file of the scenarios that come with the package."""
-    folder = Path(str(resources.files("drake_oa.diagrams")))
+    folder = package_folder("drake_oa.diagrams")
     return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
 
 

@@ -90,7 +90,7 @@ def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -
 def test_the_source_digest_covers_what_a_motion_depends_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("importlib.resources.files", tmp_path.joinpath)
+    monkeypatch.setattr("drake_oa.common.files.package_folder", tmp_path.joinpath)
     found = [source_digest.__wrapped__()]
     for name in ("drake_oa/policy/dmp.py", "drake_oa.models/box.sdf", "drake_oa/app/run.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
