@@ -78,7 +78,8 @@ class PerceivedField(Frozen):
         made_of: (N, 3) points [m].
         view_W: (n, 3) unit directions in which it was seen, of each camera.
         deepest: what is hidden was taken to be at most so deep [m].
-        inside: (K, 3) some nodes within it, in O [m]; none of what one camera sees.
+        inside: (K, 3) some nodes within it through which no image saw, in O [m]; none with one
+            camera.
     """
 
     geometry: CollisionGeometry
