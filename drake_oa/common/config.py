@@ -8,12 +8,18 @@ data and reports every wrong field at once.
 
 from __future__ import annotations
 
+import ast
 import difflib
+import inspect
 import math
 import re
+import textwrap
 import typing
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import is_dataclass
+from functools import cache
+from itertools import pairwise
 from typing import Annotated, Any
 
 import yaml
@@ -39,7 +45,6 @@ BLOCK = ConfigDict(
     allow_inf_nan=False,
     validate_assignment=True,
     validate_default=True,
-    use_attribute_docstrings=True,
     arbitrary_types_allowed=True,
 )
 """Configuration of every block: unknown fields and non-finite numbers are errors."""
@@ -207,10 +212,9 @@ class _BlockSchema(GenerateJsonSchema):
     """JSON schema that describes the fields a block inherits, too."""
 
     def dataclass_schema(self, schema: core_schema.DataclassSchema) -> dict[str, Any]:
-        result = super().dataclass_schema(schema)
-        for name, field in result["properties"].items():
-            if text := _description(schema["cls"], name):
-                field["description"] = text
+        result, block = super().dataclass_schema(schema), typing.cast(Any, schema["cls"])
+        for name, text in _descriptions(block).items():
+            result["properties"][name]["description"] = text
         return result
 
 
@@ -219,10 +223,22 @@ def json_schema(block: type) -> dict[str, Any]:
     return TypeAdapter(block).json_schema(schema_generator=_BlockSchema)
 
 
-def _description(block: type, name: str) -> str:
-    """Returns the description of a field, which may be that of a base class."""
-    fields = (vars(base).get("__pydantic_fields__", {}).get(name) for base in block.__mro__)
-    return next((field.description for field in fields if field and field.description), "")
+@cache
+def _descriptions(block: type) -> dict[str, str]:
+    """Returns the strings below the fields of a block and of its base classes, by field.
+
+    Pydantic would read the source of every block when it is imported.
+    """
+    found: dict[str, str] = {}
+    for base in filter(is_dataclass, reversed(block.__mro__)):
+        # A block that is typed into an interactive session has no source.
+        with suppress(OSError):
+            source: Any = ast.parse(textwrap.dedent(inspect.getsource(base)))
+            for field, text in pairwise(source.body[0].body):
+                match field, text:
+                    case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(value))):
+                        found[name] = inspect.cleandoc(value)
+    return found
 
 
 def plain_data(value: Any) -> Any:
@@ -242,7 +258,7 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
             continue
         place += f".{part}" if place else part
         if part in (fields := getattr(block, "__pydantic_fields__", {})):
-            bracket = re.search(r" \[[^\]]+\]", _description(block, part).split("\n\n")[0])
+            bracket = re.search(r" \[[^\]]+\]", _descriptions(block).get(part, "").split("\n\n")[0])
             kind, unit = fields[part].annotation, bracket[0] if bracket else ""
             block, limits = _block(kind), _limits(fields[part].metadata)
     context, given = error.get("ctx", {}), error["input"]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
-from importlib import import_module, resources
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -167,6 +165,25 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             raise ValueError(f"{path} cannot be read as .npz: {error}") from None
 
 
+def cached_arrays(
+    name: str, compute: Callable[[], Mapping[str, Any]]
+) -> Mapping[str, NDArray[Any]]:
+    """Reads arrays from a file of the user's cache; computes and writes them if it has none.
+
+    Args:
+        name: name of the file without suffix: folder, and digest of all that the arrays depend on.
+        compute: makes the arrays by name.
+    """
+    path = user_cache(f"{name}.npz")
+    try:
+        return read_arrays(path)
+    except (OSError, ValueError):
+        arrays = compute()
+        with contextlib.suppress(OSError):
+            replace_arrays(path, arrays)
+        return arrays
+
+
 @contextlib.contextmanager
 def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
     """Provides an empty figure in the common style, and saves it atomically after the block.
@@ -197,12 +214,15 @@ def user_cache(name: str) -> Path:
     return Path(base) / "drake_oa" / name
 
 
+def package_folder(name: str) -> Path:
+    """Returns the folder of a package."""
+    return Path(import_module(name).__path__[0])
+
+
 def package_file(url_or_file: str) -> Path:
     """Returns the file of a `package://drake_oa/...` URL, or the path itself."""
     name = url_or_file.removeprefix("package://drake_oa/")
-    return (
-        Path(str(resources.files("drake_oa.models"))) / name if name != url_or_file else Path(name)
-    )
+    return package_folder("drake_oa.models") / name if name != url_or_file else Path(name)
 
 
 def import_extra(module: str, extra: str) -> Any:
@@ -225,8 +245,10 @@ def installed_package(name: str) -> Path | None:
     It is share/<name> of the distribution of that name, otherwise the folder of the Python package
     of that name; None if there is neither. The package is not imported.
     """
-    with contextlib.suppress(PackageNotFoundError, ValueError):
-        for file in distribution(name).files or ():
+    from importlib import metadata
+
+    with contextlib.suppress(metadata.PackageNotFoundError, ValueError):
+        for file in metadata.distribution(name).files or ():
             prefix, share, _ = str(file.locate()).partition(f"/share/{name}/")
             if share:
                 return Path(prefix) / "share" / name
@@ -246,9 +268,11 @@ def source_digest() -> str:
     Comment lines and docstrings are ignored. The digest is computed once per process, so that
     editing files during a run does not change it.
     """
+    import hashlib
+
     digest = hashlib.sha256()
     for package, patterns in _SOURCES.items():
-        folder = Path(str(resources.files(package)))
+        folder = package_folder(package)
         for path in sorted(p for pattern in patterns for p in folder.rglob(pattern)):
             relative = path.relative_to(folder)
             if relative.parts[0] not in _NOT_IN_DIGEST:
@@ -261,6 +285,8 @@ def source_digest() -> str:
 
 def provenance() -> dict[str, str]:
     """Returns version of this package, date (UTC) and source digest, to be saved with a result."""
+    from importlib.metadata import version
+
     return {
         "version": version("drake_oa"),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
@@ -270,6 +296,8 @@ def provenance() -> dict[str, str]:
 
 def software_versions() -> dict[str, str]:
     """Returns the versions of the packages that affect a result, the date and the source digest."""
+    from importlib.metadata import PackageNotFoundError, version
+
     versions = {}
     for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
         with contextlib.suppress(PackageNotFoundError):

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane
 
 VOXEL = 0.01
@@ -105,18 +106,17 @@ def field_of(
     occupied = np.zeros(tuple(count), dtype=bool)
     # The node nearest to each point.
     occupied[tuple(np.floor((points - p_WO) / voxel + 0.5).astype(np.int64).T)] = True
-    hidden = np.zeros_like(occupied)
     for p_WV in np.reshape(viewpoints_W, (-1, 3)):
-        hidden |= _hidden(points, p_WV, (p_WO, voxel, count), deepest, table)
-    nodes = np.argwhere(hidden)
-    if seen_free is not None:
-        nodes = nodes[~seen_free(p_WO + voxel * nodes)]
-    occupied[tuple(nodes.T)] = True
-    outside = ndimage.distance_transform_edt(~occupied)
+        nodes = _hidden(points, p_WV, p_WO, voxel, deepest, table)
+        nodes = nodes[~occupied[tuple(nodes.T)]]
+        if seen_free is not None:
+            nodes = nodes[~seen_free(p_WO + voxel * nodes)]
+        occupied[tuple(nodes.T)] = True
+    outside = _distances(occupied)
     # Around the occupied nodes there are free ones.
     within = ndimage.find_objects(occupied.view(np.int8))[0]
     around = tuple(slice(side.start - 1, side.stop + 1) for side in within)
-    inside = ndimage.distance_transform_edt(occupied[around])
+    inside = _distances(~occupied[around])
     outside[around] -= np.maximum(inside - 1.0, 0.0)
     low, high = (np.array([getattr(side, end) for side in within]) for end in ("start", "stop"))
     return DistanceField(
@@ -126,6 +126,45 @@ def field_of(
         low * voxel - coarser,
         (high - 1) * voxel + coarser,
     )
+
+
+def _distances(occupied: BoolArray) -> FloatArray:
+    """Distances from the nodes of a grid to the nearest of those that are occupied [voxel]."""
+    squared = np.where(occupied, 0.0, np.inf).astype(np.float32)
+    for _ in range(3):
+        lines = np.ascontiguousarray(np.moveaxis(squared, 0, 2))
+        squared = _nearest_along(lines.reshape(-1, lines.shape[2])).reshape(lines.shape)
+    return np.sqrt(squared, dtype=float)
+
+
+@compiled
+def _nearest_along(lines: FloatArray) -> FloatArray:
+    """Minimum over j of f_j + (i - j)^2 at each i of lines f (L, n), by the lower envelope.
+
+    P. Felzenszwalb and D. Huttenlocher, "Distance transforms of sampled functions", Theory of
+    Computing 8(19), 2012.
+    """
+    least, n = np.empty_like(lines), lines.shape[1]
+    vertex, begin = np.zeros(n, dtype=np.int64), np.empty(n)
+    for row in range(len(lines)):
+        f, count = lines[row], 0
+        for j in range(n):
+            if f[j] == np.inf:
+                continue
+            while count > 0:
+                k = vertex[count - 1]
+                at = (f[j] - f[k] + j * j - k * k) / (2 * (j - k))
+                if at > begin[count - 1]:
+                    break
+                count -= 1
+            vertex[count], begin[count] = j, at if count > 0 else -np.inf
+            count += 1
+        place = 0
+        for i in range(n):
+            while place + 1 < count and begin[place + 1] < i:
+                place += 1
+            least[row, i] = f[vertex[place]] + (i - vertex[place]) ** 2
+    return least
 
 
 def _grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray, IntArray]:
@@ -145,26 +184,27 @@ def _grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray, IntArra
 def _hidden(
     points: FloatArray,
     p_WV: FloatArray,
-    grid: tuple[FloatArray, float, IntArray],
+    p_WO: FloatArray,
+    voxel: float,
     deepest: float,
     table: TablePlane | None,
-) -> BoolArray:
-    """Finds the nodes of a grid that are occluded from a viewpoint, see `field_of`.
+) -> IntArray:
+    """Finds the nodes (K, 3) of a grid that are occluded from a viewpoint, see `field_of`.
 
     Args:
         points: (N, 3) points of the obstacle [m].
         p_WV: (3,) the viewpoint [m].
-        grid: its first node [m], its voxel [m], and its shape.
+        p_WO: (3,) the first node of the grid [m].
+        voxel: edge of its voxels [m].
         deepest: maximum depth [m].
         table: nothing is filled below it.
     """
-    p_WO, voxel, shape = grid
-    hidden = np.zeros(tuple(shape), dtype=bool)
+    nodes = np.zeros((0, 3), dtype=np.int64)
     low, high = points.min(axis=0), points.max(axis=0)
     view = 0.5 * (low + high) - p_WV
     distance, level = float(np.linalg.norm(view)), float(np.hypot(view[0], view[1]))
     if np.linalg.norm(np.clip(p_WV, low, high) - p_WV) < _TOO_NEAR:
-        return hidden
+        return nodes
     away = view[:2] / level if level > 1e-6 else np.array([1.0, 0.0])
     along, across = points[:, :2] @ away, points[:, :2] @ [away[1], -away[0]]
     breadth, depth = float(np.ptp(across)), float(np.ptp(along))
@@ -181,7 +221,7 @@ def _hidden(
     p_VQ = (points - p_WV) @ R_WV
     p_VQ = p_VQ[p_VQ[:, 2] > 0.2 * np.linalg.norm(p_VQ, axis=1)]
     if not len(p_VQ):
-        return hidden
+        return nodes
     image = p_VQ[:, :2] / p_VQ[:, 2:]
     pixel = max(_PIXEL * voxel / distance, float(np.ptp(image, axis=0).max()) / _MAX_PIXELS)
     corner = image.min(axis=0) - 1.5 * pixel
@@ -207,8 +247,7 @@ def _hidden(
     behind = r - near[u[in_image].astype(np.int64), v[in_image].astype(np.int64)]
     horizontal = np.hypot(*(p_WO + voxel * nodes - p_WV)[:, :2].T) / r
     is_hidden = (behind >= 0.0) & (behind * horizontal <= run + 0.5 * voxel)
-    hidden[tuple(nodes[is_hidden].T)] = True
-    return hidden
+    return nodes[is_hidden]
 
 
 def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:

@@ -7,21 +7,19 @@ import numpy as np
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, IntArray
 
-_STRIDES = np.array([1 << 42, 1 << 21, 1])
-
 
 def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
     """Averages points (N, 3) by voxel [m].
 
-    The grid is anchored at the origin and has up to 2**20 voxels along each half axis.
+    The grid is anchored at the origin and has up to 2**16 voxels along each half axis.
 
     Returns:
         Means (M, 3) in the order of the voxels, the voxel (N,) of each point, and the number
         of points (M,) of each voxel.
     """
-    keys = (np.floor(points / voxel).astype(np.int64) + (1 << 20)) @ _STRIDES
+    keys = np.floor(points / voxel) @ [2.0**34, 2.0**17, 1.0]
     # Most points share the voxel of the one before; sorting first points only is faster.
-    first = np.flatnonzero(np.diff(keys, prepend=-1))
+    first = np.flatnonzero(np.diff(keys, prepend=np.nan))
     _, voxel_of = np.unique(keys[first], return_inverse=True)
     voxel_of = np.repeat(voxel_of, np.diff(first, append=len(keys)))
     count = np.bincount(voxel_of)

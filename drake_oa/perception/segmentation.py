@@ -109,7 +109,7 @@ class Segmentation:
 
 
 class _Frame(NamedTuple):
-    """One image or cloud: points p_CQ = depth ray.
+    """One image or cloud, points p_CQ = depth ray, and its table.
 
     Attributes:
         ray: (N, 3) float32; z = 1 in an image, unit vectors in a cloud.
@@ -117,6 +117,11 @@ class _Frame(NamedTuple):
         depth_range: minimum and maximum depth that is used [m].
         X_WC: (4, 4) pose; None: unknown.
         view: the image; None: a cloud.
+        table: the supporting plane in the world; None: not found.
+        extent_W: (E, 3) points that span it in this frame [m].
+        samples: number of samples on it.
+        rms: their rms distance from it [m].
+        note: empty, or the reason why the frame is not usable by itself.
     """
 
     ray: NDArray[np.float32]
@@ -124,46 +129,35 @@ class _Frame(NamedTuple):
     depth_range: tuple[float, float]
     X_WC: FloatArray | None
     view: View | None = None
+    table: TablePlane | None = None
+    extent_W: FloatArray = zeros(0, 3)
+    samples: int = 0
+    rms: float = np.nan
+    note: str = ""
 
-    def is_valid(self, index: IntArray) -> BoolArray:
-        """Checks for some indices (M,) whether their depth is in range."""
-        low, high = self.depth_range
-        depth = self.depth[index]
-        return np.asarray((depth >= low) & (depth <= high))
+    def is_valid(self, depth: NDArray[np.float32]) -> BoolArray:
+        """Checks which depths are in range."""
+        return np.asarray((depth >= self.depth_range[0]) & (depth <= self.depth_range[1]))
 
-    def points(self, index: IntArray) -> FloatArray:
+    def points(self, index: IntArray) -> NDArray[np.float32]:
         """Points (M, 3) of some indices (M,) in the frame C [m]."""
-        return (np.take(self.ray, index, axis=0) * self.depth[index, None]).astype(float)
-
-
-class _Support(NamedTuple):
-    """The table in one frame: its fit and points (E, 3) that span it in C, the pose of the frame,
-    and its plane in the world."""
-
-    fit: PlaneFit
-    extent_C: FloatArray
-    X_WC: FloatArray
-    table_W: TablePlane
+        return np.take(self.ray, index, axis=0) * self.depth[index, None]
 
 
 class _Part(NamedTuple):
     """Points of one frame above the table.
 
     Attributes:
+        frame: the frame.
         p_WQ: (N, 3) points [m].
         number: (N,) their indices in the frame.
-        size: number of pixels or points of the frame.
         is_higher: (N,) whether each is higher than noise and bend of the camera.
-        extent_W: (E, 3) points that span the table in this frame [m].
-        view: the image; None: a cloud.
     """
 
+    frame: _Frame
     p_WQ: FloatArray
     number: IntArray
-    size: int
     is_higher: BoolArray
-    extent_W: FloatArray
-    view: View | None
 
 
 def segment_depth(
@@ -219,10 +213,10 @@ def segment_views(
     config = config or SegmentationConfig()
     frames = []
     for depth, K, X_WC in views:
-        z, pose = np.asarray(depth, dtype=np.float32), None if X_WC is None else np.asarray(X_WC)
-        view = View(z, np.asarray(K, dtype=float), np.eye(4) if pose is None else pose)
+        z = np.asarray(depth, dtype=np.float32)
+        view = View(z, np.asarray(K, dtype=float), np.eye(4) if X_WC is None else X_WC)
         ray = pixel_rays(z.shape, *view.K.tolist())
-        frames.append(_Frame(ray, z.ravel(), (config.near, config.far), pose, view))
+        frames.append(_Frame(ray, z.ravel(), (config.near, config.far), X_WC, view))
     return _segment(frames, config, robot)
 
 
@@ -253,105 +247,88 @@ def segment_points(
 def _segment(
     frames: Sequence[_Frame], config: SegmentationConfig, robot: CollisionGeometries | None
 ) -> Segmentation:
-    supports: list[_Support | None] = []
-    unusable_views = {}
-    for number, frame in enumerate(frames):
-        # Infinite depth counts as visible, missing depth does not.
-        is_seen = np.count_nonzero(frame.depth > 0.0) >= max(1.0, LEAST_SHARE * frame.depth.size)
-        support = _supported(frame, config) if config.table and is_seen else None
-        supports.append(support)
-        if not is_seen or (config.table and support is None):
-            unusable_views[number] = _NO_TABLE if is_seen else _NO_DEPTH
-    found = [support for support in supports if support is not None]
+    frames = [_with_table(frame, config) for frame in frames]
     # The table of the image that shows most of it also holds for images without one.
-    largest = max(found, key=lambda support: np.count_nonzero(support.fit.inliers), default=None)
-    if largest is not None:
-        unusable_views = {
-            number: note for number, note in unusable_views.items() if note != _NO_TABLE
-        }
+    largest = max(frames, key=lambda frame: frame.samples)
+    unusable_views = {
+        number: frame.note
+        for number, frame in enumerate(frames)
+        if frame.note == _NO_DEPTH or (frame.note and largest.table is None)
+    }
+    pose = frames[0].X_WC
+    X_WC = np.eye(4) if pose is None else pose
     if len(unusable_views) == len(frames):
-        X_WC = np.eye(4) if frames[0].X_WC is None else frames[0].X_WC
         return Segmentation(
             X_WC=X_WC, usable=False, note=unusable_views[0], unusable_views=unusable_views
         )
-    table = None if largest is None else largest.table_W
     parts = [
-        _above(frame, support, table, config)
-        for number, (frame, support) in enumerate(zip(frames, supports, strict=True))
+        _above(frame, largest.table, config)
+        for number, frame in enumerate(frames)
         if number not in unusable_views
     ]
-    return replace(
-        _cluster(parts, table, config, robot),
-        plane_rms=np.nan if largest is None else largest.fit.rms,
-        X_WC=_pose(frames[0], supports[0]),
-        unusable_views=unusable_views,
+    found = _cluster(parts, largest.table, config, robot)
+    return replace(found, plane_rms=largest.rms, X_WC=X_WC, unusable_views=unusable_views)
+
+
+def _with_table(frame: _Frame, config: SegmentationConfig) -> _Frame:
+    """Finds the table in a frame."""
+    # Infinite depth counts as visible, missing depth does not.
+    if np.count_nonzero(frame.depth > 0.0) < max(1.0, LEAST_SHARE * frame.depth.size):
+        return frame._replace(note=_NO_DEPTH)
+    if not config.table:
+        return frame
+    size, view = frame.depth.size, frame.view
+    shape, rows, columns = (size, 1), max(1, size // _CLOUD_SAMPLES), 1
+    if view is not None:
+        shape, rows, columns = view.z.shape, _STRIDE, _STRIDE
+    grid = shape[1] * np.arange(0, shape[0], rows)[:, None] + np.arange(0, shape[1], columns)
+    pixel = np.flatnonzero(frame.is_valid(frame.depth[grid.ravel()]))
+    index = grid.ravel()[pixel]
+    points = frame.points(index).astype(float)
+    fit = find_table(points, frame.depth[index].astype(float), frame.X_WC, config.table_height)
+    if fit is None:
+        return frame._replace(note=_NO_TABLE)
+    X_WC = _pose_from_plane(fit) if frame.X_WC is None else frame.X_WC
+    extent, normal_W = points[fit.inliers], X_WC[:3, :3] @ fit.normal
+    if view is not None:
+        extent, view = table_extent(fit, points, pixel, grid.shape), view._replace(X_WC=X_WC)
+    return frame._replace(
+        X_WC=X_WC,
+        view=view,
+        table=TablePlane(normal_W, float(fit.offset + normal_W @ X_WC[:3, 3])),
+        extent_W=extent @ X_WC[:3, :3].T + X_WC[:3, 3],
+        samples=int(fit.inliers.sum()),
+        rms=fit.rms,
     )
 
 
-def _pose(frame: _Frame, support: _Support | None) -> FloatArray:
-    if support is not None:
-        return support.X_WC
-    if frame.X_WC is None:
-        raise ValueError("X_WC must be given where no table defines it")
-    return frame.X_WC
-
-
-def _supported(frame: _Frame, config: SegmentationConfig) -> _Support | None:
-    """Finds the table in a frame."""
-    grid = np.arange(frame.depth.size)
-    if frame.view is None:
-        grid = grid[:: max(1, grid.size // _CLOUD_SAMPLES)]
-    else:
-        grid = grid.reshape(frame.view.z.shape)[::_STRIDE, ::_STRIDE]
-    pixel = np.flatnonzero(frame.is_valid(grid.ravel()))
-    index = grid.ravel()[pixel]
-    points = frame.points(index)
-    fit = find_table(points, frame.depth[index].astype(float), frame.X_WC, config.table_height)
-    if fit is None:
-        return None
-    extent = points[fit.inliers]
-    if frame.view is not None:
-        extent = table_extent(fit, points, pixel, grid)
-    X_WC = _pose_from_plane(fit) if frame.X_WC is None else frame.X_WC
-    normal_W = X_WC[:3, :3] @ fit.normal
-    table = TablePlane(normal_W, float(fit.offset + normal_W @ X_WC[:3, 3]))
-    return _Support(fit, extent, X_WC, table)
-
-
-def _above(
-    frame: _Frame, support: _Support | None, table: TablePlane | None, config: SegmentationConfig
-) -> _Part:
+def _above(frame: _Frame, table: TablePlane | None, config: SegmentationConfig) -> _Part:
     """Finds the points of a frame above the table; without a table, all."""
-    X_WC, depth = _pose(frame, support), frame.depth
-    extent_W = np.zeros((0, 3))
-    normal, offset = np.zeros(3), 0.0
-    if table is not None:
-        normal = X_WC[:3, :3].T @ table.normal_W
-        offset = float(table.offset - table.normal_W @ X_WC[:3, 3])
+    X_WC, depth = frame.X_WC, frame.depth
+    if X_WC is None:
+        raise ValueError("X_WC must be given where no table defines it")
+    if table is None:
+        normal, offset, low, high = np.zeros(3), 0.0, -1.0, 1.0
+    else:
         # A table that differs belongs to another object.
-        if support is not None and support.table_W.distance_to(table) <= HEIGHT_TOLERANCE:
-            normal, offset = support.fit.normal, support.fit.offset
-            extent_W = support.extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
+        plane = frame.table
+        if plane is None or plane.distance_to(table) > HEIGHT_TOLERANCE:
+            plane, frame = table, frame._replace(extent_W=np.zeros((0, 3)))
+        normal, offset = X_WC[:3, :3].T @ plane.normal_W, -float(plane.height(X_WC[:3, 3]))
+        low, high = offset + _MIN_HEIGHT, offset + config.max_height
     # The deviation of depth is DEPTH_NOISE z^2; the height of a point z r of a plane with
     # n . z r = offset deviates by that times |n . r| = |offset| / z.
     noise = np.float32(_DEVIATIONS * DEPTH_NOISE * abs(offset))
     slope = frame.ray @ normal.astype(np.float32)
-    slope -= noise
-    low, high = offset + _MIN_HEIGHT, offset + config.max_height
-    if table is None:
-        number = np.arange(depth.size)
-        is_used = frame.is_valid(number)
-    else:
-        with np.errstate(invalid="ignore"):
-            number = np.flatnonzero(depth * slope > np.float32(low))
-        is_used = frame.is_valid(number) & (depth[number] * (slope[number] + noise) < high)
-    number = number[is_used]
+    with np.errstate(invalid="ignore"):
+        number = np.flatnonzero(depth * (slope - noise) > np.float32(low))
     z = depth[number]
+    is_used = frame.is_valid(z) & (z * slope[number] < high)
+    number, z = number[is_used], z[is_used]
     bend = np.minimum(_WARP * np.maximum(z - _WARP_START, 0.0) ** 2, _LARGEST_WARP)
-    is_higher = z * slope[number] > low + bend
+    is_higher = z * (slope[number] - noise) > low + bend
     p_WQ = frame.points(number) @ X_WC[:3, :3].T + X_WC[:3, 3]
-    view = None if frame.view is None else frame.view._replace(X_WC=X_WC)
-    return _Part(p_WQ, number, depth.size, is_higher, extent_W, view)
+    return _Part(frame, p_WQ, number, is_higher)
 
 
 def _cluster(
@@ -361,7 +338,7 @@ def _cluster(
     robot: CollisionGeometries | None,
 ) -> Segmentation:
     """Clusters the points of all frames above the table."""
-    views = tuple(part.view for part in parts if part.view is not None)
+    views = tuple(part.frame.view for part in parts if part.frame.view is not None)
     p_WQ = np.concatenate([part.p_WQ for part in parts])
     means, voxel_of, count = voxel_means(p_WQ, config.voxel)
     is_kept = count >= _MIN_OCCUPANCY
@@ -370,7 +347,7 @@ def _cluster(
         distance = least_distances(robot, means[is_kept], 0.0, margin, margin)
         is_kept[is_kept] = distance >= margin
     if table is not None:
-        extent_W = np.concatenate([part.extent_W for part in parts])
+        extent_W = np.concatenate([part.frame.extent_W for part in parts])
         outside = distance_beyond(means[is_kept], extent_W, table.normal_W)
         is_kept[is_kept] = _on_table(means[is_kept], outside, config)
     label = np.full(len(means), -1)
@@ -382,8 +359,7 @@ def _cluster(
         is_higher = np.bincount(voxel_of, np.concatenate([part.is_higher for part in parts]))
         higher = np.bincount(label + 1, is_higher >= 0.5 * count, minlength=1)[1:]
         is_large &= higher >= np.maximum(_HIGHER_SHARE * sizes, 3.0)
-    largest_first = np.argsort(-sizes, kind="stable")
-    chosen = largest_first[is_large[largest_first]]
+    chosen = np.argsort(-sizes * is_large, kind="stable")[: np.count_nonzero(is_large)]
     row = np.full(len(sizes) + 1, -1)
     row[chosen] = np.arange(len(chosen))
     label = row[label]
@@ -400,7 +376,7 @@ def _labels(parts: Sequence[_Part], of_point: IntArray) -> list[NDArray[np.int16
     """Lists the clusters of all pixels of each frame, -1: none, by those of all points used."""
     labels, ends = [], np.cumsum([len(part.number) for part in parts])[:-1]
     for part, own in zip(parts, np.split(of_point, ends), strict=True):
-        label = np.full(part.size, -1, dtype=np.int16)
+        label = np.full(len(part.frame.depth), -1, dtype=np.int16)
         label[part.number] = own
         labels.append(label)
     return labels
@@ -448,9 +424,11 @@ def _merged(
         parts: the frames.
         config: `voxel` and `min_cluster_voxels` are used; smaller clusters are not merged.
     """
-    labels = _labels(parts, label[voxel_of])
-    pairs = zip(parts, labels, strict=True)
-    images = [(part.view, owner) for part, owner in pairs if part.view is not None]
+    images = [
+        (part.frame.view, owner)
+        for part, owner in zip(parts, _labels(parts, label[voxel_of]), strict=True)
+        if part.frame.view is not None
+    ]
     if not images:
         return label
     sizes = np.bincount(label + 1, minlength=1)[1:]
@@ -458,9 +436,7 @@ def _merged(
     trees = [(cluster, cKDTree(means[label == cluster])) for cluster in large]
     merged = np.append(np.arange(len(sizes)), -1)
     for (one, first), (other, second) in combinations(trees, 2):
-        if (np.maximum(first.mins, second.mins) - np.minimum(first.maxes, second.maxes)).max() > (
-            OCCLUSION_GAP
-        ):
+        if np.maximum(first.mins - second.maxes, second.mins - first.maxes).max() > OCCLUSION_GAP:
             continue
         length, nearest = second.query(first.data, distance_upper_bound=OCCLUSION_GAP)
         bridges = np.argsort(length, kind="stable")[:_BRIDGES]
@@ -474,7 +450,7 @@ def _merged(
             is_behind = (pixel >= 0) & (view.z.ravel()[pixel] > p_C[..., 2] + config.voxel)
             seen = owner[pixel]
             is_open |= (is_behind & (seen != one) & (seen != other)).any(axis=0)
-        if len(bridges) and 2 * np.count_nonzero(is_open) <= len(bridges):
+        if 0 < len(bridges) >= 2 * np.count_nonzero(is_open):
             merged[merged == merged[other]] = merged[one]
     return merged[label]
 

@@ -37,6 +37,8 @@ _REFINED_POINTS = 4000
 """Approximate number of points for least squares."""
 _SEARCHES = 5
 """Maximum number of planes that are searched for one with an accepted tilt."""
+_TRIALS = 300
+"""Number of triples of points of which a search takes the plane with the most points."""
 _SEARCHED_POINTS = 800
 """Approximate number of points in the search for a plane."""
 _BIN = 0.01
@@ -121,8 +123,8 @@ def find_table(
         level = table_height - X_WC[2, 3] + np.median(np.append(height[is_near], 0.0))
         return _refined(samples, up, level, is_near)
     found = _searched(samples)
-    fit = None if found is None else _refined(samples, *found)
-    support = None if fit is None else _supporting_level(samples, fit)
+    fit = found and _refined(samples, *found)
+    support = fit and _supporting_level(samples, fit)
     if fit is None or support is None:
         return fit
     other = _refined(samples, fit.normal, support)
@@ -133,19 +135,21 @@ def find_table(
 
 def _searched(samples: _Samples) -> tuple[FloatArray, float] | None:
     """Normal and offset of the largest accepted plane, by RANSAC."""
-    import open3d
-
     step = 1 + len(samples.points) // _SEARCHED_POINTS
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(samples.points[::step]))
-    open3d.utility.random.seed(0)
+    points, random = samples.points[::step].astype(np.float32), np.random.default_rng(0)
     for _ in range(_SEARCHES):
-        if len(cloud.points) < samples.needed / step:
+        if len(points) < samples.needed / step:
             break
-        (*normal, d), inliers = cloud.segment_plane(_BIN, 3, 300, probability=1.0)
-        sign = 1.0 if normal @ samples.up >= 0.0 else -1.0
-        if samples.accepts(sign * np.array(normal)):
-            return sign * np.array(normal), -sign * d
-        cloud = cloud.select_by_index(inliers, invert=True)
+        a, b, c = points[random.integers(len(points), size=(3, _TRIALS))]
+        normals = np.cross(b - a, c - a)
+        length = np.linalg.norm(normals, axis=1)
+        is_near = np.abs(points @ normals.T - (normals * a).sum(axis=1)) < _BIN * length
+        best = is_near.sum(axis=0).argmax()
+        normal = normals[best] / max(length[best], 1e-9)
+        normal = normal if normal @ samples.up >= 0.0 else -normal
+        if samples.accepts(normal):
+            return normal, float(normal @ a[best])
+        points = points[~is_near[:, best]]
     return None
 
 
@@ -191,13 +195,14 @@ def _refined(
     """The plane by weighted least squares; None where too few allowed points (N,) support it."""
     step = 1 + len(samples.points) // _REFINED_POINTS
     points, tolerance = samples.points[::step], samples.tolerance[::step]
+    weights = tolerance**-2
     for band in _BANDS:
         near = np.abs(points @ normal - offset) < band * tolerance
         if np.count_nonzero(near) < 3:
             return None
-        weight = tolerance[near] ** -2
-        center = weight @ points[near] / weight.sum()
-        apart = points[near] - center
+        weight, inner = weights[near], points[near]
+        center = weight @ inner / weight.sum()
+        apart = inner - center
         normal = np.linalg.eigh((weight * apart.T) @ apart)[1][:, 0]
         normal = normal if normal @ samples.up >= 0.0 else -normal
         offset = float(normal @ center)
@@ -210,7 +215,9 @@ def _refined(
     return PlaneFit(normal, offset, float(np.sqrt(np.mean(height[inliers] ** 2))), inliers)
 
 
-def table_extent(fit: PlaneFit, points: FloatArray, pixel: IntArray, grid: IntArray) -> FloatArray:
+def table_extent(
+    fit: PlaneFit, points: FloatArray, pixel: IntArray, shape: tuple[int, ...]
+) -> FloatArray:
     """Computes points (E, 3) that span the extent of a table in the frame of the camera [m].
 
     An opening of the table's mask by 3 x 3 pixels removes the thin line where its plane
@@ -220,14 +227,16 @@ def table_extent(fit: PlaneFit, points: FloatArray, pixel: IntArray, grid: IntAr
         fit: the table.
         points: (N, 3) samples of which it has been found [m].
         pixel: (N,) flat indices of the samples in a grid.
-        grid: (rows, columns) the grid; only its shape is used.
+        shape: rows and columns of the grid.
     """
-    sample = np.full_like(grid, -1)
-    sample.ravel()[pixel[fit.inliers]] = np.flatnonzero(fit.inliers)
-    opened = ndimage.binary_opening(sample >= 0, np.ones((3, 3)))
-    row, column = np.nonzero(opened & ~ndimage.binary_erosion(opened))
-    span = points[sample[row, column]]
-    rows, columns = np.divmod(pixel, grid.shape[1])
+    mask = np.zeros(shape, dtype=bool)
+    mask.flat[pixel] = fit.inliers
+    square = {"size": 3, "mode": "constant"}
+    opened = ndimage.maximum_filter(ndimage.minimum_filter(mask, **square), **square)
+    border = opened & ~ndimage.minimum_filter(opened, **square)
+    is_border = border.ravel()[pixel]
+    rows, columns = np.divmod(pixel, shape[1])
+    row, column, span = rows[is_border], columns[is_border], points[is_border]
     # Not beyond the upper border: those parts are farther away than their feet.
     borders = (
         (row >= rows.max() - _BORDER, [0.0, 1.0, 0.0]),
@@ -235,10 +244,10 @@ def table_extent(fit: PlaneFit, points: FloatArray, pixel: IntArray, grid: IntAr
         (column >= columns.max() - _BORDER, [1.0, 0.0, 0.0]),
     )
     parts = [span]
-    for is_border, axis in borders:
+    for is_beside, axis in borders:
         outward = axis - (fit.normal @ axis) * fit.normal
         outward /= max(float(np.linalg.norm(outward)), 1e-9)
-        parts.append(span[is_border] + _BEYOND_IMAGE * outward)
+        parts.append(span[is_beside] + _BEYOND_IMAGE * outward)
     return np.concatenate(parts)
 
 

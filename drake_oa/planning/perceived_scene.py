@@ -78,7 +78,8 @@ class PerceivedField(Frozen):
         made_of: (N, 3) points [m].
         view_W: (n, 3) unit directions in which it was seen, of each camera.
         deepest: what is hidden was taken to be at most so deep [m].
-        inside: (K, 3) some nodes within it, in O [m]; none of what one camera sees.
+        inside: (K, 3) some nodes within it through which no image saw, in O [m]; none with one
+            camera.
     """
 
     geometry: CollisionGeometry
@@ -176,12 +177,12 @@ def _made(
         seen_free=partial(seen_free, views) if views else None,
     )
     geometry = cloud_geometry(grid, name=name, label=f"obstacle {name}")
-    nodes = np.argwhere((grid.values < 0.0) & (len(viewpoints_W) > 1))
-    some = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
-    view = _view(geometry, viewpoints_W)
-    return PerceivedField(
-        geometry, grid, cloud, view, deepest, np.asarray(grid.voxel * some, dtype=float)
-    )
+    nodes = np.flatnonzero((grid.values < 0.0) & (len(viewpoints_W) > 1))
+    nodes = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
+    inside = grid.voxel * np.array(np.unravel_index(nodes, grid.values.shape), dtype=float).T
+    # Noise leaves some of its surface before what an image shows.
+    inside = inside[~seen_free(views, grid.p_WO + inside)]
+    return PerceivedField(geometry, grid, cloud, _view(geometry, viewpoints_W), deepest, inside)
 
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,7 +13,7 @@ import pydrake.geometry as drake
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.console import announce_first_use
-from drake_oa.common.files import package_file, read_arrays, replace_arrays, user_cache
+from drake_oa.common.files import cached_arrays, package_file, read_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.collision_scene import (
     CORNERS,
@@ -131,17 +130,16 @@ def known_cover(
     The Panda's bodies are in `SHIPPED`. The cache is the folder drake_oa/spheres; where it cannot
     be written, the cover is computed each time, which takes seconds.
     """
-    key = cover_key(geometries, protrusion, most)
-    kept = user_cache("spheres") / f"{key}.npz"
-    spheres = _shipped().get(key)
-    try:
-        spheres = read_arrays(kept)["spheres"] if spheres is None else spheres
-    except (OSError, ValueError, KeyError):
+
+    def compute() -> dict[str, FloatArray]:
         announce_first_use(announce)
         found = cover(geometries, protrusion, most)
-        spheres = np.column_stack([found.centers, found.radii])
-        with suppress(OSError):
-            replace_arrays(kept, {"spheres": spheres})
+        return {"spheres": np.column_stack([found.centers, found.radii])}
+
+    key = cover_key(geometries, protrusion, most)
+    spheres = _shipped().get(key)
+    if spheres is None:
+        spheres = cached_arrays(f"spheres/{key}", compute)["spheres"]
     return _measured(geometries_of(geometries), spheres[:, :3], spheres[:, 3])
 
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from itertools import combinations
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import GeometryId
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.compiled import compiled
+from drake_oa.common.files import cached_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.geometry.collision_scene import read_geometry
 from drake_oa.robot.arm import (
@@ -25,7 +31,7 @@ from drake_oa.robot.arm import (
 )
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.sphere_cover import Cover, known_cover
+from drake_oa.robot.sphere_cover import Cover, cover_key, known_cover
 
 _ROUNDED = 1e-9
 """Added to bounding spheres [m]."""
@@ -39,6 +45,8 @@ _MOST = 200
 """Most spheres of a body; where more are needed they stick out farther."""
 _BALL_STEPS = 300
 """Steps towards the smallest ball that holds others."""
+_SOURCE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+"""Digest of this algorithm: after a change, arms are computed again."""
 _ALWAYS = 0.95
 """Share of the random postures in which the shapes of neighbors touch."""
 _OFTEN = 0.02
@@ -83,6 +91,8 @@ def make_arm_spheres(
 ) -> ArmSpheres:
     """Spheres for everything of a robot that has collision geometry.
 
+    Those of one arm are kept in the user's cache, as `known_cover` keeps the spheres of a body.
+
     Args:
         robot: the robot alone, its base fixed anywhere in the world.
         q: (nq,) its positions; joints that do not move the tool frame stay as they are here,
@@ -121,7 +131,7 @@ def make_arm_spheres(
     plant.SetPositions(context, q)
     X_WJ = [joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint) for joint in joints]
     X_WJ.append(RigidTransform())
-    covers, X_JB = [], []
+    covers, keys, X_JB = [], [_SOURCE, version("drake")], []
     announce = f"covering the links of {plant.GetModelInstanceName(robot.instance)} with spheres"
     for row, body in enumerate(bodies):
         geometries = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids[row]]
@@ -129,6 +139,7 @@ def make_arm_spheres(
         if is_tool[row]:
             protrusion = parameters.max_tool_protrusion
         covers.append(known_cover(geometries, protrusion, max(_MOST, len(geometries)), announce))
+        keys.append(cover_key(geometries, protrusion))
         X_JB.append((X_WJ[joint[row]].inverse() @ body.EvalPoseInWorld(context)).GetAsMatrix4())
     pairs = [
         (i, j)
@@ -138,8 +149,16 @@ def make_arm_spheres(
             not inspector.CollisionFiltered(a, b) for a in geometry_ids[i] for b in geometry_ids[j]
         )
     ]
-    arrays = _joined(covers, X_JB, joint, is_tool, pairs)
-    arrays = _with_pairs_found(robot, q, geometry_ids, arrays)
+    chain = make_chain(plant, robot.tool_frame, q)
+
+    def compute() -> dict[str, NDArray[Any]]:
+        arrays = _joined(covers, X_JB, joint, is_tool, pairs)
+        return _with_pairs_found(robot, q, geometries, chain, arrays)._asdict()
+
+    # All that they depend on, to the last bit: the same arm then moves the same.
+    inputs = (keys, pairs, *(array.tolist() for array in (q, joint, is_tool, *X_JB, *chain)))
+    digest = hashlib.sha256(repr(inputs).encode()).hexdigest()
+    arrays = Spheres(**cached_arrays(f"spheres/{digest[:32]}", compute))
     return ArmSpheres(arrays, group_names, np.array([found.protrusion for found in covers]))
 
 
@@ -205,6 +224,7 @@ def _with_pairs_found(
     robot: RobotPlant,
     q: FloatArray,
     geometry_ids: Sequence[Sequence[GeometryId]],
+    chain: Chain,
     spheres: Spheres,
 ) -> Spheres:
     """Removes pairs of groups that always touch, and finds how much overlap is harmless.
@@ -214,7 +234,6 @@ def _with_pairs_found(
     gets as an allowance the least by which its shapes were farther apart than its spheres;
     less, for postures that were not drawn, as much as that is below most of them.
     """
-    chain = make_chain(robot.plant, robot.tool_frame, q)
     # Joints without limits, or with those of more than a turn, turn once.
     is_round = ~(chain.upper - chain.lower < 2.0 * np.pi)
     lower, upper = np.where(is_round, -np.pi, chain.lower), np.where(is_round, np.pi, chain.upper)

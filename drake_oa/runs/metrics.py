@@ -7,8 +7,8 @@ own distance and contact queries: nothing that steered the motion judges it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -26,7 +26,7 @@ from drake_oa.geometry.collision_scene import CollisionGeometries, geometries_of
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import TOOL_FRAME
-from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.scenario.loading import scenario_text
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
@@ -150,7 +150,7 @@ class ClearanceEvaluator:
         builder = DiagramBuilder()
         self._station = make_station(builder, scenario, render=False)
         self._diagram = builder.Build()  # Owns plant and scene graph.
-        self._trajectories = scenario.obstacles
+        self._trajectories = deepcopy(scenario.obstacles)
         self._plant, graph = self._station.plant, self._station.scene_graph
         self._root = self._diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._root)
@@ -338,15 +338,18 @@ class _Balls:
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], self._p_BC) + poses[:, :, 3])
 
 
-@lru_cache(maxsize=4)
-def _evaluator_of(text: str) -> ClearanceEvaluator:
-    """Returns the judge of the robot in the text of a scenario."""
-    return ClearanceEvaluator(parse_scenario(text))
+_JUDGES: dict[str, ClearanceEvaluator] = {}
+"""Judges of the last four scenarios by their texts."""
 
 
 def clearance_evaluator(scenario: Scenario) -> ClearanceEvaluator:
     """Returns the judge of a scenario's robot; its station is built once for equal scenarios."""
-    return _evaluator_of(scenario_text(scenario))
+    text = scenario_text(scenario)
+    if text not in _JUDGES:
+        _JUDGES[text] = ClearanceEvaluator(scenario)
+        for oldest in list(_JUDGES)[:-4]:
+            del _JUDGES[oldest]
+    return _JUDGES[text]
 
 
 def robot_metrics(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.console import Column, TextTable
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.runs.metrics import MotionMetrics, robot_metrics
+from drake_oa.runs.metrics import MotionMetrics, clearance_evaluator
 from drake_oa.runs.report import achievable_clearance_of
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
@@ -63,7 +62,8 @@ def end_contacts(scenario: Scenario) -> str:
 
 def _ends(scenario: Scenario) -> list[MotionMetrics]:
     """Returns the metrics of the robot at the start and at the goal."""
-    return [robot_metrics(scenario, np.atleast_2d(q)) for q in end_positions(scenario)]
+    evaluator = clearance_evaluator(scenario)
+    return [evaluator.metrics(q[None]) for q in end_positions(scenario)]
 
 
 _COLUMNS = (

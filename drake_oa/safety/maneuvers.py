@@ -457,7 +457,7 @@ def _legs(
     if last is None or last_speed is None:
         last, last_speed = first, speed
     return GuardDecision(
-        action, 0.0, np.stack([first, last]), np.stack([speed, last_speed]), switch
+        action, 0.0, np.array([first, last]), np.array([speed, last_speed]), switch
     )
 
 

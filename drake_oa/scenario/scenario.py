@@ -95,12 +95,7 @@ def allow_perception(block: type) -> None:
     field = next(item for item in dc.fields(Scenario) if item.name == "perception")
     union, tagged = typing.get_args(field.type)
     field.type = Annotated[union | block, tagged]
-    fields = vars(Scenario)["__pydantic_fields__"]
-    descriptions = {name: item.description for name, item in fields.items()}
     rebuild_dataclass(Scenario, force=True)  # type: ignore[arg-type]
-    # Rebuilding discards the descriptions of the fields.
-    for name, item in vars(Scenario)["__pydantic_fields__"].items():
-        item.description = descriptions[name]
 
 
 def robot_of(scenario: Scenario) -> Robot:

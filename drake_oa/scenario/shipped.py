@@ -1,9 +1,8 @@
 """Shipped scenarios: their files, descriptions and required Python packages."""
 
-from importlib import resources
 from pathlib import Path
 
-from drake_oa.common.files import installed_package
+from drake_oa.common.files import installed_package, package_folder
 
 _SUFFIX = ".scenario.yaml"
 """File name suffix of scenarios."""
@@ -11,7 +10,7 @@ _SUFFIX = ".scenario.yaml"
 
 def shipped_scenarios() -> dict[str, Path]:
     """Returns the files of the scenarios that come with the package, by name."""
-    folder = Path(str(resources.files("drake_oa.diagrams")))
+    folder = package_folder("drake_oa.diagrams")
     return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
 
 

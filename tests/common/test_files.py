@@ -90,7 +90,7 @@ def test_a_failed_write_leaves_only_the_old_file(tmp_path: Path) -> None:
 def test_the_source_digest_covers_code_and_models_of_motions_but_no_comments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("importlib.resources.files", tmp_path.joinpath)
+    monkeypatch.setattr("drake_oa.common.files.package_folder", tmp_path.joinpath)
     digests = [source_digest.__wrapped__()]
     for name in ("drake_oa/policy/dmp.py", "drake_oa.models/box.sdf", "drake_oa/app/run.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
