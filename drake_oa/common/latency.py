@@ -82,13 +82,14 @@ class PendingDecision(Frozen, Generic[T]):
 
     A decision uses the inputs at its start, and becomes active at `due`.
 
-    =========  ===========================  ==============================================
+    =========  ===========================  ================================================
     State      Condition                    Next state
-    =========  ===========================  ==============================================
-    idle       `pending` is None            `start`: computing; idle again without latency
+    =========  ===========================  ================================================
+    idle       `pending` is None            `start`: computing; without latency model: idle,
+                                            and the new decision is active at once
     computing  `pending` set, time < due    `discarded`: idle
     completed  `pending` set, time >= due   `activated` or `discarded`: idle
-    =========  ===========================  ==============================================
+    =========  ===========================  ================================================
 
     Attributes:
         active: decision that is executed.

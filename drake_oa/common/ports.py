@@ -75,8 +75,8 @@ def declare_state_outputs(
     Args:
         system: system under construction.
         state: index of the abstract state.
-        ports: for each port its name, the size of its vector or the class of its abstract value,
-            and the dotted path of the attribute in the state.
+        ports: tuple for each port: its name; the size of its vector or the class of its abstract
+            value; the dotted path of the attribute in the state.
     """
     tickets = {system.abstract_state_ticket(state)}
     for name, kind, path in ports:

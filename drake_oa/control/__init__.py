@@ -1,10 +1,10 @@
 """Control layer: inverse dynamics of the arm, in joint space or for the tool.
 
-In: robot_state [q, v], and either desired position, velocity and acceleration of the arm's joints,
-or those (3,) of the tool point E in the world [m, m/s, m/s^2], optionally with orientation, angular
-velocity and acceleration, and a posture. Out: actuation [N m], whether torques saturate, and
-whether the arm is being stopped; for the tool also tracking error (3,) [m] and orientation error
-(3,) [rad].
+In: robot_state [q, v], and desired position, velocity and acceleration, either of the arm's joints
+or (3,) of the tool point E in the world [m, m/s, m/s^2]. For the tool, desired orientation, angular
+velocity, angular acceleration and posture are optional. Out: actuation [N m], whether torques
+saturate, and whether the arm is being stopped; for the tool also tracking error (3,) [m] and
+orientation error (3,) [rad].
 
 Systems:
 

@@ -70,9 +70,9 @@ class CartesianInverseDynamics(InverseDynamics):
 
     Under a constant disturbance d, such as a model error, the position error e obeys
     e'' + kd e' + kp e = d and would remain at d / kp. Integral action removes it: `ki_position`
-    times the integral of e is added to the desired acceleration. The integral does not change while
-    the error exceeds `LARGEST_ERROR`, and its correction is limited to `LARGEST_ACCELERATION`, so
-    that the force of a blocked tool does not grow.
+    times the integral of e is added to the desired acceleration. So that the force of a blocked
+    tool does not grow, the integral pauses while the error exceeds `LARGEST_ERROR`, and its
+    correction is limited to `LARGEST_ACCELERATION`.
 
     The task acceleration is A_c = (alpha_c, a_c) with
 

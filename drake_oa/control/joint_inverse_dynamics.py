@@ -229,8 +229,8 @@ class JointInverseDynamics(InverseDynamics):
         di/dt = ki_position (q_d - q),
 
     with the gains of `Gains`; `kd_stop` is the damping of braking. If a torque exceeds its limit,
-    the accelerating torques of all joints are reduced by the same factor, so that the direction of
-    the acceleration does not change (`limit_torque`). Drake's `InverseDynamicsController` does not
+    the accelerating torques of all joints are reduced by the same factor. The direction of the
+    acceleration then does not change (`limit_torque`). Drake's `InverseDynamicsController` does not
     limit torques, and outputs NaN for a state that is not finite.
     """
 
@@ -258,7 +258,7 @@ class JointInverseDynamics(InverseDynamics):
 
 
 def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
-    """Returns the indices of the joints that move the tool in the velocities of the plant.
+    """Returns the joints that move the tool, as a slice of the plant's velocities.
 
     Raises:
         ValueError: if no joint moves the tool frame, or these joints are not consecutive.

@@ -10,11 +10,11 @@ Systems, both without state:
   bytes of the cloud, so that an unchanged obstacle is described once.
 - `GivenEllipsoidSource` outputs the constant ellipsoids of a scenario (`!GivenEllipsoids`).
 
-Each cloud is dilated by the reflected tool (Minkowski sum) and enclosed in the ellipsoid of minimum
-volume (method "enclosing"), or fitted by least squares as in Pairet et al., RA-L 2019, eq. 11
-("least_squares"). If the ellipsoid would contain the start or the goal, which are known to be free,
-the cloud is divided into up to eight parts and the tool into its convex parts. The obstacle then
-has several rows, whose IDs differ by multiples of `messages.PART_ID_STRIDE`.
+Each cloud is dilated by the reflected tool (Minkowski sum). The method "enclosing" computes its
+ellipsoid of minimum volume, "least_squares" the fit of Pairet et al., RA-L 2019, eq. 11. Start and
+goal are known to be free. If the ellipsoid would contain one of them, the cloud is divided into up
+to eight parts, and the tool into its convex parts. The obstacle then has several rows, whose IDs
+differ by multiples of `messages.PART_ID_STRIDE`.
 
 Read first: `descriptor.describe`.
 """

@@ -39,10 +39,11 @@ class Verified:
     """Number of motions rolled out in each iteration of the search [1]. Raising it searches more
     widely."""
     generations: int = Field(default=8, ge=0, le=1000)
-    """Maximum number of iterations [1]. Raising it searches longer for a feasible motion."""
+    """Maximum number of iterations of the search [1]. Raising it searches longer for a feasible
+    motion."""
     refinement_generations: int = Field(default=4, ge=0, le=1000)
-    """Number of iterations after the first feasible motion [1]. Raising it gives shorter
-    motions."""
+    """Number of iterations of the search after the first feasible motion [1]. Raising it gives
+    shorter motions."""
     slack: float = Field(default=5e-4, ge=0.0, le=0.1)
     """Maximum clearance shortfall of a feasible motion, and reduction of the clearance achievable
     at start and goal [m]. Raising it accepts motions closer to the obstacles."""
@@ -60,8 +61,8 @@ class Verified:
     `drake_oa.common.latency` [s]; a longer search continues with the next observation. Raising it
     decides later and better; keep it below the frame period of the camera."""
     configurations: int = Field(default=20_000, ge=0, le=10_000_000)
-    """Number of configurations of the joint-space planner, used if no motion of the tool is
-    feasible [1]. Raising it finds more paths and takes longer."""
+    """Maximum number of configurations that the joint-space planner checks if no motion of the
+    tool is feasible [1]. Raising it finds more paths and takes longer."""
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
-    """Number of configurations of the joint-space planner at the reduced clearance of last resort
-    [1]. Raising it finds more paths and takes longer."""
+    """Maximum number of configurations that the joint-space planner checks at the reduced
+    clearance of last resort [1]. Raising it finds more paths and takes longer."""

@@ -1,9 +1,9 @@
 """One time step of the policy: movement primitive, coupling terms, temporal scaling and holds.
 
 The step combines the movement primitive (`drake_oa.policy.dmp`), the coupling terms
-(`drake_oa.policy.coupling`), the guidance headings (`drake_oa.policy.guidance`), temporal scaling
-(section IV-E of Pairet et al., RA-L 2019) and the holds, which stop the motion on its path while
-it would not be safe. The integration is compiled (`drake_oa.policy.action_kernels`).
+(`drake_oa.policy.coupling`) and the guidance headings (`drake_oa.policy.guidance`). Temporal
+scaling is that of section IV-E of Pairet et al., RA-L 2019. A hold stops the motion on its path
+while it would not be safe. The integration is compiled (`drake_oa.policy.action_kernels`).
 """
 
 from __future__ import annotations
@@ -288,10 +288,10 @@ class CouplingInputs(Frozen):
             return self.hold, self.note
         if len(obstacles) and not self.verified:
             ends = np.stack([state.p_WE, state.p_WG])[:, None]
-            shapes = obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes
-            for place, row in zip(("tool", "goal"), signed_distance(ends, *shapes), strict=True):
-                if (row <= 0.0).any():
-                    track = obstacles.ids[(row <= 0.0).argmax()] % PART_ID_STRIDE
+            distance = signed_distance(ends, obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes)
+            for place, row in zip(("tool", "goal"), distance <= 0.0, strict=True):
+                if row.any():
+                    track = obstacles.ids[row.argmax()] % PART_ID_STRIDE
                     return HoldReason.OBSTACLES, f"{place} inside obstacle {track}"
         return HoldReason.NONE, ""
 

@@ -97,8 +97,8 @@ def advance(
         setup: constants of the motion.
         obstacles: obstacles for the guidance headings, which are updated each step.
         coupling: (K, 12) coupling terms before fading, see `coupling.turn_step`.
-        longest: path length bound [m]; the integration ends when length so far plus distance to
-            the goal exceed it.
+        longest: maximum path length [m]; the integration ends when the length so far plus the
+            distance from the goal exceeds it.
         path: (T // every + 1, 3) positions p_WE [m]; the first row is input, the others output.
         velocity: (T // every + 1, 3) scaled velocities z_W [m], likewise.
 

@@ -8,10 +8,10 @@ motion is the quintic spline with evenly spaced knots whose coefficients c minim
     mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 
 (P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996). The first three and the last
-three coefficients equal the mean ends of the recordings, so that the motion starts and ends at
-rest, as a movement primitive does. ds_di is the sampling interval of sample i: all recordings
-have equal weight, whatever their number of samples. The forcing term of a primitive is linear in
-the motion, so fitting it to the mean equals fitting it to all recordings.
+three coefficients equal the mean ends of the recordings. The motion thus starts and ends at rest,
+as a movement primitive does. ds_di is the sampling interval of sample i: all recordings have equal
+weight, whatever their number of samples. The forcing term of a primitive is linear in the motion,
+so fitting it to the mean equals fitting it to all recordings.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _PENALTY = 1e-6
 _SHORT = 0.05
 """Minimum ratio of a recorded path's baseline (start to end) to its extent [1]."""
 _UNLIKE = math.pi / 2.0
-"""Maximum rotation between a recording's orientations and their mean; above it is refused [rad]."""
+"""Maximum rotation between the orientations of a recording and of the mean [rad]."""
 
 
 def average_paths(

@@ -40,7 +40,7 @@ N_COLUMNS = 12
 """Number of columns of a row of coupling terms."""
 
 _MAX_STIFFNESS = 1e4
-"""Upper bound of the ratio of initial rate times step to exact rotation of a term [1]."""
+"""Maximum ratio of initial rate times step to exact rotation of a coupling term in a step [1]."""
 _NEGLIGIBLE = 1e-15
 """Rotation of an avoidance term in a step below which the term is skipped [rad]."""
 
@@ -49,7 +49,7 @@ Triple = tuple[float, float, float]
 Term = tuple[Triple, float, float]
 """Axis, exact rotation over the step [rad] (0: inactive), and initial rate times step [rad]."""
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
-"""Term that does not act."""
+"""Coupling term without effect: zero axis, rotation and rate."""
 
 
 def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:

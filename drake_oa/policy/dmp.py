@@ -225,9 +225,9 @@ def fit_forcing(
 ) -> Dmp:
     """Fits the forcing term of a movement primitive to a demonstration.
 
-    The forcing term that makes (eq. 1) follow the demonstration,
-    f = dz/ds + alpha_x (z + beta_x x) with x relative to the end, is sampled on its `interpolant`
-    and fitted by linear least squares over all basis functions at once.
+    With x relative to the end, (eq. 1) follows the demonstration for the forcing term
+    f = dz/ds + alpha_x (z + beta_x x). It is sampled on the `interpolant` of the demonstration and
+    fitted by linear least squares over all basis functions at once.
 
     Args:
         local: (T, D) positions relative to the last one, in the local frame, divided by the

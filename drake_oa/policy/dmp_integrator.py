@@ -79,7 +79,7 @@ class DmpIntegrator(LeafSystem):
     With position x, scaled velocity z, phase k, goal g, and normalized time s = t / (tau T), where
     T is the demonstrated duration and tau the temporal scaling, the system integrates
 
-        dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + sum_i Omega_i x z,
+        dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + sum_i cross(Omega_i, z),
         dx/ds = z,    dk/ds = -alpha_k k,    x(0) = start, z(0) = 0, k(0) = 1.
 
     f is the forcing term learned from the demonstration, and Omega_i the angular rate of coupling

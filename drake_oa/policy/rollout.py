@@ -27,7 +27,7 @@ LATEST = 2.0
 ARRIVED = 6e-4
 """Distance from the goal at which a motion counts as arrived [m]."""
 _EACH = 8
-"""Minimum number of candidates per additional thread."""
+"""Minimum number of rolled-out candidates per additional thread."""
 
 
 @dataclass(frozen=True, eq=False)

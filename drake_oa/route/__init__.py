@@ -1,9 +1,9 @@
 """Route layer: selects the side on which the motion passes each obstacle.
 
 In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m]; optionally the support plane.
-Out: `Route`: for each obstacle the direction omega_d from the baseline (the line from start to
-goal) to the selected side, the normal of the plane in which the obstacle is passed, and the
-clearance at which guidance passes it.
+Out: `Route`, with three values for each obstacle: the direction omega_d from the baseline (the line
+from start to goal) to the selected side; the normal of the plane in which the obstacle is passed;
+and the clearance at which guidance passes it.
 
 System: `CostRingSelector`, updated 15 times per second, with hysteresis.
 
