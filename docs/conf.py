@@ -25,7 +25,7 @@ html_static_path = ["_static"]
 mathjax_path = "katex/katex.min.js"
 mathjax_options = {"defer": "defer"}
 html_js_files = [("katex/render.js", {"defer": "defer"})]
-html_css_files = ["katex/katex.min.css"]
+html_css_files = ["katex/katex.min.css", "formulas.css"]
 myst_heading_anchors = 4
 # A tutorial runs whenever its page is read, in a folder of its own, and fails the build if a cell
 # does. The first run on a machine compiles the kernels.
