@@ -1,4 +1,4 @@
-"""Take one layer out: clouds in, ellipsoids out, no diagram at all."""
+"""One system without a diagram: the descriptor computes ellipsoids of point clouds."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 
 
 def main() -> None:
-    """Fits the ellipsoid of a small cube, dilated by a stick-like tool."""
+    """Computes the ellipsoid of a small cube, dilated by a stick-like tool."""
     cube = np.array([[x, y, z] for x in (0.4, 0.5) for y in (-0.05, 0.05) for z in (0.0, 0.1)])
     stick = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]])
 

@@ -1,4 +1,4 @@
-"""Put the policy into a diagram of your own: given ellipsoids, no robot."""
+"""Policy in your own diagram: it avoids a given ellipsoid, without a robot."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -19,9 +19,9 @@ CLEARANCE = 0.1
 
 
 def main() -> None:
-    """Bends a straight motion round a ball, as the paper does, and prints how near it came."""
+    """Avoids a ball on a straight motion by the paper's method; prints the minimum clearance."""
     ball = EllipsoidSet(
-        stamp=np.inf,  # Never out of date.
+        stamp=np.inf,  # Never stale.
         p_WO=np.array([[0.5, 0.0, -0.02]]),
         R_WO=np.eye(3)[None],
         semi_axes=np.full((1, 3), 0.1),
@@ -32,13 +32,13 @@ def main() -> None:
 
     builder = DiagramBuilder()
     goal = builder.AddSystem(ConstantVectorSource(GOAL))
-    seen = builder.AddSystem(ConstantValueSource(Value(ball)))
+    obstacles = builder.AddSystem(ConstantValueSource(Value(ball)))
     chain = builder.AddSystem(RegressorChain(weights, CLEARANCE))
     rings = builder.AddSystem(CostRingSelector(CLEARANCE))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=4.0))
     policy = builder.AddSystem(DmpIntegrator(dmp, START))
     for system in (chain, rings, policy):
-        builder.Connect(seen.get_output_port(), system.GetInputPort("ellipsoids_W"))
+        builder.Connect(obstacles.get_output_port(), system.GetInputPort("ellipsoids_W"))
     for system in (chain, rings):
         builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
     for system in (rings, policy):
@@ -52,8 +52,8 @@ def main() -> None:
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(8.0)
     path = log.FindLog(simulator.get_context()).data().T
-    nearest = np.linalg.norm(path - ball.p_WO[0], axis=1).min() - 0.1
-    print(f"asked {CLEARANCE:.3f} m, kept {nearest:.3f} m, ended at {path[-1].round(4)}")
+    min_clearance = np.linalg.norm(path - ball.p_WO[0], axis=1).min() - 0.1
+    print(f"requested clearance {CLEARANCE:.3f} m, min. clearance {min_clearance:.3f} m")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A cost ring of your own in the default diagram, which verifies the motion."""
+"""Your own cost ring in the default diagram, which verifies motions by roll-outs."""
 
 import numpy as np
 
@@ -13,13 +13,13 @@ SCENARIO = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
 
 
 def never_above(scene: RingScene) -> FloatArray:
-    """1 for directions that lead over the obstacle, where people's hands may be."""
+    """Returns cost 1 for directions above the obstacle, where hands of people may be, else 0."""
     above = scene.directions_W[:, 2] > 0.5
     return np.broadcast_to(above, scene.detour.shape).astype(float)
 
 
 def with_ring(signals) -> None:
-    """Replaces the selector by one with a ring more."""
+    """Replaces the cost ring selector by one with an additional ring."""
     rings = {"people": never_above}
     signals.replace("cost_ring_selector", make_cost_ring_selector(SCENARIO, rings))
 

@@ -1,4 +1,4 @@
-"""Search a motion round two balls, and run the policy that executes it: no robot."""
+"""Search of a motion past two balls, and its execution by the policy, without a robot."""
 
 import dataclasses as dc
 
@@ -28,15 +28,15 @@ BALLS = EllipsoidSet(
 
 
 def main() -> None:
-    """Bends a straight motion round two balls and prints how near it came."""
-    R_WL, still = local_frame(START, GOAL), np.zeros(3)
-    scene = Scene(START, still, GOAL, R_WL, 1.0, BALLS, np.full(2, CLEARANCE))
+    """Avoids two balls on a straight motion, and prints the minimum clearance."""
+    R_WL, v_start = local_frame(START, GOAL), np.zeros(3)
+    scene = Scene(START, v_start, GOAL, R_WL, 1.0, BALLS, np.full(2, CLEARANCE))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
     search = PointSearch(scene, dmp=dmp, policy=Policy(), parameters=Verified())
-    found = search.run()
-    # One avoidance term about a point of its own: it belongs to neither ball.
-    rows = rows_of(avoidance_terms(scene, found.params))
-    coupling = dc.replace(rows, tau=max(float(found.length[0]), 1.0), verified=True)
+    result = search.run()
+    # The avoidance term acts about a separate point, which belongs to neither ball.
+    rows = rows_of(avoidance_terms(scene, result.params))
+    coupling = dc.replace(rows, tau=max(float(result.length[0]), 1.0), verified=True)
 
     policy = DmpIntegrator(dmp, START)
     simulator = Simulator(policy)
@@ -48,8 +48,8 @@ def main() -> None:
     for time in np.arange(0.0, 8.0, 0.02):
         simulator.AdvanceTo(time)
         path.append(policy.GetOutputPort("desired_position").Eval(context))
-    kept = np.linalg.norm(np.array(path)[:, None] - CENTERS, axis=2).min() - RADIUS
-    print(f"asked {CLEARANCE:.3f} m, kept {kept:.3f} m, ended at {path[-1].round(4)}")
+    min_clearance = np.linalg.norm(np.array(path)[:, None] - CENTERS, axis=2).min() - RADIUS
+    print(f"requested clearance {CLEARANCE:.3f} m, min. clearance {min_clearance:.3f} m")
 
 
 if __name__ == "__main__":

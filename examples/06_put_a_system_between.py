@@ -1,4 +1,4 @@
-"""A system of one's own between two layers: here one that keeps the obstacles a little larger."""
+"""Your own system between two layers, in this example one that enlarges the obstacles."""
 
 from dataclasses import replace
 
@@ -11,8 +11,8 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 
-class Larger(LeafSystem):
-    """Adds a margin to each semi-axis of the ellipsoids."""
+class EnlargedEllipsoids(LeafSystem):
+    """System that adds a margin [m] to each semi-axis of the ellipsoids."""
 
     def __init__(self, margin: float) -> None:
         super().__init__()
@@ -21,17 +21,19 @@ class Larger(LeafSystem):
         self.DeclareAbstractOutputPort("ellipsoids_W", lambda: Value(EllipsoidSet()), self._calc)
 
     def _calc(self, context, output) -> None:
-        seen = self.GetInputPort("ellipsoids_W").Eval(context)
-        output.set_value(replace(seen, semi_axes=seen.semi_axes + self._margin))
+        ellipsoids = self.GetInputPort("ellipsoids_W").Eval(context)
+        output.set_value(replace(ellipsoids, semi_axes=ellipsoids.semi_axes + self._margin))
 
 
 def main(duration: float | None = None) -> None:
-    """Runs tabletop_box with it; all that read the ellipsoids read what it makes of them."""
+    """Runs tabletop_box with enlarged ellipsoids for all systems that read them."""
     scenario = load_scenario("tabletop_box")
     log = simulate(
         scenario,
         duration=duration,
-        customize=lambda signals: signals.interpose("ellipsoids_W", "larger", Larger(0.02)),
+        customize=lambda signals: signals.interpose(
+            "ellipsoids_W", "larger", EnlargedEllipsoids(0.02)
+        ),
     )
     print(report_table(run_report("larger obstacles", scenario, {"avoiding": log})))
 

@@ -1,4 +1,4 @@
-"""Teach a motion from recordings, three of an arc and one in a CSV, and go it elsewhere."""
+"""Motions from demonstrations: three recordings of an arc, and one of pouring, in a CSV file."""
 
 import numpy as np
 
@@ -17,17 +17,15 @@ START, GOAL = np.array([0.5, -0.3, 0.4]), np.array([0.3, 0.4, 0.4])
 
 
 def main() -> None:
-    """Prints where the learnt motions go, and how far the tool turns."""
-    shown = [read_demonstration(f"{FOLDER}/arc_{number}.npz") for number in (1, 2, 3)]
-    # Arrays of your own do as well: positions (T, 3) [m] and their stamps (T,) [s].
-    path, t = average_paths([one.path for one in shown], [one.t for one in shown])
+    """Prints the extent of the imitated motions, and the rotation of the tool."""
+    arcs = [read_demonstration(f"{FOLDER}/arc_{number}.npz") for number in (1, 2, 3)]
+    # Your own arrays are also valid: positions (T, 3) [m] and their times (T,) [s].
+    path, t = average_paths([one.path for one in arcs], [one.t for one in arcs])
     motion = trajectory(imitate(path, t), START, GOAL)
-    way = (GOAL - START) / np.linalg.norm(GOAL - START)
-    aside = np.linalg.norm(np.cross(motion.p - START, way), axis=1).max()
-    print(
-        f"{len(shown)} arcs in {t[-1]:.2f} s on average; elsewhere {aside:.3f} m beside the line,"
-    )
-    print(f"  from {motion.p[0].round(3)} to {motion.p[-1].round(3)} m")
+    direction = (GOAL - START) / np.linalg.norm(GOAL - START)
+    max_offset = np.linalg.norm(np.cross(motion.p - START, direction), axis=1).max()
+    print(f"average of {len(arcs)} arcs, {t[-1]:.2f} s, imitated between other positions:")
+    print(f"  from {motion.p[0].round(3)} to {motion.p[-1].round(3)} m, offset {max_offset:.3f} m")
 
     pour = read_demonstration(f"{FOLDER}/pour.csv")
     R_WE, t = average_orientations([pour.orientations], [pour.t])
@@ -35,7 +33,7 @@ def main() -> None:
     s = np.linspace(0.0, 1.0, 5)
     for share, R in zip(s, orientation_along(turn, turn.first, turn.last, s), strict=True):
         angle = np.degrees(np.linalg.norm(goal_vector(turn.first, R)))
-        print(f"pouring, at {share:.2f} of the time: turned by {angle:4.1f} degrees")
+        print(f"pouring, at normalized time {share:.2f}: rotated by {angle:4.1f} degrees")
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Robot, obstacle and scene models, recorded motions, trained weights (package://drake_oa)."""
+"""Models of robot, obstacles and scenes, demonstrations, trained weights (package://drake_oa)."""

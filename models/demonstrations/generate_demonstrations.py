@@ -1,9 +1,10 @@
-"""Writes demonstrations as of a hand that leads a Panda: `python generate_demonstrations.py`.
+"""Generates the shipped demonstrations: `python generate_demonstrations.py`.
 
-A hand goes through via points with least jerk (Flash and Hogan 1985), now slower and now faster,
-and trembles by about a millimeter at 8 to 12 Hz; the recorder takes about 100 samples a second at
-uneven times, misses some, and gives quaternions with w >= 0, so that their signs jump. Positions
-of the tool point E and orientations R_WE are of the world: the Panda's base, z up [m].
+The script simulates recordings of a Panda that is guided by hand. A hand passes via points with
+minimum jerk (Flash and Hogan 1985) at varying speed, with a tremor of about one millimeter at 8 to
+12 Hz. The recorder samples at about 100 Hz, at uneven times, loses some samples, and records
+quaternions with w >= 0, so that their signs jump. Positions of the tool point E [m] and
+orientations R_WE are in the world, whose origin is the Panda's base, z up.
 """
 
 from pathlib import Path
@@ -17,26 +18,40 @@ from scipy.interpolate import make_interp_spline
 Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).resolve().parent
-RATE = 100.0  # Of the recorder [Hz].
-TREMOR, TILT_TREMOR = 0.7e-3, 0.005  # Root mean square [m, rad].
-NOISE = 5e-5  # Of the encoders, seen at the tool [m].
-REST = 0.15  # Before and after the motion [s].
+"""Folder of the generated files."""
+RATE = 100.0
+"""Mean sampling rate of the recorder [Hz]."""
+TREMOR, TILT_TREMOR = 0.7e-3, 0.005
+"""Root mean square of the hand's tremor in position [m] and orientation [rad]."""
+NOISE = 5e-5
+"""Standard deviation of the tool position due to the encoders [m]."""
+REST = 0.15
+"""Time at rest before and after the motion [s]."""
 
 
-class Shown(NamedTuple):
-    """A motion, its via points in rows: share of the time, x, y, z [m], roll, pitch, yaw [rad]."""
+class Recording(NamedTuple):
+    """Parameters of a recorded motion.
+
+    Attributes:
+        vias: rows of via points: normalized time, x, y, z [m], roll, pitch, yaw [rad].
+        duration: mean duration [s].
+        seed: seed of the random numbers.
+        repetitions: number of recordings.
+        spread: standard deviation of the via points between repetitions [m].
+    """
 
     vias: list[list[float]]
     duration: float
     seed: int
     repetitions: int = 1
-    spread: float = 0.0  # Of the via points from one repetition to the next [m].
+    spread: float = 0.0
 
 
 DOWN = [np.pi, 0.0, np.pi / 2.0]
-SHOWN = {
-    # Out and round to the other side, at about one height: three times.
-    "arc": Shown(
+"""Roll, pitch and yaw of a tool that points down [rad]."""
+RECORDINGS = {
+    # An arc from one side to the other at nearly constant height, recorded three times.
+    "arc": Recording(
         [
             [0.0, 0.40, -0.42, 0.22, *DOWN],
             [0.27, 0.56, -0.25, 0.27, *DOWN],
@@ -49,8 +64,8 @@ SHOWN = {
         repetitions=3,
         spread=0.012,
     ),
-    # Up, over, and down while the hand turns and tips what it holds.
-    "pour": Shown(
+    # Up, across, and down while the tool turns and tilts.
+    "pour": Recording(
         [
             [0.0, 0.42, -0.38, 0.16, *DOWN],
             [0.22, 0.43, -0.34, 0.36, *DOWN],
@@ -61,8 +76,8 @@ SHOWN = {
         5.5,
         seed=2,
     ),
-    # An S over the table, as with a cloth.
-    "wipe": Shown(
+    # An S-shaped wiping motion above the table.
+    "wipe": Recording(
         [
             [0.0, 0.40, -0.35, 0.12, *DOWN],
             [0.25, 0.58, -0.20, 0.115, np.pi, 0.0, np.pi / 2.0 + 0.2],
@@ -74,55 +89,56 @@ SHOWN = {
         seed=3,
     ),
 }
+"""Parameters of the recorded motions, by name."""
 
 
 def stamps(duration: float, random: np.random.Generator) -> Array:
-    """(T,) when the recorder took a sample [s]: unevenly, and not always."""
+    """Returns the times (T,) of the recorder's samples [s], uneven and with missing samples."""
     t = np.arange(0.0, duration, 1.0 / RATE)
     t[1:] += random.uniform(-0.3, 0.3, len(t) - 1) / RATE
-    kept = random.random(len(t)) > 0.02
-    kept[0] = kept[-1] = True
-    return np.asarray(t[kept])
+    is_sampled = random.random(len(t)) > 0.02
+    is_sampled[0] = is_sampled[-1] = True
+    return np.asarray(t[is_sampled])
 
 
 def tremor(t: Array, rms: float, random: np.random.Generator) -> Array:
-    """(T, 3) sum of waves of 8 to 12 Hz, each axis for itself."""
+    """Returns a tremor (T, 3) at times t (T,): sum of waves of 8 to 12 Hz, independent per axis."""
     frequency, phase = random.uniform(8.0, 12.0, (2, 3, 6))
     waves = np.sin(2.0 * np.pi * frequency * t[:, None, None] + 10.0 * phase)
     return np.asarray(rms * waves.sum(axis=2) / np.sqrt(3.0))
 
 
-def show(shown: Shown, random: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Stamps (T,) [s], positions (T, 3) [m] and quaternions (T, 4), w first, of one repetition."""
-    vias = np.array(shown.vias)
-    vias[:, 1:4] += random.normal(0.0, 1.0, (len(vias), 3)) * shown.spread
-    duration = shown.duration * random.uniform(0.9, 1.1)
+def record(recording: Recording, random: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Simulates a repetition: times (T,) [s], positions (T, 3) [m], quaternions (T, 4), w first."""
+    vias = np.array(recording.vias)
+    vias[:, 1:4] += random.normal(0.0, 1.0, (len(vias), 3)) * recording.spread
+    duration = recording.duration * random.uniform(0.9, 1.1)
     t = stamps(duration + 2.0 * REST, random)
     s = np.clip((t - REST) / duration, 0.0, 1.0)
-    # Now slower and now faster, and at rest at both ends all the same.
+    # Vary the speed along the path, with rest at both ends.
     for wave in (1, 2):
         s = s + random.uniform(-0.2, 0.2) / (np.pi * wave**2) * np.sin(np.pi * wave * s) ** 2
     rest = [(1, np.zeros(6)), (2, np.zeros(6))]
-    way = make_interp_spline(vias[:, 0], vias[:, 1:], k=5, bc_type=(rest, rest))(s)
-    p = way[:, :3] + tremor(t, TREMOR, random) + random.normal(0.0, NOISE, (len(t), 3))
-    rpy = way[:, 3:] + tremor(t, TILT_TREMOR, random)
+    motion = make_interp_spline(vias[:, 0], vias[:, 1:], k=5, bc_type=(rest, rest))(s)
+    p = motion[:, :3] + tremor(t, TREMOR, random) + random.normal(0.0, NOISE, (len(t), 3))
+    rpy = motion[:, 3:] + tremor(t, TILT_TREMOR, random)
     q = np.array([RollPitchYaw(row).ToQuaternion().wxyz() for row in rpy])
     return t, p, np.where(q[:, :1] < 0.0, -q, q)
 
 
 def main() -> None:
     """Writes the files: the pouring motion as CSV, the others as .npz."""
-    for name, shown in SHOWN.items():
-        random = np.random.default_rng(shown.seed)
-        for repetition in range(1, shown.repetitions + 1):
-            t, p, q = (np.round(values, 6) for values in show(shown, random))
-            part = f"_{repetition}" if shown.repetitions > 1 else ""
+    for name, recording in RECORDINGS.items():
+        random = np.random.default_rng(recording.seed)
+        for repetition in range(1, recording.repetitions + 1):
+            t, p, q = (np.round(values, 6) for values in record(recording, random))
+            part = f"_{repetition}" if recording.repetitions > 1 else ""
             if name == "pour":
                 header = "t,x,y,z,qw,qx,qy,qz"
                 table = np.column_stack([t, p, q])
                 np.savetxt(FOLDER / "pour.csv", table, "%.6f", ",", header=header, comments="")
             elif name == "arc":
-                # Of positions: the tool is held as the robot's configuration says.
+                # Positions only: the robot's configuration block sets the orientation.
                 np.savez_compressed(FOLDER / f"{name}{part}.npz", t=t, path=p)
             else:
                 np.savez_compressed(FOLDER / f"{name}{part}.npz", t=t, path=p, quaternion=q)

@@ -1,16 +1,16 @@
-"""Writes meshes/*.obj, the visual shells of the Panda: `python models/panda/generate_meshes.py`.
+"""Generates meshes/*.obj, the visual meshes of the Panda: `python models/panda/generate_meshes.py`.
 
-Each link is composed of smooth solids in its own frame (meters) and meshed; collision geometry in
-panda_arm_hand.urdf encloses them, which tests/robot/test_panda_model.py checks.
+Each link is composed of smooth solids in the link's frame [m] and meshed. The collision solid in
+panda_arm_hand.urdf encloses the meshes; see tests/robot/test_panda_model.py.
 """
 
 from pathlib import Path
 
 import numpy as np
 from implicit import (
-    CollisionGeometry,
     Mesh,
     Point,
+    Solid,
     block,
     coarsened,
     drum,
@@ -33,42 +33,44 @@ COLORS = {
     "blue": (0.20, 0.45, 0.80),
 }
 
-SHELL = 0.0565  # Radius of the large joint housings [m].
-GAP = 0.0025  # Half the gap between two neighboring shells [m].
+SHELL = 0.0565
+"""Radius of the large joint housings [m]."""
+GAP = 0.0025
+"""Half the gap between two neighboring shells [m]."""
 
 Part = tuple[str, Mesh]
+"""Part of a link: name of its color, and its mesh."""
 
 
-def _housing(end: float, radius: float = SHELL, rounding: float = 0.04) -> CollisionGeometry:
-    """Half a joint: a drum along +z from the seam at z = 0 to a domed end."""
+def _housing(end: float, radius: float = SHELL, rounding: float = 0.04) -> Solid:
+    """Returns the housing of half a joint: a cylinder along +z from the seam at z = 0 to a dome."""
     return drum((0, 0, GAP), (0, 0, end), radius, (0.006, rounding))
 
 
-def _placed(geometry: CollisionGeometry, R: np.ndarray, origin: Point) -> CollisionGeometry:
-    """A solid given in a frame whose axes are the columns of R."""
-    return lambda p: geometry((p - np.asarray(origin)) @ R)
+def _placed(solid: Solid, R: np.ndarray, origin: Point) -> Solid:
+    """Returns a solid that is defined in a frame with the given origin and axes (columns of R)."""
+    return lambda p: solid((p - np.asarray(origin)) @ R)
 
 
-def _cap(
-    shell: CollisionGeometry, R: np.ndarray, origin: Point, end: float, radius: float = 0.036
-) -> CollisionGeometry:
-    """The dark disc over the domed end of a housing, proud of the shell by 1.6 mm."""
+def _cap(shell: Solid, R: np.ndarray, origin: Point, end: float, radius: float = 0.036) -> Solid:
+    """Returns the dark disc on the dome of a housing, 1.6 mm above the shell."""
     disc = _placed(drum((0, 0, end - 0.022), (0, 0, end + 0.02), radius, (0.001, 0.001)), R, origin)
     return intersection(grown(shell, 0.0016), disc, fillet=0.001)
 
 
-def _seal(start: float, end: float, radius: float) -> CollisionGeometry:
-    """The dark ring in the gap between two shells."""
+def _seal(start: float, end: float, radius: float) -> Solid:
+    """Returns the dark ring in the gap between two shells."""
     return drum((0, 0, start), (0, 0, end), radius, (0.001, 0.001))
 
 
-# Frames of a housing whose z axis is the link's +y, -y.
 _ALONG_Y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""Rotation of a housing whose z axis is the link's +y axis."""
 _ALONG_MINUS_Y = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""Rotation of a housing whose z axis is the link's -y axis."""
 
 
 def link0() -> list[Part]:
-    """The base: a plinth that rises to the first joint, and the connector block behind it."""
+    """Returns the base: a plinth up to the first joint, and the connector block behind it."""
     plinth = union(
         drum((0, 0, -0.02), (0, 0, 0.1), 0.066, (0.004, 0.03)),
         block((-0.075, 0, 0.03), (0.13, 0.15, 0.095), 0.028),
@@ -92,11 +94,13 @@ def link0() -> list[Part]:
     ]
 
 
-def _shoulder(side: np.ndarray, up: float, R_housing: np.ndarray) -> CollisionGeometry:
-    """Upright tube that bends into a housing: the half of the shoulder that a link carries.
+def _shoulder(side: np.ndarray, up: float, R_housing: np.ndarray) -> Solid:
+    """Returns half of the shoulder: an upright tube that bends into a housing.
 
-    `side` is the direction of the housing, `up` the sign of the tube's direction along the third
-    axis, both in the frame where the tube runs along z.
+    Args:
+        side: direction of the housing.
+        up: sign of the tube's direction along z.
+        R_housing: rotation of the housing.
     """
     y = float(side[1])
     run = tube(
@@ -115,9 +119,9 @@ def _shoulder(side: np.ndarray, up: float, R_housing: np.ndarray) -> CollisionGe
 
 
 def _with_fittings(
-    shell: CollisionGeometry, box: tuple, R: np.ndarray, origin: tuple, end: float, triangles: int
+    shell: Solid, box: tuple, R: np.ndarray, origin: tuple, end: float, triangles: int
 ) -> list[Part]:
-    """A shell with the dark cap on its housing's end and the seal at the housing's seam."""
+    """Returns a shell with the dark cap on its dome and the seal at the seam of its housing."""
     cap = _cap(shell, R, origin, end)
     seal = _placed(_seal(-GAP, 0.012, 0.053), R, origin)
     low, high = np.asarray(box[0]), np.asarray(box[1])
@@ -129,23 +133,23 @@ def _with_fittings(
 
 
 def link1() -> list[Part]:
-    """The column over the base, bent into the right half of the shoulder."""
+    """Returns link 1: the column above the base, bent into the right half of the shoulder."""
     shell = _shoulder(np.array([0, -1.0, 0]), -1.0, _ALONG_MINUS_Y)
     box = ((-0.075, -0.145, -0.21), (0.075, 0.075, 0.075))
     return _with_fittings(shell, box, _ALONG_MINUS_Y, (0, 0, 0), 0.128, 1900)
 
 
 def link2() -> list[Part]:
-    """The left half of the shoulder, bent into the upper arm: link1's shape turned about x."""
-    # Columns: this link's axes along which link1's mirrored x, y, z run.
+    """Returns link 2: the left half of the shoulder, bent into the upper arm; link 1 mirrored."""
+    # Columns: mirrored axes x, y, z of link 1 in the frame of this link.
     R = np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
     shell = _placed(_shoulder(np.array([0, 1.0, 0]), -1.0, _ALONG_Y), R, (0, 0, 0))
     box = ((-0.075, -0.21, -0.075), (0.075, 0.075, 0.145))
     return _with_fittings(shell, box, np.eye(3), (0, 0, 0), 0.128, 1900)
 
 
-def _elbow(far: float) -> CollisionGeometry:
-    """A tube along z from z = -far, bent into a housing at x = 0.0825 that points along +y."""
+def _elbow(far: float) -> Solid:
+    """Returns a tube along z from z = -far, bent into a housing along +y at x = 0.0825 m."""
     run = tube(
         [(0, 0, -far - 0.03), (0, 0, -0.06), (0.004, 0.006, -0.028), (0.0825, 0.055, -0.004)],
         [0.0555, 0.0555, 0.05, 0.042],
@@ -158,14 +162,14 @@ def _elbow(far: float) -> CollisionGeometry:
 
 
 def link3() -> list[Part]:
-    """The upper arm's end, bent into the right half of the elbow."""
+    """Returns link 3: the end of the upper arm, bent into the right half of the elbow."""
     box = ((-0.075, -0.075, -0.14), (0.155, 0.135, 0.075))
     return _with_fittings(_elbow(0.122), box, _ALONG_Y, (0.0825, 0, 0), 0.1185, 1900)
 
 
 def link4() -> list[Part]:
-    """The left half of the elbow, bent into the forearm: link3's shape, mirrored."""
-    # link3's point (x, y, z) as seen from here is (x + 0.0825, z, -y).
+    """Returns link 4: the left half of the elbow, bent into the forearm, as link 3 mirrored."""
+    # A point (x, y, z) of this link corresponds to (x + 0.0825, z, -y) of link 3.
     R = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     shell = _placed(_elbow(0.122), R, (-0.0825, 0, 0))
     box = ((-0.16, -0.075, -0.075), (0.075, 0.14, 0.135))
@@ -173,7 +177,7 @@ def link4() -> list[Part]:
 
 
 def link5() -> list[Part]:
-    """The forearm: wide under the elbow, slim beside the flange, then the wrist's housing."""
+    """Returns link 5: the forearm, wide at the elbow and slim near the flange, with the wrist."""
     top = tube([(0, 0, -0.285), (0, 0, -0.225), (0, 0.014, -0.208)], [0.0555, 0.0555, 0.052])
     neck = tube(
         [
@@ -202,7 +206,7 @@ def link5() -> list[Part]:
 
 
 def link6() -> list[Part]:
-    """The wrist's inner half and the head above the flange."""
+    """Returns link 6: the inner half of the wrist, and the head above the flange."""
     wrist = drum((0, 0, -0.0185), (0, 0, 0.056), 0.051, (0.006, 0.03))
     head = drum((0.088, -0.046, 0), (0.088, 0.078, 0), 0.0505, (0.006, 0.034))
     bridge = tube([(0, 0, 0.016), (0.04, 0.0, 0.008), (0.088, 0.03, 0)], [0.044, 0.042, 0.042])
@@ -224,7 +228,7 @@ def link6() -> list[Part]:
 
 
 def link7() -> list[Part]:
-    """The last joint: a white collar with the guiding handle, and the black flange."""
+    """Returns link 7: the white collar with the guiding handle, and the black flange."""
     s = np.sqrt(0.5)
     R = np.array([[s, -s, 0], [s, s, 0], [0, 0, 1.0]])
     collar = drum((0, 0, 0.0485), (0, 0, 0.094), 0.0475, (0.005, 0.012))
@@ -243,7 +247,7 @@ def link7() -> list[Part]:
 
 
 def hand() -> list[Part]:
-    """The gripper's body: shoulders under the flange, and the rail that the fingers run in."""
+    """Returns the body of the gripper: shoulders below the flange, and the rail of the fingers."""
     body = intersection(
         block((0, 0, 0.028), (0.063, 0.203, 0.066), 0.016),
         union(
@@ -268,7 +272,7 @@ def hand() -> list[Part]:
 
 
 def finger(side: float) -> list[Part]:
-    """A finger whose pad lies in the plane y = 0; `side` is 1 for the left, -1 for the right."""
+    """Returns a finger with its pad in the plane y = 0; `side` is 1 for left, -1 for right."""
     R = np.diag([1.0, side, 1.0])
     carriage = block((0, 0.0135, 0.009), (0.0208, 0.0255, 0.018), 0.003)
     tip = tube(
@@ -290,7 +294,7 @@ def finger(side: float) -> list[Part]:
 
 
 def write_obj(path: Path, parts: list[Part]) -> None:
-    """Writes the parts as one Wavefront .obj that uses the materials of panda.mtl."""
+    """Writes parts as one Wavefront .obj file with the materials of panda.mtl."""
     lines, offset = ["mtllib panda.mtl"], 1
     for color, part in parts:
         lines += [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in part.vertices]
@@ -302,7 +306,7 @@ def write_obj(path: Path, parts: list[Part]) -> None:
 
 
 def write_coarse(path: Path, parts: list[Part], triangles: int) -> None:
-    """Writes the parts as one mesh of about that many triangles, without materials: for cameras."""
+    """Writes parts as one mesh with about the given number of triangles, for rendered cameras."""
     coarse = coarsened([part for _, part in parts], triangles)
     lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in coarse.vertices]
     lines += [f"vn {x:.3f} {y:.3f} {z:.3f}" for x, y, z in coarse.normals]
@@ -311,7 +315,7 @@ def write_coarse(path: Path, parts: list[Part], triangles: int) -> None:
 
 
 def write_mtl(path: Path) -> None:
-    """Writes the materials: diffuse color, a soft highlight."""
+    """Writes the materials: diffuse color and a soft highlight."""
     entries = [
         f"newmtl {name}\nKd {r} {g} {b}\nKs 0.2 0.2 0.2\nNs 40\n"
         for name, (r, g, b) in COLORS.items()
@@ -320,7 +324,7 @@ def write_mtl(path: Path) -> None:
 
 
 def main() -> None:
-    """Writes every mesh of the robot."""
+    """Writes all meshes of the robot."""
     FOLDER.mkdir(exist_ok=True)
     write_mtl(FOLDER / "panda.mtl")
     links = [link0, link1, link2, link3, link4, link5, link6, link7, hand]

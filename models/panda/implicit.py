@@ -1,7 +1,7 @@
 """Signed distance functions of smooth solids, and triangle meshes of their surfaces.
 
-A solid is a function from points (N, 3) in meters to signed distances (N,), negative inside. Solids
-blend into one another with fillets, which is how the shells of a modern arm look.
+A solid is a function from points (N, 3) [m] to signed distances (N,) [m], negative inside. Solids
+are blended with fillets, as in the shells of a modern arm.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,21 +11,29 @@ from itertools import pairwise
 import numpy as np
 import open3d as o3d
 
-CollisionGeometry = Callable[[np.ndarray], np.ndarray]
+Solid = Callable[[np.ndarray], np.ndarray]
+"""Type of a solid: function from points (N, 3) to signed distances (N,) [m]."""
 Point = Sequence[float]
+"""Type of a point: x, y, z [m]."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh: vertices (V, 3), unit normals (V, 3), triangles (T, 3) of vertex indices."""
+    """Triangle mesh.
+
+    Attributes:
+        vertices: (V, 3) positions [m].
+        normals: (V, 3) unit normals.
+        triangles: (T, 3) vertex indices.
+    """
 
     vertices: np.ndarray
     normals: np.ndarray
     triangles: np.ndarray
 
 
-def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> CollisionGeometry:
-    """A round tube along the Bezier curve of the control points, its radius blended likewise."""
+def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> Solid:
+    """Returns a round tube along a Bezier curve; its radii are interpolated like control points."""
     control = np.column_stack([np.asarray(path, float), np.asarray(radii, float)])
     s = np.linspace(0.0, 1.0, segments + 1)[:, None]
     while len(control) > 1:  # De Casteljau on the whole parameter range at once.
@@ -35,6 +43,7 @@ def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> C
     knots = control[0]
 
     def distance(p: np.ndarray) -> np.ndarray:
+        """Returns the signed distances of points to the tube."""
         best = np.full(len(p), np.inf)
         for a, b in pairwise(knots):
             axis = b[:3] - a[:3]
@@ -47,15 +56,14 @@ def tube(path: Sequence[Point], radii: Sequence[float], segments: int = 14) -> C
     return distance
 
 
-def drum(
-    start: Point, end: Point, radius: float, rounding: tuple[float, float]
-) -> CollisionGeometry:
-    """A cylinder between two points; `rounding` is the edge radius at the start and at the end."""
+def drum(start: Point, end: Point, radius: float, rounding: tuple[float, float]) -> Solid:
+    """Returns a cylinder between two points; `rounding` has the edge radii at start and end [m]."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / length
 
     def distance(p: np.ndarray) -> np.ndarray:
+        """Returns the signed distances of points to the cylinder."""
         along = (p - a) @ axis
         across = np.linalg.norm(p - a - along[:, None] * axis, axis=1)
         edge = np.where(along < 0.5 * length, rounding[0], rounding[1])
@@ -67,14 +75,13 @@ def drum(
     return distance
 
 
-def block(
-    center: Point, size: Point, rounding: float, R: np.ndarray | None = None
-) -> CollisionGeometry:
-    """A box of full size `size` with rounded edges, its axes the columns of `R`."""
+def block(center: Point, size: Point, rounding: float, R: np.ndarray | None = None) -> Solid:
+    """Returns a box of full size `size` with rounded edges; its axes are the columns of `R`."""
     c, half = np.asarray(center, float), 0.5 * np.asarray(size, float) - rounding
     axes = np.eye(3) if R is None else R
 
     def distance(p: np.ndarray) -> np.ndarray:
+        """Returns the signed distances of points to the box."""
         q = np.abs((p - c) @ axes) - half
         outside = np.linalg.norm(np.maximum(q, 0.0), axis=1)
         return outside + np.minimum(q.max(axis=1), 0.0) - rounding
@@ -82,69 +89,72 @@ def block(
     return distance
 
 
-def half_space(point: Point, outward: Point) -> CollisionGeometry:
-    """Everything behind the plane through `point` whose normal is `outward`."""
+def half_space(point: Point, outward: Point) -> Solid:
+    """Returns the half space behind the plane through `point` with normal `outward`."""
     c, n = np.asarray(point, float), np.asarray(outward, float)
     n = n / np.linalg.norm(n)
     return lambda p: (p - c) @ n
 
 
 def _smooth_minimum(a: np.ndarray, b: np.ndarray, fillet: float) -> np.ndarray:
+    """Returns the elementwise minimum, smooth where the difference is below `fillet` [m]."""
     if fillet == 0.0:
         return np.minimum(a, b)
     h = np.maximum(fillet - np.abs(a - b), 0.0) / fillet
     return np.minimum(a, b) - h * h * fillet * 0.25
 
 
-def union(*geometries: CollisionGeometry, fillet: float = 0.0) -> CollisionGeometry:
-    """All solids together, with a fillet of about this radius where they meet."""
+def union(*solids: Solid, fillet: float = 0.0) -> Solid:
+    """Returns the union of solids, with fillets of about the given radius at their seams [m]."""
 
     def distance(p: np.ndarray) -> np.ndarray:
-        result = geometries[0](p)
-        for geometry in geometries[1:]:
-            result = _smooth_minimum(result, geometry(p), fillet)
+        """Returns the signed distances of points to the union."""
+        result = solids[0](p)
+        for solid in solids[1:]:
+            result = _smooth_minimum(result, solid(p), fillet)
         return result
 
     return distance
 
 
-def intersection(*geometries: CollisionGeometry, fillet: float = 0.0) -> CollisionGeometry:
-    """What all solids share, the new edges rounded."""
+def intersection(*solids: Solid, fillet: float = 0.0) -> Solid:
+    """Returns the intersection of solids, with rounded new edges."""
 
     def distance(p: np.ndarray) -> np.ndarray:
-        result = geometries[0](p)
-        for geometry in geometries[1:]:
-            result = -_smooth_minimum(-result, -geometry(p), fillet)
+        """Returns the signed distances of points to the intersection."""
+        result = solids[0](p)
+        for solid in solids[1:]:
+            result = -_smooth_minimum(-result, -solid(p), fillet)
         return result
 
     return distance
 
 
-def without(
-    geometry: CollisionGeometry, *cuts: CollisionGeometry, fillet: float = 0.0
-) -> CollisionGeometry:
-    """A solid with others cut away, the new edges rounded."""
-    return intersection(geometry, *[lambda p, cut=cut: -cut(p) for cut in cuts], fillet=fillet)
+def without(solid: Solid, *cuts: Solid, fillet: float = 0.0) -> Solid:
+    """Returns a solid minus other solids, with rounded new edges."""
+    return intersection(solid, *[lambda p, cut=cut: -cut(p) for cut in cuts], fillet=fillet)
 
 
-def grown(geometry: CollisionGeometry, offset: float) -> CollisionGeometry:
-    """A solid grown outward by a distance (shrunk where negative)."""
-    return lambda p: geometry(p) - offset
+def grown(solid: Solid, offset: float) -> Solid:
+    """Returns a solid offset outward by a distance, inward if negative [m]."""
+    return lambda p: solid(p) - offset
 
 
-def _gradient(geometry: CollisionGeometry, p: np.ndarray, step: float = 2e-4) -> np.ndarray:
-    columns = [geometry(p + step * e) - geometry(p - step * e) for e in np.eye(3)]
+def _gradient(solid: Solid, p: np.ndarray, step: float = 2e-4) -> np.ndarray:
+    """Returns the gradients (N, 3) of a signed distance, by central differences."""
+    columns = [solid(p + step * e) - solid(p - step * e) for e in np.eye(3)]
     return np.column_stack(columns) / (2.0 * step)
 
 
-def _surface_net(
-    geometry: CollisionGeometry, low: np.ndarray, high: np.ndarray, cell: float
-) -> Mesh:
-    """Naive surface nets: a vertex in each cell that the surface crosses, a quad at each edge."""
+def _surface_net(solid: Solid, low: np.ndarray, high: np.ndarray, cell: float) -> Mesh:
+    """Computes a surface mesh by naive surface nets.
+
+    Each grid cell that the surface crosses has a vertex, each crossed grid edge a quad.
+    """
     axes = [np.arange(a, b + cell, cell) for a, b in zip(low, high, strict=True)]
     shape = tuple(len(axis) for axis in axes)
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    inside = (geometry(grid.reshape(-1, 3)) < 0.0).reshape(shape)
+    inside = (solid(grid.reshape(-1, 3)) < 0.0).reshape(shape)
 
     corner_count = sum(
         inside[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k].astype(int)
@@ -174,34 +184,40 @@ def _surface_net(
     return Mesh(vertices, np.zeros_like(vertices), triangles)
 
 
-def _onto_surface(geometry: CollisionGeometry, p: np.ndarray, cell: float) -> np.ndarray:
+def _onto_surface(solid: Solid, p: np.ndarray, cell: float) -> np.ndarray:
+    """Projects points (N, 3) onto the surface, by steps of at most `cell` per axis [m]."""
     for _ in range(6):
-        g = _gradient(geometry, p)
-        step = (geometry(p) / np.maximum((g * g).sum(axis=1), 0.1))[:, None] * g
+        g = _gradient(solid, p)
+        step = (solid(p) / np.maximum((g * g).sum(axis=1), 0.1))[:, None] * g
         p = p - np.clip(step, -cell, cell)
     return p
 
 
-def mesh(
-    geometry: CollisionGeometry, low: Point, high: Point, triangles: int, cell: float = 0.004
-) -> Mesh:
-    """The surface of a solid within a box, with about that many triangles and smooth normals."""
-    net = _surface_net(geometry, np.asarray(low, float), np.asarray(high, float), cell)
+def mesh(solid: Solid, low: Point, high: Point, triangles: int, cell: float = 0.004) -> Mesh:
+    """Computes the surface mesh of a solid within a box, with smooth normals.
+
+    Args:
+        solid: solid.
+        low, high: corners of the box [m].
+        triangles: approximate number of triangles.
+        cell: edge length of the grid cells [m].
+    """
+    net = _surface_net(solid, np.asarray(low, float), np.asarray(high, float), cell)
     fine = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(_onto_surface(geometry, net.vertices, cell)),
+        o3d.utility.Vector3dVector(_onto_surface(solid, net.vertices, cell)),
         o3d.utility.Vector3iVector(net.triangles),
     )
     coarse = fine.simplify_quadric_decimation(triangles)
     coarse.remove_degenerate_triangles()
     coarse.remove_unreferenced_vertices()
-    vertices = _onto_surface(geometry, np.asarray(coarse.vertices), 0.001)
-    normals = _gradient(geometry, vertices)
+    vertices = _onto_surface(solid, np.asarray(coarse.vertices), 0.001)
+    normals = _gradient(solid, vertices)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     return Mesh(vertices, normals, np.asarray(coarse.triangles))
 
 
 def coarsened(parts: list[Mesh], triangles: int) -> Mesh:
-    """Meshes as one, decimated to about that many triangles."""
+    """Merges meshes, and decimates the result to about the given number of triangles."""
     whole = o3d.geometry.TriangleMesh()
     for part in parts:
         whole += o3d.geometry.TriangleMesh(
