@@ -35,6 +35,7 @@ MICROSECOND = 1e-6
 """Unit of stamps in messages [s]."""
 
 _logger = logging.getLogger("drake_oa")
+"""Logger of the package."""
 
 _BLOCKED_MODES = {
     lcmt_panda_status.kGuiding: "being guided by hand",
@@ -148,6 +149,7 @@ class SharedTrajectory(ctypes.Structure):
 
     @note.setter
     def note(self, note: str) -> None:
+        """Sets the reason, cut to `_NOTE_SIZE` bytes."""
         self._note = note.encode()[: _NOTE_SIZE - 1]
 
 
@@ -163,13 +165,13 @@ class _StoppedError(Exception):
 class CommandStreamer:
     """Sender of the commands in a `SharedTrajectory`, which also monitors and stops the arm.
 
-    One second of wall time executes `rate` seconds of the trajectory. The pace is lower while less
-    than half of `LEAD` is written ahead.
+    One second of wall time executes `rate` seconds of the trajectory, less while not even half of
+    `LEAD` is written ahead. Failures have these consequences:
 
         no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
         no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
-        tracking error, other command source,       the arm stops permanently
-        or robot or control mode without commands
+        tracking error, second command source,      the arm stops permanently
+        or a mode in which no command is followed
     """
 
     def __init__(self, trajectory: SharedTrajectory, lcm: DrakeLcm, rate: float) -> None:
@@ -211,7 +213,7 @@ class CommandStreamer:
             _logger.warning("stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
-        """Performs `step`.
+        """Handles received messages, and sends the next command; see `step`.
 
         Raises:
             _StoppedError: if the arm must stop permanently.
@@ -304,7 +306,7 @@ class CommandStreamer:
             )
 
     def _check_commands(self) -> None:
-        """Raises `_StoppedError` if a received command was not sent by this streamer."""
+        """Checks received commands; raises `_StoppedError` for one of another command source."""
         sent_stamps = {utime for _, utime, _ in self._sent}
         received, self._commands[:] = self._commands[:], []
         for data in received:
@@ -355,7 +357,7 @@ class CommandValidator:
     """
 
     def __init__(self, q: FloatArray, limits: RobotLimits) -> None:
-        """Starts with an arm that holds its position.
+        """Initializes the validator of an arm that holds its position.
 
         Args:
             q: (n,) joint positions of the arm [rad].
@@ -430,7 +432,7 @@ class CommandValidator:
         return f"{name} jumps by {step[j]:.3g} rad, at most {allowed[j]:.3g} allowed"
 
     def _log(self, event: str) -> None:
-        """Logs and stores an event, unless it equals the last one up to its text after " is "."""
+        """Logs and stores an event, unless the last one has the same text before " is "."""
         if not self.events or self.events[-1].split(" is ")[0] != event.split(" is ")[0]:
             self.events.append(event)
             _logger.warning("station: %s", event)

@@ -48,9 +48,10 @@ period of the camera [1]."""
 _AT_REST, _REST_TIME = 0.01, 1.0
 """Maximum speed of joints at rest [rad/s, m/s], and time at rest after which a run ends [s]."""
 _CATCH_UP = 0.02
-"""Maximum delay for which later steps compensate [s]."""
+"""Maximum delay of the simulation that later steps make up [s]."""
 
 _logger = logging.getLogger("drake_oa")
+"""Logger of the package."""
 
 
 class _ImageSender:
@@ -222,7 +223,7 @@ class PandaStation:
         return self._ends and not self._waits and is_at_rest
 
     def run(self, duration: float, each_step: Callable[[], None] = lambda: None) -> None:
-        """Runs the station until a simulated time, at most at its rate.
+        """Runs the station until a simulated time, no faster than its rate.
 
         After a step that takes too long, later steps catch up by `_CATCH_UP` at most. Otherwise the
         arm would move faster than commanded by the wall clock.

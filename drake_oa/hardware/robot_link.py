@@ -313,6 +313,7 @@ class MeasuredState(LeafSystem):
         port.disable_caching_by_default()
 
     def _calc(self, _: Context, output: BasicVector) -> None:
+        """Outputs the last measurements of the arm, and start positions of other joints."""
         n = len(self._q)
         state: Any = np.concatenate([self._q, np.zeros(n)])
         q, v = self._link.trajectory.measured

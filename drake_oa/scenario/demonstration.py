@@ -130,13 +130,13 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
         ScenarioError: naming the files, if they cannot be imitated.
     """
     demonstrations, policy = read_demonstrations(scenario.task), scenario.policy
-    given = [
+    samples = [
         (item.orientations, item.t) for item in demonstrations if item.orientations is not None
     ]
-    if not given:
+    if not samples:
         return None
     with field_errors(_file_field(scenario.task), ValueError):
-        R_WE, t = average_orientations(*zip(*given, strict=True), n_basis=policy.n_basis)
+        R_WE, t = average_orientations(*zip(*samples, strict=True), n_basis=policy.n_basis)
         return imitate_orientation(R_WE, t, **primitive_constants(policy))
 
 
@@ -198,8 +198,8 @@ def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
             f"it has more than {MAX_SAMPLES} samples, which is {MAX_SAMPLES // 1000} s at 1 kHz: "
             "cut it, or reduce its sampling rate"
         )
-    given = [arrays[name] for name in ("quaternion", "R") if name in arrays]
-    if len(given) > 1:
+    rotations = [arrays[name] for name in ("quaternion", "R") if name in arrays]
+    if len(rotations) > 1:
         raise ValueError("it has both `quaternion` and `R`; remove one of the two arrays")
     t = arrays["t"] if "t" in arrays else np.linspace(0.0, duration, len(path))
     path, t = checked_demonstration(path, t)
@@ -207,10 +207,10 @@ def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
         raise ValueError(
             f"its times span {t[-1] - t[0]:g} s, at most {MAX_DURATION:g}: they must be in seconds"
         )
-    if given and np.shape(given[0])[:1] != (len(path),):
-        count = np.shape(given[0])[:1]
+    if rotations and np.shape(rotations[0])[:1] != (len(path),):
+        count = np.shape(rotations[0])[:1]
         raise ValueError(
             f"it has {len(path)} positions and {count[0] if count else 'no'} orientations; "
             f"{_NPZ_FORMAT}"
         )
-    return Demonstration(path, t, checked_rotations(given[0]) if given else None)
+    return Demonstration(path, t, checked_rotations(rotations[0]) if rotations else None)

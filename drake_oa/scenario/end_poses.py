@@ -70,13 +70,13 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
     """
     task, robot = scenario.task, scenario.robot
     requested = {"rpy_start": task.rpy_start, "rpy_goal": task.rpy_goal}
-    given = [name for name, rpy in requested.items() if rpy is not None]
+    stated = [name for name, rpy in requested.items() if rpy is not None]
     if robot is None:
-        if given:
-            raise ScenarioError(f"task.{given[0]}: requires a robot; the scenario has null")
+        if stated:
+            raise ScenarioError(f"task.{stated[0]}: requires a robot; the scenario has null")
         return None
     demonstration = demonstrated_orientation(scenario)
-    if demonstration is None and not given:
+    if demonstration is None and not stated:
         return None
     ends = []
     demonstrated = (

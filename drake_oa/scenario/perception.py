@@ -72,9 +72,9 @@ def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) 
             used.append(name)
     for name in used[1:]:
         for field, unit in (("fps", "1/s"), ("output_delay", "s")):
-            own, first = (getattr(cameras[known[each]], field) for each in (name, used[0]))
-            if own != first:
+            value, first = (getattr(cameras[known[each]], field) for each in (name, used[0]))
+            if value != first:
                 yield (
-                    f"cameras[{known[name]}].{field}: '{name}' has {own:g}, '{used[0]}' {first:g} "
-                    f"[{unit}]; all cameras of perception.cameras must have the same value"
+                    f"cameras[{known[name]}].{field}: '{name}' has {value:g}, '{used[0]}' has "
+                    f"{first:g} [{unit}]; all cameras of perception must have the same value"
                 )

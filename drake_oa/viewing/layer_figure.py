@@ -23,7 +23,7 @@ LAYERS = (
 """Names of the drawn subsystems in the order of data flow; those that a diagram lacks are skipped.
 """
 _WIDTH, _HEIGHT, _LINE = 170, 76, 15
-"""Width and height of a cell of the chart, and height of a text line [pixel]."""
+"""Width and height of a field of the chart, and height of a text line [pixel]."""
 _STYLE = (
     "<style>text { font: 13px sans-serif; fill: #222; text-anchor: middle }"
     " .name { font-weight: bold } .small { font-size: 11px; fill: #555 }"

@@ -22,7 +22,7 @@ from drake_oa.viewing.drawing import Color
 _ROOT = "/drake_oa"
 """Root of the drawn objects in Meshcat's scene tree."""
 PERIOD = 1.0 / 15.0
-"""Time between frames [s]."""
+"""Time between frames of the overlay [s]."""
 _FRAMES_VISIBLE = 3
 """Number of frames after which a cloud and the cost rings are drawn again."""
 _CLOUD_SPACING = 0.02

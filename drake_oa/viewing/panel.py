@@ -17,9 +17,9 @@ from pydrake.geometry import Meshcat
 from drake_oa.viewing import drawing
 
 _MAX_LAG = 0.15
-"""Time after which an undrawn frame delays the next frame [s]."""
+"""Time after the sending of a frame, from which on the next frame waits until it is drawn [s]."""
 _PAGE_TIMEOUT = 10.0
-"""Time without a request after which a page is considered closed [s]."""
+"""Time after the last request of a page, from which on the page counts as closed [s]."""
 _FRAME = "/drake_oa_frame"
 """Node of the scene tree whose render order is the number of the last sent frame."""
 
@@ -69,6 +69,7 @@ _STYLE = """
   #drake-oa-alert { color: #b00; font-weight: bold; white-space: pre-line; }
   .dg.main { max-height: 100vh; overflow: hidden auto !important; }
 </style>"""
+"""CSS style of the panel."""
 _PANEL = Template("""
 <div id="drake-oa"><b>$title</b> <span>$description</span><div id="drake-oa-now"></div>
 <div id="drake-oa-alert"></div>$legend</div>
@@ -96,6 +97,7 @@ _PANEL = Template("""
   $script
 </script>
 </body>""")
+"""HTML of the panel, with the script that updates readings and legend."""
 _RECORDED = Template("""
   const drakeOa = $readings;
   setInterval(() => {
@@ -104,6 +106,7 @@ _RECORDED = Template("""
     while (row + 1 < drakeOa.length && drakeOa[row + 1][0] <= time + 1e-6) row += 1;
     drakeOaShow(drakeOa[row]);
   }, 50);""")
+"""Script of a recorded page: displays the reading at the time of the player."""
 _LIVE = """
   let drakeOaAsked = 0;
   function drakeOaAsk(now) {
@@ -122,6 +125,7 @@ _LIVE = """
   }
   document.addEventListener("visibilitychange", drakeOaHidden);
   drakeOaHidden();"""
+"""Script of a live page: requests readings, and reports the last drawn frame."""
 _FOLDERS = """
     // A control named "FOLDER: NAME" is placed in a folder; the first control opens the panel.
     const drakeOaAdd = viewer.set_control.bind(viewer);
@@ -136,6 +140,7 @@ _FOLDERS = """
       if (label) viewer.gui_controllers[name].name(label);
     };
 """
+"""Script of a live page that places controls in folders of Meshcat's panel."""
 
 
 def panel_page(page: str, title: str, description: str, readings: list[Reading] | None) -> str:

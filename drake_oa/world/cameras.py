@@ -145,6 +145,7 @@ class TimedCamera(LeafSystem):
         return Camera(self._intrinsics, image, pose, delay, time, state)
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
+        """Outputs the depth image."""
         image: Any = output.get_mutable_value()
         image.mutable_data[:, :, 0] = self.image(context)
 

@@ -34,6 +34,7 @@ from drake_oa.world.cameras import TimedCamera, add_camera
 from drake_oa.world.faults import is_active
 
 _T = TypeVar("_T")
+"""Type of a result computed in the render thread."""
 
 Noise = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
 """Function that returns the measured image for a true image [m] and its time [s]."""
@@ -136,6 +137,7 @@ class BackgroundCamera:
             noise, requested = self._noise, np.array(state)
 
             def measure() -> Rendered:
+                """Renders the image and adds its noise."""
                 image = self._world().render(requested)
                 return image._replace(depth=noise(image.depth, time)) if noise else image
 
@@ -157,6 +159,7 @@ def _submit(call: Callable[[], _T]) -> Future[_T]:
     """Calls a function in the render thread."""
 
     def run() -> _T:
+        """Calls the function without garbage collection."""
         # A garbage collection here would destroy render engines of other threads in this thread.
         collects = gc.isenabled()
         gc.disable()

@@ -59,6 +59,7 @@ class ExternalPush(LeafSystem):
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
+        """Outputs the wrenches of all pushes."""
         forces = []
         for push, body in self._pushes:
             scale = float(is_active(push, context))
@@ -106,6 +107,7 @@ class WeakActuators(LeafSystem):
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
+        """Outputs the limited efforts."""
         scales = [fault.scale for fault in self._faults if is_active(fault, context)]
         limit = min(scales, default=np.inf) * self._limits
         output.SetFromVector(np.clip(self._requested.Eval(context), -limit, limit))

@@ -146,6 +146,7 @@ class ObstacleMover(LeafSystem):
         self.DeclareVectorOutputPort("force", 3, self._calc_force)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
+        """Outputs the forces of the prismatic joints."""
         # One step of the plant is v+ = v + step f / m, then x+ = x + step v+.
         x, step = self._state.Eval(context), self._step
         target = self._obstacle.offset_at(context.get_time() + step)

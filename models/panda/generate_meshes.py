@@ -1,6 +1,6 @@
 """Generates meshes/*.obj, the visual meshes of the Panda: `python models/panda/generate_meshes.py`.
 
-Each link is composed of smooth solids in the link's frame [m] and meshed. The collision solid in
+Each link is composed of smooth solids in the link's frame [m] and meshed. The collision geometry in
 panda_arm_hand.urdf encloses the meshes; see tests/robot/test_panda_model.py.
 """
 

@@ -30,7 +30,7 @@ def scenario_with_demonstrations(*files: Path | str) -> Scenario:
     return load_scenario("tabletop_box", [f"task.demonstration=[{', '.join(map(str, files))}]"])
 
 
-def csv(folder: Path, *lines: str, name: str = "shown.csv") -> Path:
+def csv(folder: Path, *lines: str, name: str = "demo.csv") -> Path:
     """Writes a CSV file of the given lines."""
     file = folder / name
     file.write_text("\n".join(lines) + "\n")
@@ -62,9 +62,9 @@ def test_csv_and_npz_give_the_same_primitives(tmp_path: Path) -> None:
     q = np.column_stack([np.cos(half), 0.0 * S, 0.0 * S, np.sin(half)])
     # Quaternions of any sign and length are valid.
     q *= np.where(np.arange(11) % 2, -2.0, 1.0)[:, None]
-    np.savez(tmp_path / "shown.npz", path=PATH, quaternion=q)
+    np.savez(tmp_path / "demo.npz", path=PATH, quaternion=q)
     file = csv(tmp_path, "x,y,z,qw,qx,qy,qz", *rows(PATH, q))
-    one, other = (scenario_with_demonstrations(each) for each in (tmp_path / "shown.npz", file))
+    one, other = (scenario_with_demonstrations(each) for each in (tmp_path / "demo.npz", file))
     a, b = (demonstrated_path(each) for each in (one, other))
     np.testing.assert_allclose(a.weights, b.weights, atol=1e-4)
     assert a.duration == b.duration == one.task.duration
@@ -112,7 +112,7 @@ def test_error_of_an_invalid_csv_names_the_sample_and_the_problem(
 ) -> None:
     with pytest.raises(ScenarioError) as error:
         demonstrated_path(scenario_with_demonstrations(csv(tmp_path, *lines)))
-    for word in ("task.demonstration: ", "shown.csv", *words):
+    for word in ("task.demonstration: ", "demo.csv", *words):
         assert word in str(error.value)
     assert len(str(error.value).splitlines()) == 1
 
@@ -136,7 +136,7 @@ def test_error_names_the_invalid_file_of_several(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["npz", "csv"])
 def test_too_many_samples_are_rejected(kind: str, tmp_path: Path) -> None:
-    file = tmp_path / f"shown.{kind}"
+    file = tmp_path / f"demo.{kind}"
     if kind == "npz":
         np.savez(file, path=np.zeros((1_000_001, 3), dtype=np.int8))
     else:

@@ -51,7 +51,7 @@ def rotations() -> FloatArray:
 
 def write_demonstration(folder: Path, **arrays: FloatArray) -> str:
     """Writes a demonstration of `path` and the given arrays; returns the override that uses it."""
-    file = folder / "shown.npz"
+    file = folder / "demo.npz"
     np.savez(file, **({"path": path()} | arrays))
     return f"task.demonstration={file}"
 
@@ -123,7 +123,7 @@ def test_error_of_an_invalid_demonstration_names_file_and_problem(
 
     with pytest.raises(ScenarioError) as error:
         teach()
-    for word in ("task.demonstration", "shown.npz", *words):
+    for word in ("task.demonstration", "demo.npz", *words):
         assert word in str(error.value)
 
 

@@ -81,17 +81,17 @@ def test_noise_is_smooth_over_a_few_pixels_and_independent_between_frames():
     np.testing.assert_array_equal(measured(wall(1.0)), measured(wall(1.0)))
 
 
-def test_holes_flying_pixels_and_shadow_are_at_edges_only():
+def test_holes_flying_pixels_and_unlit_are_at_edges_only():
     front, back, edge = 1.0, 1.4, 160
     frames = measured(step(front, back, edge))
-    shadow = int(K[0] * 0.075 * (1.0 / front - 1.0 / back))
+    unlit = int(K[0] * 0.075 * (1.0 / front - 1.0 / back))
     near = np.zeros(SHAPE[1], dtype=bool)
-    near[edge - shadow - 5 : edge + 5] = True
+    near[edge - unlit - 5 : edge + 5] = True
     assert not np.isnan(frames[:, :, ~near]).any()
     # Almost all pixels without light of the projector on the right are missing.
-    assert np.isnan(frames[:, :, edge - shadow + 3 : edge - 3]).mean() > 0.99
+    assert np.isnan(frames[:, :, edge - unlit + 3 : edge - 3]).mean() > 0.99
     # Away from the edge each pixel has the depth of its surface.
-    assert np.abs(frames[:, :, : edge - shadow - 5] - back).max() < 0.03
+    assert np.abs(frames[:, :, : edge - unlit - 5] - back).max() < 0.03
     assert np.abs(frames[:, :, edge + 5 :] - front).max() < 0.02
     # Near the edge some pixels have a depth between both surfaces.
     seen = frames[:, :, near]

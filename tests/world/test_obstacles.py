@@ -125,7 +125,7 @@ BALL = Obstacle(
 def simulate_obstacle(
     obstacle: Obstacle, end: float, block: Any, *, floor: bool = False
 ) -> tuple[dict[float, np.ndarray], np.ndarray]:
-    """Simulates an obstacle and a free block, which floats or stands on a floor at z = 0.
+    """Simulates an obstacle and a free block, which floats or is on a floor at z = 0.
 
     Returns:
         Position (3,) of the obstacle by time [s, m]; (N,) displacement of the block [m].
