@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TypeVar
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, OutputPort, System
@@ -38,8 +39,9 @@ class _SignalSystem:
         count = self.system.num_input_ports()
         return self._named(list(map(self.system.get_input_port, range(count))), self.inputs)
 
+    @cached_property
     def output_ports(self) -> dict[str, OutputPort]:
-        """Returns signal -> output port."""
+        """Signal -> output port."""
         count = self.system.num_output_ports()
         return self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
 
@@ -166,10 +168,10 @@ class SignalBuilder:
         signals = (signal,) if isinstance(signal, str) else tuple(signal)
         wired = _SignalSystem(system, inputs or {}, outputs or {}, signals)
         for one in signals:
-            if one not in wired.output_ports():
+            if one not in wired.output_ports:
                 raise ValueError(
                     f"'{name}' cannot be put behind '{one}': it offers "
-                    f"{', '.join(wired.output_ports()) or 'nothing'}"
+                    f"{', '.join(wired.output_ports) or 'nothing'}"
                 )
         self._add(name, wired)
         return system
@@ -218,7 +220,7 @@ class SignalBuilder:
             raise ValueError(
                 f"there is a system '{name}' already; SignalBuilder.replace takes its place"
             )
-        for signal in wired.output_ports():
+        for signal in wired.output_ports:
             if signal not in wired.behind:
                 self._refuse_second(signal)
         self._systems[name] = wired
@@ -233,14 +235,14 @@ class SignalBuilder:
     def _signals(self) -> set[str]:
         offered = set(self._offered)
         for wired in self._systems.values():
-            offered |= wired.output_ports().keys() - set(wired.behind)
+            offered |= wired.output_ports.keys() - set(wired.behind)
         return offered
 
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
         """The port that a signal comes from; as `before` reads it, which is put behind it."""
         found = self._offered.get(signal)
         for wired in self._systems.values():
-            if signal not in wired.behind and signal in (output_ports := wired.output_ports()):
+            if signal not in wired.behind and signal in (output_ports := wired.output_ports):
                 found = output_ports[signal]
         if found is None and signal in self._otherwise:
             found = self._source(self._otherwise[signal], before)
@@ -248,7 +250,7 @@ class SignalBuilder:
             if name == before:
                 break
             if signal in wired.behind:
-                found = wired.output_ports()[signal]
+                found = wired.output_ports[signal]
         return found
 
 

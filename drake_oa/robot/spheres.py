@@ -153,7 +153,7 @@ def make_arm_spheres(
 
     def compute() -> dict[str, NDArray[Any]]:
         arrays = _joined(covers, X_JB, joint, is_tool, pairs)
-        return _with_pairs_found(robot, q, geometries, chain, arrays)._asdict()
+        return _with_pairs_found(robot, q, geometry_ids, chain, arrays)._asdict()
 
     # All that they depend on, to the last bit: the same arm then moves the same.
     inputs = (keys, pairs, *(array.tolist() for array in (q, joint, is_tool, *X_JB, *chain)))
