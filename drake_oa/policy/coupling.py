@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
@@ -47,7 +46,7 @@ Term = tuple[Triple, float, float]
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 
 
-def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:
+def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> FloatArray:
     """Hoffmann's turning rate, (eq. 7): gamma theta exp(-beta |theta|).
 
     Args:
@@ -58,12 +57,11 @@ def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatA
     Returns:
         Turning rate [rad per time], positive away from the obstacle, broadcast.
     """
-    theta = np.asarray(theta, dtype=float)
-    return np.asarray(gamma * theta * np.exp(-np.multiply(beta, np.abs(theta))))
+    return gamma * theta * np.exp(-beta * np.abs(theta))
 
 
 def dead_zone_free_rate(
-    theta: ArrayLike, d: ArrayLike, alpha: ArrayLike, psi: ArrayLike, kappa: ArrayLike
+    theta: FloatArray, d: FloatArray, alpha: FloatArray, psi: FloatArray, kappa: FloatArray
 ) -> FloatArray:
     """Dead-zone free turning rate, (eq. 8).
 
@@ -80,11 +78,7 @@ def dead_zone_free_rate(
     Returns:
         Turning rate [rad per time], positive away from the obstacle, broadcast.
     """
-    theta = np.asarray(theta, dtype=float)
-    near = np.exp(-np.multiply(kappa, np.square(d)))
-    return np.asarray(
-        np.where(theta < 0.0, -1.0, 1.0) * alpha * np.exp(-np.square(theta / psi)) * near
-    )
+    return np.copysign(alpha, theta) * np.exp(-((theta / psi) ** 2) - kappa * d**2)
 
 
 @compiled
