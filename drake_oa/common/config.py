@@ -175,7 +175,7 @@ class DrakeStruct:
         return core_schema.no_info_plain_validator_function(
             load,
             serialization=core_schema.plain_serializer_function_ser_schema(
-                lambda value: read_yaml(yaml_dump_typed(value))
+                lambda value: yaml_load(data=yaml_dump_typed(value))
             ),
             metadata={"pydantic_js_functions": [lambda *_: _struct_schema(source)]},
         )

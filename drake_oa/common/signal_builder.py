@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TypeVar
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, OutputPort, System
@@ -38,11 +39,13 @@ class _SignalSystem:
     outputs: Names = field(default_factory=dict)
     interposed: tuple[str, ...] = ()
 
+    @cached_property
     def input_ports(self) -> dict[str, InputPort]:
         """Returns the input port of each signal that the system reads."""
         count = self.system.num_input_ports()
         return self._named(list(map(self.system.get_input_port, range(count))), self.inputs)
 
+    @cached_property
     def output_ports(self) -> dict[str, OutputPort]:
         """Returns the output port of each signal that the system outputs."""
         count = self.system.num_output_ports()
@@ -201,10 +204,10 @@ class SignalBuilder:
         signals = (signal,) if isinstance(signal, str) else tuple(signal)
         entry = _SignalSystem(system, inputs or {}, outputs or {}, signals)
         for one in signals:
-            if one not in entry.output_ports():
+            if one not in entry.output_ports:
                 raise ValueError(
                     f"'{name}' cannot be interposed on '{one}': its output signals are "
-                    f"{', '.join(entry.output_ports()) or 'none'}; map its port by outputs="
+                    f"{', '.join(entry.output_ports) or 'none'}; map its port by outputs="
                 )
         self._add(name, entry)
         return system
@@ -230,7 +233,7 @@ class SignalBuilder:
         for name, entry in self._systems.items():
             self.builder.AddNamedSystem(name, entry.system)
         for name, entry in self._systems.items():
-            for signal, port in entry.input_ports().items():
+            for signal, port in entry.input_ports.items():
                 source = self._source(signal, name if signal in entry.interposed else None)
                 if source is not None:
                     self.builder.Connect(source, port)
@@ -254,7 +257,7 @@ class SignalBuilder:
             raise ValueError(
                 f"there is already a system '{name}'; use SignalBuilder.replace to replace it"
             )
-        for signal in entry.output_ports():
+        for signal in entry.output_ports:
             if signal not in entry.interposed:
                 self._check_no_source(signal)
         self._systems[name] = entry
@@ -271,7 +274,7 @@ class SignalBuilder:
         """Returns the signals that have a source."""
         signals = set(self._sources)
         for entry in self._systems.values():
-            signals |= entry.output_ports().keys() - set(entry.interposed)
+            signals |= entry.output_ports.keys() - set(entry.interposed)
         return signals
 
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
@@ -287,7 +290,7 @@ class SignalBuilder:
         """
         port = self._sources.get(signal)
         for entry in self._systems.values():
-            if signal not in entry.interposed and signal in (output_ports := entry.output_ports()):
+            if signal not in entry.interposed and signal in (output_ports := entry.output_ports):
                 port = output_ports[signal]
         if port is None and signal in self._fallbacks:
             port = self._source(self._fallbacks[signal], before)
@@ -295,7 +298,7 @@ class SignalBuilder:
             if name == before:
                 break
             if signal in entry.interposed:
-                port = entry.output_ports()[signal]
+                port = entry.output_ports[signal]
         return port
 
 

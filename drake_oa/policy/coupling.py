@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
@@ -52,7 +51,7 @@ _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 """Coupling term without effect: zero axis, rotation and rate."""
 
 
-def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:
+def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> FloatArray:
     """Computes the turning rate of Hoffmann et al. (eq. 7): gamma theta exp(-beta |theta|).
 
     Args:
@@ -63,12 +62,11 @@ def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatA
     Returns:
         Turning rate [rad per time], positive away from the obstacle, broadcast.
     """
-    theta = np.asarray(theta, dtype=float)
-    return np.asarray(gamma * theta * np.exp(-np.multiply(beta, np.abs(theta))))
+    return gamma * theta * np.exp(-beta * np.abs(theta))
 
 
 def dead_zone_free_rate(
-    theta: ArrayLike, d: ArrayLike, alpha: ArrayLike, psi: ArrayLike, kappa: ArrayLike
+    theta: FloatArray, d: FloatArray, alpha: FloatArray, psi: FloatArray, kappa: FloatArray
 ) -> FloatArray:
     """Computes the turning rate of the avoidance term (eq. 8), which has no dead zone.
 
@@ -85,11 +83,7 @@ def dead_zone_free_rate(
     Returns:
         Turning rate [rad per time], positive away from the obstacle, broadcast.
     """
-    theta = np.asarray(theta, dtype=float)
-    near = np.exp(-np.multiply(kappa, np.square(d)))
-    return np.asarray(
-        np.where(theta < 0.0, -1.0, 1.0) * alpha * np.exp(-np.square(theta / psi)) * near
-    )
+    return np.copysign(alpha, theta) * np.exp(-((theta / psi) ** 2) - kappa * d**2)
 
 
 @compiled

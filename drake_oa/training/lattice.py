@@ -10,20 +10,32 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.console import progress_bar
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.coupling import (
+    ALPHA,
+    KAPPA,
+    N_COLUMNS,
+    NORMAL,
+    PSI,
+    Triple,
+    mixed,
+    norm,
+    triple,
+)
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene, roll_out_tool
 from drake_oa.training.released_law import STEPS, ReleasedMotions
 
 ActionLevelName = Literal["released", "running"]
 
-_BATCH, _COARSE = 4096, 16
+_BATCH, _COARSE = 512, 20
 """Number of motions rolled out together, and of steps between those that are measured first."""
-_CENTER = np.array([0.5, 0.0, 0.0])
+_CENTER = 0.5
+"""Place of the ellipse's center on the baseline [m]."""
 _GOAL = np.array([1.0, 0.0, 0.0])
 
 
@@ -71,43 +83,50 @@ def roll_out_lattice(
             for j, lambda2 in enumerate(lattice.lambda2):
                 # The motion depends on the shape by tau alone.
                 if action_level == "released":
-                    path = released_paths(parameters[rows], np.sqrt(1.0 + 4.0 * lambda2**2) + 0.1)
+                    path = released_paths(parameters[rows], lattice.lambda1.min(), lambda2)
                 elif j == 0:
                     path = running_paths(parameters[rows])
                 missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
                 for i, lambda1 in enumerate(lattice.lambda1):
-                    axes = [lambda1, lambda2, max(lambda1, lambda2)]
-                    distance = _distances(axes, path[:, ::_COARSE])
-                    # Most motions are in contact; the others are measured at every step.
-                    free = distance > 0.0
-                    distance[free] = _distances(axes, path[free])
-                    least[i, j, rows] = np.maximum(distance, 0.0)
+                    axes = (lambda1, lambda2, max(lambda1, lambda2))
+                    distance = least[i, j, rows]
+                    _least_distances(path, axes, distance)
                     error[i, j, rows] = np.where(distance <= 0.0, np.inf, missing)
     return least.reshape(counts), error.reshape(counts)
 
 
-def _distances(semi_axes: list[float], path: FloatArray) -> FloatArray:
-    """Returns the least distances (N,) of paths (N, T, 3) to the ellipsoid [m]."""
-    return np.fmin.reduce(signed_distance(path, _CENTER, np.eye(3), semi_axes), axis=1)
+@compiled
+def _least_distances(path: FloatArray, axes: Triple, least: FloatArray) -> None:
+    """Writes the least distances (N,) of paths (N, T, 3) to the ellipsoid [m], 0 on contact."""
+    for n in range(len(path)):
+        least[n], last, distance = np.inf, triple(path[n], 0), 0.0
+        # Most motions are in contact: some steps are measured first.
+        for stride in (_COARSE, 1):
+            for t in range(path.shape[1] - 1, -1, -stride):
+                p = triple(path[n], t)
+                # The distance changes by at most the way: what cannot be less is not computed.
+                way = norm(mixed(1.0, p, -1.0, last))
+                if least[n] > 0.0 and not way < distance - least[n]:
+                    last, distance = p, to_ellipsoid(p[0] - _CENTER, p[1], p[2], axes)
+                    least[n] = max(min(least[n], distance), 0.0)
 
 
-def released_paths(parameters: FloatArray, tau: float) -> FloatArray:
+def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> FloatArray:
     """Rolls out motions about the middle of the baseline on the released code's action level.
 
     Args:
         parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2].
-        tau: time scale.
+        lambda1: semi-axis of the ellipse along the baseline [m]; a motion inside ends there.
+        lambda2: semi-axis across it [m].
 
     Returns:
-        (N, 1001, 3) positions [m]; infinite at the end of a motion that diverged.
+        (N, 1001, 3) positions [m]; infinite at the end of a motion that ended or diverged.
     """
     count = len(parameters)
-    center = np.tile(_CENTER, (count, 1))
-    motions = ReleasedMotions(np.ones(count), center, np.full(count, tau))
-    path = np.zeros((count, STEPS.number + 1, 3))
-    for row in range(1, STEPS.number + 1):
-        motions.advance(parameters)
-        path[:, row] = motions.position
+    center = np.tile((_CENTER, 0.0, 0.0), (count, 1))
+    tau = np.full(count, np.sqrt(1.0 + 4.0 * lambda2**2) + 0.1)
+    motions = ReleasedMotions(np.ones(count), center, tau, end=(lambda1, lambda2, 1.0))
+    path = motions.advance(parameters, STEPS.number)
     path[motions.is_over, -1] = np.inf
     return path
 

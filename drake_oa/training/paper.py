@@ -177,9 +177,8 @@ def train_paper(
     unsaturated = rows.clearance < 0.5 - rows.values[:, 0] - SATURATED
     chains: dict[str, ChainWeights] = {}
     errors: dict[str, Errors] = {}
-    for c, name in enumerate(CHAINS):
-        if name not in recipe.rounds:
-            continue
+    for name in recipe.rounds:
+        c = CHAINS.index(name)
         inputs = rows.values[:, :2]
         if c == 1:
             inputs = np.column_stack((inputs, rows.clearance))

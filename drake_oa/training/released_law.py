@@ -16,13 +16,26 @@ heading exactly at the center turns to the left.
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
+from drake_oa.policy.coupling import (
+    Triple,
+    cross,
+    dead_zone_free_rate,
+    dot,
+    mixed,
+    norm,
+    original_rate,
+    scaled,
+    triple,
+)
 
 ALPHA_X, BETA_X, ALPHA_K, N_BASIS = 10.0, 2.5, 0.5, 35
 """Constants of the released code."""
@@ -31,8 +44,6 @@ _PARALLEL = 1e-9
 """Sine of the angle below which two directions span no plane."""
 _STILL = 1e-5
 """Speed below which no coupling term acts [m/s]."""
-_MIN_PSI = 1e-6
-"""Minimum psi [rad]."""
 _MAX_SPEED = 1e4
 """Speed at which a motion has diverged and ends [m/s]."""
 
@@ -89,6 +100,7 @@ class ReleasedMotions:
         *,
         steps: Steps = STEPS,
         original: bool = False,
+        end: Triple = (0.0, 0.0, 0.0),
     ) -> None:
         """Stores the constants.
 
@@ -98,42 +110,79 @@ class ReleasedMotions:
             tau: (N,) time scale.
             steps: time steps; the forcing term ends with them.
             original: whether the coupling terms are those of (eq. 7).
+            end: semi-axes of an ellipsoid about each center in which motions end [m].
         """
-        self._goal = baseline[:, None] * (1.0, 0.0, 0.0)
-        self._center = center
-        self._stiffness, self._step, self._original = ALPHA_X * tau[:, None] ** 2, steps, original
-        self._forcing = released_forcing(steps)
+        goal, stiffness = baseline[:, None] * (1.0, 0.0, 0.0), ALPHA_X * tau**2
+        self._constants = goal, center, stiffness, end, original, steps.length
+        self._forcing = np.append(released_forcing(steps), 0.0)
         self.position, self.velocity = np.zeros((2, len(tau), 3))
         self.normal = np.tile((0.0, 0.0, 1.0), (len(tau), 1))
         self.angle, self.distance = np.zeros((2, len(tau)))
         self.is_over, self.number = np.zeros(len(tau), bool), 0
 
-    def advance(self, parameters: FloatArray) -> None:
-        """Completes a step.
+    def advance(self, parameters: FloatArray, count: int = 1) -> FloatArray:
+        """Completes steps.
 
         Args:
             parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2], or gamma [1/s],
                 beta [1/rad] and a value without a meaning.
+            count: number of steps.
+
+        Returns:
+            (N, count + 1, 3) positions at the start and after each step [m].
         """
-        h, p, v = self._step.length, self.position, self.velocity
-        gain, width, decay = np.moveaxis(parameters, -1, 0)
-        if self._original:
-            rate = gain * self.angle * np.exp(-width * self.angle)
-        else:
-            narrow = self.angle / np.maximum(np.abs(width), _MIN_PSI)
-            near = np.maximum(decay, 0.0) * self.distance**2
-            rate = np.maximum(gain, 0.0) * np.exp(-(narrow**2) - near)
-        push = np.where(self.distance > 0.0, rate, 0.0)[:, None] * np.cross(self.normal, v)
-        if self.number < len(self._forcing):
-            push += self._forcing[self.number] * self._goal
-        v = v + h * (self._stiffness * (BETA_X * (self._goal - p) - v) + push)
-        self.is_over |= ~(np.abs(v).sum(axis=1) < _MAX_SPEED)
-        goes, self.number = ~self.is_over[:, None], self.number + 1
-        self.velocity = v = np.where(goes, v, 0.0)
-        self.position = p = np.where(goes, p + h * v, p)
-        to_O, across = self._center - p, np.cross(self._center - p, v)
-        d, speed, size = (np.linalg.norm(x, axis=1) for x in (to_O, v, across))
-        self.distance = np.where(speed >= _STILL, d, 0.0)
-        self.angle = np.arctan2(size, np.einsum("ni,ni->n", to_O, v))
-        spans = (size > _PARALLEL * d * speed) & (speed >= _STILL)
-        self.normal[spans] = across[spans] / size[spans, None]
+        forcing = np.take(self._forcing, self.number + np.arange(count), mode="clip")
+        path = np.repeat(self.position[:, None], count + 1, axis=1)
+        self.velocity = self.velocity.copy()
+        _advance(
+            path,
+            (self.velocity, self.normal, self.angle, self.distance, self.is_over),
+            self._constants,
+            parameters,
+            forcing,
+        )
+        self.position, self.number = path[:, -1], self.number + count
+        return path
+
+
+_rate, _original_rate = compiled(dead_zone_free_rate), compiled(original_rate)
+
+
+@compiled
+def _advance(
+    path: FloatArray,
+    state: tuple[FloatArray, ...],
+    constants: tuple[FloatArray, FloatArray, FloatArray, Triple, bool, float],
+    parameters: FloatArray,
+    forcing: FloatArray,
+) -> None:
+    """Writes the positions (N, S + 1, 3) after each step; the first are those at the start."""
+    velocity, normal, angle, distance, is_over = state
+    goal, center, stiffness, end, original, h = constants
+    for n in range(len(path)):
+        p, v, (gain, width, decay) = triple(path[n], 0), triple(velocity, n), triple(parameters, n)
+        for s in range(len(forcing)):
+            if not is_over[n]:
+                rate, d = 0.0, distance[n]
+                if d > 0.0 and original:
+                    rate = _original_rate(angle[n], gain, width)
+                elif d > 0.0:
+                    rate = _rate(angle[n], d, gain, width, decay)
+                push = mixed(rate, cross(triple(normal, n), v), forcing[s], triple(goal, n))
+                pull = mixed(BETA_X, mixed(1.0, triple(goal, n), -1.0, p), -1.0, v)
+                v = mixed(1.0, v, h, mixed(stiffness[n], pull, 1.0, push))
+                is_over[n] = not norm(v) < _MAX_SPEED
+            if is_over[n]:
+                v, path[n, s + 1] = (0.0, 0.0, 0.0), p
+                continue
+            path[n, s + 1] = p = mixed(1.0, p, h, v)
+            to_O = mixed(1.0, triple(center, n), -1.0, p)
+            across, speed = cross(to_O, v), norm(v)
+            size = norm(across)
+            distance[n] = norm(to_O) if speed >= _STILL else 0.0
+            angle[n] = math.atan2(size, dot(to_O, v))
+            if 0.0 < _PARALLEL * distance[n] * speed < size:
+                normal[n] = scaled(1.0 / size, across)
+            x = to_O[0] / end[0], to_O[1] / end[1], to_O[2] / end[2]
+            is_over[n] = dot(x, x) < 1.0
+        velocity[n] = v

@@ -21,6 +21,7 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 
 SCHEMA = scenario_schema()
+EDITOR = jsonschema.validators.validator_for(SCHEMA)(SCHEMA)
 
 
 def blocks_in(kind: Any) -> set[Any]:
@@ -126,9 +127,10 @@ def untagged(data: Any) -> Any:
 
 
 def test_the_schema_accepts_shipped_scenarios_and_the_template() -> None:
+    EDITOR.check_schema(SCHEMA)
     own = package_file("package://drake_oa/scenes/own.scenario.yaml")
     for file in (own, *shipped_scenarios().values()):
-        jsonschema.validate(untagged(read_yaml(file.read_text())), SCHEMA)
+        EDITOR.validate(untagged(read_yaml(file.read_text())))
 
 
 @pytest.mark.parametrize(
@@ -137,4 +139,4 @@ def test_the_schema_accepts_shipped_scenarios_and_the_template() -> None:
 )
 def test_the_schema_rejects_wrong_fields(text: str) -> None:
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(read_yaml(text), SCHEMA)
+        EDITOR.validate(read_yaml(text))

@@ -137,12 +137,10 @@ def test_sign_and_length_of_the_desired_quaternion_have_no_effect(
 @pytest.mark.parametrize(
     ("points", "ki", "gravity", "largest", "last"),
     [
-        # A straight motion, a detour with discontinuous acceleration, and a step that saturates.
-        ([START, GOAL], 0.0, 9.81, 6e-3, 1e-4),
+        # A detour with discontinuous acceleration, and a step that saturates.
         ([START, [0.75, 0.0, 0.3], GOAL], 0.0, 9.81, 6e-3, 1e-4),
         ([GOAL, GOAL], 0.0, 9.81, 1.0, 1e-3),
         # The integral removes the error of a wrong model.
-        ([START, START], 0.0, 9.0, 0.81 / 390.0, 0.81 / 390.0),
         ([START, START], 1000.0, 9.0, 0.81 / 390.0, 1e-5),
         # A goal out of reach.
         ([START, [1.1, 0.2, 0.3]], 0.0, 9.81, 0.24, 0.24),

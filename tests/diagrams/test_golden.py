@@ -14,13 +14,11 @@ from pathlib import Path
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import DECIDING
 from drake_oa.common.signal_builder import connections
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.perception.config import GroundTruth
-from drake_oa.runs.simulation import MotionMonitor, run_motion, simulate
+from drake_oa.runs.simulation import simulate
 from drake_oa.safety.maneuvers import ACTIONS
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
@@ -57,22 +55,13 @@ def _scenario(name: str) -> Scenario:
 
 
 @pytest.mark.parametrize("name", _NAMES)
-def test_is_wired_as_before_and_runs(name: str) -> None:
-    scenario = _scenario(name)
-    diagram = build_avoidance(scenario)
+def test_is_wired_as_before(name: str) -> None:
+    diagram = build_avoidance(_scenario(name))
     found = "".join(f"{source} -> {reader}\n" for source, reader in connections(diagram))
     path = _GOLDEN / f"{name}.connections.txt"
     if _WRITES:
         path.write_text(found)
     assert found == path.read_text()
-    monitor = MotionMonitor(diagram, scenario, 0.048)
-    log = run_motion(scenario, Simulator(diagram), monitor, avoid_obstacles=True)
-    assert log.stop_reason == "time limit of 0.048 s"
-    assert np.isfinite(log.torque).all()
-    assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)
-    assert len(log.observation_stamp) > 0
-    # It is held until the first decision is made, and for nothing else.
-    assert set(log.event) <= {DECIDING, ""}
 
 
 @pytest.mark.slow

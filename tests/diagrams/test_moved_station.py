@@ -24,7 +24,7 @@ task: {{start: [0.45, -0.4, 0.3], goal: [0.45, 0.4, 0.3], duration: 2.0, clearan
 compute_latency: null
 table_height: {height}
 directives:
-- add_model: {{name: table, file: package://drake_oa/scenes/table.urdf}}
+- add_model: {{name: table, file: package://drake_oa/scenes/table.sdf}}
 - add_weld:
     parent: world
     child: table::body

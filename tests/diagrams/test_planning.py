@@ -32,7 +32,7 @@ def solids_seen(scenario: Scenario, seconds: float = 0.01) -> CollisionScene:
 CARTON = """
 directives:
 - add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
-- add_model: {name: carton, file: package://drake_oa/obstacles/carton.urdf}
+- add_model: {name: carton, file: package://drake_oa/obstacles/carton.sdf}
 - add_weld: {parent: world, child: carton::body, X_PC: {translation: [0.45, 0.0, 0.0]}}
 """
 

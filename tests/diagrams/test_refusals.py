@@ -13,7 +13,7 @@ from drake_oa.scenario.loading import load_scenario
 BOX = "tabletop_box"
 GIVEN = ["perception=!GivenEllipsoids {ellipsoids: []}", "inference=!Verified {}"]
 UNSEEN = ["cameras=[]", "perception=!GroundTruth {}"]
-MODEL = "directives=[{{add_model: {{name: obstacle_a, file: package://drake_oa/{}.urdf}}}}]"
+MODEL = "directives=[{{add_model: {{name: obstacle_a, file: package://drake_oa/{}.sdf}}}}]"
 PAPER = "inference.weights=package://drake_oa/weights/paper_chain.safetensors"
 
 

@@ -49,15 +49,16 @@ def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0), K=K) -> np.nda
         table: center x, y and half sizes of the rectangle at z = 0 [m].
         K: fx, fy, cx, cy [pixel].
     """
-    rays, origin = rays_of(X_WC, K, SIZE), X_WC[:3, 3]
+    rays = np.ascontiguousarray(np.moveaxis(rays_of(X_WC, K, SIZE), -1, 0))
+    origin = X_WC[:3, 3, None, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -origin[2] / rays[..., 2]
-        hit = origin + depth[..., None] * rays
-        off = np.abs(hit[..., :2] - table[:2]) > table[2:]
-        depth = np.where((depth > 0) & ~off.any(axis=-1), depth, np.inf)
+        depth = -origin[2] / rays[2]
+        x, y = np.abs((origin + depth * rays)[:2] - np.reshape(table[:2], (2, 1, 1)))
+        depth = np.where((depth > 0) & (x <= table[2]) & (y <= table[3]), depth, np.inf)
         for low, high in boxes:
-            t = np.sort([(low - origin) / rays, (high - origin) / rays], axis=0)
-            enter, leave = t[0].max(axis=-1), t[1].min(axis=-1)
+            first, second = ((np.reshape(p, (3, 1, 1)) - origin) / rays for p in (low, high))
+            enter = np.minimum(first, second).max(axis=0)
+            leave = np.maximum(first, second).min(axis=0)
             depth = np.where((enter > 0) & (enter < leave), np.minimum(depth, enter), depth)
     return depth.astype(np.float32)
 

@@ -31,8 +31,7 @@ def test_clearances_are_those_of_dense_sampling():
         lambda1, lambda2, kappa, psi, alpha = (
             axis[i] for axis, i in zip(LATTICE, place, strict=True)
         )
-        tau = np.sqrt(1.0 + 4.0 * lambda2**2) + 0.1
-        (path,) = released_paths(np.array([[alpha, psi, kappa]]), tau)
+        (path,) = released_paths(np.array([[alpha, psi, kappa]]), lambda1, lambda2)
         measured = densely_measured(path, (lambda1, lambda2), (0.5, 0.0))
         assert found[0][place] == pytest.approx(measured, abs=1e-4)
         missing = np.linalg.norm(path[-1] - (1.0, 0.0, 0.0)) if measured else np.inf

@@ -26,7 +26,7 @@ import numpy as np
 from drake_oa.common.messages import FloatArray
 from drake_oa.evaluation.panda.scene_parts import bounding_ball
 from drake_oa.evaluation.panda.true_world import STEP, TrueWorld, bang_motions, clear_steps
-from drake_oa.runs.metrics import clearance_evaluator
+from drake_oa.runs.metrics import ClearanceEvaluator, clearance_evaluator
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
@@ -72,7 +72,8 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
     """
     end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     trajectories = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
-    until, verdicts, events = -math.inf, dict[str, bool](), _touches(scenario, log)
+    evaluator = clearance_evaluator(scenario)
+    until, verdicts, events = -math.inf, dict[str, bool](), _touches(evaluator, log)
     for event in events:
         # The velocity of what is no obstacle is always known: zero.
         seen, known = 0.0, log.t
@@ -88,14 +89,14 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
         event["parked_contact"] = [
             name
             for name, (q, start) in parked.items()
-            if _is_touched(scenario, q, np.arange(start, end + STEP, STEP))
+            if _is_touched(evaluator, q, np.arange(start, end + STEP, STEP))
         ]
     return events
 
 
-def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
+def _touches(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, Any]]:
     """Finds the contacts, their last instants, and all that the log alone tells of them."""
-    evaluator, events = clearance_evaluator(scenario), list[dict[str, Any]]()
+    events = list[dict[str, Any]]()
     current: dict[str, dict[str, Any]] = {}
     for row, time in enumerate(log.t.tolist()):
         v = log.v[max(row - 1, 0)]
@@ -119,9 +120,8 @@ def _touches(scenario: Scenario, log: MotionLog) -> list[dict[str, Any]]:
     return events
 
 
-def _is_touched(scenario: Scenario, q: FloatArray, times: FloatArray) -> bool:
+def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray) -> bool:
     """Checks whether anything touches an arm that stays at q (nq,) at some of the times [s]."""
-    evaluator = clearance_evaluator(scenario)
     return any(evaluator.touches(q, 0.0 * q, evaluator.positions_at(time))[0] for time in times)
 
 

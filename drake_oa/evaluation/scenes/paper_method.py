@@ -146,7 +146,7 @@ def released_motions(
             plane = np.moveaxis(plane_axes(np.array((1.0, 0.0, 0.0)), to_O, normal), 1, 0)
             axes, _ = plane_section(scenes.R[n], scenes.semi_axes[n], *plane)
             inputs = np.column_stack([axes, scenes.clearance[n]])[:, : len(chain.lower)]
-            parameters[n] = chain.evaluate(inputs)
+            parameters[n] = np.maximum(chain.evaluate(inputs), (0.0, -np.inf, 0.0))
         motions.advance(parameters)
         if motions.number >= steps.number:
             missing = np.linalg.norm(motions.position - scenes.goal, axis=1)
