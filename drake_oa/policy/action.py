@@ -81,7 +81,7 @@ class Segment(Frozen):
         return np.stack([begin.p_WE + since * (drift + 0.5 * since * a), v + since * a, a])
 
 
-def resting(state: PolicyState, primitive: Dmp | None = None) -> Segment:
+def make_segment(state: PolicyState, primitive: Dmp | None = None) -> Segment:
     """Returns a segment of zero length at a state of the policy."""
     return Segment(state, state, primitive=primitive)
 
@@ -163,7 +163,7 @@ def take_step(
     return Segment(begin, end, evasions, before.primitive)
 
 
-def restarted(
+def restart(
     before: Segment, p_WG: FloatArray, time: float, primitive: Dmp | None = None
 ) -> Segment:
     """Restarts a motion at rest from its current position: the phase returns to 1.
@@ -182,7 +182,7 @@ def restarted(
     stays = state.speed > 0.0 if has_left else primitive is before.primitive
     if stays or np.array_equal(state.p_WE, p_WG):
         return before
-    return resting(
+    return make_segment(
         PolicyState(
             p_WE=state.p_WE,
             p_WS=state.p_WE,

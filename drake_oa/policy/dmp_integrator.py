@@ -23,7 +23,7 @@ from drake_oa.common.messages import (
     Route,
 )
 from drake_oa.common.ports import AbstractInput, declare_state_outputs
-from drake_oa.policy.action import CouplingInputs, Segment, restarted, resting, take_step
+from drake_oa.policy.action import CouplingInputs, Segment, make_segment, restart, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, local_frame
 
@@ -125,7 +125,7 @@ class DmpIntegrator(LeafSystem):
             {self._ellipsoids.ticket(), self._coupling.ticket(), self._route.ticket()},
         )
         self._segment = self.DeclareAbstractState(
-            Value(resting(PolicyState(p_WE=start, p_WS=start, p_WG=start)))
+            Value(make_segment(PolicyState(p_WE=start, p_WS=start, p_WG=start)))
         )
         desired = self.DeclareCacheEntry(
             "desired_motion",
@@ -160,7 +160,7 @@ class DmpIntegrator(LeafSystem):
             return EventStatus.DidNothing()
         p_WS, p_WG = self._start, self._goal.Eval(context)
         state.get_mutable_abstract_state(self._segment).set_value(
-            resting(
+            make_segment(
                 PolicyState(
                     p_WE=p_WS,
                     p_WS=p_WS,
@@ -189,7 +189,7 @@ class DmpIntegrator(LeafSystem):
         if inputs.restart:
             demonstration = self._demonstration.find(context)
             primitive = None if demonstration is None else demonstration.position
-            before = restarted(before, goal, context.get_time(), primitive)
+            before = restart(before, goal, context.get_time(), primitive)
         scale = self._speed_scale
         after = take_step(
             before,

@@ -66,7 +66,7 @@ class OrientationSegment(Frozen):
     demonstration: Demonstration = field(default_factory=Demonstration)
 
 
-def at_rest(
+def start_segment(
     primitive: OrientationDmp, R_WS: FloatArray, R_WG: FloatArray, **more: Any
 ) -> OrientationSegment:
     """Returns a segment of zero length at the start of a motion from R_WS to R_WG, (3, 3) each."""
@@ -130,7 +130,7 @@ class OrientationIntegrator(LeafSystem):
         """
         super().__init__()
         R_WS, self._R_WG = np.array(start, dtype=float), np.array(goal, dtype=float)
-        self._primitive, begin = primitive, at_rest(primitive, R_WS, self._R_WG)
+        self._primitive, begin = primitive, start_segment(primitive, R_WS, self._R_WG)
         self._period = valid_period(period)
 
         self._policy = AbstractInput(self, "policy_state", PolicyState)
@@ -175,7 +175,7 @@ class OrientationIntegrator(LeafSystem):
             raise ValueError(f"{self.get_name()}: goal_orientation: {error}") from None
         return goal_vector(before.origin.as_matrix(), R_WG, before.goal)
 
-    def _restarted(
+    def _restart(
         self, context: Context, before: OrientationSegment, policy: PolicyState
     ) -> OrientationSegment:
         """Returns the segment, or a segment at rest if a motion with a demonstration starts.
@@ -193,11 +193,13 @@ class OrientationIntegrator(LeafSystem):
         else:
             R_WE = before.origin * Rotation.from_rotvec(+before.ends[1, 0])
             motion = self._primitive, R_WE.as_matrix(), self._R_WG
-        return at_rest(*motion, phase=policy.phase, p_WS=policy.p_WS, demonstration=demonstration)
+        return start_segment(
+            *motion, phase=policy.phase, p_WS=policy.p_WS, demonstration=demonstration
+        )
 
     def _step(self, context: Context, state: State) -> EventStatus:
         policy = self._policy.read(context)
-        before = self._restarted(context, self._read_segment(context), policy)
+        before = self._restart(context, self._read_segment(context), policy)
         goal, alpha_k = self._goal_now(context, before), before.primitive.dmp.alpha_k
         passed = normalized_time(policy.phase, alpha_k) - normalized_time(before.phase, alpha_k)
         after = roll_orientation(

@@ -20,7 +20,7 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.policy.action import CouplingInputs, Segment, restarted, resting, take_step
+from drake_oa.policy.action import CouplingInputs, Segment, make_segment, restart, take_step
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import HEADING, triple
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
@@ -52,7 +52,9 @@ COUPLED = CouplingParameters(*np.array([[300.0], [0.7], [5.0]]), np.ones(1, dtyp
 def at_start(start: FloatArray, goal: FloatArray, speed: float = 0.5, **more: float) -> Segment:
     """Returns a segment of zero length at the start of a motion."""
     R_WL = local_frame(start, goal)
-    return resting(PolicyState(p_WE=start, p_WS=start, p_WG=goal, R_WL=R_WL, speed=speed, **more))
+    return make_segment(
+        PolicyState(p_WE=start, p_WS=start, p_WG=goal, R_WL=R_WL, speed=speed, **more)
+    )
 
 
 def run(inputs: CouplingInputs, count: int = 480, **values: ArrayLike) -> list[Segment]:
@@ -109,7 +111,7 @@ def random_state(some: Scene, seed: int) -> PolicyState:
 def step_of(state: PolicyState, *values: object) -> PolicyState:
     """Returns the state after one step, with the arguments of `CouplingInputs.of`."""
     inputs = CouplingInputs.of(*values)
-    return STEPPED(resting(state), state.p_WG, inputs, 0.0, STEP).end
+    return STEPPED(make_segment(state), state.p_WG, inputs, 0.0, STEP).end
 
 
 # Holds.
@@ -246,15 +248,15 @@ def test_velocity_and_acceleration_are_derivatives_during_evasion(seed: int, sha
 def test_a_motion_at_rest_restarts_at_its_position() -> None:
     p_WE, goal = np.array([0.4, 0.1, 0.3]), np.array([0.9, 0.2, 0.4])
     state = PolicyState(p_WE=p_WE, z_W=goal, phase=0.3, p_WG=GOAL, note="held")
-    restart = restarted(resting(state), goal, 2.0).end
-    np.testing.assert_array_equal([restart.p_WE, restart.p_WS, restart.p_WG], [p_WE, p_WE, goal])
-    np.testing.assert_allclose(restart.R_WL, local_frame(p_WE, goal))
-    assert (restart.phase, restart.speed, restart.stamp, restart.note) == (1.0, 0.0, 2.0, "held")
-    assert not restart.z_W.any()
+    after = restart(make_segment(state), goal, 2.0).end
+    np.testing.assert_array_equal([after.p_WE, after.p_WS, after.p_WG], [p_WE, p_WE, goal])
+    np.testing.assert_allclose(after.R_WL, local_frame(p_WE, goal))
+    assert (after.phase, after.speed, after.stamp, after.note) == (1.0, 0.0, 2.0, "held")
+    assert not after.z_W.any()
     # A motion that moves, or is at its start, does not restart.
     for change in ({"speed": 0.1}, {"p_WS": p_WE}):
-        segment = resting(replace(state, **change))
-        assert restarted(segment, goal, 0.0) is segment
+        segment = make_segment(replace(state, **change))
+        assert restart(segment, goal, 0.0) is segment
 
 
 # Invariances of whole motions.
@@ -266,7 +268,7 @@ def test_energy_never_rises_over_a_step(seed: int, period: float, ratio: float) 
     rng, goal, state = np.random.default_rng(seed), some[1], random_state(some, seed)
     alpha = rng.uniform(0.1, 200.0)
     dmp = Dmp(alpha, ratio * alpha, 4.6, np.ones(1), np.ones(1), np.zeros((3, 1)))
-    inputs, segment = CouplingInputs.of(*some[2:]), resting(state)
+    inputs, segment = CouplingInputs.of(*some[2:]), make_segment(state)
     energies = []
     for _ in range(5):
         p, z = segment.end.p_WE, segment.end.z_W
