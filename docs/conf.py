@@ -1,5 +1,7 @@
-"""Sphinx: `make docs`. The API's pages are made from the modules, see `_write_api`."""
+"""Sphinx configuration for `make docs`; `_write_api` generates the API pages from the modules."""
 
+import importlib
+import inspect
 import pkgutil
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -15,8 +17,13 @@ from drake_oa.scenario.shipped import description, shipped_scenarios
 project = "drake_oa"
 author = "The drake_oa maintainers"
 version = release = installed_version("drake_oa")
-# myst_nb is myst_parser, and runs the tutorials.
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+# myst_nb includes myst_parser, and runs the tutorials.
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+]
 myst_enable_extensions = ["dollarmath"]
 myst_update_mathjax = False
 # KaTeX 0.16.47 (npm) and its fonts are in docs/_static/katex, so that formulas need no network;
@@ -27,8 +34,8 @@ mathjax_options = {"defer": "defer"}
 html_js_files = [("katex/render.js", {"defer": "defer"})]
 html_css_files = ["katex/katex.min.css", "formulas.css"]
 myst_heading_anchors = 4
-# A tutorial runs whenever its page is read, in a folder of its own, and fails the build if a cell
-# does. The first run on a machine compiles the kernels.
+# Tutorials run whenever their page is read, each in its own folder, and an error in a cell fails
+# the build. The first run on a machine compiles the kernels.
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 900
@@ -44,21 +51,22 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 exclude_patterns = ["_build", "jupyter_execute"]
-# Code in comments and results pages is highlighted as far as it goes; what Drake documents is not
-# looked up, and what a page says twice is no fault.
+# Code that cannot be parsed is not highlighted, classes of Drake are not linked, and headings may
+# skip levels.
 suppress_warnings = ["misc.highlighting_failure", "myst.header", "ref.python"]
 
 _HERE = Path(__file__).parent
 
 
 class PydrakeSystem(Directive):
-    """Drake's port lists, drawn as two columns of names."""
+    """Directive `pydrake_system` of Drake: the ports of a system, as two lines of names."""
 
     has_content = True
 
     def run(self) -> list[nodes.Node]:
+        """Returns the paragraphs."""
         ports = yaml.safe_load("\n".join(self.content)) or {}
-        found: list[nodes.Node] = []
+        paragraphs: list[nodes.Node] = []
         for key, title in (("input_ports", "Input ports"), ("output_ports", "Output ports")):
             names = [str(name) for name in ports.get(key) or ()]
             line = nodes.paragraph()
@@ -66,77 +74,103 @@ class PydrakeSystem(Directive):
             for row, name in enumerate(names):
                 line += nodes.literal(text=name)
                 line += nodes.Text(", " if row + 1 < len(names) else "")
-            found += [line] if names else []
-        return found
+            paragraphs += [line] if names else []
+        return paragraphs
 
 
 def _write_api(app: Sphinx) -> None:
-    """A page for each package: what it says of itself, then its modules."""
+    """Writes a page for each package with its modules, and a page for each public class."""
     folder = _HERE / "api"
     folder.mkdir(exist_ok=True)
+    pages: dict[str, str] = {}
     packages = []
-    for found in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
-        # Commands explain themselves in the terminal; how results come about is in results/method.
-        if found.ispkg and not {"models", "app", "evaluation"} & set(found.name.split(".")):
-            packages.append(found.name)
+    for info in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
+        # Commands have their help in the terminal; methods of the results are in results/method.
+        if info.ispkg and not {"models", "app", "evaluation"} & set(info.name.split(".")):
+            packages.append(info.name)
     for package in packages:
-        path = __import__(package, fromlist=["_"]).__path__
-        names = [m.name for m in pkgutil.iter_modules(path) if not m.ispkg]
+        path = importlib.import_module(package).__path__
         text = f"{package}\n{'=' * len(package)}\n\n.. automodule:: {package}\n   :no-members:\n\n"
-        for name in names:
-            text += f"{name}\n{'-' * len(name)}\n\n.. automodule:: {package}.{name}\n\n"
-        _keep(folder / f"{package}.rst", text)
+        for name in [m.name for m in pkgutil.iter_modules(path) if not m.ispkg]:
+            module = f"{package}.{name}"
+            classes = _public_classes(module)
+            text += f"{name}\n{'-' * len(name)}\n\n.. automodule:: {module}\n"
+            text += f"   :exclude-members: {', '.join(classes)}\n\n" if classes else "\n"
+            for each, summary in classes.items():
+                text += f"- :py:class:`~{module}.{each}`: {summary}\n"
+                pages[f"{module}.{each}"] = (
+                    f":orphan:\n\n{each}\n{'=' * len(each)}\n\n"
+                    f"In :py:mod:`{package}`, module `{name}`.\n\n.. autoclass:: {module}.{each}\n"
+                )
+            text += "\n"
+        pages[package] = text
     toc = "\n".join(f"   {package}" for package in packages)
-    title = "API\n===\n\nA folder a layer; ports, shapes, units and errors are in the docstrings.\n"
-    _keep(folder / "index.rst", f"{title}\n.. toctree::\n   :maxdepth: 1\n\n{toc}\n")
+    title = "API\n===\n\nOne package per layer, and a page for each class with its ports.\n"
+    pages["index"] = f"{title}\n.. toctree::\n   :maxdepth: 1\n\n{toc}\n"
+    for name, page in pages.items():
+        _write_if_changed(folder / f"{name}.rst", page)
+    for file in folder.glob("*.rst"):
+        if file.stem not in pages:
+            file.unlink()
+
+
+def _public_classes(module: str) -> dict[str, str]:
+    """Returns names and summaries of the public classes that a module defines, in order."""
+    classes = {}
+    for name, member in vars(importlib.import_module(module)).items():
+        if isinstance(member, type) and member.__module__ == module and not name.startswith("_"):
+            paragraph = (inspect.getdoc(member) or "").partition("\n\n")[0]
+            classes[name] = " ".join(paragraph.split()).replace("|", "\\|")
+    return classes
 
 
 def _write_gallery(app: Sphinx) -> None:
-    """A page with every shipped scenario, its words and its recording."""
+    """Writes a page with every shipped scenario, its description and its recording."""
     text = "# Gallery\n\nBy `drake-oa run NAME --meshcat`; with a robot, `drake-oa play NAME`.\n"
     for name, file in shipped_scenarios().items():
         text += f"\n## {name}\n\n{description(file)}\n"
         recording = _HERE / "results" / "recordings" / f"{name}.webp"
         if recording.is_file():
             text += f"\n![{name}](results/recordings/{name}.webp)\n"
-    _keep(_HERE / "gallery.md", text)
+    _write_if_changed(_HERE / "gallery.md", text)
 
 
-def _keep(file: Path, text: str) -> None:
-    """Writes what has changed only: sphinx reads the rest from its cache."""
+def _write_if_changed(file: Path, text: str) -> None:
+    """Writes a file unless it has this text; Sphinx reads unchanged pages from its cache."""
     if not file.is_file() or file.read_text("utf-8") != text:
         file.write_text(text, "utf-8")
 
 
-def _plain_text(
+def _convert_docstring(
     app: Sphinx, what: str, name: str, subject: object, options: object, lines: list[str]
 ) -> None:
-    """What is written to be read in the source, as reStructuredText takes it.
+    """Converts the lines of a docstring, written for the source, to reStructuredText in place.
 
-    A bar is a norm, and no substitution; an indented table below a line is kept as it stands.
+    Bars, as in norms, are escaped. In docstrings of modules an indented block becomes literal.
     """
-    found: list[str] = []
-    kept = False
-    plain = what == "module" and not any(line.startswith(("..", ":", "==")) for line in lines)
+    result: list[str] = []
+    is_literal = False
+    is_plain = what == "module" and not any(line.startswith(("..", ":", "==")) for line in lines)
     for line in lines:
-        below = found[-1] if found else ""
-        indented = line.startswith("    ") and plain
-        if indented and not kept and below.startswith(("In:", "Out:")):
-            found[-1] = f"{below} {line.strip()}"
+        last = result[-1] if result else ""
+        is_indented = line.startswith("    ") and is_plain
+        if is_indented and not is_literal and last.startswith(("In:", "Out:")):
+            result[-1] = f"{last} {line.strip()}"
             continue
-        if indented and not kept and below and not below.startswith((" ", "- ")):
-            found += [] if below.endswith("::") else ["", "::"]
-            found.append("")
-            kept = True
-        elif kept and line and not line.startswith(" "):
-            found += ["", ""]
-            kept = False
-        found.append(line if kept else line.replace("|", "\\|"))
-    lines[:] = found
+        if is_indented and not is_literal and last and not last.startswith((" ", "- ")):
+            result += [] if last.endswith("::") else ["", "::"]
+            result.append("")
+            is_literal = True
+        elif is_literal and line and not line.startswith(" "):
+            result += ["", ""]
+            is_literal = False
+        result.append(line if is_literal else line.replace("|", "\\|"))
+    lines[:] = result
 
 
 def setup(app: Sphinx) -> None:
+    """Registers the directive and the generated pages."""
     app.add_directive("pydrake_system", PydrakeSystem)
-    app.connect("autodoc-process-docstring", _plain_text)
+    app.connect("autodoc-process-docstring", _convert_docstring)
     app.connect("builder-inited", _write_api)
     app.connect("builder-inited", _write_gallery)
