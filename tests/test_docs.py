@@ -88,6 +88,17 @@ def test_the_python_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str
     assert re.search(r"of the arm 0\.\d+ m; contacts: \(\)", capsys.readouterr().out)
 
 
+def test_examples_of_the_theory_pages_have_the_printed_output(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for page in sorted((ROOT / "docs" / "theory").glob("*.md")):
+        for example, output in re.findall(
+            r"^```python\n(.*?)^```\n\n```text\n(.*?)^```", page.read_text(), re.S | re.M
+        ):
+            exec(example, {})
+            assert capsys.readouterr().out == output, page.name
+
+
 def test_avoidance_rate_is_the_formula_of_the_theory_page() -> None:
     formula = r"\alpha \operatorname{sign}(\theta) \, e^{-\theta^2 / \psi^2} \, e^{-\kappa d^2}"
     assert formula in (ROOT / "docs" / "theory" / "coupling.md").read_text()
