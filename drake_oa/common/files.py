@@ -168,11 +168,12 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def cached_arrays(
     name: str, compute: Callable[[], Mapping[str, Any]]
 ) -> Mapping[str, NDArray[Any]]:
-    """Reads arrays from a file of the user's cache; computes and writes them if it has none.
+    """Reads named arrays from a file of the user's cache; computes and saves them if it is missing.
 
     Args:
-        name: name of the file without suffix: folder, and digest of all that the arrays depend on.
-        compute: makes the arrays by name.
+        name: <folder>/<digest>, the name of the file without suffix. The digest must cover all
+            inputs of the computation.
+        compute: function that computes the arrays by name.
     """
     path = user_cache(f"{name}.npz")
     try:
@@ -215,7 +216,7 @@ def user_cache(name: str) -> Path:
 
 
 def package_folder(name: str) -> Path:
-    """Returns the folder of a package."""
+    """Imports a Python package and returns its folder."""
     return Path(import_module(name).__path__[0])
 
 
