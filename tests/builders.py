@@ -18,7 +18,7 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.perception.coverage import unseen_share
+from drake_oa.perception.coverage import points_near, unseen_share
 from drake_oa.runs.camera_placement import spheres_along, view_volumes
 from drake_oa.scenario.scenario import Scenario
 
@@ -26,7 +26,8 @@ from drake_oa.scenario.scenario import Scenario
 def unseen_near(scenario: Scenario) -> float:
     """Share of the space near the arm that the cameras of perception do not see."""
     views = view_volumes(scenario, scenario.perception)
-    return unseen_share(*spheres_along(scenario), scenario.table_height, views)
+    spheres = spheres_along(scenario)
+    return unseen_share(*spheres, points_near(*spheres, scenario.table_height), views)
 
 
 def balls(

@@ -66,7 +66,8 @@ def synthetic(
     Methods (default: paper and verified):
 
       paper                the paper's own regressor chain, as `table2` reads it
-      verified             a search among roll-outs, as the running system does
+      verified             the running system's search among roll-outs, from terms on 16 sides
+                           without those of the regressor chain
       original             the coupling term that the paper starts from
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}.

@@ -38,42 +38,57 @@ class ViewVolume(NamedTuple):
 
 
 def unseen_share(
-    p_WS: FloatArray, radius: FloatArray, table_height: float | None, views: Sequence[ViewVolume]
+    p_WS: FloatArray,
+    radius: FloatArray,
+    points: Sequence[FloatArray],
+    views: Sequence[ViewVolume],
 ) -> float:
     """Computes the share of the space near an arm that none of some cameras sees.
 
-    The space has the points within `REACH` of the arm, above the table and below `HEIGHT`. A camera
-    does not see a point outside its image or its range of depths, nor one that the arm hides.
+    A camera does not see a point outside its image or its range of depths, nor one that the arm
+    hides.
 
     Args:
         p_WS: (T, S, 3) centers of the arm's spheres in T configurations [m].
         radius: (S,) radii of the spheres [m].
-        table_height: height of the table in the world [m]; None: there is none.
+        points: (N, 3) points of the space near each configuration, see `points_near` [m].
         views: of the cameras.
 
     Returns:
         Mean over the configurations, in [0, 1]: 1 without a camera.
     """
     shares = []
-    for centers in p_WS:
-        points = _points_near(centers, radius, table_height)
-        seen = np.zeros(len(points), dtype=bool)
+    for centers, near in zip(p_WS, points, strict=True):
+        seen = np.zeros(len(near), dtype=bool)
         for view in views:
-            seen |= _sees(view, points, centers, radius)
+            seen |= _sees(view, near, centers, radius)
         shares.append(np.mean(~seen))
     return float(np.mean(shares))
 
 
-def _points_near(p_WS: FloatArray, radius: FloatArray, table_height: float | None) -> FloatArray:
-    """Lists the points (N, 3) of a grid near spheres p_WS (S, 3) [m]."""
-    low = (p_WS - radius[:, None]).min(axis=0) - REACH
-    high = (p_WS + radius[:, None]).max(axis=0) + REACH
-    if table_height is not None:
-        low[2], high[2] = max(low[2], table_height), min(high[2], table_height + HEIGHT)
-    axes = [np.arange(a + 0.5 * _PITCH, b, _PITCH) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    distance = (cdist(grid, p_WS) - radius).min(axis=1)
-    return grid[(distance > 0.0) & (distance < REACH)]
+def points_near(
+    p_WS: FloatArray, radius: FloatArray, table_height: float | None
+) -> list[FloatArray]:
+    """Lists the points (N, 3) of a grid near each of T configurations of an arm [m].
+
+    They are within `REACH` of the arm, above the table and below `HEIGHT`.
+
+    Args:
+        p_WS: (T, S, 3) centers of the arm's spheres [m].
+        radius: (S,) radii of the spheres [m].
+        table_height: height of the table in the world [m]; None: there is none.
+    """
+    found = []
+    for centers in p_WS:
+        low = (centers - radius[:, None]).min(axis=0) - REACH
+        high = (centers + radius[:, None]).max(axis=0) + REACH
+        if table_height is not None:
+            low[2], high[2] = max(low[2], table_height), min(high[2], table_height + HEIGHT)
+        axes = [np.arange(a + 0.5 * _PITCH, b, _PITCH) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        distance = (cdist(grid, centers) - radius).min(axis=1)
+        found.append(grid[(distance > 0.0) & (distance < REACH)])
+    return found
 
 
 def _sees(view: ViewVolume, points: FloatArray, p_WS: FloatArray, radius: FloatArray) -> BoolArray:

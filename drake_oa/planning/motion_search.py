@@ -381,11 +381,16 @@ class MotionSearch:
         follows = (
             float(arm.error[0]) <= MAX_POSE_ERROR and float(arm.max_joint_speed_ratio[0]) <= 1.0
         )
-        follows &= float(tool.goal_error[0]) <= MAX_GOAL_ERROR * search.scene.baseline
+        away = float(tool.goal_error[0])
+        arrives = away <= MAX_GOAL_ERROR * search.scene.baseline
         own = float(arm.clearance_margin[0, SELF]) + required.of_self
         note = ""
         if not follows:
             note = "no motion that the arm can follow found"
+        elif not arrives:
+            near = f", {1e3 * d.min():.0f} mm from {self._nearest(inputs, d)}" if d.size else ""
+            goal = np.round(inputs.p_WG, 3).tolist()
+            note = f"no motion to the goal {goal} m found: one ends {1e3 * away:.0f} mm away{near}"
         elif self._touches(d):
             note = f"no motion that clears {limiting} found"
         elif own <= min(_LEAST_KEPT, self._own(inputs.q) - self._parameters.slack):
@@ -400,7 +405,7 @@ class MotionSearch:
                 "motion": PlannedMotion(s, tool.path[0, :count], q, here.p_WS),
                 "shortfall": max(-float(arm.least[0]) - self._parameters.slack, 0.0),
                 "limiting_obstacle": limiting,
-                "can_follow": follows,
+                "can_follow": follows and arrives,
                 "clearance_reduction": max(clearance_reduction, 0.0) if len(inputs.scene) else 0.0,
             },
         )

@@ -98,9 +98,17 @@ SOURCES = ("nominal", "chain", "search", "joint_path")
 """Sources of a motion: the nominal motion, the rows of the paper's chain together, the local
 search, and a path in the joints."""
 NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
-_EVEN = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0], (16, 1))
+_EVEN = np.tile(
+    [
+        [0.0, 0.25, -0.05, 3.5, -0.3, 7.0],
+        [0.0, 0.5, -0.05, 2.5, 0.0, 5.5],
+        [0.0, 0.75, -0.05, 3.5, -0.3, 7.0],
+    ],
+    (6, 1),
+)[:16]
 _EVEN[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-"""(16, 6) first candidates: a moderate term on every side."""
+"""(16, 6) first candidates: a moderate term on every side, in turn near the start, the middle and
+the goal."""
 
 
 def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:

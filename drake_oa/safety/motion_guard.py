@@ -381,7 +381,12 @@ class MotionGuard(LeafSystem):
         return replace(state, pending=pending, expires=math.inf)
 
     def _active(self, after: GuardState, time: float) -> GuardState:
-        """Returns the state with a new decision in force."""
+        """Returns the state with a new decision in force; a brake begins at the present state."""
+        if after.decision.action == "brake":
+            # The end predicted for another time is overshot, and the arm would return to it.
+            target = self._search.brake(*np.split(after.x, 2)).target
+            stop = replace(after.decision, target=target)
+            after = replace(after, pending=replace(after.pending, active=stop))
         rests = after.decision.follows and after.decision.scale == 0.0
         late = time + _LATE * self._period + after.pending.cost
         return replace(after, expires=math.inf if rests else late)

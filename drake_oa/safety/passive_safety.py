@@ -75,9 +75,10 @@ def violated_claim(
     reach = spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
     if scene.moves:
         moving, points = geometries.chosen(geometries.moving), p_WS.reshape(-1, 3)
-        d = least_distances(moving, points, scene.stamp, reach.max(), -1.0)
+        d = least_distances(moving, points, scene.stamp, (reach + V * dt).max(), -1.0)
         d = d.reshape(p_WS.shape[:2])
-        if ((d[:-1] < reach) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
+        # Within a step the reach grows while the distance falls: the worst is its end.
+        if ((d[1:] < reach + V * dt) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
             return "A"
     if free_space is None:
         return ""

@@ -28,7 +28,7 @@ from drake_oa.geometry.collision_scene import CollisionGeometry, CollisionScene,
 from drake_oa.inference.config import Verified
 from drake_oa.inference.regressor import ChainWeights, load_chain
 from drake_oa.inference.regressor_chain import RegressorChain
-from drake_oa.planning import search
+from drake_oa.planning import motion_search, search
 from drake_oa.planning.collision_model import group_distances
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
@@ -274,6 +274,16 @@ def test_where_nothing_is_possible_it_holds_and_says_why(make: Make) -> None:
     found = bench.chosen(1.0)
     assert found.note == ""
     assert found.hold == HoldReason.NONE
+
+
+def test_a_motion_that_ends_away_from_its_goal_names_both(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Every end counts as away.
+    monkeypatch.setattr(motion_search, "ASTRAY", -1.0)
+    note = "no motion to the goal [0.45, 0.4, 0.3] m found: one ends 0 mm away"
+    assert make().chosen().note == note
+    assert re.fullmatch(rf"{re.escape(note)}, \d+ mm from box", make(BOX).chosen().note)
 
 
 def test_a_tool_in_contact_may_leave_it(make: Make, caplog: pytest.LogCaptureFixture) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -19,7 +19,7 @@ from drake_oa.policy.rollout import Scene
 DURATION = 3.0
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 DMP = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
-QUICK = Verified(candidates=64, generations=20, refinement_generations=6, slack=2e-4)
+QUICK = Verified(candidates=64, generations=20, refinement_generations=6)
 
 
 def scene_of(
@@ -70,6 +70,8 @@ def least_distance(scene: Scene, path: FloatArray, stamps: FloatArray) -> float:
     aside=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
     semi_axes=st.tuples(*3 * [st.floats(0.05, 0.12)]),
 )
+# Straight ahead of the start and nearer than requested, passed 0.44 mm nearer at best.
+@example(place=0.203, aside=(0.0, 0.0), semi_axes=(0.109, 0.06, 0.06))
 def test_the_requested_clearance_is_achieved_and_not_much_more(
     place: float,
     aside: tuple[float, float],
@@ -77,9 +79,11 @@ def test_the_requested_clearance_is_achieved_and_not_much_more(
 ) -> None:
     scene = scene_of([[place, *aside]], semi_axes)
     found, path, stamps = searched(scene)
-    assert found.solved
     free = min(least_distance(scene, end[None], np.zeros(1)) for end in (START, GOAL))
-    assert min(0.0995, free - 5e-4) <= least_distance(scene, path, stamps) <= 0.12
+    # A term turns a motion that begins nearer than requested too late by 0.7 mm at most.
+    assert found.solved or free < 0.1
+    lost = 5e-4 if found.solved else 1e-3
+    assert min(0.0995, free - lost) <= least_distance(scene, path, stamps) <= 0.11
     assert np.linalg.norm(path[-1] - GOAL) <= 7e-4
 
 

@@ -56,6 +56,19 @@ def test_claim_a(panda: ArmAlone, way: float, rate: float, speed: float, claim: 
     assert claim_of(panda, rate, moving_ball(panda, way, speed)) == claim
 
 
+@pytest.mark.parametrize("way", np.linspace(0.15, 0.35, 9))
+def test_claim_a_counts_at_all_times_of_a_step(panda: ArmAlone, way: float) -> None:
+    scene, found = moving_ball(panda, way, 0.3), []
+    for count in (2, 25):
+        t, course = np.linspace(0.0, 0.048, count), np.tile(panda.q, (count, 1))
+        course[:, 0] += t
+        spheres = panda.covered.arrays
+        found.append(
+            violated_claim(panda.chain, spheres, t, course, scene, None, V=0.8, v_unseen=1)
+        )
+    assert found[0] == found[1]
+
+
 @pytest.mark.parametrize(
     ("depth", "rate", "claim"),
     [(np.inf, 1.0, ""), (np.nan, 1.0, "B"), (0.0, 1.0, "B"), (2.2, 1.0, "B"), (np.nan, 0.1, "")],

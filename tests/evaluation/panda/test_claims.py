@@ -128,15 +128,8 @@ def test_without_an_observation_sight_is_lacking():
     assert not claim_violations(world, t, q, t)["B"].any()
 
 
-# In scenes 4 and 5 an arm beside an obstacle has no maneuver without an approach: a few instants
-# violate (A), in favor of a maneuver without contact.
-KNOWN = pytest.mark.xfail(reason="a violation of (A) costs less than a predicted contact")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "index", [pytest.param(index, marks=[KNOWN] if index in (4, 5) else []) for index in range(20)]
-)
+@pytest.mark.parametrize("index", range(20))
 def test_no_motion_violates_a_claim_in_hard_scenes_from_ground_truth(index):
     scene = draw_panda_scene(0, index, kind="moving_hard")
     found = run_and_evaluate(scene, "verified", "truth")["claim_violations"]
