@@ -14,7 +14,7 @@ _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
 
 
 def _check_stable(ki: float, info: ValidationInfo) -> float:
-    """Checks that an integral gain is stable for the error e: e'' + kd e' + kp e + ki int e dt = 0."""
+    """Checks an integral gain for a stable error e, with e'' + kd e' + kp e + ki int e dt = 0."""
     bound = info.data.get("kp_position", math.inf) * info.data.get("kd_position", math.inf)
     if ki > 0.0 and ki >= bound:
         raise ValueError(f"{ki:g} must be below kp_position times kd_position, {bound:g}")
