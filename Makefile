@@ -12,7 +12,7 @@ DEV := $(VENV)/.installed-dev
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test slow regression regression-suites lint docs wheel setup clean
+.PHONY: demo test slow regression regression-suites lint gallery docs wheel setup clean
 
 demo: $(STAMP)
 	@mkdir -p $(OUT)
@@ -45,6 +45,10 @@ lint: $(DEV)
 	@ln -s $(CURDIR)/drake_oa/* $(CURDIR)/diagrams $(CURDIR)/models build/lint/drake_oa
 	cd build/lint && PYTHONPATH=. $(abspath $(VENV))/bin/lint-imports --config $(CURDIR)/pyproject.toml
 	cd build/lint && MYPYPATH=. $(abspath $(VENV))/bin/mypy --config-file $(CURDIR)/pyproject.toml -p drake_oa
+
+# Animations of the shipped scenarios in docs/results/recordings; NAMES="a b" records only these.
+gallery: $(DEV)
+	PYTHONPATH=. $(VENV)/bin/python docs/record_gallery.py $(NAMES)
 
 # The site, in docs/_build/index.html.
 docs: $(DEV)

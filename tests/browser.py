@@ -43,16 +43,25 @@ class Browser:
             await asyncio.sleep(0.1)
         raise TimeoutError("no browser")
 
-    def evaluate(self, script: str) -> Any:
-        """Returns the value of a JavaScript expression."""
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Calls a method of the DevTools protocol; returns its result."""
 
         async def ask() -> Any:
-            parameters = {"expression": script, "returnByValue": True}
-            message = {"id": 1, "method": "Runtime.evaluate", "params": parameters}
-            await self._socket.write_message(json.dumps(message))
-            return json.loads(await self._socket.read_message())["result"]["result"].get("value")
+            await self._socket.write_message(
+                json.dumps({"id": 1, "method": method, "params": parameters})
+            )
+            while True:
+                message = json.loads(await self._socket.read_message())
+                # Events have no ID.
+                if message.get("id") == 1:
+                    return message["result"]
 
         return self._loop.run_until_complete(asyncio.wait_for(ask(), 60.0))
+
+    def evaluate(self, script: str) -> Any:
+        """Returns the value of a JavaScript expression."""
+        result = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        return result["result"].get("value")
 
     def __enter__(self) -> "Browser":
         return self
