@@ -10,7 +10,7 @@ from drake_oa.robot.plant import RobotPlant
 
 MODELS = Path(next(iter(drake_oa.models.__path__)))
 FILES = ["panda/panda_arm_hand.urdf", "scenes/panda.dmd.yaml"]
-CHECKED = "ae3e4d4195e0f17d413a08ba2051c04958ac27878ea20ef4c38eff3970348964"
+CHECKED = "7b28c98a691b08f1b3c53f40b4bf5aec08a4f1fe9e5707d4d2ec20db519c2d80"
 """Digest of the validated files: collision shapes enclose the meshes to 1 mm (coarse ones to 5 mm),
 and the dynamics are within 5.4 % and 0.2 N m of the identified ones."""
 
