@@ -13,7 +13,7 @@ from drake_oa.policy.dmp import trajectory
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
-from drake_oa.viewing.viewer import dress_scene, show_world
+from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 
 
 def add_view(
@@ -27,14 +27,14 @@ def add_view(
         "overlay", make_overlay(scenario, station, meshcat), inputs={"route": "shown_route"}
     )
     if station is not None:
-        show_world(signals.builder, station.scene_graph, meshcat)
+        add_world_visualizer(signals.builder, station.scene_graph, meshcat)
 
 
 def make_overlay(
     scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> MeshcatOverlay:
     """Creates the overlay of intermediate results, and sets background and camera of the viewer."""
-    dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
+    set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show
     if show is None:
         show = ["decision", "motion"]

@@ -178,7 +178,7 @@ class PandaStation:
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
         self.validator = CommandValidator(self._q_start[self._arm], limits)
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
-        self._waits = self._ends = waits
+        self._is_waiting = self._ends_itself = waits
         self.event_times: list[float] = []
         self.num_positions = plant.num_positions()
         self._world_end = last_change(scenario.obstacles)
@@ -201,9 +201,9 @@ class PandaStation:
             pass
         self._actuate()
         context = self.simulator.get_context()
-        is_paused = self._waits and self.validator.is_holding
+        is_paused = self._is_waiting and self.validator.is_holding
         if not is_paused:
-            self._waits = False
+            self._is_waiting = False
             self.simulator.AdvanceTo(context.get_time() + self._step)
         now, simulated = self._clock(), context.get_time()
         self.event_times += [simulated] * (len(self.validator.events) - len(self.event_times))
@@ -220,7 +220,7 @@ class PandaStation:
         if not self.validator.is_holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
             self._last_motion_time = root.get_time()
         is_at_rest = root.get_time() > max(self._last_motion_time, self._world_end) + _REST_TIME
-        return self._ends and not self._waits and is_at_rest
+        return self._ends_itself and not self._is_waiting and is_at_rest
 
     def run(self, duration: float, each_step: Callable[[], None] = lambda: None) -> None:
         """Runs the station until a simulated time, no faster than its rate.

@@ -23,7 +23,7 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.model_file import (
     add_installed_package,
-    changed_model,
+    converted_model,
     named_warnings,
     with_file_name,
 )
@@ -67,7 +67,7 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
     add_installed_package(packages, robot.model)
     with field_errors(f"robot.model: cannot load '{robot.model}'", RuntimeError):
         file = Path(packages.ResolveUrl(_url(robot.model)))
-    root = changed_model(file, packages)
+    root = converted_model(file, packages)
     if inertias:
         field = f"faults: !ModelError.inertias: '{inertias}'"
         with field_errors(field, RuntimeError, OSError, ScenarioError):

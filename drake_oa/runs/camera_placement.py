@@ -24,7 +24,7 @@ from drake_oa.robot.spheres import sphere_centers
 from drake_oa.scenario.end_poses import end_positions, posture_guide
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.viewing.viewer import looking_pose
+from drake_oa.viewing.viewer import look_at_pose
 from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.world_model import add_world
 
@@ -90,7 +90,7 @@ def placed_around(
     """
     level = math.cos(elevation)
     way = [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
-    return looking_pose(RigidTransform(), middle + away * np.array(way), middle)
+    return look_at_pose(RigidTransform(), middle + away * np.array(way), middle)
 
 
 def view_note(scenario: Scenario) -> str:

@@ -30,7 +30,7 @@ from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
 from drake_oa.viewing.panel import LivePage, Reading
-from drake_oa.viewing.viewer import dress_scene, show_world
+from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9
@@ -132,7 +132,7 @@ def build_replay(
         ValueError: if the log is not of this world.
     """
     builder = DiagramBuilder()
-    dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
+    set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     positions, poses = np.zeros((len(log.t), 0)), None
     if scenario.robot is not None:
         scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
@@ -143,7 +143,7 @@ def build_replay(
         positions = world_positions(plant, robot, log)
         poses = builder.AddNamedSystem("geometry_poses", MultibodyPositionToGeometryPose(plant))
         builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(source))
-        show_world(builder, scene_graph, meshcat)
+        add_world_visualizer(builder, scene_graph, meshcat)
     player = builder.AddNamedSystem("log_player", LogPlayer(scenario, log, positions))
     if poses is not None:
         builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())

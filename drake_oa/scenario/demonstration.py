@@ -81,7 +81,7 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
             f"cannot read it: {error}; {_CSV_FORMAT if is_csv else _NPZ_FORMAT}"
         ) from None
     try:
-        return _checked(arrays, duration)
+        return _check_arrays(arrays, duration)
     except (ValueError, TypeError) as error:
         raise ValueError(f"{error}{'; sample 0 is line 2' if is_csv else ''}") from None
 
@@ -180,7 +180,7 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
     return arrays
 
 
-def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
+def _check_arrays(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
     """Checks the arrays of a file and returns the demonstration.
 
     Args:

@@ -26,8 +26,8 @@ from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import with_simulated_cameras
-from drake_oa.viewing.viewer import looking_pose
-from drake_oa.world.cameras import give_normals
+from drake_oa.viewing.viewer import look_at_pose
+from drake_oa.world.cameras import add_mesh_normals
 from drake_oa.world.station import make_station
 
 _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
@@ -67,7 +67,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         ball.set_perception_properties(properties)
         graph.RegisterAnchoredGeometry(source, ball)
     params = RenderEngineVtkParams(default_clear_color=[0.93, 0.95, 0.97])
-    give_normals(graph, source)
+    add_mesh_normals(graph, source)
     graph.AddRenderer(_RENDERER, MakeRenderEngineVtk(params))
     station.plant.SetDefaultPositions(station.robot, start_positions(scenario))
     diagram = builder.Build()
@@ -79,7 +79,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     picture = query.RenderColorImage(
         ColorRenderCamera(core),
         graph.world_frame_id(),
-        looking_pose(base_pose(scenario.robot), _EYE_B, _AT_B),
+        look_at_pose(base_pose(scenario.robot), _EYE_B, _AT_B),
     )
     panels = 1 + len(station.cameras)
     with saved_figure(file, 6.4 * panels, 4.8) as figure:

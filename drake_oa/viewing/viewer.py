@@ -48,7 +48,7 @@ def start_viewer(*, browser: bool) -> Meshcat:
         raise ValueError(f"viewer: {str(error).rstrip('.')}; close another viewer") from None
 
 
-def looking_pose(
+def look_at_pose(
     X_WF: RigidTransform, p_FC: ArrayLike = _EYE_F, p_FT: ArrayLike = _TARGET_F
 ) -> RigidTransform:
     """Returns the pose X_WC of a camera C whose z axis points at T, with x to the image's right.
@@ -65,7 +65,7 @@ def looking_pose(
     return RigidTransform(RotationMatrix(axes / np.linalg.norm(axes, axis=0)), p_WC)
 
 
-def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
+def set_scene_style(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
     """Sets background and camera of the viewer, and hides grid and axes.
 
     The user can change all of these settings in the browser.
@@ -86,7 +86,9 @@ def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
     meshcat.SetCameraPose(X_WF @ np.array(_EYE_F), X_WF @ np.array(_TARGET_F))
 
 
-def show_world(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat) -> None:
+def add_world_visualizer(
+    builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat
+) -> None:
     """Adds Drake's Meshcat visualizer of a scene graph to a builder."""
     params = MeshcatVisualizerParams(
         role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD

@@ -35,7 +35,7 @@ from pydrake.systems.sensors import (
 
 from drake_oa.common.config import field_errors
 from drake_oa.common.messages import FloatArray
-from drake_oa.robot.formats.meshes import as_objs
+from drake_oa.robot.formats.meshes import convert_to_objs
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.world_model import add_world
 
@@ -169,7 +169,7 @@ def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig
     add_world(plant, scenario)
     plant.Finalize()
     with field_errors("directives", OSError, ValueError):
-        give_normals(scene_graph, source)
+        add_mesh_normals(scene_graph, source)
     poses = builder.AddNamedSystem(
         "camera_world", MultibodyPositionToGeometryPose(plant, input_multibody_state=True)
     )
@@ -191,7 +191,7 @@ def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig
     return sensor
 
 
-def give_normals(scene_graph: SceneGraph, source: SourceId) -> None:
+def add_mesh_normals(scene_graph: SceneGraph, source: SourceId) -> None:
     """Adds face normals to visible meshes whose OBJ file has no normals.
 
     Drake's renderers reject a mesh without normals. The changed mesh has no material or texture:
@@ -211,6 +211,6 @@ def give_normals(scene_graph: SceneGraph, source: SourceId) -> None:
             continue
         file = Path(shape.source().path())
         if "\nvn " not in file.read_text("utf-8"):
-            (converted,) = as_objs(file, hulls=False)
+            (converted,) = convert_to_objs(file, hulls=False)
             mesh = Mesh(filename=str(converted), scale3=shape.scale3())
             scene_graph.ChangeShape(source, geometry, mesh)

@@ -15,7 +15,7 @@ from pydrake.systems.primitives import ConstantValueSource
 
 from drake_oa.common.messages import PolicyState, Route
 from drake_oa.viewing.meshcat_overlay import LAYERS, PERIOD, MeshcatOverlay
-from drake_oa.viewing.viewer import dress_scene
+from drake_oa.viewing.viewer import set_scene_style
 from tests.builders import balls
 
 ROOT = "/drake_oa"
@@ -151,8 +151,8 @@ def test_obstacles_keep_their_slots_and_rings_are_those_of_obstacles(meshcat):
 def test_viewer_camera_follows_the_base_pose():
     hanging = RigidTransform(RollPitchYaw(np.pi, 0.0, np.pi / 2.0), [1.0, 2.0, 1.3])
     usual, there = Mock(), Mock()
-    dress_scene(usual, RigidTransform(), 0.0)
-    dress_scene(there, hanging, 0.2)
+    set_scene_style(usual, RigidTransform(), 0.0)
+    set_scene_style(there, hanging, 0.2)
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     points = (viewer.SetCameraPose.call_args.args for viewer in (usual, there))
     for p_FC, p_WC in zip(*points, strict=True):

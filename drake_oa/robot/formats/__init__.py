@@ -2,7 +2,7 @@
 
 In: the file `robot.model`, as URDF, SDF or MJCF, and a package map. Out: the XML elements of the
 same model with meshes as .obj, actuated joints, and a base that can be welded
-(`model_file.changed_model`), or None for an SDF, which needs no conversion. Converted meshes are
+(`model_file.converted_model`), or None for an SDF, which needs no conversion. Converted meshes are
 stored in the user's cache folder drake_oa/meshes-4, by a digest of their content. No file is
 written next to a model.
 
@@ -11,5 +11,5 @@ written next to a model.
 - `meshes`: conversion of .stl, .dae (with pycollada) and other formats of open3d to .obj; collision
   meshes become few convex hulls.
 
-Read `model_file.changed_model` first.
+Read `model_file.converted_model` first.
 """

@@ -23,7 +23,7 @@ _ADDED_VOLUME = 0.1
 """Maximum relative volume that one convex hull may add to the hulls of all closed surfaces [1]."""
 
 
-def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
+def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
     """Converts a mesh to .obj files in the cache, once per content of the file.
 
     Args:

@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from drake_oa.common.config import field_errors
-from drake_oa.robot.formats.meshes import as_objs
+from drake_oa.robot.formats.meshes import convert_to_objs
 
 _DRIVES = ("motor", "general", "position", "velocity", "intvelocity")
 """Tags of actuators that become motors."""
@@ -22,14 +22,14 @@ _IGNORED = {
 """Tags of elements without influence on the motion, which would cause warnings of Drake."""
 
 
-def change_mjcf(root: Element, find: Callable[[str], Path]) -> None:
+def convert_mjcf(root: Element, find: Callable[[str], Path]) -> None:
     """Converts an MJCF in place so that Drake can read it.
 
     - Default classes receive their inherited attributes.
     - Each actuator of a joint becomes a motor, limited by its force range.
     - A base without a joint gets a free joint, so that the scenario can weld it.
-    - Meshes are converted, see `as_objs`. This includes .obj files: their color is that of the
-      model, and their .mtl files are often missing.
+    - Meshes are converted, see `convert_to_objs`. This includes .obj files: their color is that of
+      the model, and their .mtl files are often missing.
 
     Args:
         root: root of the model's file.
@@ -50,7 +50,7 @@ def change_mjcf(root: Element, find: Callable[[str], Path]) -> None:
         if name := mesh.get("file"):
             mesh.attrib.setdefault("name", Path(name).stem)
             with field_errors(f"robot.model: <mesh> {mesh.get('name')}", ValueError):
-                (converted,) = as_objs(find(str(Path(folder) / name)), hulls=False)
+                (converted,) = convert_to_objs(find(str(Path(folder) / name)), hulls=False)
             mesh.set("file", str(converted.absolute()))
     for body in root.findall("worldbody/body"):
         if not {part.tag for part in body} & {"joint", "freejoint"}:

@@ -13,12 +13,12 @@ from pydrake.multibody.parsing import PackageMap
 
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import installed_package
-from drake_oa.robot.formats.mjcf import change_mjcf
-from drake_oa.robot.formats.urdf import change_urdf
+from drake_oa.robot.formats.mjcf import convert_mjcf
+from drake_oa.robot.formats.urdf import convert_urdf
 
 # Drake recognizes its namespace only by the prefix "drake".
 ElementTree.register_namespace("drake", "http://drake.mit.edu")
-_CHANGES = {".urdf": change_urdf, ".xml": change_mjcf}
+_CONVERSIONS = {".urdf": convert_urdf, ".xml": convert_mjcf}
 """Conversion functions by suffix of the model's file."""
 _LENGTHS = ("size", "radius", "length", "radii")
 """Dimensions of shapes in URDF and SDF."""
@@ -49,7 +49,7 @@ def add_installed_package(packages: PackageMap, url: str, field: str = "robot.mo
     packages.Add(name, str(folder))
 
 
-def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
+def converted_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
     """Returns the root of a URDF or MJCF, converted so that Drake can read it; None for an SDF.
 
     Raises:
@@ -58,8 +58,8 @@ def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | Non
     with field_errors(f"robot.model: '{file}'", ElementTree.ParseError, OSError):
         root = ElementTree.parse(file).getroot()
     check_links(root, file)
-    change = _CHANGES.get(file.suffix.lower())
-    if change is None:
+    convert = _CONVERSIONS.get(file.suffix.lower())
+    if convert is None:
         return None
 
     def find(url: str) -> Path:
@@ -70,7 +70,7 @@ def changed_model(file: Path, packages: PackageMap) -> ElementTree.Element | Non
         with field_errors(f"robot.model: '{file}'", RuntimeError):
             return Path(packages.ResolveUrl(url))
 
-    change(root, find)
+    convert(root, find)
     return root
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from drake_oa.common.config import field_errors
-from drake_oa.robot.formats.meshes import as_objs
+from drake_oa.robot.formats.meshes import convert_to_objs
 
 _READ_BY_DRAKE = {".obj", ".gltf", ".vtk"}
 """Suffixes of meshes that Drake reads."""
@@ -21,10 +21,10 @@ _TURNING = ("revolute", "continuous")
 """Types of rotational joints."""
 
 
-def change_urdf(model: Element, find: Callable[[str], Path]) -> None:
+def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
     """Converts a URDF in place so that Drake can read it.
 
-    - Meshes that Drake cannot read are converted, see `as_objs`.
+    - Meshes that Drake cannot read are converted, see `convert_to_objs`.
     - If no joint has a transmission, each independent joint gets an actuator, with the effort limit
       of the joint.
     - Rotational joints that mimic another joint, and that joint itself, are fixed at zero. They
@@ -62,7 +62,7 @@ def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
         files = [find(mesh.get("filename", ""))]
         if files[0].suffix.lower() not in _READ_BY_DRAKE:
             with field_errors(f"robot.model: <{shape.tag}> of {link.get('name')}", ValueError):
-                files = as_objs(files[0], hulls=shape.tag == "collision")
+                files = convert_to_objs(files[0], hulls=shape.tag == "collision")
         link.remove(shape)
         for file in files:
             mesh.set("filename", file.absolute().as_uri())

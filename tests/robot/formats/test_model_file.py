@@ -9,7 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import installed_package
 from drake_oa.robot.config import Robot
-from drake_oa.robot.formats.meshes import as_objs
+from drake_oa.robot.formats.meshes import convert_to_objs
 from drake_oa.robot.plant import add_robot, home_positions, make_robot_plant
 
 BOX = [0.04, 0.04, 0.04]
@@ -135,7 +135,7 @@ def test_transmissions_of_the_model_are_kept_and_a_linkage_is_fixed(tmp_path: Pa
 def test_a_dae_is_read_with_its_unit_and_its_nodes(tmp_path: Path) -> None:
     pytest.importorskip("collada", reason="pip install 'drake_oa[robots]'")
     for hulls in (True, False):
-        (converted,) = as_objs(dae(tmp_path / "box.dae"), hulls=hulls)
+        (converted,) = convert_to_objs(dae(tmp_path / "box.dae"), hulls=hulls)
         np.testing.assert_allclose(corners(converted).min(axis=0), [1.0, 0.0, 0.0], atol=1e-9)
         np.testing.assert_allclose(corners(converted).max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
     # Drake's renderers reject a mesh without normals.
@@ -149,11 +149,11 @@ def test_mesh_is_split_if_one_hull_would_add_much_volume(tmp_path: Path) -> None
         ([0.3, 0.0, 0.0], size),
         ([0.1, 0.0, 0.0], [0.2, *size[:2]]),
     )
-    assert len(as_objs(stl(tmp_path / "a.stl", one, beside), hulls=True)) == 2
-    assert len(as_objs(stl(tmp_path / "b.stl", one, between, beside), hulls=True)) == 1
-    assert len(as_objs(stl(tmp_path / "c.stl", one, beside, missing=1), hulls=True)) == 1
+    assert len(convert_to_objs(stl(tmp_path / "a.stl", one, beside), hulls=True)) == 2
+    assert len(convert_to_objs(stl(tmp_path / "b.stl", one, between, beside), hulls=True)) == 1
+    assert len(convert_to_objs(stl(tmp_path / "c.stl", one, beside, missing=1), hulls=True)) == 1
     # A changed file is converted again.
-    (changed,) = as_objs(stl(tmp_path / "a.stl", one), hulls=True)
+    (changed,) = convert_to_objs(stl(tmp_path / "a.stl", one), hulls=True)
     np.testing.assert_allclose(np.ptp(corners(changed), axis=0), size)
 
 
