@@ -166,7 +166,7 @@ class CommandStreamer:
     """Sender of the commands in a `SharedTrajectory`, which also monitors and stops the arm.
 
     One second of wall time executes `rate` seconds of the trajectory, less while not even half of
-    `LEAD` is written ahead. Failures have these consequences:
+    `LEAD` is written ahead. Failures have these consequences::
 
         no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
         no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
