@@ -77,7 +77,7 @@ def perception_period(scenario: Scenario) -> float:
 
 
 def padding(source: object) -> float:
-    """Returns the padding of observed obstacles: distance of the surface from its points [m]."""
+    """Returns the padding of observed points: maximum distance of the surface outside them [m]."""
     if isinstance(source, (CameraSource, RecordedClouds)):
         return 0.5 * source.segmentation.voxel
     return _SURFACE_GAP

@@ -26,11 +26,11 @@ from scipy.ndimage import uniform_filter
 _AXIAL_OFFSET = 0.0012
 """Standard deviation of the depth at `_AXIAL_DEPTH` and normal incidence (Nguyen et al.) [m]."""
 _AXIAL_GROWTH = 0.0019
-"""Quadratic growth of the standard deviation with the depth (Nguyen et al.) [1/m]."""
+"""Quadratic growth of the depth's standard deviation with the depth (Nguyen et al.) [1/m]."""
 _AXIAL_DEPTH = 0.4
-"""Depth of minimum noise (Nguyen et al.) [m]."""
+"""Depth at which the depth noise is smallest (Nguyen et al.) [m]."""
 _AXIAL_ANGLE = 0.0001
-"""Growth of the standard deviation with the angle of incidence (Nguyen et al.) [m^1.5]."""
+"""Growth of the depth's standard deviation with the angle of incidence (Nguyen et al.) [m^1.5]."""
 _LATERAL = 0.8
 """Standard deviation of the position of a depth edge in the image (Nguyen et al., at normal
 incidence; its growth with the angle, below 0.1 up to 65 deg, is neglected) [pixel]. It is applied
@@ -159,8 +159,8 @@ def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
         axis: axis of the image.
 
     Returns:
-        (H, W) smaller one of the differences to the two neighbors, as in the direction of the
-        axis; (H, W) difference from the pixel to the more different neighbor.
+        (H, W) smaller of the differences to both neighbors, signed along the axis; (H, W)
+        difference from each pixel to the more different neighbor.
     """
     change = np.diff(w, axis=axis)
     before, after = (

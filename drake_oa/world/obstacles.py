@@ -108,7 +108,7 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
 
 
 def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
-    """Returns the model instances that are obstacles."""
+    """Returns the model instances of a plant that are obstacles."""
     return tuple(
         instance
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
