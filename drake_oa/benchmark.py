@@ -25,7 +25,7 @@ from drake_oa.common.files import software_versions
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
 
-REST = "plant, Simulator and logs"
+REMAINDER = "plant, Simulator and logs"
 """Name of what is outside all Python systems."""
 _WARMUP = 0.1
 """Simulated time that compiles or loads the kernels and the renderer [s]."""
@@ -48,7 +48,7 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
         log = simulate(scenario, duration=seconds)
         with timed_systems() as spent:
             timed = simulate(scenario, duration=seconds)
-        spent[REST] = max(0.0, timed.wall_time - sum(spent.values()))
+        spent[REMAINDER] = max(0.0, timed.wall_time - sum(spent.values()))
         longest_first = sorted(spent, key=spent.__getitem__, reverse=True)
         layers = {of: spent[of] / timed.simulated_time for of in longest_first}
         factor = log.simulated_time / log.wall_time

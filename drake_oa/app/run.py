@@ -306,16 +306,16 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
 def _drive(this: _Run, lcm_url: str, rate: float) -> None:
     """Runs the avoiding motion on an arm."""
     from drake_oa.hardware.robot_link import RobotLink
-    from drake_oa.runs.hardware_run import drive, ready
+    from drake_oa.runs.hardware_run import drive, prepare_hardware
 
     link = RobotLink(lcm_url, rate=rate, raise_if_asked=this.raise_if_asked)
     link.start()
     with contextlib.closing(link):
         print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)
         with build_errors():
-            driven = ready(this.scenario, link, this.meshcat)
+            driven = prepare_hardware(this.scenario, link, this.meshcat)
         print("the arm is ready", file=sys.stderr)
-        this.scenario = driven.known
+        this.scenario = driven.known_scenario
         panel = _open_panel(this)
         _add_motion(this, "avoiding", partial(drive, driven, link, duration=this.duration), panel)
         print(

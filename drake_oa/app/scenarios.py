@@ -152,11 +152,11 @@ def check(
     wrong = scenario_problems(scenario, overrides)
     if not wrong:
         from drake_oa.runs.camera_placement import view_note
-        from drake_oa.runs.scenario_check import end_contacts, end_table, unbuildable
+        from drake_oa.runs.scenario_check import build_problems, end_contacts, end_table
 
         chosen = open_scenario(scenario, overrides, plot)
         with quiet():
-            wrong = unbuildable(chosen)
+            wrong = build_problems(chosen)
     for problem in wrong:
         complain(problem)
     if wrong:

@@ -30,7 +30,7 @@ from drake_oa.geometry.collision_scene import (
 from drake_oa.geometry.shapes import pose
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
-from drake_oa.runs.camera_placement import placed_around
+from drake_oa.runs.camera_placement import camera_pose_around
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
@@ -85,7 +85,7 @@ def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> 
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(name, placed_around(MIDDLE, azimuth, elevation, _SEEN_FROM))
+        xtion(name, camera_pose_around(MIDDLE, azimuth, elevation, _SEEN_FROM))
         for name, (azimuth, elevation) in zip(places, np.radians([*places.values()]), strict=True)
     ]
     scenario.perception = replace(
@@ -135,7 +135,7 @@ def _place(middle: FloatArray, heading: float, objects: CollisionGeometries) -> 
     """Returns the pose of a camera that looks at the middle."""
     X_WC = RigidTransform()
     for elevation in ELEVATIONS:
-        X_WC = placed_around(middle, heading, elevation, AWAY)
+        X_WC = camera_pose_around(middle, heading, elevation, AWAY)
         along = np.linspace(0.0, _NEAREST, 9)[:, None]
         sight = X_WC.translation() + along * X_WC.rotation().col(2)
         if (least_distances(objects, sight, 0.0, APART, APART) >= APART).all():

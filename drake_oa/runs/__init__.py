@@ -1,17 +1,20 @@
-"""Simulating a scenario; its log, metrics, report, plots and replay.
+"""Simulation of a scenario; its log, metrics, report, plots and replay.
 
-In: a `Scenario`. Out: a `MotionLog` (arrays over the T steps of the plant, SI units, world frame;
-an .npz file), figures of it, and its replay in Meshcat.
+Input: a `Scenario`. Outputs: a `MotionLog` (arrays over T instants, SI units, world frame, in an
+.npz file), plots of it, and its replay in Meshcat.
 
-- `simulation`: builds the diagram, runs it until the motion has settled, is stopped, or time is up,
-  and collects what the diagram's log sinks kept (`simulate`).
+- `simulation`: builds the diagram, simulates it until the motion has terminated and the world is
+  at rest, and collects the data of the log sinks (`simulate`).
 - `motion_log`: the log and its file.
-- `metrics`: collisions, clearance, convergence and path length, measured on the true obstacles.
-- `report`: the figures of a run as JSON.
-- `plots`: figures of a logged run and of demonstrations.
-- `replay`: a logged motion on ports (`LogPlayer`), and a diagram that shows it again.
+- `metrics`: collisions, clearance and path length, computed from the true geometry.
+- `report`: the metrics of a run as JSON and as a table.
+- `plots`: plots of a logged run.
+- `replay`: a logged motion on output ports (`LogPlayer`), and a diagram that replays it.
+- `page`, `play`: the panel of a viewer's page, and the interactive run of `drake-oa play`.
+- `scenario_check`, `camera_placement`: checks of a scenario before it is run.
+- `hardware_run`: the same motion with a real arm and real cameras.
 
-Nothing here is part of the robot's software: on a real robot one logs the same signals.
+Nothing here is part of the robot's software: on a real robot the same signals are logged.
 
 Begin with `simulation.simulate`.
 """

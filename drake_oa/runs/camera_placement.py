@@ -1,4 +1,4 @@
-"""Space near the arm that a scenario's cameras do not see, and better places of a camera."""
+"""Fraction of the space near the arm that no camera observes, and better camera poses."""
 
 from __future__ import annotations
 
@@ -28,18 +28,20 @@ from drake_oa.viewing.viewer import look_at_pose
 from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.world_model import add_world
 
-LARGE_SHARE = 0.15
-"""Unseen share above which another place is suggested."""
-_AWAY = 2.1
-"""Distance of the suggested places from the middle of the arm [m]."""
+MAX_UNOBSERVED_FRACTION = 0.15
+"""Unobserved fraction of the space near the arm above which a camera pose is suggested."""
+_DISTANCE = 2.1
+"""Distance of the suggested cameras from the mean position of the arm's spheres [m]."""
 _AZIMUTHS = tuple(math.radians(degrees) for degrees in range(0, 360, 45))
+"""Azimuths of the candidate cameras about the vertical, from the world's x axis [rad]."""
 _ELEVATIONS = tuple(math.radians(degrees) for degrees in (20, 35, 50))
+"""Elevations of the candidate cameras above the horizontal plane [rad]."""
 _CONFIGURATIONS = 5
-"""Number of configurations between start and goal."""
+"""Number of configurations of the nominal motion, start and goal included."""
 
 
 def spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Computes centers (T, S, 3) and radii (S,) of the arm along the nominal motion [m]."""
+    """Computes centers (T, S, 3) and radii (S,) of the arm's spheres on the nominal motion [m]."""
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
     q_start, q_goal = end_positions(scenario)
@@ -50,7 +52,7 @@ def spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
 
 
 def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
-    """Computes the volumes in which the cameras of perception measure."""
+    """Computes the volume in which each camera of the perception measures depth."""
     limits = source.segmentation
     scene_graph, plant = SceneGraph(), MultibodyPlant(time_step=scenario.plant_step)
     # Obstacles have visual geometry.
@@ -66,37 +68,37 @@ def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
 
 
 def _view_volume(camera: CameraConfig, X_WC: RigidTransform, near: float, far: float) -> ViewVolume:
-    """Computes the volume of a camera at a pose, within limits of the depth [m]."""
-    seen = depth_intrinsics(camera)
+    """Computes the view volume of a camera with pose X_WC between two depths [m]."""
+    intrinsics = depth_intrinsics(camera)
     return ViewVolume(
         X_WC.GetAsMatrix4(),
-        np.array(pinhole(seen)),
-        (seen.height(), seen.width()),
+        np.array(pinhole(intrinsics)),
+        (intrinsics.height(), intrinsics.width()),
         max(camera.z_near, near),
         min(camera.z_far, far),
     )
 
 
-def placed_around(
-    middle: FloatArray, azimuth: float, elevation: float, away: float
+def camera_pose_around(
+    target: FloatArray, azimuth: float, elevation: float, distance: float
 ) -> RigidTransform:
-    """Computes the pose X_WC of a camera that looks at a point from a distance, x axis level.
+    """Computes the pose X_WC of a camera that looks at a target, with a horizontal x axis.
 
     Args:
-        middle: (3,) the point in the world [m].
-        azimuth: angle of the way to the camera about the vertical, from the world's x axis [rad].
-        elevation: angle of that way above the horizontal [rad].
-        away: its length [m].
+        target: (3,) target in the world [m].
+        azimuth: angle of the camera about the vertical through the target, from the x axis [rad].
+        elevation: angle of the camera above the horizontal plane through the target [rad].
+        distance: distance of the camera to the target [m].
     """
     level = math.cos(elevation)
-    way = [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
-    return look_at_pose(RigidTransform(), middle + away * np.array(way), middle)
+    direction = [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
+    return look_at_pose(RigidTransform(), target + distance * np.array(direction), target)
 
 
 def view_note(scenario: Scenario) -> str:
-    """Returns one line about the unseen share of the space near the arm; "" without cameras.
+    """Returns one line about the unobserved space near the arm; "" without cameras.
 
-    Where the share is large, it suggests the best place around the space for a single camera.
+    Above `MAX_UNOBSERVED_FRACTION` it suggests the best pose of a single camera.
     """
     source = scenario.perception
     if not isinstance(source, CameraSource):
@@ -105,21 +107,21 @@ def view_note(scenario: Scenario) -> str:
     points = points_near(p_WS, radius, scenario.table_height)
     share_of = partial(unseen_share, p_WS, radius, points)
     share = share_of(view_volumes(scenario, source))
-    note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unseen"
-    if share <= LARGE_SHARE:
+    note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unobserved"
+    if share <= MAX_UNOBSERVED_FRACTION:
         return note
     camera, middle = camera_configs(scenario, source)[0], p_WS.mean(axis=(0, 1))
-    least, X_WC = share, RigidTransform()
+    min_share, X_WC = share, RigidTransform()
     for azimuth, elevation in product(_AZIMUTHS, _ELEVATIONS):
-        X_WP = placed_around(middle, azimuth, elevation, _AWAY)
+        X_WP = camera_pose_around(middle, azimuth, elevation, _DISTANCE)
         view = _view_volume(camera, X_WP, source.segmentation.near, camera.z_far)
-        if (unseen := share_of([view])) < least:
-            least, X_WC = unseen, X_WP
-    if least == share:
-        return f"{note}; no single camera at a distance of {_AWAY:g} m sees more"
-    place = np.round(X_WC.translation(), 2).tolist()
+        if (candidate := share_of([view])) < min_share:
+            min_share, X_WC = candidate, X_WP
+    if min_share == share:
+        return f"{note}; no single camera at a distance of {_DISTANCE:g} m observes more"
+    position = np.round(X_WC.translation(), 2).tolist()
     angles = (np.round(np.degrees(RollPitchYaw(X_WC.rotation()).vector()), 1) + 0.0).tolist()
     return (
-        f"{note}; {least:.0%} with '{camera.name}' at X_PB: {{translation: {place}, "
+        f"{note}; {min_share:.0%} with '{camera.name}' at X_PB: {{translation: {position}, "
         f"rotation: !Rpy {{deg: {angles}}}}} and segmentation: {{far: {camera.z_far:g}}}"
     )

@@ -1,4 +1,4 @@
-"""Runs a scenario's diagram against an arm and cameras behind LCM messages."""
+"""Run of a scenario's diagram with an arm and cameras that communicate by LCM messages."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from drake_oa.runs.simulation import (
     MotionMonitor,
     OnStep,
     columns_of,
-    log_of,
     logged_signals,
+    make_log,
     run_motion,
 )
 from drake_oa.scenario.end_poses import start_positions
@@ -33,46 +33,48 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import release_cameras
 
 _WARMUP_DONE = 0.3
-"""Simulated time in which every layer has had its turn [s]."""
+"""Simulated time of the warm-up, in which every layer is evaluated at least once [s]."""
 _IMAGE_DELAY = 0.05
-"""Additional delay of images by the wall clock for which the supervisor does not slow down [s]."""
+"""Additional delay of images, in wall time, at which the motion guard does not slow down [s]."""
 
 
 @dataclass(frozen=True)
-class Driven:
-    """A diagram that is ready to drive an arm.
+class HardwareSetup:
+    """Diagram that is ready to command an arm.
 
     Attributes:
-        scenario: what it was asked to run.
-        known: what it knows of that: obstacles are to be seen.
-        diagram: with the arm's messages in place of the simulated world.
+        scenario: scenario of the run.
+        known_scenario: the scenario without its obstacles, which the cameras perceive.
+        diagram: diagram with the messages of the arm in place of the simulated world.
     """
 
     scenario: Scenario
-    known: Scenario
+    known_scenario: Scenario
     diagram: Diagram
 
 
-def ready(scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None) -> Driven:
-    """Looks whether the arm may be moved, builds what is to move it, and rehearses its beginning.
+def prepare_hardware(
+    scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None
+) -> HardwareSetup:
+    """Checks that the arm is ready, builds its diagram, and simulates the beginning as a warm-up.
 
     Args:
-        scenario: what to run.
-        link: to the arm; the images come by the same bus.
+        scenario: scenario of the run.
+        link: link to the arm; images arrive on the same LCM bus.
         meshcat: viewer, or None.
 
     Raises:
-        ScenarioError: naming the field that does not fit.
-        HardwareError: if the arm is silent, not where the scenario begins, out of limits, moves
-            or is commanded by somebody else, or the camera does not see the table where it is.
+        ScenarioError: naming the wrong field.
+        HardwareError: if the arm sends no status, is not at the start, is beyond its limits, moves
+            or has another command source, or if the table is not at its height in the images.
     """
-    late = LEAD + link.rate * _IMAGE_DELAY
-    known = hardware_scenario(scenario, link.url, late)
-    arm, limits = arm_of(known)
-    q = start_positions(known)
+    max_delay = LEAD + link.rate * _IMAGE_DELAY
+    known_scenario = hardware_scenario(scenario, link.url, max_delay)
+    arm, limits = arm_of(known_scenario)
+    q = start_positions(known_scenario)
     q[arm] = link.ready_arm(q[arm], limits)
     station = partial(add_hardware, link=link, q_measured=q)
-    diagram = build_avoidance(known, add_station=station, meshcat=meshcat)
+    diagram = build_avoidance(known_scenario, add_station=station, meshcat=meshcat)
     with link.warmup():
         simulator = Simulator(diagram)
         try:
@@ -81,36 +83,37 @@ def ready(scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None) -
         except BaseException:
             release_cameras(diagram)
             raise
-    return Driven(scenario, known, diagram)
+    return HardwareSetup(scenario, known_scenario, diagram)
 
 
 def drive(
-    driven: Driven,
+    setup: HardwareSetup,
     link: RobotLink,
     *,
     duration: float | None = None,
     on_step: OnStep = lambda monitor, root: None,
 ) -> MotionLog:
-    """Runs the avoiding motion on the arm; its end is `simulate`'s.
+    """Executes the avoiding motion on the arm; it terminates as in `simulate`.
 
     Args:
-        driven: of `ready`.
-        link: likewise.
-        duration: as for `simulate`.
-        on_step: as for `simulate`.
+        setup: result of `prepare_hardware`.
+        link: link to the arm of that setup.
+        duration: time limit [s], see `simulate`.
+        on_step: function that is called once a period, see `simulate`.
 
     Returns:
-        The log of what the arm was sent.
+        The log of the commanded motion.
 
     Raises:
-        MotionInterruptedError: as `simulate` does; also if the arm was stopped.
+        MotionInterruptedError: as `simulate` does, and if the arm was stopped.
     """
-    # The world rests when the scenario's own would, as far as it tells.
-    monitor = MotionMonitor(driven.diagram, driven.scenario, duration, on_step)
-    simulator = Simulator(driven.diagram)
+    # Real obstacles are unknown, so the trajectories of the scenario's obstacles tell the monitor
+    # until when the world moves.
+    monitor = MotionMonitor(setup.diagram, setup.scenario, duration, on_step)
+    simulator = Simulator(setup.diagram)
     try:
         return _with_events(
-            run_motion(driven.known, simulator, monitor, avoid_obstacles=True), link
+            run_motion(setup.known_scenario, simulator, monitor, avoid_obstacles=True), link
         )
     except MotionInterruptedError as error:
         raise MotionInterruptedError(_with_events(error.log, link)) from error.__cause__
@@ -119,26 +122,26 @@ def drive(
 
 
 def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
-    """Returns the log with the events of the arm's player among those that held the motion."""
-    told = [
+    """Returns the log with the events of the command streamer added to the notes of the policy."""
+    events = [
         *zip(log.event_time.tolist(), log.event_hold, log.event, strict=True),
         *((t, HoldReason.SPEED_SCALE.value, note) for t, note in link.events),
     ]
-    return replace(log, **columns_of(sorted(told, key=itemgetter(0)), EVENT))
+    return replace(log, **columns_of(sorted(events, key=itemgetter(0)), EVENT))
 
 
 def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
-    """What the simulated arm did, by itself: the truth behind the messages.
+    """Returns the log of the simulated arm of a station, from its true state.
 
-    What is of who commanded it is not known here, and empty.
+    Data of the command source, such as observations and decisions, are unknown and empty.
 
     Args:
-        scenario: of the station.
-        station: made with `log`.
+        scenario: scenario of the station.
+        station: station that was created with `log`.
     """
     t, signals = logged_signals(station.diagram, station.simulator.get_context())
     events = zip(station.event_times, station.validator.events, strict=False)
-    return log_of(
+    return make_log(
         scenario,
         t,
         signals,

@@ -1,7 +1,7 @@
-"""Collisions, clearance, convergence and path length of a finished motion.
+"""Collisions, clearances and path length of a logged motion.
 
-They are computed from what was logged, at every logged instant, by SceneGraph's
-own distance and contact queries: nothing that steered the motion judges it.
+They are computed at every logged instant by SceneGraph's distance and penetration queries,
+independently of the collision model with which the motion was planned.
 """
 
 from __future__ import annotations
@@ -37,19 +37,18 @@ class MotionMetrics:
     """Clearances and contacts of a motion.
 
     Attributes:
-        contacts: "link - object" of every pair that touched, each once, in order of
-            first contact.
-        initial_contacts: those of them that touched at the first instant: the motion
-            started in them.
-        new_contacts: those of them that came to touch after it, in order: the motion
-            made them. A pair that parted and met again is in both.
-        self_contacts: "link - link" of the robot's own that touched, in order.
-        contact_depth: pair of `contacts` or `self_contacts` -> its greatest penetration [m].
-        tool_clearance: (T,) distance of the tool to the nearest obstacle [m];
-            negative inside, inf while there is no obstacle.
-        resting_clearance: (T,) the same to those obstacles that never move.
-        robot_clearance: (T,) the same for the whole robot.
-        p_WE: (T, 3) the tool point [m].
+        contacts: "link - object" of every pair in contact at any instant, in order of the first
+            contact.
+        initial_contacts: pairs of `contacts` that are in contact at the first instant.
+        new_contacts: pairs of `contacts` whose contact begins after the first instant, in order.
+            A pair that separates and touches again is in both.
+        self_contacts: "link - link" of the robot's links in contact, in order.
+        contact_depth: pair of `contacts` or `self_contacts` -> its maximum penetration [m].
+        tool_clearance: (T,) distance of the tool to the nearest obstacle [m]; negative in
+            penetration, inf without obstacles.
+        resting_clearance: (T,) distance of the tool to the nearest obstacle that never moves [m].
+        robot_clearance: (T,) distance of the whole robot to the nearest obstacle [m].
+        p_WE: (T, 3) tool point [m].
     """
 
     contacts: tuple[str, ...]
@@ -66,12 +65,12 @@ class MotionMetrics:
 MIN_PENETRATION = 1e-9
 """Penetration below which two shapes are not in contact [m].
 
-Shapes that rest flush on each other, as a carried object on the hand's link, penetrate by rounding.
+Touching shapes, for example a grasped object and the hand, penetrate by rounding.
 """
 Contacts = dict[str, float]
-"""Pairs in contact at one instant -> their greatest penetrations [m]."""
+"""Maximum penetrations [m] by the names of the pairs in contact at one instant."""
 Hits = dict[str, PenetrationAsPointPair]
-"""Pairs in contact at one instant -> their deepest points."""
+"""Points of maximum penetration by the names of the pairs in contact at one instant."""
 
 
 def path_length(path: FloatArray) -> float:
@@ -80,7 +79,7 @@ def path_length(path: FloatArray) -> float:
 
 
 def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetrics:
-    """Computes the metrics of a free point (T, 3) [m] among ellipsoids."""
+    """Computes the metrics of a motion (T, 3) [m] of a point without a robot among ellipsoids."""
     if len(ellipsoids) == 0:
         clearance = np.full((len(p_WE), 0), np.inf)
     else:
@@ -102,23 +101,24 @@ def _metrics(
     clearance: FloatArray,
     p_WE: FloatArray,
 ) -> MotionMetrics:
-    """Returns the metrics of a motion.
+    """Summarizes the contacts of all instants.
 
     Args:
-        contacts: of each instant.
-        self_contacts: of each instant.
-        clearance: (3, T) clearances of the robot, of the tool, and of the tool to what rests [m].
+        contacts: contacts of the robot with objects at each instant.
+        self_contacts: contacts between links of the robot at each instant.
+        clearance: (3, T) clearances [m] of the robot, of the tool, and of the tool to resting
+            obstacles.
         p_WE: (T, 3) tool point [m].
     """
     robot, tool, resting = clearance
-    depth, own_depth = _greatest(contacts), _greatest(self_contacts)
-    made = [pair for before, now in pairwise(contacts) for pair in now if pair not in before]
+    depth, self_depth = _max_penetrations(contacts), _max_penetrations(self_contacts)
+    new = [pair for before, now in pairwise(contacts) for pair in now if pair not in before]
     return MotionMetrics(
         contacts=tuple(depth),
         initial_contacts=tuple(contacts[0]) if contacts else (),
-        new_contacts=tuple(dict.fromkeys(made)),
-        self_contacts=tuple(own_depth),
-        contact_depth=depth | own_depth,
+        new_contacts=tuple(dict.fromkeys(new)),
+        self_contacts=tuple(self_depth),
+        contact_depth=depth | self_depth,
         tool_clearance=tool,
         resting_clearance=resting,
         robot_clearance=robot,
@@ -126,8 +126,8 @@ def _metrics(
     )
 
 
-def _greatest(instants: Iterable[Contacts]) -> Contacts:
-    """Returns the greatest penetration of each pair, in order of first contact."""
+def _max_penetrations(instants: Iterable[Contacts]) -> Contacts:
+    """Returns the maximum penetration of each pair over all instants, in order of first contact."""
     found: Contacts = {}
     for contacts in instants:
         for pair, depth in contacts.items():
@@ -136,13 +136,13 @@ def _greatest(instants: Iterable[Contacts]) -> Contacts:
 
 
 class ClearanceEvaluator:
-    """Measurement of distances and contacts of a scenario's robot by SceneGraph."""
+    """Evaluator of a robot's clearances and contacts on the true geometry, by SceneGraph."""
 
     def __init__(self, scenario: Scenario) -> None:
-        """Builds the station, which takes as long as judging many configurations.
+        """Builds the station, which costs as much time as many evaluations.
 
         Args:
-            scenario: with a robot; it defines the world.
+            scenario: scenario with a robot and its world.
 
         Raises:
             ScenarioError: if the station cannot be built.
@@ -177,7 +177,7 @@ class ClearanceEvaluator:
         ]
         of_tool = tool_links(scenario.robot) if scenario.robot else []
         self._tool = np.array([body.name() in of_tool for body in robot.values()], bool)
-        # Driven obstacles hang on slides.
+        # Moving obstacles have prismatic joints, resting ones have no positions.
         moving = [self._plant.num_positions(b.model_instance()) for b in obstacles.values()]
         self._rests = np.array(moving) == 0
 
@@ -190,12 +190,11 @@ class ClearanceEvaluator:
         Args:
             q: (T, nq) positions of the robot, in the plant's order.
             q_world: (T, n) all positions of the station's plant, for a world in which more
-                than the robot moves; None or (T, 0): the rest stays where the scenario puts it.
+                than the robot moves; None or (T, 0): only the robot moves.
 
         Returns:
-            Clearances to the obstacles; contacts with obstacles and with anything else
-            that is not the robot, the table for one, and of the robot with itself, but for
-            links that a joint connects.
+            Clearances to the obstacles. Contacts count with every object, such as obstacles and
+            the table, and between links of the robot that no joint connects.
 
         Raises:
             ValueError: if q_world is not of this station.
@@ -204,33 +203,35 @@ class ClearanceEvaluator:
             q_world = np.broadcast_to(self._q_world, (len(q), len(self._q_world)))
         elif q_world.shape != (len(q), len(self._q_world)):
             raise ValueError(
-                f"q_world: shape {q_world.shape} must be ({len(q)}, {len(self._q_world)}): an "
-                "instant a row, a position of the scenario's world a column"
+                f"q_world: shape {q_world.shape} must be ({len(q)}, {len(self._q_world)}), "
+                "instants x positions of the scenario's world"
             )
         contacts: list[Contacts] = []
-        own: list[Contacts] = []
+        self_contacts: list[Contacts] = []
         clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
         for row, positions in enumerate(q):
             query = self._query_at(positions, q_world[row])
-            for known, hits in zip((contacts, own), self._deepest_hits(query), strict=True):
-                known.append({pair: hit.depth for pair, hit in hits.items()})
+            for series, hits in zip(
+                (contacts, self_contacts), self._deepest_hits(query), strict=True
+            ):
+                series.append({pair: hit.depth for pair, hit in hits.items()})
             clearance[:, row] = self._clearances(query)
             p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
-        return _metrics(contacts, own, clearance, p_WE)
+        return _metrics(contacts, self_contacts, clearance, p_WE)
 
     def _query_at(self, q: FloatArray, q_world: FloatArray) -> QueryObject:
-        """Returns the query object with the world at positions (n,), its robot at (nq,)."""
+        """Returns the QueryObject at positions (n,) of the world and (nq,) of the robot."""
         self._plant.SetPositions(self._plant_context, q_world)
         self._plant.SetPositions(self._plant_context, self._station.robot, q)
         return self._query_port.Eval(self._graph_context)
 
     def positions_at(self, time: float) -> FloatArray:
-        """Computes (n,) positions of the station's plant with the obstacles on their courses.
+        """Computes positions (n,) of the station's plant with the obstacles on their trajectories.
 
-        The robot, and all else, is where the scenario puts it.
+        All other bodies, the robot included, are at their initial positions.
 
         Args:
-            time: of the courses [s].
+            time: time of the trajectories [s].
         """
         q_world = np.array(self._q_world)
         for obstacle in self._trajectories:
@@ -241,7 +242,7 @@ class ClearanceEvaluator:
         return q_world
 
     def geometries_at(self, time: float) -> CollisionGeometries:
-        """Computes all that is not the robot, each solid at rest, as `positions_at`."""
+        """Computes the collision geometries of all bodies but the robot at a time [s], at rest."""
         self._plant.SetPositions(self._plant_context, self.positions_at(time))
         found = []
         for geometry, body in self._others:
@@ -249,10 +250,10 @@ class ClearanceEvaluator:
             found.append(replace(geometry, X_WO=X_WB @ geometry.X_WO))
         return geometries_of(found)
 
-    def touches(
+    def contact_speeds(
         self, q: FloatArray, v: FloatArray, q_world: FloatArray
     ) -> tuple[dict[str, float], float]:
-        """Computes closing speeds of the robot's contacts with others, and its kinetic energy.
+        """Computes the approach speed of each contact of the robot, and its kinetic energy.
 
         Args:
             q: (nq,) positions of the robot, in the plant's order.
@@ -260,8 +261,8 @@ class ClearanceEvaluator:
             q_world: (n,) all positions of the station's plant.
 
         Returns:
-            Pair "link - object" -> velocity of the link's point, where it is deepest in the object,
-            along the contact normal, positive into the object [m/s]; and the energy [J].
+            Pair "link - object" -> velocity [m/s] of the link at the point of maximum penetration,
+            along the contact normal, positive into the object; and the kinetic energy [J].
         """
         hits, _ = self._deepest_hits(self._query_at(q, q_world))
         self._plant.SetVelocities(self._plant_context, self._station.robot, v)
@@ -276,16 +277,16 @@ class ClearanceEvaluator:
         return found, float(self._plant.EvalKineticEnergy(self._plant_context))
 
     def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
-        """Returns the deepest penetration of each "link - object", and of each "link - link"."""
+        """Returns the maximum penetrations of pairs "link - object", and of pairs "link - link"."""
         found: Hits = {}
-        own: Hits = {}
+        self_hits: Hits = {}
         for hit in query.ComputePointPairPenetration():
             if hit.depth < MIN_PENETRATION:
                 continue
             first, second = sorted((hit.id_A, hit.id_B), key=self._is_robot, reverse=True)
             link, other = self._body[first], self._body[second]
             if self._is_robot(second):
-                known, pair = own, " - ".join(sorted((link.name(), other.name())))
+                known, pair = self_hits, " - ".join(sorted((link.name(), other.name())))
             elif self._is_robot(first):
                 model = self._plant.GetModelInstanceName(other.model_instance())
                 known, pair = found, f"{link.name()} - {model}"
@@ -293,13 +294,13 @@ class ClearanceEvaluator:
                 continue
             if pair not in known or hit.depth > known[pair].depth:
                 known[pair] = hit
-        return found, own
+        return found, self_hits
 
     def _clearances(self, query: QueryObject) -> FloatArray:
-        """Returns minimum distances to the obstacles that are there [m].
+        """Returns the minimum distances of robot, tool, and tool to resting obstacles (3,) [m].
 
-        Of the robot, of the tool, and of the tool to what never moves. No pair of geometries is
-        nearer than the balls around both: the nearest balls come first.
+        Bounding balls give lower bounds of all pair distances. Pairs are evaluated in order of
+        these bounds, until no bound is below the minimum; inf: no obstacle.
         """
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
@@ -317,11 +318,11 @@ class ClearanceEvaluator:
 
 
 class _Balls:
-    """Balls around collision geometries, fixed to their bodies.
+    """Bounding balls of collision geometries, fixed to their bodies.
 
     Attributes:
-        geometry_ids: N collision geometries.
-        radius: (N,) radii [m]; inf around half spaces.
+        geometry_ids: IDs of N collision geometries.
+        radius: (N,) radii of the balls [m]; inf for half spaces.
     """
 
     def __init__(
@@ -332,28 +333,28 @@ class _Balls:
         self._p_BC, self.radius = ball[:, :3], ball[:, 3]
 
     def centers(self, context: Context) -> FloatArray:
-        """Returns (N, 3) centers in the world [m]."""
+        """Returns the centers (N, 3) of the balls in the world [m]."""
         X_WB = [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self._bodies]
         poses = np.reshape(X_WB, (-1, 3, 4))
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], self._p_BC) + poses[:, :, 3])
 
 
-_JUDGES: dict[str, ClearanceEvaluator] = {}
-"""Judges of the last four scenarios by their texts."""
+_EVALUATORS: dict[str, ClearanceEvaluator] = {}
+"""Evaluators of the last four scenarios, by the YAML text of each."""
 
 
 def clearance_evaluator(scenario: Scenario) -> ClearanceEvaluator:
-    """Returns the judge of a scenario's robot; its station is built once for equal scenarios."""
+    """Returns the evaluator of a scenario, which is cached: equal scenarios share one station."""
     text = scenario_text(scenario)
-    if text not in _JUDGES:
-        _JUDGES[text] = ClearanceEvaluator(scenario)
-        for oldest in list(_JUDGES)[:-4]:
-            del _JUDGES[oldest]
-    return _JUDGES[text]
+    if text not in _EVALUATORS:
+        _EVALUATORS[text] = ClearanceEvaluator(scenario)
+        for oldest in list(_EVALUATORS)[:-4]:
+            del _EVALUATORS[oldest]
+    return _EVALUATORS[text]
 
 
 def robot_metrics(
     scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
 ) -> MotionMetrics:
-    """Computes `ClearanceEvaluator.metrics` of one motion in a scenario."""
+    """Computes the metrics of a robot's motion in a scenario, see `ClearanceEvaluator.metrics`."""
     return clearance_evaluator(scenario).metrics(q, q_world)

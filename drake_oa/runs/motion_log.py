@@ -108,7 +108,7 @@ SCHEMA_VERSION = 3
 
 _SCHEMA_KEY = "schema_version"
 DECISION_SIGNAL = "decision_"
-"""Prefix of the signals of decisions, before the name of the layer that decides."""
+"""Prefix of the logged signals that hold decisions; the name of the layer follows."""
 
 
 def _empty(*shape: int) -> Any:
@@ -117,7 +117,7 @@ def _empty(*shape: int) -> Any:
 
 
 class MotionEnd(StrEnum):
-    """Termination of a motion; `stop_reason` describes it in words."""
+    """Termination of a motion; `MotionLog.stop_reason` describes it in words."""
 
     GOAL = "goal"
     """The tool reached the goal."""
@@ -215,14 +215,14 @@ class MotionLog:
         return slice(int(np.searchsorted(self.t, self.duration, side="right")))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Returns all attributes as arrays, as they are written to a file."""
+        """Returns the attributes as arrays, by the keys of the file."""
         return {
             name: np.asarray(value, dtype=str if isinstance(value, tuple) else None)
             for name, value in vars(self).items()
         }
 
     def observation(self, row: int) -> EllipsoidSet:
-        """Returns the ellipsoids of one of the F observations."""
+        """Returns the ellipsoids of the observation in one of the F rows."""
         is_present = np.isfinite(self.p_WO[row]).all(axis=1)
         return EllipsoidSet(
             stamp=float(self.observation_stamp[row]),
@@ -260,21 +260,25 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
     Returns:
         `decision_time`, `decision_latency` and `decision_layer`.
     """
-    found = []
+    decisions = []
     for name, rows in signals.items():
         if name.startswith(DECISION_SIGNAL):
-            begun = np.unique(rows[np.isfinite(rows).all(axis=1)], axis=0)
-            found += [(*row, name.removeprefix(DECISION_SIGNAL)) for row in begun.tolist()]
-    times, costs, layers = zip(*sorted(found), strict=True) if found else [()] * 3
+            starts = np.unique(rows[np.isfinite(rows).all(axis=1)], axis=0)
+            decisions += [(*row, name.removeprefix(DECISION_SIGNAL)) for row in starts.tolist()]
+    times, latencies, layers = zip(*sorted(decisions), strict=True) if decisions else [()] * 3
     return {
         "decision_time": np.array(times),
-        "decision_latency": np.array(costs),
+        "decision_latency": np.array(latencies),
         "decision_layer": layers,
     }
 
 
 def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
-    """Writes motions into one archive in one piece.
+    """Writes the logs of motions into one file, which is replaced atomically.
+
+    Args:
+        path: the file.
+        logs: logs by the names of the motions.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -286,11 +290,11 @@ def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
 
 
 def load_logs(path: Path) -> dict[str, MotionLog]:
-    """Reads a file of `save_logs`.
+    """Reads the logs of a file by the names of the motions.
 
     Raises:
         OSError: if the file cannot be opened.
-        ValueError: if it is not such an archive, is damaged, is of another schema, or lacks a key.
+        ValueError: if it is no motion log, is damaged, has another schema, or lacks a key.
     """
     try:
         return _motions(read_arrays(path))
@@ -299,30 +303,31 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
 
 
 def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
+    """Creates the logs of a file from its arrays; raises ValueError for another schema."""
     motions = [key.removesuffix("/stop_reason") for key in arrays if key.endswith("/stop_reason")]
     if not motions:
         raise ValueError("it has no key MOTION/stop_reason")
     version = int(arrays.get(_SCHEMA_KEY, 1))
     if version != SCHEMA_VERSION:
-        made_by = arrays.get(f"{motions[0]}/versions", np.array(["an earlier version"]))
-        reader = " ".join(str(made_by[0]).split()[:2])
+        versions = arrays.get(f"{motions[0]}/versions", np.array(["an earlier version"]))
+        reader = " ".join(str(versions[0]).split()[:2])
         raise ValueError(
             f"it has schema {version}, this version of drake_oa reads schema {SCHEMA_VERSION}: "
             f"read it with {reader}, or run the scenario again"
         )
     logs = {}
     for motion in motions:
-        found = {
+        attributes = {
             item.name: _value(arrays[f"{motion}/{item.name}"])
             for item in fields(MotionLog)
             if f"{motion}/{item.name}" in arrays
         }
-        logs[motion] = MotionLog(**found)
+        logs[motion] = MotionLog(**attributes)
     return logs
 
 
 def _value(array: np.ndarray) -> Any:
-    """Returns the attribute of an array in a file."""
+    """Returns the value of an attribute of `MotionLog` from its array in a file."""
     if array.ndim == 0:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array

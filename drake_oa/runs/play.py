@@ -1,8 +1,7 @@
 """Interactive run of a scenario: clearance, goal and obstacles change while the arm moves.
 
-A change takes effect after a moment, in a diagram that is built again: the motion starts from
-rest where the arm is. Between changes it is the diagram that `drake-oa run` runs, in the same
-steps.
+After a change the diagram is built again, and a new motion starts from rest at the present
+configuration. Between changes the diagram and its time steps are those of `drake-oa run`.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
-from drake_oa.runs.simulation import AT_THE_GOAL, MotionMonitor, MotionOutcome, collect_log
+from drake_oa.runs.simulation import GOAL_OUTCOME, MotionMonitor, MotionOutcome, collect_log
 from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
@@ -39,20 +38,23 @@ from drake_oa.world.station import release_cameras
 from drake_oa.world.world_model import flat_directives
 
 TICK = 1.0 / 30.0
-"""Simulated time between two looks at the controls [s]."""
-SETTLED = 0.3
-"""Time for which the controls must rest before a change takes effect [s]."""
+"""Simulated time between two readings of the controls [s]."""
+SETTLING_TIME = 0.3
+"""Time for which the controls must not move before a change becomes active [s]."""
 _MAX_LEGS = 20
-"""Maximum number of motions in the log: the newest ones."""
-_LATEST = 0.1
-"""Lateness of a picture above which it is not caught up with [s]."""
-_REGULATIONS = ("verified", "paper", "nominal")
+"""Maximum number of motions in the log; older ones are deleted."""
+_MAX_LATENESS = 0.1
+"""Maximum delay of a tick that later ticks make up for [s]."""
+_METHODS = ("verified", "paper", "nominal")
+"""Names of the methods, in the order in which the button selects them."""
 _NEXT = "next method (verified, paper, nominal)"
+"""Name of the button that selects the next method."""
 _SOURCE = "camera or ground truth"
+"""Name of the button that switches the source of the obstacles."""
 
 
 def _welds(scenario: Scenario) -> dict[str, Any]:
-    """Returns the directives that weld obstacles to the world, by the obstacles' names."""
+    """Returns the directives that weld obstacles to the world, by the names of the obstacles."""
     prefix = f"{OBSTACLE_PREFIX}_"
     welds = [item.add_weld for item in scenario.directives if item.add_weld is not None]
     return {
@@ -63,7 +65,7 @@ def _welds(scenario: Scenario) -> dict[str, Any]:
 
 
 def obstacle_poses(scenario: Scenario) -> dict[str, RigidTransform]:
-    """Returns the poses X_WO of the obstacles that can be moved, by their names."""
+    """Returns the poses X_WO of the movable obstacles of a scenario, by their names."""
     poses = {item.name: pose(item) for item in scenario.obstacles}
     for name, weld in _welds(scenario).items():
         poses[name] = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
@@ -71,7 +73,13 @@ def obstacle_poses(scenario: Scenario) -> dict[str, RigidTransform]:
 
 
 def move_obstacle(scenario: Scenario, name: str, X_WO: RigidTransform) -> None:
-    """Moves an obstacle of `obstacle_poses`."""
+    """Sets the pose of an obstacle in a scenario.
+
+    Args:
+        scenario: scenario to modify.
+        name: name of the obstacle, a key of `obstacle_poses`.
+        X_WO: new pose of the obstacle.
+    """
     welds = _welds(scenario)
     if name in welds:
         welds[name].X_PC = Transform(X_WO)
@@ -82,28 +90,29 @@ def move_obstacle(scenario: Scenario, name: str, X_WO: RigidTransform) -> None:
 
 
 class PlaySession:
-    """Interactive run of one scenario: `tick` after `tick`, until `stopped`.
+    """Interactive run of one scenario, which `tick` advances until `is_stopped`.
 
-    The page folds a slider "NAME: x [m]" into the folder of an obstacle.
+    The arm moves to the goal and back to the start, repeatedly. The page moves a slider
+    "NAME: x [m]" into a folder NAME of the obstacle.
 
     Attributes:
-        meshcat: the viewer, with sliders and buttons.
-        page: page that shows it with the panel.
-        logs: "leg_1" and so on, the motions that have ended; see `finish`.
-        stopped: whether the button was pressed.
-        homeward: whether it returns to where it began.
+        meshcat: viewer with the sliders and buttons.
+        page: page with the viewer and the panel.
+        logs: logs of the finished motions by the names "leg_1", "leg_2" and so on.
+        is_stopped: whether the stop button was pressed.
+        is_returning: whether the present motion leads back to the start.
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat, page: LivePage) -> None:
-        """Builds the scenario and begins its motion.
+        """Builds the diagram of a scenario and starts its motion.
 
         Args:
-            scenario: the scenario.
-            meshcat: the viewer.
-            page: page that shows it with the panel.
+            scenario: scenario with a robot.
+            meshcat: viewer.
+            page: page with the viewer and the panel.
 
         Raises:
-            ScenarioError: without a robot, or for a field that does not fit.
+            ScenarioError: if the scenario has no robot, or a field is wrong.
         """
         self._limits = make_robot_plant(robot_of(scenario)).limits
         self._scenario = copy.deepcopy(scenario)
@@ -111,19 +120,19 @@ class PlaySession:
         self.meshcat, self.page = meshcat, page
         self._poses = obstacle_poses(self._scenario)
         self._sliders = self._add_controls()
-        self._active = self._taken = self._wanted = self._settings()
-        self._rested = 0.0
-        self._home = tuple(self._scenario.task.start)
-        self.homeward = self.stopped = False
-        self._resets = 0
-        self._refused = ""
+        self._active_settings = self._tried_settings = self._settings_now = self._settings()
+        self._rest_time = 0.0
+        self._start = tuple(self._scenario.task.start)
+        self.is_returning = self.is_stopped = False
+        self._reset_count = 0
+        self._refusal = ""
         self.logs: dict[str, MotionLog] = {}
-        self._leg = 0
+        self._leg_count = 0
         self._simulator: Simulator | None = None
         self._begin(None)
 
     def _add_controls(self) -> list[str]:
-        """Adds buttons and sliders; returns the names of the sliders but that of the speed."""
+        """Adds buttons and sliders; returns the names of all sliders except the speed's."""
         for name, key in (
             ("pause", "Space"),
             ("reset", "KeyR"),
@@ -149,33 +158,34 @@ class PlaySession:
         return [name for name, *_ in sliders]
 
     def _clicks(self, name: str) -> int:
+        """Returns how often a button was pressed."""
         return int(self.meshcat.GetButtonClicks(name))
 
     def _settings(self) -> dict[str, Any]:
-        """Reads the sliders [m, rad], "inference", and "is_seen" by the scenario's camera."""
+        """Returns the values of the controls: sliders [m, rad], "inference" and "has_camera"."""
         turn = self._clicks(_NEXT) + _is_paper(self._scenario)
         can_see = isinstance(self._scenario.perception, CameraSource)
         return {
             **{name: self.meshcat.GetSliderValue(name) for name in self._sliders},
-            "inference": _REGULATIONS[turn % len(_REGULATIONS)],
-            "is_seen": can_see and self._clicks(_SOURCE) % 2 == 0,
+            "inference": _METHODS[turn % len(_METHODS)],
+            "has_camera": can_see and self._clicks(_SOURCE) % 2 == 0,
         }
 
     def tick(self) -> None:
-        """Applies changes, advances by `TICK` unless paused, and shows the state."""
-        self.stopped = self._clicks("stop") > 0
+        """Applies changed controls, advances by `TICK` unless paused, and updates the panel."""
+        self.is_stopped = self._clicks("stop") > 0
         settings = self._settings()
-        if settings != self._wanted:
-            self._wanted, self._rested = settings, 0.0
-        self._rested += TICK
-        if self._clicks("reset") > self._resets:
-            self._resets = self._clicks("reset")
-            self.homeward = False
+        if settings != self._settings_now:
+            self._settings_now, self._rest_time = settings, 0.0
+        self._rest_time += TICK
+        if self._clicks("reset") > self._reset_count:
+            self._reset_count = self._clicks("reset")
+            self.is_returning = False
             self._begin(None)
-        elif self._wanted != self._taken and self._rested >= SETTLED:
+        elif self._settings_now != self._tried_settings and self._rest_time >= SETTLING_TIME:
             self._begin(self._positions())
-        elif self._monitor.settled and self._monitor.outcome == AT_THE_GOAL:
-            self.homeward = not self.homeward
+        elif self._monitor.settled and self._monitor.outcome == GOAL_OUTCOME:
+            self.is_returning = not self.is_returning
             self._begin(self._positions())
         paused = self._clicks("pause") % 2 == 1
         if self._simulator and not self._monitor.settled and not paused:
@@ -183,78 +193,86 @@ class PlaySession:
         self._panel(self._monitor, self._root(), self.status(paused))
 
     def run(self, each_tick: Callable[[], None] = lambda: None) -> None:
-        """Ticks at the selected speed, until the button is pressed.
+        """Ticks at the selected speed until the stop button is pressed.
 
         Args:
-            each_tick: called before each; what it raises ends it.
+            each_tick: function that is called before each tick; its exceptions end the run.
         """
         due = time.monotonic()
-        while not self.stopped:
+        while not self.is_stopped:
             each_tick()
             self.tick()
             due += TICK / self.meshcat.GetSliderValue("speed")
-            due = max(due, time.monotonic() - _LATEST)
+            due = max(due, time.monotonic() - _MAX_LATENESS)
             time.sleep(max(0.0, due - time.monotonic()))
 
     def finish(self) -> dict[str, MotionLog]:
-        """Ends the present motion, and returns the logs."""
+        """Ends the present motion, and returns the logs of all motions."""
         self._end_leg()
         return self.logs
 
     def _begin(self, q: FloatArray | None) -> None:
-        """Builds the wanted scenario, from these joints or the scenario's start.
+        """Starts a motion with the settings of the controls.
 
-        Impossible settings are refused: the sliders return, and the present motion goes on.
+        Settings with an error are refused: the sliders return to the previous values, and the
+        present motion continues.
+
+        Args:
+            q: configuration (nq,) of the start; None: the start of the scenario.
         """
-        settings = self._taken = self._wanted
+        settings = self._tried_settings = self._settings_now
         avoid_obstacles = settings["inference"] != "nominal"
         try:
-            scenario = self._changed(settings, q)
+            scenario = self._modified_scenario(settings, q)
             diagram = build_avoidance(
                 scenario, avoid_obstacles=avoid_obstacles, meshcat=self.meshcat
             )
             evaluator = clearance_evaluator(scenario)
             simulator = Simulator(diagram)
             monitor = MotionMonitor(diagram, scenario, math.inf)
-            touched = evaluator.metrics(*monitor.positions(simulator.get_context())).contacts
-            if self._simulator is not None and not self._contacts().issuperset(touched):
-                raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
+            contacts = evaluator.metrics(*monitor.positions(simulator.get_context())).contacts
+            if self._simulator is not None and not self._contacts().issuperset(contacts):
+                raise ScenarioError(f"obstacle inside the robot ({', '.join(contacts)})")
         except (ScenarioError, ValueError, RuntimeError) as error:
-            self._refused = str(error)
+            self._refusal = str(error)
             if self._simulator is None:
                 raise
             for name in self._sliders:
-                self.meshcat.SetSliderValue(name, self._active[name])
-            self._taken = self._wanted = self._settings()
+                self.meshcat.SetSliderValue(name, self._active_settings[name])
+            self._tried_settings = self._settings_now = self._settings()
             return
         self._end_leg()
-        self._refused = ""
-        self._active, self._played, self._evaluator = settings, scenario, evaluator
+        self._refusal = ""
+        self._active_settings, self._active_scenario, self._evaluator = (
+            settings,
+            scenario,
+            evaluator,
+        )
         self._simulator, self._monitor = simulator, monitor
         self._panel = LivePanel(self.page, scenario, avoid_obstacles)
         simulator.Initialize()
         simulator.set_monitor(monitor)
 
     def _contacts(self) -> frozenset[str]:
-        """Returns the pairs in contact now."""
+        """Returns the pairs in contact at the present configuration."""
         return frozenset(self._evaluator.metrics(*self._monitor.positions(self._root())).contacts)
 
-    def _changed(self, settings: dict[str, Any], q: FloatArray | None) -> Scenario:
-        """Returns the scenario with the settings, its motion from where the arm is."""
+    def _modified_scenario(self, settings: dict[str, Any], q: FloatArray | None) -> Scenario:
+        """Returns the scenario with the settings, its motion from q (nq,) or from its start."""
         scenario = copy.deepcopy(self._scenario)
         task = scenario.task
         task.clearance = settings["clearance [m]"]
         task.goal = [settings[f"goal {axis} [m]"] for axis in "xyz"]
-        if self.homeward:
-            task.goal = list(self._home)
+        if self.is_returning:
+            task.goal = list(self._start)
         if q is not None:
             task.q_start, task.q_goal = q[: len(robot_of(scenario).q_seed)].tolist(), None
             task.goal_moves, task.demonstration = [], []
             follow_joints(scenario)
-        wants_paper = settings["inference"] == "paper"
-        if wants_paper != _is_paper(scenario):
-            scenario.inference = Paper() if wants_paper else Verified()
-        if not settings["is_seen"] and isinstance(scenario.perception, CameraSource):
+        is_paper = settings["inference"] == "paper"
+        if is_paper != _is_paper(scenario):
+            scenario.inference = Paper() if is_paper else Verified()
+        if not settings["has_camera"] and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
         for name, X_WO in self._poses.items():
             x, y, yaw = (settings[f"{name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
@@ -265,37 +283,41 @@ class PlaySession:
         return scenario
 
     def tool_point(self) -> FloatArray:
-        """Returns the tool point (3,) now [m]."""
+        """Returns the present tool point (3,) in the world [m]."""
         return self._monitor.tool_point(self._root())
 
     def _positions(self) -> FloatArray:
-        """Returns positions (nq,) of the robot now, within its joints' limits."""
+        """Returns the present configuration (nq,), clipped to the joint limits."""
         q = self._monitor.positions(self._root())[0][0]
         lower, upper = self._limits.position_lower, self._limits.position_upper
         return np.clip(q, lower + 1e-6, upper - 1e-6)
 
     def _root(self) -> Context:
+        """Returns the root Context of the present diagram."""
         if self._simulator is None:
-            raise RuntimeError("nothing runs")
+            raise RuntimeError("no motion has been started")
         return self._simulator.get_context()
 
     def status(self, paused: bool = False) -> str:
-        """Returns the refusal of a change, else the state of the motion."""
-        if self._refused:
-            return f"refused: {self._refused}"
+        """Returns the text of the panel: refusal of a change, "paused", or state of the motion."""
+        if self._refusal:
+            return f"refused: {self._refusal}"
         return "paused" if paused else self._monitor.state
 
     def _end_leg(self) -> None:
+        """Ends the present motion, if any, and adds its log to `logs`."""
         if self._simulator is None:
             return
         self._simulator.clear_monitor()
-        self._leg += 1
-        avoid_obstacles = self._active["inference"] != "nominal"
+        self._leg_count += 1
+        avoid_obstacles = self._active_settings["inference"] != "nominal"
         self._monitor.finish(self._root())
         if not math.isfinite(self._monitor.motion_end):
             self._monitor.outcome = MotionOutcome(MotionEnd.INTERRUPTED, "restarted")
-        log = collect_log(self._played, self._simulator, self._monitor, avoid_obstacles, math.nan)
-        self.logs[f"leg_{self._leg}"] = log
+        log = collect_log(
+            self._active_scenario, self._simulator, self._monitor, avoid_obstacles, math.nan
+        )
+        self.logs[f"leg_{self._leg_count}"] = log
         for name in list(self.logs)[:-_MAX_LEGS]:
             del self.logs[name]
         release_cameras(self._simulator.get_system())
@@ -303,4 +325,5 @@ class PlaySession:
 
 
 def _is_paper(scenario: Scenario) -> bool:
+    """Checks whether the method of a scenario is the paper's."""
     return isinstance(scenario.inference, Paper)

@@ -1,4 +1,4 @@
-"""Figure of a logged run: clearance, phase, torques and the path."""
+"""Plot of a logged run: clearances, phase, torques and path."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_steps
 
 _COLORS = {"avoiding": "#00798c", "nominal": "#111111"}
+"""Colors of the motions by name."""
 _OBSTACLE, _DESIRED, _ENDS = "#d1495b", "#edae49", "#0072b2"
-"""Colors of obstacles, of the desired path, and of start and goal."""
+"""Colors of obstacles, of the desired path, and of the points start and goal."""
 _PANELS = ("clearance [m]", "phase, speed scale [1]", "torque / limit [1]")
-"""Labels of the panels of a run."""
+"""Vertical axis labels of the three plots over time."""
 _OBSERVATIONS = 6
-"""Number of observations of which obstacles are drawn, one over the other."""
+"""Number of observations whose obstacles are drawn, at equal steps of the list."""
 
 
 def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, MotionLog]) -> None:
-    """Draws a run: panels over time on the left, the path from two sides on the right.
+    """Plots a run: signals over time on the left, the path from above and the side on the right.
 
     Args:
-        path: the file of the figure.
-        title: of the figure.
+        path: file of the figure.
+        title: title of the figure.
         scenario: scenario of the logs.
-        logs: the motions of at least one instant, by name.
+        logs: logs of motions with at least one instant, by name.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -52,11 +53,11 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
         for name, log in logs.items():
             metrics, style = motion_metrics(scenario, log), {"color": _COLORS.get(name)}
             clearance.plot(log.t, metrics.tool_clearance, label=f"{name}, tool", **style)
-            clearance.plot(log.t, metrics.robot_clearance, ":", label=f"{name}, any link", **style)
+            clearance.plot(log.t, metrics.robot_clearance, ":", label=f"{name}, robot", **style)
             phase.plot(log.t, log.phase, label=f"{name}, phase k", **style)
             phase.plot(log.t, log.speed_scale, "--", label=f"{name}, speed scale", **style)
             share = np.abs(log.torque / log.effort_limit).max(axis=1, initial=0.0)
-            torque.plot(log.t, share, label=f"{name}, largest of all joints", **style)
+            torque.plot(log.t, share, label=f"{name}, maximum of all joints", **style)
         torque.set_xlabel("time [s]")
         for ax, label in zip(panels, _PANELS, strict=True):
             ax.set_ylabel(label)
@@ -68,7 +69,7 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
             for name, log in logs.items():
                 _draw_path(ax, name, log, axes)
         for ax in (*panels, *views):
-            # One entry a label.
+            # Several curves share a label: the legend has each label once.
             handles, labels = ax.get_legend_handles_labels()
             entries = dict(zip(labels, handles, strict=True))
             ax.legend(
@@ -77,16 +78,17 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
 
 
 def _draw_path(ax: Axes, name: str, log: MotionLog, axes: list[int]) -> None:
-    """Draws the path of a motion, and over one another the obstacles as seen at several times."""
+    """Draws the path of a motion, and its observed obstacles at several times, in one view."""
     count = len(log.observation_time)
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     for row in np.linspace(0, count - 1, _OBSERVATIONS if count else 0).astype(int):
-        seen = log.observation(row)
-        for p_WO, R_WO, semi_axes in zip(seen.p_WO, seen.R_WO, seen.semi_axes, strict=True):
+        obstacles = log.observation(row)
+        shapes = (obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes)
+        for p_WO, R_WO, semi_axes in zip(*shapes, strict=True):
             # With R diag(a) = U S V^T, projected, the outline is U S (cos, sin).
             U, S, _ = np.linalg.svd((R_WO * semi_axes)[axes])
             rim: FloatArray = p_WO[axes] + np.stack([np.cos(turn), np.sin(turn)], axis=1) * S @ U.T
-            label = "obstacle as seen, dilated"
+            label = "obstacle as observed, dilated"
             ax.fill(*rim.T, facecolor=_OBSTACLE, edgecolor="none", alpha=0.08, label=label)
     ax.plot(*log.desired_position.T[axes], color=_DESIRED, linewidth=3.5, label="desired")
     ax.plot(*log.p_WE.T[axes], color=_COLORS.get(name), label=f"{name}, actual")

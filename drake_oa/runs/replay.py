@@ -1,4 +1,4 @@
-"""A logged motion as a function of time, on ports, and drawn again."""
+"""Replay of a logged motion: its values on output ports, and a diagram that displays them."""
 
 from __future__ import annotations
 
@@ -33,69 +33,68 @@ from drake_oa.viewing.panel import LivePage, Reading
 from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 from drake_oa.world.world_model import add_world
 
-_EARLY = 1e-9
-"""What was logged up to this much later [s] counts as logged: times are rounded."""
+_TIME_TOLERANCE = 1e-9
+"""Tolerance of logged times, which are rounded [s]."""
 _MAX_POINTS = 200
-"""Maximum number of points of a planned path."""
+"""Maximum number of points of a displayed planned path."""
 
 
 def logged_scenario(path: Path, log: MotionLog) -> Scenario:
-    """Reads the scenario that a log was made with.
+    """Returns the scenario of a log.
 
     Args:
-        path: the log's file, for errors.
-        log: the log.
+        path: file of the log, for error messages.
+        log: log of a motion.
 
     Raises:
-        ScenarioError: if this version does not know the scenario's fields.
+        ScenarioError: if a field of the scenario does not exist in this version.
     """
     try:
-        # Its file names were made absolute when it was read first.
+        # The run has already resolved the file names in the scenario to absolute ones.
         return parse_scenario(log.scenario)
     except ScenarioError as error:
-        made = ", ".join(log.versions[:1])
-        raise ScenarioError(f"the scenario in {path} (made with {made}): {error}") from None
+        version = ", ".join(log.versions[:1])
+        raise ScenarioError(f"scenario in {path} (written by {version}): {error}") from None
 
 
 def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> str:
-    """Chooses the motion to show: the requested one, else the avoiding one if it was started.
+    """Returns the name of the motion to display.
 
     Args:
-        path: the log's file, for errors.
-        logs: the motions in it.
-        name: the requested motion, or None.
+        path: file of the logs, for error messages.
+        logs: logs of the file by the names of the motions.
+        name: requested motion; None: the avoiding motion, or the first one without it.
 
     Raises:
-        ValueError: if there is no such motion, or nothing was logged of it.
+        ValueError: if the file has no such motion, or the motion has no instant.
     """
     chosen = name or ("avoiding" if "avoiding" in logs else next(iter(logs)))
     if chosen not in logs:
         raise ValueError(f"{path} has no motion '{chosen}'; it has {', '.join(logs)}")
     if not len(logs[chosen].t):
         raise ValueError(
-            f"{path}: the {chosen} motion was ended before its first instant: "
+            f"{path}: the {chosen} motion terminated before its first instant: "
             f"{logs[chosen].stop_reason}"
         )
     return chosen
 
 
 def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: MotionLog) -> FloatArray:
-    """Returns (T, n) positions of a scenario's world at the instants of a log [rad, m].
+    """Returns the positions (T, n) of a scenario's plant at the instants of a log [rad, m].
 
     Args:
-        plant: the finalized plant of the world.
-        robot: the robot's model instance.
-        log: the log; where it has only the robot's positions, the rest stays where the
-            plant has it by default.
+        plant: finalized plant of the scenario.
+        robot: model instance of the robot.
+        log: log; if it has only positions of the robot, all others have their default values.
 
     Raises:
-        ValueError: if the log is not of this world.
+        ValueError: if the numbers of positions of log and plant differ.
     """
     n, n_robot = plant.num_positions(), plant.num_positions(robot)
     if log.q.shape[1] != n_robot or log.q_world.shape[1] not in (0, n):
         raise ValueError(
             f"the log has {log.q.shape[1]} positions of the robot and {log.q_world.shape[1]} of "
-            f"the world; its scenario has {n_robot} and {n}: was the robot's model changed?"
+            f"the world, the scenario {n_robot} and {n}: use the robot model of the logged run"
         )
     if log.q_world.shape[1]:
         return log.q_world
@@ -106,9 +105,9 @@ def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: Motio
 
 
 def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
-    """Returns (N, 3) points of the planned path [m], as the nominal motion had to follow it.
+    """Returns points (N, 3) of the demonstrated path in the world, from the nominal motion [m].
 
-    None: a straight line was planned, or the demonstrated path is not in the log whole.
+    None: the scenario has no demonstration, or the nominal motion did not reach the goal.
     """
     log = logs.get("nominal")
     if not scenario.task.demonstration or log is None or log.ended != MotionEnd.GOAL:
@@ -119,17 +118,17 @@ def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray |
 def build_replay(
     scenario: Scenario, log: MotionLog, meshcat: Meshcat, *, planned_W: FloatArray | None = None
 ) -> Diagram:
-    """Connects a log to the viewer.
+    """Builds the diagram that displays a logged motion in a viewer.
 
     Args:
-        scenario: the log's scenario.
-        log: the motion.
-        meshcat: the viewer.
-        planned_W: (N, 3) the planned path [m]; None: the line from start to goal.
+        scenario: scenario of the log.
+        log: log of the motion.
+        meshcat: viewer.
+        planned_W: (N, 3) planned path [m]; None: the line from start to goal.
 
     Raises:
         ScenarioError: if the world cannot be built.
-        ValueError: if the log is not of this world.
+        ValueError: if the numbers of positions of log and scenario differ.
     """
     builder = DiagramBuilder()
     set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
@@ -156,15 +155,15 @@ def build_replay(
 
 
 def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], EventStatus]:
-    """Makes a monitor that shows the reading of each instant on a live page.
+    """Creates a Simulator monitor that displays the reading of each instant on a live page.
 
     Args:
-        page: the page.
-        rows: readings by time, one at least.
+        page: live page.
+        rows: readings in the order of time, at least one.
     """
 
     def show(root: Context) -> EventStatus:
-        late = bisect_right(rows, root.get_time() + _EARLY, key=lambda row: row.time)
+        late = bisect_right(rows, root.get_time() + _TIME_TOLERANCE, key=lambda row: row.time)
         page.reading = rows[max(0, late - 1)]
         page.pace()
         return EventStatus.Succeeded()
@@ -173,7 +172,7 @@ def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], Ev
 
 
 class LogPlayer(LeafSystem):
-    """Plays a logged motion: at each instant the newest values that were logged.
+    """Source of a logged motion: its outputs are the latest logged values at each time.
 
     .. pydrake_system::
 
@@ -183,13 +182,13 @@ class LogPlayer(LeafSystem):
       - ellipsoids_W
       - policy_state
 
-    - positions: (n,) positions of the world's plant, in its order [rad, m].
-    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the observation that had
-      arrived last; empty before the first.
+    - positions: (n,) positions of the station's plant, in its order [rad, m].
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the latest observation; empty
+      before the first one.
     - policy_state: abstract `PolicyState`; its p_WE is the actual tool point, and its z_W the
-      desired velocity [m/s]: the log knows the direction alone, not the scale tau T.
+      desired velocity [m/s], because the log does not have the factor tau T.
 
-    There is no state: the outputs depend on time alone.
+    The system has no state: its outputs depend only on time.
     """
 
     def __init__(self, scenario: Scenario, log: MotionLog, positions: FloatArray) -> None:
@@ -197,8 +196,8 @@ class LogPlayer(LeafSystem):
 
         Args:
             scenario: scenario of the log.
-            log: the motion, of one instant at least.
-            positions: (T, n) positions of the world's plant at its instants [rad, m].
+            log: log of the motion, with at least one instant.
+            positions: (T, n) positions of the station's plant at the instants of the log [rad, m].
         """
         super().__init__()
         self._p_WS = np.asarray(scenario.task.start, dtype=float)
@@ -212,8 +211,8 @@ class LogPlayer(LeafSystem):
             self.DeclareAbstractOutputPort(name, model.Clone, calc, now)
 
     def _newest(self, times: FloatArray, context: Context) -> int:
-        """Finds the row of the last of the times that is not later than now; -1: none."""
-        return int(np.searchsorted(times, context.get_time() + _EARLY, side="right")) - 1
+        """Returns the row of the latest logged time up to the time of the context; -1: none."""
+        return int(np.searchsorted(times, context.get_time() + _TIME_TOLERANCE, side="right")) - 1
 
     def _calc_positions(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._world[max(0, self._newest(self._log.t, context))])

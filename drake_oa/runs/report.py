@@ -25,16 +25,17 @@ from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
 TOLERANCE = 1e-3
-"""Clearance shortfall above which a warning is given and a motion counts as short [m]."""
+"""Clearance shortfall above which the report has a warning [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
+"""Keys of the lists of contacts in the report."""
 _LATENCY_KEYS = {"verification": "decision_latency", "guard": "guard_latency"}
-"""Keys of the decision latencies of the layers in the report."""
+"""Layer that decides -> key of its latency statistics in the report."""
 
 
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
     """Computes clearances and contacts of a logged motion.
 
-    They are computed by SceneGraph, or from the given ellipsoids without a robot.
+    SceneGraph computes them; without a robot the given ellipsoids are the obstacles.
 
     Args:
         scenario: configuration of the run.
@@ -46,10 +47,11 @@ def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
 
 
 def achievable_clearance_of(scenario: Scenario) -> float:
-    """Computes the largest clearance that any motion of the task can have [m].
+    """Computes the achievable clearance of a task, which no motion can exceed [m].
 
-    min(Delta, d_start, d_goal), with the true distances d of the tool to resting obstacles; 0 where
-    start or goal is in contact. A moving goal counts at its last position.
+    It is min(Delta, d_start, d_goal), with the requested clearance Delta and the true distances d
+    of the tool to resting obstacles; 0 if start or goal is in contact. A moving goal counts at its
+    last position.
 
     Raises:
         ScenarioError: if start or goal is out of reach.
@@ -57,11 +59,11 @@ def achievable_clearance_of(scenario: Scenario) -> float:
     task = scenario.task
     if scenario.robot is None:
         ends = np.array([task.start, goal_at(task, math.inf)], dtype=float)
-        left = free_point_metrics(ends, _given(scenario)).resting_clearance
+        clearances = free_point_metrics(ends, _given(scenario)).resting_clearance
     else:
         ends = np.stack(end_positions(scenario))
-        left = robot_metrics(scenario, ends).resting_clearance
-    return float(max(np.min([task.clearance, *left]), 0.0))
+        clearances = robot_metrics(scenario, ends).resting_clearance
+    return float(max(np.min([task.clearance, *clearances]), 0.0))
 
 
 def motion_report(
@@ -69,7 +71,7 @@ def motion_report(
     log: MotionLog,
     achievable_clearance: float | None = None,
 ) -> dict[str, Any]:
-    """Computes the metrics of one motion [m, s, rad].
+    """Computes the metrics of one motion, in SI units.
 
     Contacts and clearances count until the world is at rest; duration, path and decisions until the
     end of the motion. On hardware the true obstacles are unknown: `collisions` without contacts,
@@ -82,22 +84,25 @@ def motion_report(
         self_contacts: pairs of links of the robot in contact.
         contact_depth: maximum penetration of each pair.
         tool_clearance_min, robot_clearance_min: minimum clearance to obstacles; None: no obstacle.
-        requested_clearance, achievable_clearance: see `achievable_clearance_of`.
+        requested_clearance: clearance that the task requests.
+        achievable_clearance: see `achievable_clearance_of`.
         resting_clearance_min: minimum clearance of the tool to resting obstacles; None: no such
             obstacle.
-        clearance_shortfall: achievable clearance less `resting_clearance_min`, at least 0.
+        clearance_shortfall: achievable clearance minus `resting_clearance_min`, at least 0.
         goal_error: distance to the goal at the end of the motion or at rest, whichever is larger.
         orientation_error: angle to the goal's orientation at rest; only if the tool turns.
         torque_saturation: fraction of logged instants with a joint at its effort limit.
-        duration, path_length: of the motion.
+        duration: time from start to termination of the motion.
+        path_length: length of the path of the tool point.
         out_of_range: fraction of observations beyond the training range of the regressor chain.
         inference: "Verified" or "Paper"; None for the nominal motion.
         predicted_shortfall, clearance_reduction: maxima of the logged values; None unless verified.
-        sources, guard_actions, guard_claims: fraction of the moving time by source of the motion,
-            by action of the motion guard, and by claim that limits the speed.
+        sources, guard_actions, guard_claims: fraction of the duration by source of the motion, by
+            action of the motion guard, and by claim that limits the speed.
         decision_latency, guard_latency: `latency_statistics` of the layers; None: no latency.
         stop_reason, ended, settled: termination, see `MotionLog`.
-        events, supervision: holds and notes of the policy; actions and reasons of the guard.
+        events: holds of the policy with reasons and notes.
+        supervision: actions of the motion guard with reasons.
 
     Args:
         scenario: configuration of the run.
@@ -111,19 +116,19 @@ def motion_report(
         min_clearance(metrics.resting_clearance),
         min_clearance(metrics.robot_clearance),
     )
-    short = 0.0 if resting is None else max(achievable_clearance - resting, 0.0)
-    verified = log.inference == "Verified"
-    measured = nearest is not None or not isinstance(scenario.perception, LcmCamera)
+    shortfall = 0.0 if resting is None else max(achievable_clearance - resting, 0.0)
+    is_verified = log.inference == "Verified"
+    is_measured = nearest is not None or not isinstance(scenario.perception, LcmCamera)
     return {
-        "collisions": len(metrics.contacts) if measured or metrics.contacts else None,
+        "collisions": len(metrics.contacts) if is_measured or metrics.contacts else None,
         **{name: list(getattr(metrics, name)) for name in _CONTACTS},
         "contact_depth": metrics.contact_depth,
         "tool_clearance_min": min_clearance(metrics.tool_clearance),
         "robot_clearance_min": nearest,
         "requested_clearance": scenario.task.clearance,
-        "achievable_clearance": achievable_clearance if measured else None,
+        "achievable_clearance": achievable_clearance if is_measured else None,
         "resting_clearance_min": resting,
-        "clearance_shortfall": short if measured else None,
+        "clearance_shortfall": shortfall if is_measured else None,
         "goal_error": _goal_error(scenario, log, metrics.p_WE),
         **_orientation(scenario, log),
         "torque_saturation": float(log.saturated[log.moving].mean()) if len(log.t) else 0.0,
@@ -131,13 +136,13 @@ def motion_report(
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
         "inference": log.inference or None,
-        "predicted_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
+        "predicted_shortfall": float(log.shortfall.max(initial=0.0)) if is_verified else None,
         "clearance_reduction": float(log.clearance_reduction.max(initial=0.0))
-        if verified
+        if is_verified
         else None,
-        "sources": shares(log, log.motion_source, SOURCES) if verified else None,
-        "guard_actions": shares(log, log.guard_action, ACTIONS),
-        "guard_claims": shares(log, log.guard_claim, CLAIMS),
+        "sources": time_fractions(log, log.motion_source, SOURCES) if is_verified else None,
+        "guard_actions": time_fractions(log, log.guard_action, ACTIONS),
+        "guard_claims": time_fractions(log, log.guard_claim, CLAIMS),
         **{
             key: latency_statistics(layer_latencies(log, layer), period)
             for layer, key in _LATENCY_KEYS.items()
@@ -160,7 +165,7 @@ def _rows(**columns: Sequence[object]) -> list[dict[str, object]]:
 
 
 def latency_statistics(latencies: ArrayLike, period: float) -> dict[str, float] | None:
-    """Returns {median, p99, max [s], fraction_over_period, count} of decision latencies.
+    """Computes {median, p99, max [s], fraction_over_period, count} of decision latencies.
 
     Args:
         latencies: latencies of decisions [s].
@@ -183,11 +188,12 @@ def latency_statistics(latencies: ArrayLike, period: float) -> dict[str, float] 
 
 def layer_latencies(log: MotionLog, layer: str = "verification") -> FloatArray:
     """Returns the latencies of the decisions that a layer started during the motion [s]."""
-    of_layer = np.array(log.decision_layer, dtype=str) == layer
-    return log.decision_latency[of_layer & (log.decision_time <= log.duration)]
+    is_of_layer = np.array(log.decision_layer, dtype=str) == layer
+    return log.decision_latency[is_of_layer & (log.decision_time <= log.duration)]
 
 
 def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
+    """Returns the orientation error at rest [rad] by its key; {} if the orientation is constant."""
     if not len(log.desired_orientation):
         return {}
     desired = Rotation.from_quat(log.desired_orientation[-1], scalar_first=True)
@@ -198,13 +204,15 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
-    reached = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
-    times = (log.duration, log.simulated_time)[: len(reached)]
+    """Returns the larger distance of the tool to the goal: at termination or at rest [m]."""
+    ends = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
+    times = (log.duration, log.simulated_time)[: len(ends)]
     goals = np.array([goal_at(scenario.task, time) for time in times])
-    return float(np.linalg.norm(reached - goals, axis=1).max())
+    return float(np.linalg.norm(ends - goals, axis=1).max())
 
 
 def _given(scenario: Scenario) -> EllipsoidSet:
+    """Returns the ellipsoids that a scenario specifies as its obstacles; empty without any."""
     source = scenario.perception
     return given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
 
@@ -215,11 +223,11 @@ def min_clearance(clearance: FloatArray) -> float | None:
     return minimum if math.isfinite(minimum) else None
 
 
-def shares(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str, float]:
-    """Returns the fraction of the moving time of each name, from logged codes."""
+def time_fractions(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str, float]:
+    """Returns the fraction of a motion's instants by name, from logged row numbers of the names."""
     codes = codes[log.moving] if len(codes) else codes
-    found = {name: float(np.mean(codes == code)) for code, name in enumerate(names) if len(codes)}
-    return {name: share for name, share in found.items() if share > 0.0 and name}
+    shares = {name: float(np.mean(codes == code)) for code, name in enumerate(names) if len(codes)}
+    return {name: share for name, share in shares.items() if share > 0.0 and name}
 
 
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
@@ -258,6 +266,7 @@ _COLUMNS = (
     Column("source", "motion source"),
     Column("stop_reason", "termination"),
 )
+"""Rows of the printed report, which `drake-oa run --help` explains."""
 
 
 def report_table(report: dict[str, Any]) -> TextTable:
@@ -267,9 +276,9 @@ def report_table(report: dict[str, Any]) -> TextTable:
     """
     rows = []
     for motion in ("nominal", "avoiding"):
-        if found := report.get(motion):
-            sources = [f"{name} {share:.0%}" for name, share in (found["sources"] or {}).items()]
-            rows.append({"motion": motion, "source": ", ".join(sources) or None, **found})
+        if metrics := report.get(motion):
+            sources = [f"{name} {share:.0%}" for name, share in (metrics["sources"] or {}).items()]
+            rows.append({"motion": motion, "source": ", ".join(sources) or None, **metrics})
     notes = dict.fromkeys(note for row in rows for note in _notes(row["motion"], row))
     return TextTable(_COLUMNS, rows, list(notes), transposed=True)
 

@@ -1,4 +1,4 @@
-"""Checks of a scenario that require its diagram, and the clearances at start and goal."""
+"""Checks that require the diagram of a scenario, and its clearances at start and goal."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
 
 
-def unbuildable(scenario: Scenario) -> list[str]:
-    """Returns the errors of building a scenario, a line each: world, both ends, all layers."""
+def build_problems(scenario: Scenario) -> list[str]:
+    """Returns the errors of building a scenario: world, start and goal, and diagram."""
     steps: list[Callable[[], object]] = [lambda: build_avoidance(scenario)]
     if scenario.robot is not None:
         steps = [
@@ -27,20 +27,20 @@ def unbuildable(scenario: Scenario) -> list[str]:
             lambda: end_positions(scenario),
             *steps,
         ]
-    found: dict[str, None] = {}
+    errors: dict[str, None] = {}
     for step in steps:
         try:
             step()
         except (ScenarioError, RuntimeError, OSError) as error:
-            found[str(error)] = None
-    return list(found)
+            errors[str(error)] = None
+    return list(errors)
 
 
 def end_contacts(scenario: Scenario) -> str:
-    """Returns one line that names contacts which make a motion impossible; "" without any.
+    """Returns one line with the contacts that exclude a motion; "" without any.
 
-    Those are contacts of the robot at the start, and of the tool at the goal: there the arm may
-    take another posture, and moving obstacles may have left.
+    They are contacts of the robot at the start, and of the tool with resting obstacles at the goal.
+    At the goal the arm may have another configuration, and moving obstacles another position.
     """
     if scenario.robot is None:
         return ""
@@ -54,9 +54,9 @@ def end_contacts(scenario: Scenario) -> str:
     ]
     pairs = {"start": (*start.contacts, *start.self_contacts), "goal": at_goal}
     return "; ".join(
-        f"task.{end}: contact of {', '.join(found)}; move it or the obstacle"
-        for end, found in pairs.items()
-        if found
+        f"task.{end}: contact of {', '.join(names)}; move it or the obstacle"
+        for end, names in pairs.items()
+        if names
     )
 
 
@@ -70,26 +70,27 @@ _COLUMNS = (
     Column("end", ""),
     Column("tool", "tool clearance [m]", "{:.3f}"),
     Column("robot", "robot clearance [m]", "{:.3f}"),
-    Column("touches", side="left"),
+    Column("contacts", side="left"),
 )
+"""Columns of the table of start and goal."""
 
 
 def end_table(scenario: Scenario) -> TextTable:
     """Returns a table of clearances and contacts at start and goal.
 
-    The notes name the requested clearance, and the feasible one if it is less.
+    Its notes state the requested clearance, and the achievable one if that is less.
     """
     rows = [
         {
             "end": name,
             "tool": at.tool_clearance[0],
             "robot": at.robot_clearance[0],
-            "touches": ", ".join((*at.contacts, *at.self_contacts)) or "nothing",
+            "contacts": ", ".join((*at.contacts, *at.self_contacts)) or "none",
         }
         for name, at in zip(("start", "goal"), _ends(scenario), strict=True)
     ]
-    requested, feasible = scenario.task.clearance, achievable_clearance_of(scenario)
+    requested, achievable = scenario.task.clearance, achievable_clearance_of(scenario)
     notes = [f"requested clearance: {requested:g} m"]
-    if feasible < requested - 1e-4:
-        notes.append(f"start and goal leave {feasible:.3f} m: there is no more to be kept")
+    if achievable < requested - 1e-4:
+        notes.append(f"achievable clearance: {achievable:.3f} m, limited by start or goal")
     return TextTable(_COLUMNS, rows, notes)

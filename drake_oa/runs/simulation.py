@@ -38,32 +38,40 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at, last_move_time
 from drake_oa.world.station import release_cameras
 
-LONGEST_HOLD = 5.0
-"""Maximum duration of a hold after the last move of the goal; a longer one ends the motion [s]."""
-LONGEST_SCALING = 6.0
-"""Time limit of a motion, in demonstrated durations."""
-LATEST_END = 2.2
-"""Normalized time s at which a motion that has not arrived ends, unless it is verified to arrive
-later. After a move of the goal later than s = 1 it counts from that move."""
-_NOTHING = EventStatus.DidNothing()
-_GRACE = 0.2
-"""Delay of the arrival after the verified one at which a motion ends, in normalized time."""
-ARRIVED = Verified().tolerance
-"""Distance of the desired position to the goal below which a motion has arrived after s = 1 [m]."""
-STILL = 20.0
-"""Scaled velocity below which a motion has arrived, in `ARRIVED` by unit of normalized time."""
+MAX_HOLD_TIME = 5.0
+"""Duration of a hold, after the last move of the goal, that terminates the motion [s]."""
+MAX_TIME_SCALING = 6.0
+"""Time limit of a motion after the last move of the goal, in demonstrated durations."""
+MAX_NORMALIZED_TIME = 2.2
+"""Normalized time s at which a motion that has not reached the goal terminates.
+
+A verified motion with a later arrival terminates later. A move of the goal after s = 1 delays the
+limit by the normalized time since s = 1.
+"""
+_CONTINUE = EventStatus.DidNothing()
+"""Status of the monitor while the simulation continues."""
+_ARRIVAL_DELAY = 0.2
+"""Delay after the verified arrival at which a motion terminates, in normalized time."""
+ARRIVAL_TOLERANCE = Verified().tolerance
+"""Distance to the goal below which the desired position has arrived [m]."""
+ARRIVAL_SPEED_RATIO = 20.0
+"""Maximum scaled velocity of an arrived motion over `ARRIVAL_TOLERANCE` [1]."""
 AT_GOAL = 5e-3
 """Distance of the tool point to the goal below which the tool is at the goal [m]."""
 AT_REST = 0.01
 """Joint speed below which a robot is at rest [rad/s, m/s]."""
 REST_TIME = 1.0
-"""Duration of rest of the whole world after which a run ends [s]."""
-LONGEST_SETTLING = 5.0
-"""Time after the end of the motion and of all trajectories at which a run ends without rest [s]."""
+"""Duration of rest of the whole world after which the simulation ends [s]."""
+MAX_SETTLING_TIME = 5.0
+"""Time after motion and trajectories at which the simulation ends without rest [s]."""
 
 
 class MotionInterruptedError(RuntimeError):
-    """Interrupted simulation; `log` is the log until the interruption."""
+    """Interruption of a simulation by an exception or a signal.
+
+    Attributes:
+        log: log until the interruption.
+    """
 
     def __init__(self, log: MotionLog) -> None:
         super().__init__(log.stop_reason)
@@ -78,20 +86,23 @@ class MotionOutcome(NamedTuple):
 
     @property
     def may_continue(self) -> bool:
-        """Whether the motion may continue: it was stopped or held."""
+        """Whether the motion may still continue, because it was stopped or held."""
         return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
 
-AT_THE_GOAL = MotionOutcome(MotionEnd.GOAL, "goal")
+GOAL_OUTCOME = MotionOutcome(MotionEnd.GOAL, "goal")
+"""Outcome of a motion that has reached the goal."""
 
 
 EVENT = ("event_time", "event_hold", "event")
+"""Keys of the notes of the policy in a log."""
 _SUPERVISION = ("supervision_time", "supervision_action", "supervision_reason")
+"""Keys of the supervision by the motion guard in a log."""
 T = TypeVar("T")
 
 
 def _reader(diagram: Diagram, system: str, port: str, default: T) -> Callable[[Context], T]:
-    """Creates the function that evaluates an output port from the Context of the diagram.
+    """Creates a function that evaluates an output port from the root Context of a diagram.
 
     Args:
         diagram: diagram that contains the system.
@@ -106,28 +117,42 @@ def _reader(diagram: Diagram, system: str, port: str, default: T) -> Callable[[C
 
 
 def motion_state(supervision: tuple[str, str], note: str) -> str:
-    """Returns the action of the motion guard, the reason of a hold, or "running"."""
+    """Returns the state of a motion in words: action of the guard, note of a hold, or "running"."""
     action, reason = supervision
     return note or "running" if action == "run" else f"motion guard: {action}, {reason}"
 
 
 class MotionMonitor:
-    """Monitor of a motion, for `Simulator.set_monitor`: records it and terminates the simulation.
+    """Monitor of a motion for `Simulator.set_monitor`: records it and ends the simulation.
 
-    The simulation continues after the end of the motion, until all obstacles have ended their
-    trajectories and the world has been at rest for `REST_TIME`, so that later contacts count. A
-    motion that was stopped or held and continues in the meantime has not ended.
+    After the motion has terminated, the simulation continues until all obstacles have ended their
+    trajectories and the world has been at rest for `REST_TIME`, so that later contacts count. If a
+    stopped or held motion continues in the meantime, it has not terminated.
+
+    =============  ===================================================================
+    `MotionEnd`    condition
+    =============  ===================================================================
+    GOAL           s > 1, the desired motion has arrived, and the tool is within `AT_GOAL`
+    STOPPED        the motion guard has stopped the motion
+    MISSED         s > `MAX_NORMALIZED_TIME` and the verified arrival, tool not within `AT_GOAL`
+    HELD           a hold longer than `MAX_HOLD_TIME`
+    TIME_LIMIT     the time limit
+    LEFT           after GOAL: the tool is not within `AT_GOAL` at the end of the simulation
+    =============  ===================================================================
 
     Attributes:
         frames: observations, in the order in which they became available.
         frame_times: times at which they became available [s].
-        out_of_range: number of obstacles beyond the training range of the chain, by observation.
+        out_of_range: for each observation, the number of obstacles beyond the training range of
+            the regressor chain.
         events: (time [s], reason of the hold, note) at each change of the policy's note.
         supervision: (time [s], action, reason) at each change of the guard's supervision.
         phase: canonical phase, from 1 down to 0.
-        outcome: termination of the motion; None before it.
-        motion_end: time of the termination [s]; NaN before it.
-        settled: whether the world has come to rest since.
+        outcome: termination of the motion; None while it continues.
+        motion_end: time of the termination [s]; NaN while the motion continues.
+        settled: whether the world has come to rest after the termination.
+        world_end: time after which neither obstacles, goal nor faults change [s].
+        latest_time: time at which the simulation ends in any case [s].
         num_positions: number of positions of the station's plant; 0 without a robot.
     """
 
@@ -138,15 +163,16 @@ class MotionMonitor:
         duration: float | None = None,
         on_step: OnStep = lambda monitor, root: None,
     ) -> None:
-        """Finds the systems to monitor.
+        """Connects the monitor to the systems of a diagram.
 
         Args:
             diagram: diagram with a `dmp_integrator`; other systems of `build_avoidance` are
                 optional.
             scenario: configuration of the diagram.
-            duration: time at which the simulation ends in any case [s]; None: the motion ends
-                after `LONGEST_SCALING` demonstrated durations from the last move of the goal, and
-                the simulation at most `LONGEST_SETTLING` after that and after all trajectories.
+            duration: time at which the simulation ends in any case [s]; None: the time limit of
+                the motion is `MAX_TIME_SCALING` demonstrated durations after the last move of the
+                goal. The simulation then ends at most `MAX_SETTLING_TIME` after that limit and
+                all trajectories.
             on_step: function that is called after each evaluation with the monitor and the root
                 Context.
         """
@@ -158,8 +184,8 @@ class MotionMonitor:
         # With MotionVerifier the chain only proposes, and is evaluated only for a search.
         chain = "" if diagram.HasSubsystemNamed("motion_verifier") else "regressor_chain"
         self._coupling = _reader(diagram, chain, "coupling_parameters", CouplingParameters())
-        described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
-        source = "ellipsoid_descriptor" if described else "perception"
+        has_descriptor = diagram.HasSubsystemNamed("ellipsoid_descriptor")
+        source = "ellipsoid_descriptor" if has_descriptor else "perception"
         self._ellipsoids = _reader(diagram, source, "ellipsoids_W", EllipsoidSet())
         self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
@@ -167,24 +193,24 @@ class MotionMonitor:
         self.phase = 1.0
         self._next_time = 0.0
         self._last_move = last_move_time(scenario.task)
-        usual = make_dmp(scenario).duration * LONGEST_SCALING + self._last_move
-        self._end_time = usual if duration is None else duration
+        time_limit = make_dmp(scenario).duration * MAX_TIME_SCALING + self._last_move
+        self._end_time = time_limit if duration is None else duration
         self._goal = goal_at(scenario.task, self._last_move)
-        self._latest_end = LATEST_END
-        self._held_since: float | None = None
+        self._latest_end = MAX_NORMALIZED_TIME
+        self._hold_start: float | None = None
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
         self.events: list[tuple[float, HoldReason, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
-        self._decided, self._noted = ("run", ""), ""
+        self._last_supervision, self._last_note = ("run", ""), ""
         self.outcome: MotionOutcome | None = None
         self.motion_end = math.nan
         self.settled = False
         self._rest_since = math.inf
         self.world_end = _last_change(scenario, self._end_time)
-        settled = max(self._end_time, self.world_end) + LONGEST_SETTLING
-        self.latest_time = settled if duration is None else duration
+        latest_time = max(self._end_time, self.world_end) + MAX_SETTLING_TIME
+        self.latest_time = latest_time if duration is None else duration
         self._plant, self.num_positions = None, 0
         if scenario.robot is not None:
             self._plant = diagram.GetSubsystemByName("plant")
@@ -193,9 +219,10 @@ class MotionMonitor:
             self._robot = self._tool_frame.model_instance()
 
     def __call__(self, root: Context) -> EventStatus:
+        """Records the present state, and terminates the simulation when the world is at rest."""
         now = root.get_time()
         if now < self._next_time:
-            return _NOTHING
+            return _CONTINUE
         # The policy steps once a period, and the monitor is evaluated right after each step.
         self._next_time = now + 0.9 * self._period
         policy = self._policy(root)
@@ -216,10 +243,10 @@ class MotionMonitor:
             return EventStatus.ReachedTermination(
                 self._diagram, self.outcome.reason if self.outcome else ""
             )
-        return _NOTHING
+        return _CONTINUE
 
     def positions(self, root: Context) -> tuple[FloatArray, FloatArray]:
-        """Returns (1, nq) positions of the robot and (1, n) of the world; without a robot n = 0."""
+        """Returns positions (1, nq) of the robot and (1, n) of the world; (1, 0): no robot."""
         if self._plant is None:
             return np.zeros((1, 0)), np.zeros((1, 0))
         context = self._plant.GetMyContextFromRoot(root)
@@ -235,61 +262,63 @@ class MotionMonitor:
         """Termination of the motion, the reason of its hold, or "running"."""
         if self.outcome:
             return f"terminated: {self.outcome.reason}"
-        return motion_state(self._decided, self._noted)
+        return motion_state(self._last_supervision, self._last_note)
 
     def finish(self, root: Context) -> None:
-        """Sets the outcome of a motion that the end of the simulation terminates or changes."""
+        """Sets the outcome at the end of the simulation: time limit, or goal left."""
         if not self.outcome:
             self.outcome, self.motion_end = self._time_limit(), self._end_time
         error = self._goal_error(root)
-        if self.outcome == AT_THE_GOAL and error > AT_GOAL:
+        if self.outcome == GOAL_OUTCOME and error > AT_GOAL:
             self.outcome = MotionOutcome(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
 
     def _time_limit(self) -> MotionOutcome:
+        """Returns the outcome of a motion that the time limit terminates."""
         return MotionOutcome(MotionEnd.TIME_LIMIT, f"time limit of {self._end_time:g} s")
 
     def _find_outcome(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> MotionOutcome | None:
-        """Returns the outcome of the motion; None while it continues."""
+        """Returns the outcome of the motion by the table of the class; None: it continues."""
         s = normalized_time(policy.phase, self._alpha_k)
         if now <= self._last_move:
-            self._latest_end = LATEST_END + max(0.0, s - 1.0)
+            self._latest_end = MAX_NORMALIZED_TIME + max(0.0, s - 1.0)
         elif (
             s >= 1.0 - 1e-9
             and _has_arrived(policy, self._goal)
             and self._goal_error(root) <= AT_GOAL
         ):
-            return AT_THE_GOAL
+            return GOAL_OUTCOME
         if supervision.action == "stop" and policy.speed == 0.0:
             return MotionOutcome(MotionEnd.STOPPED, f"stopped: {supervision.reason}")
         is_late = now > self._last_move and s >= self._latest_end
-        if is_late and s >= self._verified_end(root) + _GRACE:
+        if is_late and s >= self._verified_end(root) + _ARRIVAL_DELAY:
             error = self._goal_error(root)
             if error <= AT_GOAL:
                 # The coupling terms of `!Paper` act near the goal, so the motion creeps there.
-                return AT_THE_GOAL
+                return GOAL_OUTCOME
             return MotionOutcome(
                 MotionEnd.MISSED, f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}"
             )
         if (
-            self._held_since is not None
-            and now - max(self._held_since, self._last_move) > LONGEST_HOLD
+            self._hold_start is not None
+            and now - max(self._hold_start, self._last_move) > MAX_HOLD_TIME
         ):
-            why = f"held for {LONGEST_HOLD:g} s: {policy.note}"
-            return MotionOutcome(MotionEnd.HELD, why)
+            reason = f"held for {MAX_HOLD_TIME:g} s: {policy.note}"
+            return MotionOutcome(MotionEnd.HELD, reason)
         return self._time_limit() if now >= self._end_time else None
 
     def _update_settled(self, root: Context, now: float) -> None:
-        """Sets `settled` where nothing has moved for `REST_TIME` and nothing will.
+        """Sets `settled` if the motion has terminated and the world has been at rest long enough.
 
-        A motion that may continue settles after `LONGEST_HOLD`: a decision may need seconds.
+        That is `REST_TIME`, or `MAX_HOLD_TIME` for a motion that may continue, because a decision
+        may have a compute latency of seconds.
         """
         if now < self.world_end or not self.outcome or self._max_speed(root) > AT_REST:
             self._rest_since, self.settled = math.inf, False
             return
         self._rest_since = min(self._rest_since, now)
-        rest = LONGEST_HOLD if self.outcome.may_continue else REST_TIME
+        rest = MAX_HOLD_TIME if self.outcome.may_continue else REST_TIME
         self.settled = now - self._rest_since >= rest
 
     def _max_speed(self, root: Context) -> float:
@@ -309,38 +338,40 @@ class MotionMonitor:
         return p_WE
 
     def _goal_error(self, root: Context) -> float:
+        """Returns the distance of the tool point to the last position of the goal [m]."""
         return math.dist(self.tool_point(root), self._goal)
 
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
-        if policy.note != self._noted:
-            self._noted = policy.note
+        """Records changes of note and supervision, the start of a hold, and new observations."""
+        if policy.note != self._last_note:
+            self._last_note = policy.note
             self.events.append((now, policy.hold, policy.note))
-        decided = supervision.action, supervision.reason
-        if decided != self._decided:
-            self._decided = decided
-            self.supervision.append((now, *decided))
+        current = supervision.action, supervision.reason
+        if current != self._last_supervision:
+            self._last_supervision = current
+            self.supervision.append((now, *current))
         if policy.hold in (HoldReason.NONE, HoldReason.DECIDING):
-            self._held_since = None
-        elif self._held_since is None:
-            self._held_since = now
-        seen = self._ellipsoids(root)
-        if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
-            self.frames.append(seen)
+            self._hold_start = None
+        elif self._hold_start is None:
+            self._hold_start = now
+        frame = self._ellipsoids(root)
+        if frame.stamp > -math.inf and (not self.frames or frame.stamp != self.frames[-1].stamp):
+            self.frames.append(frame)
             self.frame_times.append(now)
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _verified_end(self, root: Context) -> float:
-        """Returns the normalized time at which the verified motion arrives; 0: none is verified."""
+        """Returns the normalized time of the verified arrival; 0: there is none."""
         motion = self._motion(root)
-        if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
+        if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVAL_TOLERANCE:
             return 0.0
         return float(motion.s[-1])
 
 
 def _last_change(scenario: Scenario, end_time: float) -> float:
-    """Returns the end of all trajectories, pushes, moves of the goal and temporary faults [s]."""
+    """Returns the time of the last change of obstacles, goal and temporary faults [s]."""
     changes = [last_change(scenario.obstacles), last_move_time(scenario.task)]
     for fault in scenario.faults:
         if isinstance(fault, Push):
@@ -353,12 +384,13 @@ def _last_change(scenario: Scenario, end_time: float) -> float:
 
 
 def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
+    """Checks whether the desired position is at the goal (3,) [m] and almost at rest."""
     error, speed = math.dist(policy.p_WE, goal), math.hypot(*policy.z_W)
-    return error < ARRIVED and speed < STILL * ARRIVED
+    return error < ARRIVAL_TOLERANCE and speed < ARRIVAL_SPEED_RATIO * ARRIVAL_TOLERANCE
 
 
 OnStep = Callable[[MotionMonitor, Context], None]
-"""Function of a monitor and the root Context of its diagram."""
+"""Function that is called once a period with the monitor and the root Context."""
 
 
 def simulate(
@@ -372,15 +404,10 @@ def simulate(
     customize: Callable[[SignalBuilder], None] | None = None,
     diagram: Diagram | None = None,
 ) -> MotionLog:
-    """Simulates one motion of a scenario until the world is at rest.
+    """Simulates one motion of a scenario until it has terminated and the world is at rest.
 
-    The motion ends at the goal, by a stop, a long hold or its time limit (`motion_end` of the
-    log). The simulation then continues until all obstacles have ended their trajectories and the
-    world has been at rest for `REST_TIME`; a motion that was stopped or held may continue.
-
-    The goal is reached when s > 1, the desired motion has arrived at the last position of the goal,
-    and the tool is within `AT_GOAL` of it. A motion that has not arrived by `LATEST_END` ends
-    there. `MotionEnd` lists the terminations, `stop_reason` of the log has one in words.
+    `MotionMonitor` has the table of terminations. In the log, `motion_end` is the time of the
+    termination, `ended` its kind, and `stop_reason` its reason in words.
 
     Args:
         scenario: configuration of the diagram.
@@ -388,14 +415,14 @@ def simulate(
         duration: time limit [s], see `MotionMonitor`.
         meshcat: viewer, or None.
         on_step: function that is called once a period of the policy, see `MotionMonitor`.
-        layers: as for `build_avoidance`.
-        customize: as for `build_avoidance`.
-        diagram: diagram that `build_avoidance` built from these; None: it is built.
+        layers: layers of the diagram, see `build_avoidance`.
+        customize: function that modifies the diagram, see `build_avoidance`.
+        diagram: result of `build_avoidance` with these arguments; None: it is built here.
 
     Raises:
         ScenarioError: naming the wrong field.
         MotionInterruptedError: if the simulation raised or was interrupted, with the log until
-            then and the cause.
+            then as `log` and the cause as `__cause__`.
     """
     if diagram is None:
         diagram = build_avoidance(
@@ -436,8 +463,8 @@ def run_motion(
         monitor.finish(simulator.get_context())
     except (Exception, KeyboardInterrupt) as error:
         failure, name = error, "" if isinstance(error, KeyboardInterrupt) else type(error).__name__
-        why = f"{name}: {error}".strip(": ") or "interrupted"
-        monitor.outcome, monitor.motion_end = MotionOutcome(MotionEnd.INTERRUPTED, why), math.nan
+        reason = f"{name}: {error}".strip(": ") or "interrupted"
+        monitor.outcome, monitor.motion_end = MotionOutcome(MotionEnd.INTERRUPTED, reason), math.nan
     finally:
         simulator.clear_monitor()
         release_cameras(simulator.get_system())
@@ -462,13 +489,21 @@ def collect_log(
     avoid_obstacles: bool,
     wall_time: float,
 ) -> MotionLog:
-    """Collects the log of a simulated motion until now, with the arguments of `run_motion`."""
+    """Creates the log of a motion from the log sinks and the monitor of its simulation.
+
+    Args:
+        scenario: configuration of the diagram.
+        simulator: simulator of the diagram.
+        monitor: monitor of the motion.
+        avoid_obstacles: value of this key in the log.
+        wall_time: wall-clock time of the simulation [s].
+    """
     diagram, outcome = (
         simulator.get_system(),
         monitor.outcome or MotionOutcome(MotionEnd.INTERRUPTED, ""),
     )
     t, signals = logged_signals(diagram, simulator.get_context())
-    return log_of(
+    return make_log(
         scenario,
         t,
         signals,
@@ -495,8 +530,8 @@ def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[st
     return dict(zip(names, (np.array(times, dtype=float), *texts), strict=True))
 
 
-def log_of(
-    scenario: Scenario, t: FloatArray, signals: dict[str, FloatArray], **facts: Any
+def make_log(
+    scenario: Scenario, t: FloatArray, signals: dict[str, FloatArray], **attributes: Any
 ) -> MotionLog:
     """Creates a log from signals; missing ones have the values of a nominal motion without holds.
 
@@ -504,8 +539,8 @@ def log_of(
         scenario: configuration of the run.
         t: (T,) instants [s].
         signals: values (T, n) by name; desired_position is required only without a robot.
-        facts: attributes of the log that are no signals; by default there were no observations,
-            events and changes of the supervision.
+        attributes: attributes of `MotionLog` that are no signals; observations, events and
+            changes of the supervision may be omitted if there are none.
     """
     count = len(t)
     none, still = np.zeros((count, 0)), np.zeros((count, 3))
@@ -531,7 +566,7 @@ def log_of(
         "tracking_error": zero + math.nan,
         **signals,
     }
-    known = {item.name for item in fields(MotionLog)}
+    keys = {item.name for item in fields(MotionLog)}
     return MotionLog(
         t=t,
         q=q,
@@ -544,10 +579,10 @@ def log_of(
         seed=scenario.seed,
         versions=tuple(map(" ".join, software_versions().items())),
         **vars(limits),
-        **facts,
+        **attributes,
         **{
             name: values[:, 0] if values.shape[1] == 1 else values
             for name, values in series.items()
-            if name in known
+            if name in keys
         },
     )

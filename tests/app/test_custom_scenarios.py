@@ -32,7 +32,7 @@ def test_a_new_scenario_has_no_errors_and_moves(capsys: pytest.CaptureFixture[st
     assert main(["check", "mine.scenario.yaml", "--plot", "mine.png"]) == 0
     out = capsys.readouterr().out
     assert "requested clearance: 0.1 m" in out
-    assert "of the space within 0.4 m of the arm is unseen" in out
+    assert "of the space within 0.4 m of the arm is unobserved" in out
     assert Path("mine.png").stat().st_size > 20_000
     log = simulate(load_scenario("mine.scenario.yaml"), duration=0.05)
     assert log.stop_reason == "time limit of 0.05 s"

@@ -46,7 +46,7 @@ def test_a_slider_that_is_moved_moves_the_arm() -> None:
         ticks(0.6)
         assert list(session.logs) == ["leg_1"]
         move("'goal z [m]'].setValue(0.45)")
-        while not session.homeward:
+        while not session.is_returning:
             session.tick()
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)
         assert page.evaluate("'post' in viewer.gui.__folders")

@@ -88,7 +88,7 @@ def test_a_run_that_is_stopped_leaves_the_motion_under_way(
         "        options['duration'] = 1e4\n"
         "        print('under way', flush=True)\n"
         "    return whole(scenario, **options)\n"
-        "simulation.simulate, simulation.LONGEST_HOLD = simulate, 1e4\n"
+        "simulation.simulate, simulation.MAX_HOLD_TIME = simulate, 1e4\n"
         "sys.exit(cli.main(['run', 'free_space', '--duration', '0.3', *sys.argv[1:]]))\n"
     )
     inside = "perception=!GivenEllipsoids {ellipsoids: [{center: [0, 0, 0]}]}"

@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from drake_oa.common.messages import HoldReason
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene
-from drake_oa.runs.simulation import LATEST_END, simulate
+from drake_oa.runs.simulation import MAX_NORMALIZED_TIME, simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
@@ -103,10 +103,12 @@ def test_a_motion_ends_when_it_has_arrived_not_before() -> None:
     empty = "perception=!GivenEllipsoids {}"
     late = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
     assert (late.stop_reason, late.inference) == ("goal", "Paper")
-    assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < LATEST_END
+    assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < MAX_NORMALIZED_TIME
     assert np.linalg.norm(late.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
     slow = simulate(load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty]))
-    assert -math.log(slow.phase[slow.moving][-1]) / 2.0 == pytest.approx(LATEST_END, abs=0.02)
+    assert -math.log(slow.phase[slow.moving][-1]) / 2.0 == pytest.approx(
+        MAX_NORMALIZED_TIME, abs=0.02
+    )
     left = slow.desired_position[slow.moving][-1] - [1.0, 0.0, 0.0]
     error = 1e3 * float(np.linalg.norm(left))
     assert error > 1.0

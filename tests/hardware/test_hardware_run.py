@@ -18,7 +18,7 @@ from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.hardware.command_streamer import STATUS_CHANNEL
 from drake_oa.hardware.hardware_station import hardware_scenario
 from drake_oa.hardware.robot_link import HardwareError, check_table
-from drake_oa.runs.hardware_run import drive, ready, station_log
+from drake_oa.runs.hardware_run import drive, prepare_hardware, station_log
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
 from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
@@ -28,7 +28,7 @@ from tests.test_systems import checked_systems
 
 def run(lockstep: Lockstep, duration: float | None = None) -> MotionLog:
     """Runs a scenario on the simulated station; returns the log of the commands."""
-    driven = ready(lockstep.scenario, lockstep.link)
+    driven = prepare_hardware(lockstep.scenario, lockstep.link)
     assert checked_systems(driven.diagram) >= {"CommandStream", "MeasuredState", "LiveCamera"}
     for _ in range(25):
         lockstep.step()

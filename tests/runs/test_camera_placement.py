@@ -4,14 +4,14 @@ import re
 
 import pytest
 
-from drake_oa.runs.camera_placement import LARGE_SHARE, view_note
+from drake_oa.runs.camera_placement import MAX_UNOBSERVED_FRACTION, view_note
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from tests.builders import unseen_near
 
 
 def test_the_cameras_of_a_moving_scenario_see_most_of_the_space():
     note = view_note(load_scenario("moving_obstacle"))
-    assert re.fullmatch(r"cameras: 1\d% of the space within 0.4 m of the arm is unseen", note)
+    assert re.fullmatch(r"cameras: 1\d% of the space within 0.4 m of the arm is unobserved", note)
 
 
 def test_nothing_is_said_without_cameras():
@@ -23,7 +23,7 @@ def test_a_suggested_place_leaves_as_much_as_it_says():
     note = view_note(scenario)
     before, after = (int(share) / 100 for share in re.findall(r"(\d+)%", note))
     assert before == pytest.approx(unseen_near(scenario), abs=0.005)
-    assert after < LARGE_SHARE < before
+    assert after < MAX_UNOBSERVED_FRACTION < before
     pose = re.search(r"X_PB: (\{.*\}) and segmentation", note)
     assert pose is not None
     text = scenario_text(scenario).replace("far: 2.5", "far: 3.5")

@@ -66,7 +66,7 @@ def test_changes_take_effect_and_impossible_ones_are_refused(
 
     # To the goal, and back.
     nearest = math.inf
-    while not session.homeward:
+    while not session.is_returning:
         session.tick()
         nearest = min(nearest, math.dist(session.tool_point(), [0.45, 0.3, 0.3]))
     assert nearest < 5e-3

@@ -66,7 +66,7 @@ def test_the_motion_is_the_modulated_one_unless_requested(straight_log: LogOf) -
     assert choose_motion(FILE, logs, "nominal") == "nominal"
     with pytest.raises(ValueError, match=r"run.npz has no motion 'x'; it has nominal, avoid"):
         choose_motion(FILE, logs, "x")
-    with pytest.raises(ValueError, match="ended before its first instant: interrupted"):
+    with pytest.raises(ValueError, match="terminated before its first instant: interrupted"):
         choose_motion(FILE, {"avoiding": straight_log(0, stop_reason="interrupted")}, None)
 
 
@@ -90,12 +90,12 @@ def test_the_world_is_posed_by_what_the_log_has(straight_log: LogOf) -> None:
     np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, found[2]), q[2])
     found = world_positions(plant, robot, straight_log(4, q=q, q_world=whole))
     np.testing.assert_array_equal(found, whole)
-    with pytest.raises(ValueError, match="was the robot's model changed"):
+    with pytest.raises(ValueError, match="use the robot model of the logged run"):
         world_positions(plant, robot, straight_log(4, q=q[:, :7]))
 
 
 def test_the_scenario_of_a_log_is_that_of_the_run(straight_log: LogOf) -> None:
     log = straight_log(scenario=scenario_text(load_scenario("tabletop_box", ["table_height=null"])))
     assert scenario_text(logged_scenario(FILE, log)) == log.scenario
-    with pytest.raises(ScenarioError, match=r"the scenario in run.npz \(made with drake_oa 0.1.0"):
+    with pytest.raises(ScenarioError, match=r"scenario in run.npz \(written by drake_oa 0.1.0"):
         logged_scenario(FILE, straight_log(scenario="sead: 3"))

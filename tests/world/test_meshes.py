@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drake_oa.runs.scenario_check import unbuildable
+from drake_oa.runs.scenario_check import build_problems
 from drake_oa.scenario.loading import load_scenario
 
 TETRAHEDRON = """
@@ -35,8 +35,8 @@ def test_mesh_relative_to_the_scenario_is_rendered_or_named_in_the_error(tmp_pat
     (tmp_path / "mesh.sdf").write_text(SDF)
     (tmp_path / "own.yaml").write_text(SCENARIO)
     (tmp_path / "mesh.obj").write_text(TETRAHEDRON.format(last=4))
-    assert unbuildable(load_scenario(str(tmp_path / "own.yaml"))) == []
+    assert build_problems(load_scenario(str(tmp_path / "own.yaml"))) == []
     (tmp_path / "mesh.obj").write_text("v 0 0 0\n")
-    (problem,) = unbuildable(load_scenario(str(tmp_path / "own.yaml")))
+    (problem,) = build_problems(load_scenario(str(tmp_path / "own.yaml")))
     assert problem.startswith("directives: ")
     assert "mesh.obj" in problem

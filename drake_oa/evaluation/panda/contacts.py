@@ -100,7 +100,7 @@ def _touches(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, An
     current: dict[str, dict[str, Any]] = {}
     for row, time in enumerate(log.t.tolist()):
         v = log.v[max(row - 1, 0)]
-        speeds, energy = evaluator.touches(log.q[row], v, log.q_world[row])
+        speeds, energy = evaluator.contact_speeds(log.q[row], v, log.q_world[row])
         for pair, speed in speeds.items():
             if pair not in current or time > current[pair]["end"] + _APART:
                 link, obstacle = pair.split(" - ")
@@ -122,7 +122,9 @@ def _touches(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, An
 
 def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray) -> bool:
     """Checks whether anything touches an arm that stays at q (nq,) at some of the times [s]."""
-    return any(evaluator.touches(q, 0.0 * q, evaluator.positions_at(time))[0] for time in times)
+    return any(
+        evaluator.contact_speeds(q, 0.0 * q, evaluator.positions_at(time))[0] for time in times
+    )
 
 
 def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: FloatArray) -> dict[str, bool]:

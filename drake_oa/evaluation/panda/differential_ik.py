@@ -308,7 +308,7 @@ def simulate_differential_ik(scenario: Scenario, duration: float | None = None) 
 
     Args:
         scenario: with a robot; its perception and inference are not used.
-        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
+        duration: time limit [s]; None: `MAX_TIME_SCALING` demonstrated durations.
 
     Returns:
         The log; `inference` is `METHOD`, and there are no observations.

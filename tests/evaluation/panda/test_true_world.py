@@ -54,7 +54,7 @@ def test_a_resting_arm_is_clear_until_the_obstacle_comes(scenario, world):
     touched = [
         row
         for row in range(count)
-        if evaluator.touches(q, np.zeros(len(q)), evaluator.positions_at(STEP * row))[0]
+        if evaluator.contact_speeds(q, np.zeros(len(q)), evaluator.positions_at(STEP * row))[0]
     ]
     assert 0 < clear < count
     # The spheres stick out by 5 mm, which the obstacle goes in 4 ms.
