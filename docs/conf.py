@@ -43,6 +43,7 @@ nb_execution_raise_on_error = True
 default_role = "code"
 html_theme = "furo"
 html_title = "drake_oa"
+autoclass_content = "both"
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
@@ -50,6 +51,7 @@ autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+napoleon_custom_sections = [("Keys", "params_style")]
 exclude_patterns = ["_build", "jupyter_execute"]
 # Code that cannot be parsed is not highlighted, classes of Drake are not linked, and headings may
 # skip levels.
@@ -146,18 +148,20 @@ def _convert_docstring(
 ) -> None:
     """Converts the lines of a docstring, written for the source, to reStructuredText in place.
 
-    Bars, as in norms, are escaped. In docstrings of modules an indented block becomes literal.
+    Bars, as in norms, are escaped. An indented block below a paragraph, such as a formula or a
+    table, becomes literal.
     """
     result: list[str] = []
     is_literal = False
     is_plain = what == "module" and not any(line.startswith(("..", ":", "==")) for line in lines)
     for line in lines:
-        last = result[-1] if result else ""
-        is_indented = line.startswith("    ") and is_plain
-        if is_indented and not is_literal and last.startswith(("In:", "Out:")):
+        last = next((each for each in reversed(result) if each), "")
+        is_below = bool(result) and not result[-1]
+        is_block = line.startswith("    ") and (is_plain or is_below) and last != ""
+        if is_block and not is_literal and last.startswith(("In:", "Out:")):
             result[-1] = f"{last} {line.strip()}"
             continue
-        if is_indented and not is_literal and last and not last.startswith((" ", "- ")):
+        if is_block and not is_literal and not last.startswith((" ", "- ", "..", ":")):
             result += [] if last.endswith("::") else ["", "::"]
             result.append("")
             is_literal = True
