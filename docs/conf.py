@@ -158,7 +158,7 @@ def _convert_docstring(
         last = next((each for each in reversed(result) if each), "")
         is_below = bool(result) and not result[-1]
         is_block = line.startswith("    ") and (is_plain or is_below) and last != ""
-        if is_block and not is_literal and last.startswith(("In:", "Out:")):
+        if is_block and not is_literal and not is_below and last.startswith(("In:", "Out:")):
             result[-1] = f"{last} {line.strip()}"
             continue
         if is_block and not is_literal and not last.startswith((" ", "- ", "..", ":")):
