@@ -1,14 +1,14 @@
 """Reactive obstacle avoidance as Drake systems (Pairet et al., RA-L 2019).
 
-`from drake_oa import DepthPerception` finds each layer's system, from the folder of its layer;
-it is imported when it is asked for.
+`from drake_oa import DepthPerception` imports the system of a layer from its module, at the first
+access.
 """
 
 from importlib import import_module as _import_module
 
 from drake_oa.common.numba_tools import pin_processor_target as _pin_processor_target
 
-# Before any module that compiles is imported.
+# This must precede the import of every module with compiled functions.
 _pin_processor_target()
 
 _SYSTEMS = {
@@ -30,12 +30,13 @@ _SYSTEMS = {
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
-"""Class -> its module below this package."""
+"""Class of a system -> its module in this package."""
 
 __all__ = list(_SYSTEMS)
 
 
 def __getattr__(name: str) -> type:
+    """Imports the class of a system."""
     if name not in _SYSTEMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     system: type = getattr(_import_module(f"{__name__}.{_SYSTEMS[name]}"), name)
@@ -43,4 +44,5 @@ def __getattr__(name: str) -> type:
 
 
 def __dir__() -> list[str]:
+    """Returns the names of the package, with those of the systems."""
     return [*globals(), *_SYSTEMS]

@@ -1,10 +1,9 @@
-"""Real-time factors of scenarios, and the wall time of each system.
+"""Real-time factors of scenarios, and wall times of their systems.
 
-The real-time factor is that of `drake-oa run`. The wall time of the systems is measured in another
-run, in which each callback that a Python system declares is timed. Time in other Python systems,
-whose ports a callback evaluates, belongs to these, so that nothing counts twice. Drake's systems
-that are computed on demand, as an image of a camera without delay, belong to the system that
-demands them; the rest is plant, Simulator and logs.
+The real-time factor is that of `drake-oa run`. A second run times each callback of the Python
+systems. If a callback evaluates a port of another Python system, the time of that evaluation counts
+for the other system only. Drake's systems are part of the Python system that evaluates their
+ports, for example a camera without delay; the remainder is plant, Simulator and logs.
 """
 
 from __future__ import annotations
@@ -26,43 +25,43 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
 
 REMAINDER = "plant, Simulator and logs"
-"""Name of what is outside all Python systems."""
+"""Name of the wall time outside the callbacks of all Python systems."""
 _WARMUP = 0.1
-"""Simulated time that compiles or loads the kernels and the renderer [s]."""
+"""Simulated duration of the warm-up, which loads kernels and renderer [s]."""
 
 
 def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) -> dict[str, Any]:
-    """Times runs.
+    """Measures the real-time factor and the wall times of the systems of scenarios.
 
     Args:
-        scenarios: name -> scenario.
-        seconds: simulated time of a run [s].
+        scenarios: scenarios by name.
+        seconds: simulated duration of each run [s].
 
     Returns:
-        `machine`, `versions` and `scenarios`: name -> {"run": {`real_time_factor`, `layers` (system
-        -> wall time of a simulated second [s])}}.
+        `machine`, `versions` and `scenarios`: name -> {"run": {`real_time_factor`, `layers`: system
+        -> wall time per simulated second [s/s]}}.
     """
-    found: dict[str, dict[str, Any]] = {}
+    metrics: dict[str, dict[str, Any]] = {}
     for name, scenario in scenarios.items():
         simulate(scenario, duration=_WARMUP)
         log = simulate(scenario, duration=seconds)
-        with timed_systems() as spent:
+        with timed_systems() as wall_times:
             timed = simulate(scenario, duration=seconds)
-        spent[REMAINDER] = max(0.0, timed.wall_time - sum(spent.values()))
-        longest_first = sorted(spent, key=spent.__getitem__, reverse=True)
-        layers = {of: spent[of] / timed.simulated_time for of in longest_first}
+        wall_times[REMAINDER] = max(0.0, timed.wall_time - sum(wall_times.values()))
+        longest_first = sorted(wall_times, key=wall_times.__getitem__, reverse=True)
+        layers = {of: wall_times[of] / timed.simulated_time for of in longest_first}
         factor = log.simulated_time / log.wall_time
-        found[name] = {"run": {"real_time_factor": factor, "layers": layers}}
+        metrics[name] = {"run": {"real_time_factor": factor, "layers": layers}}
     return {
         "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
         "versions": software_versions(),
-        "scenarios": found,
+        "scenarios": metrics,
     }
 
 
 def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
-    """Returns the figures of `run_benchmark` as a table with a column for each scenario."""
-    runs = {name: found["run"] for name, found in metrics["scenarios"].items()}
+    """Returns a table of the metrics of `run_benchmark`, with a column for each scenario."""
+    runs = {name: item["run"] for name, item in metrics["scenarios"].items()}
     rows = [{"name": name, **run, **run["layers"]} for name, run in runs.items()]
     layers = dict.fromkeys(of for run in runs.values() for of in run["layers"])
     columns = [
@@ -78,8 +77,8 @@ def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
 
 @contextmanager
 def timed_systems() -> Iterator[dict[str, float]]:
-    """Measures the wall time of each Python system that is created inside [s]."""
-    spent: dict[str, float] = defaultdict(float)
+    """Yields the wall times [s], by name, of the Python systems that are created in the block."""
+    wall_times: dict[str, float] = defaultdict(float)
     inner = [0.0]
     originals = {
         name: declare
@@ -93,15 +92,15 @@ def timed_systems() -> Iterator[dict[str, float]]:
                 if not inspect.isroutine(item):
                     return item
 
-                def call(*given: Any) -> Any:
-                    begun = time.perf_counter()
+                def call(*values: Any) -> Any:
+                    start = time.perf_counter()
                     inner.append(0.0)
                     try:
-                        return item(*given)
+                        return item(*values)
                     finally:
-                        whole = time.perf_counter() - begun
-                        # A system is named once it has declared all.
-                        spent[system.get_name()] += whole - inner.pop()
+                        whole = time.perf_counter() - start
+                        # A system has its name only after its construction.
+                        wall_times[system.get_name()] += whole - inner.pop()
                         inner[-1] += whole
 
                 return call
@@ -114,7 +113,7 @@ def timed_systems() -> Iterator[dict[str, float]]:
     try:
         for name, declare in originals.items():
             setattr(LeafSystem, name, timed(declare))
-        yield spent
+        yield wall_times
     finally:
         for name, declare in originals.items():
             setattr(LeafSystem, name, declare)

@@ -1,25 +1,30 @@
 """The command `drake-oa`.
 
-In: scenarios by name or file, logs, depth images, options; out: tables on stdout, messages,
-progress and errors on stderr, files that are named. Each command is a typed function: cyclopts
-reads its signature for the options and its docstring for the help, which is written for users.
+Inputs: scenarios by name or file, logs, depth images, options. Outputs: tables on stdout; messages,
+progress and errors on stderr; the files that options name. Each command is a typed function:
+cyclopts derives its options from the signature, and its help, which addresses users, from the
+docstring.
 
-    run                 both motions of a scenario, judged; a log, a report, a recording
-    replay, plot        a log, shown again and drawn; what demonstrations teach, drawn
-    scenarios, graph    what is shipped; how it is wired
+    run                 both motions of a scenario, with a report, a log and a recording
+    play                an interactive run in a browser
+    station             a simulated arm that communicates by the messages of the real one
+    replay, plot        replay and plot of a log
+    scenarios, new      the shipped scenarios, and a new one
+    check, graph        the errors and the diagram of a scenario
     perceive            table, clusters and ellipsoids of recorded frames
-    benchmark           real-time factors, layers, decisions (`drake_oa.benchmark`)
-    evaluate            methods on suites of scenes (`drake_oa.evaluation`); below it `panda`, `mbm`,
-                        `table1` and so on, the paper's tables and figures (`paper_tables`)
+    benchmark           real-time factors, and wall times of systems (`drake_oa.benchmark`)
+    evaluate            methods on suites of scenes (`drake_oa.evaluation`), with the subcommands
+                        `panda`, `mbm` and `sources`, and the paper's tables and figures
+                        (`paper_tables`)
     train               the networks (`drake_oa.training`)
 
-A module is imported when its command is asked for, and what computes when it is needed: `--help`
-and `scenarios` import neither NumPy nor Drake. Tables and progress are rich's on a terminal and
-plain text elsewhere (`drake_oa.common.console`).
+The module of a command is imported when the command is called, and numerical packages when they are
+needed: `--help` and `scenarios` import neither NumPy nor Drake. On a terminal rich formats tables
+and progress; elsewhere they are plain text (`drake_oa.common.console`).
 
-Exit statuses: 0 done, 1 failed (an avoiding motion that did not arrive or was in contact, a table
-that was not found, a file that could not be written), 2 bad input, told in one line "drake-oa:
-error: ..." (with --verbose after a traceback), 130 interrupted, 143 terminated.
+Exit statuses: 0 success; 1 failure (an avoiding motion that missed the goal or was in contact, an
+image without a table, a file that could not be written); 2 invalid input, reported in one line
+"drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted; 143 terminated.
 
-Read `main` first.
+Begin with `main.main`.
 """

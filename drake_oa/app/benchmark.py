@@ -1,4 +1,4 @@
-"""The command `drake-oa benchmark`."""
+"""Command `drake-oa benchmark`: computing times of scenarios and of their systems."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ def benchmark(
     seconds: Positive = 3.0,
     json: Path | None = None,
 ) -> None:
-    """Time runs: the real-time factor, and the wall time of each system in a simulated second.
+    """Measure the real-time factor of scenarios, and the wall time of each system.
+
+    The table has a column for each scenario and these rows:
+
+      real-time factor   simulated time over wall time of a run
+      SYSTEM [ms/s]      wall time of the system for each simulated second
+      plant, Simulator and logs [ms/s]
+                         wall time outside the Python systems
 
     For example:
 
@@ -30,8 +37,8 @@ def benchmark(
 
     Args:
         scenarios: a shipped name (see `drake-oa scenarios`) or a file; may be repeated.
-        seconds: simulated time of each run.
-        json: write the figures.
+        seconds: simulated duration of each run [s].
+        json: write the metrics to this file.
     """
     from drake_oa.benchmark import benchmark_table, run_benchmark
     from drake_oa.scenario.loading import load_scenario

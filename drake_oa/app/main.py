@@ -1,4 +1,4 @@
-"""`drake-oa`: its commands, its messages and its exit statuses."""
+"""Command line `drake-oa`: its commands, error messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
 from drake_oa.common.files import OutputError
 
 _HELP = """\
-Reactive obstacle avoidance for a manipulator, as Drake systems.
+Simulate, evaluate and execute reactive obstacle avoidance of robot arms, as Drake systems.
 
 For example:
 
@@ -30,8 +30,9 @@ For example:
     drake-oa run my.scenario.yaml --meshcat
     drake-oa replay drake_oa_runs/tabletop_box-20250131T120000Z.npz --meshcat
     drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
-    drake-oa graph tabletop_box > wiring.svg
+    drake-oa graph tabletop_box > layers.svg
 """
+"""Help text of the command line."""
 
 
 _COMMANDS = {
@@ -49,23 +50,25 @@ _COMMANDS = {
     "evaluate": "evaluate",
     "train": "train",
 }
-"""Command -> module of this package, where it is a function or an `App` of that name."""
+"""Name of a command -> module of this package with a function or an `App` of that name."""
 
 
 def _shown_default(value: Any) -> str | None:
+    """Returns the text of an option's default for the help; None: the help omits it."""
     if value is None or value is False or value == ():
         return None
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _versions() -> str:
+    """Returns the versions of drake_oa and Drake."""
     from importlib.metadata import version
 
     return f"drake-oa {version('drake_oa')} (drake {version('drake')})"
 
 
 def _app() -> App:
-    """Creates the commands; the module of each is imported when it is used."""
+    """Creates the command line; the module of a command is imported when it is used."""
     app = App(
         name="drake-oa",
         help=_HELP,
@@ -77,7 +80,7 @@ def _app() -> App:
     )
     app.register_install_completion_command(
         name="--install-completion",
-        help="complete commands and options in bash, zsh or fish",
+        help="install the completion of commands and options in bash, zsh or fish",
         add_to_startup=False,
     )
     for number, (name, module) in enumerate(_COMMANDS.items()):
@@ -86,10 +89,14 @@ def _app() -> App:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line; returns the exit status."""
+    """Runs the command line, and returns the exit status.
+
+    Args:
+        arguments: command and arguments; None: those of the process.
+    """
     tokens = sys.argv[1:] if arguments is None else list(arguments)
-    # Modules and diagrams are many objects that stay: searching them for garbage after every 700
-    # new ones would take a tenth of the start.
+    # Modules and diagrams have many permanent objects. With the default threshold of 700 new
+    # objects, garbage collection costs a tenth of the start time.
     gc.set_threshold(50_000)
     try:
         status = _run(tokens)
@@ -97,9 +104,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return status
     except (Exception, KeyboardInterrupt) as error:
         if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
-            # Of standard output, as `OutputError` has no number. Python flushes it again at exit.
+            # The error is of standard output, because `OutputError` has no errno. Python flushes
+            # standard output again at exit, so it must not be the broken pipe.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            # The reader of a pipe closes it on purpose.
+            # A closed pipe is no error: its reader needs no more output.
             if error.errno == errno.ENOSPC:
                 complain(f"cannot write to standard output: {error.strerror}")
             return FAILED
@@ -111,41 +119,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
             complain(f"{error} See drake-oa {' '.join([*words, '--help'])}")
             return BAD_INPUT
         if isinstance(error, ValueError | OSError):
-            logging.getLogger(__name__).info("where it happened", exc_info=True)
+            logging.getLogger(__name__).info("traceback of the error", exc_info=True)
             complain(str(error))
             return FAILED if isinstance(error, OutputError) else BAD_INPUT
         raise
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Returns whether Ctrl-C caused an error: compiled modules replace it by one of their own."""
+    """Checks whether Ctrl-C caused an error; compiled modules may raise another one instead."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 def _run(tokens: Sequence[str]) -> int:
-    """Parses the command line and calls the command; returns the exit status."""
+    """Parses the command line, calls the command, and returns the exit status."""
     app = _app()
     group = app["evaluate"] if "evaluate" in tokens else app
     if group is not app or not any(name in tokens for name in _COMMANDS):
-        # For the list of commands, the summary of each is read from its module.
+        # The list of commands has the summary of each, from its module.
         for name in group:
             group[name]
 
     @app.meta.default
     def launch(
         *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
-        verbose: Annotated[bool, Parameter(group=Group("With every command"))] = False,
+        verbose: Annotated[bool, Parameter(group=Group("Options of every command"))] = False,
     ) -> int:
         """Runs a command.
 
         Args:
-            words: the command and its arguments.
-            verbose: more messages, and a traceback with an error.
+            words: command and its arguments.
+            verbose: log messages of level INFO, and a traceback with an error.
         """
         level = logging.INFO if verbose else logging.WARNING
-        # Writes to the present stderr: a progress display may stand in for it.
+        # This handler writes to the present sys.stderr, which a progress bar may replace.
         handler = logging.lastResort or logging.StreamHandler()
         handler.setLevel(level)
         logging.basicConfig(format="%(levelname)s: %(message)s", level=level, handlers=[handler])
@@ -153,7 +161,7 @@ def _run(tokens: Sequence[str]) -> int:
         with _computing(command, level):
             return command(*bound.args, **bound.kwargs) or 0
 
-    # Cyclopts would exit without a word.
+    # By default, cyclopts exits without a message.
     app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
     status: int | None = app.meta(
         tokens, exit_on_error=False, print_error=False, result_action="return_value"
@@ -163,18 +171,18 @@ def _run(tokens: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
-    """Limits a command that computes to one BLAS thread, and announces compilation."""
+    """Limits BLAS to one thread during a command, and announces the compilation of kernels."""
     if command.__name__ in ("scenarios", "new"):
         yield
         return
-    # Loads pydrake, which sets the level of its log, and the libraries to be limited.
+    # This imports pydrake, which sets the level of its log, and the BLAS libraries.
     from threadpoolctl import threadpool_limits
 
     import drake_oa.scenario.loading  # noqa: F401
     from drake_oa.common.numba_tools import announced_compilation
 
     logging.getLogger("drake").setLevel(level)
-    # Many small matrices: more BLAS threads only wait for each other.
+    # With small matrices, more BLAS threads only wait for each other.
     with threadpool_limits(limits=1), announced_compilation():
         yield
 

@@ -1,7 +1,7 @@
-"""The command `drake-oa perceive`.
+"""Command `drake-oa perceive`: table, clusters and ellipsoids of recorded frames.
 
-Frames: C is the frame of the camera, or of the points of a cloud; W the world of X_WC. The tool is
-given in the orientation of W; all results are in C.
+C is the frame of the camera, or of the points of a cloud; W is the world frame of X_WC. The tool is
+described in the orientation of W; all results are in C.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from drake_oa.perception.recordings import RecordedFrame
 
 _ENCLOSED_TOLERANCE = 1e-9
-"""Excess of the gauge of a dilated point over 1 up to which the point counts as enclosed."""
+"""Tolerance of the gauge of a dilated point, which is at most 1 inside an ellipsoid [1]."""
 _REPEATS = 5
-"""Number of measurements of the time."""
+"""Number of time measurements, of which the median is reported."""
 
 
 def perceive(
@@ -38,46 +38,56 @@ def perceive(
     pose: tuple[float, float, float, float, float, float] | None = None,
     tool: Literal["panda", "none"] = "panda",
 ) -> int:
-    """Find table, clusters and ellipsoids in depth images and clouds.
+    """Find the table, clusters and their ellipsoids in depth images and clouds.
 
-    Finds the table (or floor), the clusters of points that stand on it, and for each cluster the
-    ellipsoid of least volume around its points dilated by the tool. Files, or folders of them:
+    The table (or floor) is the support plane. For each cluster of points above it, the ellipsoid
+    has the minimum volume around the points dilated by the tool. Files, or folders of them:
 
       .npz        depth (H, W) [m] and K = [fx, fy, cx, cy], or points (N, 3) [m];
                   optionally X_WC (4, 4)
       .pcd .ply   a cloud [m]
-      .png        16-bit depth, 0 where missing; with --intrinsics, or a file beside it:
-                  NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ... that holds
+      .png        16-bit depth, 0 where missing; with --intrinsics, or a file in the same folder
+                  (NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ...) with
                   fx, fy, cx, cy or K, camera_matrix (ROS), and optionally depth_scale
 
-    Frames: C is the camera's (x right, y down, z forward) or that of the cloud's points, W
-    the world of X_WC. Where X_WC is not known the table defines W: z along its normal, the
-    origin where the optical axis meets it, x along the camera's.
+    Frames: C is that of the camera (x right, y down, z forward) or of the points of a cloud, W the
+    world of X_WC. If X_WC is unknown, the table defines W: z along its normal, the origin at its
+    intersection with the optical axis, x along the x axis of the camera.
 
-    JSON: {"tool", "tool_W", "versions", "files": [...]}: tool_W holds the tool's corners [m]
-    about its reference point in the orientation of W. For each file, in meters and in frame C:
+    The table has a row for each cluster, and these columns:
 
-      file          its path
-      error         only if it cannot be used: why; then there is nothing else
+      file                   name of the file
+      plane rms [mm]         RMS distance of the points of the table to its plane
+      cluster                number of the cluster; none: no cluster was found
+      points                 number of pixels or points of the cluster
+      largest semi-axis [m]  largest semi-axis of the ellipsoid
+      inside                 all: the ellipsoid contains all dilated points; else NOT ALL
+      CPU time [ms]          processor time of the file, see milliseconds below
+
+    JSON: {"tool", "tool_W", "versions", "files": [...]}. tool_W are the corners of the tool [m]
+    about its reference point, in the orientation of W. For each file, in meters and in frame C:
+
+      file          path of the file
+      error         reason for which the file cannot be used; it then has no other keys
       size, K       [rows, columns] and [fx, fy, cx, cy] of an image; null for a cloud
-      count, valid  number of pixels or points, and of those that hold a measurement
-      X_WC          4 x 4 pose of C in W, given or from the table; null without a table
-      plane         normal (towards the free side), offset (normal . p = offset), rms (of
-                    the distances of its points); null when no table was found
-      clusters      the one that shows the largest surface first, each with
-        points      number of its pixels or points
-        mask        [[start, length], ...]: runs of its pixels by row-major index (row *
-                    columns + column), or of its points by their place in the file
-        ellipsoid   center, R (its columns are the principal axes), semi_axes (along
-                    these, largest first), around the cluster dilated by the tool
-        enclosed    whether every observed point, dilated by every corner of the tool, was
-                    found to be inside, up to 1e-9
-      milliseconds  processor time from the depth array to the ellipsoids, median of
-                    five; reading the file is not in it
-      note          empty, or why there is no plane
+      count, valid  number of pixels or points, and of those with a measurement
+      X_WC          4 x 4 pose of C in W, from the input or the table; null without a table
+      plane         normal (toward the free side), offset (normal . p = offset), rms (of the
+                    distances of its points); null without a table
+      clusters      clusters in the order of decreasing observed surface, each with
+        points      number of pixels or points
+        mask        [[start, length], ...]: runs of pixels by row-major index (row * columns +
+                    column), or of points by their row in the file
+        ellipsoid   center, R (its columns are the principal axes), semi_axes (along these, in
+                    decreasing order) of the ellipsoid around the cluster dilated by the tool
+        enclosed    whether the ellipsoid contains every observed point dilated by every corner
+                    of the tool, up to 1e-9
+      milliseconds  processor time from the depth array to the ellipsoids, without reading the
+                    file; median of five
+      note          reason for which there is no plane, or empty
 
-    Exit status: 0 when each file showed a table, 1 when one did not, 2 for bad input: then
-    the other files are processed all the same.
+    Exit status: 0 if each file has a table, 1 if one has none, 2 for invalid input; the other files
+    are processed in any case.
 
     For example:
 
@@ -87,12 +97,12 @@ def perceive(
 
     Args:
         files: files or folders.
-        json: write the results.
-        intrinsics: of .png images [pixel].
-        depth_scale: meters a unit of .png images (default 0.001).
-        pose: X_WC of files that hold none, x, y, z [m], roll, pitch, yaw [rad]; all zero: clouds
+        json: write the results to this file.
+        intrinsics: fx, fy, cx, cy of .png images [pixel].
+        depth_scale: depth of one unit of .png images [m] (default: 0.001).
+        pose: pose X_WC of files without one: x, y, z [m], roll, pitch, yaw [rad]; all zero: clouds
             in the world frame, z up.
-        tool: panda: the hand, pointing down; none: a point.
+        tool: panda: the Panda's hand, pointing down; none: a point.
     """
     import numpy as np
     from pydrake.math import RigidTransform, RollPitchYaw
@@ -110,9 +120,9 @@ def perceive(
         X_WC = RigidTransform(RollPitchYaw(pose[3:]), pose[:3]).GetAsMatrix4()
     paths: dict[Path, None] = {}
     for file in files:
-        inside = frame_files(file) if file.is_dir() else []
-        found = [path for path in inside if path.suffix.lower() in SUFFIXES]
-        paths |= dict.fromkeys(found or [file])
+        members = frame_files(file) if file.is_dir() else []
+        frames = [path for path in members if path.suffix.lower() in SUFFIXES]
+        paths |= dict.fromkeys(frames or [file])
     check_outputs(json, read=paths)
     status = 0
     results: list[dict[str, Any]] = []
@@ -129,8 +139,8 @@ def perceive(
             complain(f"'{path}': {results[-1]['note']}")
             status = status or FAILED
     show(_table(results))
-    made = {"tool": tool, "tool_W": tool_W.tolist(), "versions": software_versions()}
-    replace_json(json, made | {"files": results})
+    header = {"tool": tool, "tool_W": tool_W.tolist(), "versions": software_versions()}
+    replace_json(json, header | {"files": results})
     return status
 
 
@@ -141,20 +151,20 @@ def perceive_frame(
     *,
     X_WC: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Segments a frame, encloses its clusters, and measures the time.
+    """Segments a frame, computes the ellipsoids of its clusters, and measures the time.
 
     Args:
         frame: a depth image with K, or points.
         tool_W: (K, 3) corners of the tool about its reference point, in the orientation of W
             [m]; [[0, 0, 0]] for a point.
         config: parameters of the segmentation.
-        X_WC: (4, 4) pose of the camera for a frame that does not hold one; None: unknown.
+        X_WC: (4, 4) pose of the camera for a frame without one; None: unknown.
 
     Returns:
-        The results of the file in the form of `drake-oa perceive --help`.
+        Results of the file, with the keys that `drake-oa perceive --help` lists.
 
     Raises:
-        ValueError: for malformed arrays.
+        ValueError: if an array has a wrong shape.
     """
     import numpy as np
 
@@ -163,26 +173,27 @@ def perceive_frame(
     from drake_oa.perception.recorded_perception import segment_frame
 
     def work() -> tuple[Any, ...]:
-        found = segment_frame(frame, X_WC, config)
+        segmentation = segment_frame(frame, X_WC, config)
         points = np.asarray(frame.points, dtype=float)
         if frame.depth is not None and frame.K is not None:
             rays = pixel_rays(frame.depth.shape, *frame.K.tolist())
             points = (rays * frame.depth.reshape(-1, 1)).astype(float)
-        tool_C = tool_W @ found.X_WC[:3, :3]
-        return points, found, [enclosing_ellipsoid(points[i], tool=tool_C) for i in found.pixels]
+        tool_C = tool_W @ segmentation.X_WC[:3, :3]
+        ellipsoids = [enclosing_ellipsoid(points[i], tool=tool_C) for i in segmentation.pixels]
+        return points, segmentation, ellipsoids
 
-    points, found, ellipsoids = work()
-    # Processor time: one thread works, and other processes may be busy.
+    points, segmentation, ellipsoids = work()
+    # The computation has one thread, and its processor time does not depend on other processes.
     times = timeit.repeat(work, timer=time.process_time, number=1, repeat=_REPEATS)
-    plane, X_WC = None, found.X_WC
-    if found.table is not None:
+    plane, X_WC = None, segmentation.X_WC
+    if segmentation.table is not None:
         plane = {
-            "normal": (X_WC[:3, :3].T @ found.table.normal_W).tolist(),
-            "offset": float(found.table.offset - found.table.normal_W @ X_WC[:3, 3]),
-            "rms": found.plane_rms,
+            "normal": (X_WC[:3, :3].T @ segmentation.table.normal_W).tolist(),
+            "offset": float(segmentation.table.offset - segmentation.table.normal_W @ X_WC[:3, 3]),
+            "rms": segmentation.plane_rms,
         }
     clusters = []
-    for pixels, ellipsoid in zip(found.pixels, ellipsoids, strict=True):
+    for pixels, ellipsoid in zip(segmentation.pixels, ellipsoids, strict=True):
         runs = np.split(pixels, np.flatnonzero(np.diff(pixels) != 1) + 1)
         shape = {name: getattr(ellipsoid, name).tolist() for name in ("center", "R", "semi_axes")}
         clusters.append(
@@ -193,18 +204,18 @@ def perceive_frame(
                 "mask": [[int(run[0]), len(run)] for run in runs],
             }
         )
-    measured = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    is_valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
     return {
         "file": str(frame.path),
         "size": None if frame.depth is None else list(frame.depth.shape),
         "K": None if frame.K is None else frame.K.tolist(),
         "count": len(points),
-        "valid": int(np.count_nonzero(measured)),
+        "valid": int(np.count_nonzero(is_valid)),
         "X_WC": X_WC.tolist() if plane else None,
         "plane": plane,
         "clusters": clusters,
         "milliseconds": 1e3 * statistics.median(times),
-        "note": found.note,
+        "note": segmentation.note,
     }
 
 
@@ -215,12 +226,13 @@ _COLUMNS = (
     Column("points"),
     Column("semi_axis", "largest semi-axis [m]", "{:.3f}"),
     Column("inside"),
-    Column("milliseconds", "ms", "{:.1f}"),
+    Column("milliseconds", "CPU time [ms]", "{:.1f}"),
 )
+"""Columns of the table of clusters, which the help explains."""
 
 
 def _table(results: Sequence[dict[str, Any]]) -> TextTable:
-    """Returns a table with a row for each cluster, or for a file without any."""
+    """Returns the table of clusters: one row per cluster, or per file without clusters."""
     rows: list[dict[str, Any]] = []
     for result in results:
         if "error" in result:

@@ -1,4 +1,4 @@
-"""The command `drake-oa play`."""
+"""Command `drake-oa play`: an interactive run in a browser."""
 
 from __future__ import annotations
 
@@ -22,29 +22,30 @@ def play(
     log: Path | None = None,
     no_log: bool = False,
 ) -> int:
-    """Play with a scenario in the browser: change the request while the arm moves.
+    """Move goal and obstacles of a scenario in a browser, and change the requested clearance.
 
-    The arm goes to the goal and back, at real time. The controls are at the upper right:
+    The arm moves to the goal and back, in real time. The controls are at the upper right:
 
-      pause, reset, stop
-      next ...           method: verified (the default), the paper's chain, or nominal
-      camera or ...      obstacles as the camera sees them, or their true shapes
-      speed              1 is real time
-      clearance          requested for hand and fingers
-      goal x, y, z       where it goes to
-      NAME: x, y, yaw    a folder for each obstacle: where it stands
+      pause, reset, stop     pause the simulation; restart at the start; end the run
+      next method            verified (the default), the paper's regressor chain, or nominal
+      camera or ground truth source of the obstacles: the camera, or their true shapes
+      speed                  simulated time over wall time; 1 is real time
+      clearance [m]          requested clearance of hand and fingers
+      goal x, y, z [m]       position of the goal
+      NAME: x, y, yaw        position [m] and yaw [rad] of an obstacle, in a folder of its name
 
-    The panel at the lower left shows time, method, clearances, contacts, and what holds the
-    motion. A change is taken over when the slider rests; the motion then begins again where the
-    arm is. What cannot be is refused: the sliders go back, and the panel says why.
+    The panel at the lower left shows time, method, minimum clearances, contacts, and the reason of
+    a hold. A change becomes active when the slider has rested for 0.3 s: a new motion starts at the
+    present configuration. Invalid settings are refused: the sliders return to the previous values,
+    and the panel shows the reason.
 
-    The newest 20 motions go into one log, as `drake-oa run` writes it: leg_1, leg_2 and so on
-    are what `drake-oa replay --motion` and `drake-oa plot` call them.
+    The last 20 motions are written to one log, as motions leg_1, leg_2 and so on for
+    `drake-oa replay --motion` and `drake-oa plot`.
 
     Args:
-        scenario: a shipped name (see `drake-oa scenarios`) or a file.
+        scenario: name of a shipped scenario (see `drake-oa scenarios`), or a file.
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
-        log: write the log here, in place of an earlier one.
+        log: write the log to this file, which is replaced if it exists.
         no_log: write no log.
     """
     from drake_oa.runs.motion_log import save_logs
@@ -60,13 +61,13 @@ def play(
     with (
         build_errors(),
         reserved_log(log, no_log, f"{scenario_name(scenario)}_played") as file,
-        stop_between_steps() as raise_if_asked,
+        stop_between_steps() as raise_if_requested,
     ):
         viewer = start_viewer(browser=True)
         page = open_page(viewer, scenario_name(scenario), chosen.description)
         session = PlaySession(chosen, viewer, page)
         try:
-            session.run(raise_if_asked)
+            session.run(raise_if_requested)
         except KeyboardInterrupt:
             pass
         finally:

@@ -1,4 +1,4 @@
-"""`drake-oa replay` and `drake-oa plot`: a logged run, shown again and drawn."""
+"""Commands `drake-oa replay` and `drake-oa plot`: replay and plot of a logged run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def replay(
     motion: str | None = None,
     speed: Positive = 1.0,
 ) -> None:
-    """Show a logged run again.
+    """Replay a logged motion in a browser, or write the replay as a page.
 
-    Shows a logged motion: the robot and the world as they were, the ellipsoids that
-    were seen, the planned path and the one that was taken. Nothing is simulated. The log
-    holds neither point clouds nor cost rings: those are shown by `drake-oa run` alone.
+    The replay shows the logged positions of robot and world, the observed ellipsoids, the nominal
+    path and the executed path, and simulates nothing. A log has neither point clouds nor cost
+    rings; `drake-oa run --meshcat` and `--html` show these.
 
     For example:
 
@@ -32,14 +32,15 @@ def replay(
         drake-oa replay box.npz --html box.html
 
     Args:
-        log: a log that `drake-oa run` wrote.
-        meshcat: show it in a browser.
-        html: write one page to play in a browser.
-        motion: nominal or modulated (default: the avoiding one if it was started).
-        speed: with --meshcat, simulated seconds in one of the wall clock.
+        log: log of `drake-oa run` or `drake-oa play`.
+        meshcat: show the motion in a browser.
+        html: write the motion to this file, a page for a browser.
+        motion: nominal or avoiding, or leg_N of `drake-oa play` (default: avoiding, or the first
+            motion of the log).
+        speed: with --meshcat, simulated time over wall time.
     """
     if not (meshcat or html):
-        raise ValueError("nothing to show it in: give --meshcat, --html FILE or both")
+        raise ValueError("no output selected: add --meshcat, --html FILE or both")
     from pydrake.systems.analysis import Simulator
 
     from drake_oa.runs.motion_log import load_logs
@@ -55,33 +56,34 @@ def replay(
 
     logs = load_logs(log)
     chosen = choose_motion(log, logs, motion)
-    shown = logs[chosen]
-    scenario = logged_scenario(log, shown)
+    chosen_log = logs[chosen]
+    scenario = logged_scenario(log, chosen_log)
     check_outputs(html, read=[log])
     viewer = start_viewer(browser=meshcat)
     with build_errors():
         planned_W = planned_path(scenario, logs)
-        diagram = build_replay(scenario, shown, viewer, planned_W=planned_W)
+        diagram = build_replay(scenario, chosen_log, viewer, planned_W=planned_W)
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(speed)
-        title = f"{log.stem}: {motion_name(shown.avoid_obstacles)}"
+        title = f"{log.stem}: {motion_name(chosen_log.avoid_obstacles)}"
         page = open_page(viewer, title, scenario.description)
-        simulator.set_monitor(show_readings(page, readings(scenario, shown)))
+        simulator.set_monitor(show_readings(page, readings(scenario, chosen_log)))
     with recording(viewer):
-        simulator.AdvanceTo(shown.simulated_time)
-    print(f"{chosen}: {shown.duration:.2f} s, terminated by {shown.stop_reason}")
+        simulator.AdvanceTo(chosen_log.simulated_time)
+    print(f"{chosen}: {chosen_log.duration:.2f} s, terminated by {chosen_log.stop_reason}")
     if html is not None:
-        replace_text(html, label_page(viewer.StaticHtml(), log.stem, scenario, shown))
+        replace_text(html, label_page(viewer.StaticHtml(), log.stem, scenario, chosen_log))
     if meshcat:
         wait_for_viewer()
 
 
 def plot(log: Path, /, *, out: Path | None = None) -> None:
-    """Draw a logged run.
+    """Plot the motions of a logged run.
 
-    Draws clearance of tool and robot against the requested one, phase and speed scale, the
-    largest joint torque against its limit, and the path from above and from the side.
+    The plots over time are: clearance of tool and robot, with the requested clearance; phase and
+    speed scale; and the maximum joint torque over its limit. Two further plots are the path with
+    the observed obstacles, from above and from the side.
 
     For example:
 
@@ -89,8 +91,8 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
         drake-oa plot box.npz --out box.pdf
 
     Args:
-        log: a log that `drake-oa run` wrote.
-        out: the figure, in a format of Matplotlib (default: LOG with .png in place of .npz).
+        log: log of `drake-oa run` or `drake-oa play`.
+        out: file of the figure, in a format of Matplotlib (default: LOG with the suffix .png).
     """
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import plot_run

@@ -1,4 +1,4 @@
-"""The command `drake-oa run`."""
+"""Commands `drake-oa run` and `drake-oa station`."""
 
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ if TYPE_CHECKING:
     from drake_oa.scenario.scenario import Scenario
 
 LOG_FOLDER = Path("drake_oa_runs")
-"""Folder of logs without --log, relative to the current folder."""
+"""Default folder of logs, relative to the current folder."""
 LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
-"""Bus that stays on this machine, with room for images."""
+"""Default URL of the LCM bus: local to this computer, with a receive buffer for images."""
 
 
 @dataclass
 class _Run:
-    """One run: the motions so far.
+    """State of one run.
 
     Attributes:
         name: name of the scenario.
-        scenario: as it is run.
+        scenario: scenario of the run.
         meshcat: viewer, or None.
-        browser: whether a browser shows the viewer.
-        html: file of the page, or None.
-        duration: simulated time after which each motion is stopped [s]; None: at its end.
-        raise_if_asked: raises KeyboardInterrupt once the end was requested.
-        logs: log of each motion.
-        failure: exception that cut the last motion short.
+        browser: whether a browser displays the viewer.
+        html: file of the recording, or None.
+        duration: simulated time after which each motion is stopped [s]; None: its termination.
+        raise_if_requested: function that raises KeyboardInterrupt after a request to stop.
+        logs: logs of the finished motions by name.
+        failure: exception that interrupted the last motion; None: no interruption.
     """
 
     name: str
@@ -72,7 +72,7 @@ class _Run:
     browser: bool
     html: Path | None
     duration: float | None
-    raise_if_asked: Callable[[], None]
+    raise_if_requested: Callable[[], None]
     logs: dict[str, MotionLog] = field(default_factory=dict)
     failure: BaseException | None = None
 
@@ -92,37 +92,42 @@ def run(
     lcm_url: str = LCM_URL,
     rate: Rate = 1.0,
 ) -> int:
-    """Simulate a scenario and print clearances and contacts.
+    """Simulate the nominal and the avoiding motion of a scenario, and print their clearances.
 
-    Simulates two motions from start to goal, the pre-planned one, blind to obstacles,
-    and the avoiding one, bent round what perception sees, and prints for each:
+    The nominal motion avoids nothing; the avoiding motion avoids the perceived obstacles. The table
+    has a column for each, and these rows, evaluated on the true geometry until the world is at
+    rest:
 
-      collisions       pairs of a robot link and an obstacle or the table that touched
-      tool clearance   least distance of hand and fingers to an obstacle
-      robot clearance  least distance of any link to an obstacle
-      asked            the clearance that the scenario asks for
-      feasible         the requested clearance, or what start and goal leave the tool
-      short by         what the tool lacked of that to what stands at rest
-      goal error       distance of the tool point to the goal at the end
-      saturated        share of steps in which a torque limit was reached
+      collisions                pairs of a robot link and an object in contact
+      tool clearance [m]        minimum clearance of hand and fingers to the obstacles
+      robot clearance [m]       minimum clearance of all links to the obstacles
+      requested clearance [m]   clearance that the scenario requests of hand and fingers
+      achievable clearance [m]  the requested clearance, or the clearance of hand and fingers at
+                                start or goal if that is less
+      clearance shortfall [mm]  achievable clearance minus tool clearance to resting obstacles, if
+                                positive
+      goal error [mm]           distance of the tool point to the goal at the end
+      orientation error [deg]   angle to the orientation of the goal at the end, if the motion
+                                changes the orientation
+      saturated [%]             fraction of the time with a joint torque at its limit
+      duration [s]              time from start to termination
+      motion source             nominal, chain, search or joint_path, with the fraction of the time
+      termination               goal, or the reason for which the motion ended elsewhere
 
-    All of it by the true geometry, until all that moves has come to rest.
+    Both motions are written to one log for `drake-oa replay` and `drake-oa plot`:
+    drake_oa_runs/SCENARIO-TIME.npz, or the file of --log.
 
-    Both motions go into one log, which `drake-oa replay` shows again and `drake-oa plot`
-    draws: drake_oa_runs/SCENARIO-TIME.npz unless --log names another file.
+    With --hardware only the avoiding motion is executed, by the arm and the cameras whose messages
+    are on --lcm-url: the driver of a real Panda, or `drake-oa station`; see docs/hardware.md. True
+    obstacles are unknown then, and the report omits clearances.
 
-    With --hardware only the avoiding motion, by the arm and cameras whose messages are on
-    --lcm-url: a real Panda's driver, or `drake-oa station`; see docs/hardware.md. Obstacles
-    are what is seen; the report knows of no others.
+    Exit status: 0 if the tool of the avoiding motion reached the goal, or the motion reached
+    --duration; 1 if it did not, if the robot was in contact, or if an output could not be written;
+    2 for invalid input; 130 if interrupted, 143 by SIGTERM. After a failure or an interruption the
+    report and the outputs have the motions until then.
 
-    Exit status: 0 when the tool of the avoiding motion reached the goal (or the asked
-    --duration), 1 when it did not (it failed, was held for good or ran out of time), when the
-    robot was in contact, or when an output could not be written, 2 for bad input, 130 when
-    interrupted (143 by SIGTERM). What ran until then is reported, and each output that can be
-    written is written.
-
-    A.B=C replaces field B of block A of the scenario; C is YAML, a tag swaps the block.
-    A mistyped name is answered with the valid ones.
+    --set A.B=C replaces field B of block A of the scenario. C is YAML; a tag replaces the whole
+    block. The error for an unknown field lists the valid fields.
 
       --set task.clearance=0.1
       --set 'task.goal=[0.5, 0.4, 0.35]'
@@ -130,23 +135,23 @@ def run(
       --set 'perception=!RecordedClouds {folder: /data/clouds}'
 
     Args:
-        scenario: a shipped name (see `drake-oa scenarios`) or a file.
+        scenario: name of a shipped scenario (see `drake-oa scenarios`), or a file.
         overrides: A.B=C replaces a field of the scenario; may be repeated.
-        meshcat: show it in a browser while it runs.
-        html: write the avoiding motion as one page to play and pause in a browser.
-        json: write the report.
-        log: write the log here, in place of an earlier one.
+        meshcat: show the motions in a browser during the run.
+        html: write a recording of the avoiding motion to this file, a page for a browser.
+        json: write the report to this file.
+        log: write the log to this file, which is replaced if it exists.
         no_log: write no log.
-        duration: stop each motion after so many simulated seconds.
-        hardware: drive the arm that is there, in place of a simulated one.
-        lcm_url: with --hardware, of the bus.
-        rate: with --hardware, simulated seconds in one of the wall clock, at most 1.
+        duration: stop each motion at this simulated time [s].
+        hardware: execute the avoiding motion on a real arm instead of simulating it.
+        lcm_url: with --hardware, URL of the LCM bus.
+        rate: with --hardware, simulated time over wall time, at most 1.
     """
     chosen = open_scenario(scenario, overrides, html, json, log)
     if hardware:
         _open_bus(lcm_url)
     elif rate != 1.0 or lcm_url != LCM_URL:
-        raise ValueError("--lcm-url and --rate need --hardware")
+        raise ValueError("--lcm-url and --rate require --hardware")
     viewer = None
     if meshcat or html:
         from drake_oa.viewing.viewer import start_viewer
@@ -155,9 +160,9 @@ def run(
     name = scenario_name(scenario)
     with (
         reserved_log(log, no_log, name) as log_file,
-        stop_between_steps() as raise_if_asked,
+        stop_between_steps() as raise_if_requested,
     ):
-        this = _Run(name, chosen, viewer, meshcat, html, duration, raise_if_asked)
+        this = _Run(name, chosen, viewer, meshcat, html, duration, raise_if_requested)
         if hardware:
             from drake_oa.hardware.robot_link import HardwareError
 
@@ -193,23 +198,24 @@ def station(
     duration: Positive | None = None,
     log: Path | None = None,
 ) -> int:
-    """Simulate a Panda and its cameras behind the messages of the real ones.
+    """Simulate a Panda and its cameras that communicate by the messages of the real ones.
 
-    Takes lcmt_panda_command on PANDA_COMMAND, sends lcmt_panda_status on
-    PANDA_STATUS and depth as lcmt_image_array on DRAKE_RGBD_CAMERA_IMAGES_<camera>. The arm
-    holds where commands end, jump, are out of limits or of two commanders, and the log says so.
-    Runs until Ctrl-C; see docs/hardware.md.
+    The station receives lcmt_panda_command on PANDA_COMMAND. It sends lcmt_panda_status on
+    PANDA_STATUS, and depth images as lcmt_image_array on DRAKE_RGBD_CAMERA_IMAGES_<camera>. The arm
+    holds its position if commands end, jump, exceed limits or have two sources; a log message
+    states the reason. The station runs until Ctrl-C; see docs/hardware.md.
+
+    With --log it prints the rows of `drake-oa run` for the motion of the arm.
 
     Args:
-        scenario: a shipped name (see `drake-oa scenarios`) or a file.
+        scenario: name of a shipped scenario (see `drake-oa scenarios`), or a file.
         overrides: A.B=C replaces a field of the scenario; may be repeated.
-        lcm_url: of the bus; the default one stays on this machine.
-        rate: simulated seconds in one of the wall clock, at most 1; smaller where a machine
-            cannot keep up.
-        wait: let the world begin when the arm follows a command, and end when the commander is
-            done and all has come to rest.
-        duration: end after so many simulated seconds.
-        log: write what the arm did here, and print what it kept and touched.
+        lcm_url: URL of the LCM bus; the default bus is local to this computer.
+        rate: simulated time over wall time, at most 1; reduce it on a slow computer.
+        wait: start the simulated world with the first command, and end the station when commands
+            have ended and the world is at rest.
+        duration: end the station at this simulated time [s].
+        log: write the true motion of the arm to this file, and print its clearances.
     """
     from drake_oa.hardware.panda_station import PandaStation
     from drake_oa.runs.hardware_run import station_log
@@ -228,9 +234,9 @@ def station(
         )
     failure: BaseException | None = None
     print(f"station: {scenario_name(scenario)} on {lcm_url}", file=sys.stderr)
-    with stop_between_steps() as raise_if_asked:
+    with stop_between_steps() as raise_if_requested:
         try:
-            arm.run(math.inf if duration is None else duration, raise_if_asked)
+            arm.run(math.inf if duration is None else duration, raise_if_requested)
         except (Exception, KeyboardInterrupt) as error:
             failure = error
     contact = ""
@@ -249,7 +255,7 @@ def station(
 
 
 def _open_bus(lcm_url: str) -> DrakeLcm:
-    """Opens the bus of --lcm-url."""
+    """Opens the LCM bus of --lcm-url; an invalid URL is a ValueError."""
     from pydrake.lcm import DrakeLcm
 
     from drake_oa.common.config import check_lcm_url
@@ -263,13 +269,13 @@ def _open_bus(lcm_url: str) -> DrakeLcm:
 
 @contextlib.contextmanager
 def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Path | None]:
-    """Provides the file of the log: the one of --log, or a new one; None with --no-log."""
+    """Yields the file of the log: that of --log, or a new one; None with --no-log."""
     if named is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
     if named is not None or no_log:
         yield named
         return
-    # Two runs may start within one second: the second one takes another name.
+    # The file is created at once, so that two simultaneous runs have different names.
     file = reserve_file(LOG_FOLDER, scenario, ".npz")
     try:
         yield file
@@ -279,7 +285,7 @@ def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Pa
 
 
 def _simulate_both(this: _Run, log_file: Path | None) -> None:
-    """Simulates both motions; ends after one that is cut short."""
+    """Simulates the nominal and the avoiding motion; an interrupted motion is the last one."""
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.scenario_check import end_contacts
@@ -294,7 +300,8 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
     run_motion = partial(simulate, this.scenario, duration=this.duration)
     _add_motion(this, "nominal", partial(run_motion, avoid_obstacles=False))
     if log_file is not None:
-        # Nothing is lost by what comes next; `_report` tells of a file that cannot be written.
+        # The nominal motion is saved in case the process is killed; `_report` writes the file
+        # again, and reports an error.
         with contextlib.suppress(OSError):
             save_logs(log_file, this.logs)
     if this.failure is None:
@@ -304,29 +311,30 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
 
 
 def _drive(this: _Run, lcm_url: str, rate: float) -> None:
-    """Runs the avoiding motion on an arm."""
+    """Executes the avoiding motion on a real arm."""
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, prepare_hardware
 
-    link = RobotLink(lcm_url, rate=rate, raise_if_asked=this.raise_if_asked)
+    link = RobotLink(lcm_url, rate=rate, raise_if_asked=this.raise_if_requested)
     link.start()
     with contextlib.closing(link):
         print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)
         with build_errors():
             driven = prepare_hardware(this.scenario, link, this.meshcat)
-        print("the arm is ready", file=sys.stderr)
+        print("arm is ready", file=sys.stderr)
         this.scenario = driven.known_scenario
         panel = _open_panel(this)
         _add_motion(this, "avoiding", partial(drive, driven, link, duration=this.duration), panel)
         print(
-            f"the arm was at most {link.trajectory.max_tracking_error:.3f} rad off", file=sys.stderr
+            f"maximum tracking error of the arm: {link.trajectory.max_tracking_error:.3f} rad",
+            file=sys.stderr,
         )
 
 
 def _add_motion(
     this: _Run, name: str, motion: Callable[..., MotionLog], panel: LivePanel | None = None
 ) -> None:
-    """Runs one more motion with a progress bar, and logs it up to its end or interruption."""
+    """Runs a motion with a progress bar, and adds its log until its end or interruption."""
     from drake_oa.policy.dmp import normalized_time
     from drake_oa.runs.simulation import MotionInterruptedError
     from drake_oa.viewing.viewer import recording
@@ -335,24 +343,24 @@ def _add_motion(
     try:
         with build_errors(), recording(recorded), progress_bar(1.0) as update:
 
-            def look(monitor: MotionMonitor, root: Context) -> None:
-                this.raise_if_asked()
+            def update_progress(monitor: MotionMonitor, root: Context) -> None:
+                this.raise_if_requested()
                 share = normalized_time(monitor.phase, this.scenario.policy.alpha_k)
                 update(f"{name:>10} {root.get_time():6.2f} s", share)
                 if panel is not None:
                     panel(monitor, root)
 
-            this.logs[name] = motion(on_step=look)
+            this.logs[name] = motion(on_step=update_progress)
     except MotionInterruptedError as error:
         this.logs[name], this.failure = error.log, error.__cause__ or error
-        logging.getLogger(__name__).info("where it happened", exc_info=True)
+        logging.getLogger(__name__).info("traceback of the interruption", exc_info=True)
 
 
 def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
-    """Prints the report, and writes log, page and report.
+    """Prints the report, and writes log, recording and report.
 
     Returns:
-        FAILED if the avoiding motion did not arrive or was in contact.
+        0, or `FAILED` if the avoiding motion missed the goal or was in contact.
     """
     from drake_oa.runs.motion_log import MotionEnd, save_logs
     from drake_oa.runs.page import label_page
@@ -360,7 +368,7 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
 
     logs, report = this.logs, run_report(this.name, this.scenario, this.logs)
     contact = contact_error(report)
-    # From the last to the first; one that fails does not cost the others.
+    # The callbacks run in reverse order, the others also after an exception in one of them.
     with contextlib.ExitStack() as outputs:
         if contact:
             outputs.callback(complain, contact)
@@ -372,14 +380,14 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
             outputs.callback(print, f"log: {log_file}", file=sys.stderr)
             outputs.callback(save_logs, log_file, logs)
         outputs.callback(show, report_table(report))
-    # The nominal motion may end at an obstacle.
+    # The nominal motion may be in contact.
     last = logs.get("avoiding") or next(iter(logs.values()))
-    enough = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
-    return 0 if not contact and last.ended in enough else FAILED
+    successes = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
+    return 0 if not contact and last.ended in successes else FAILED
 
 
 def _open_panel(this: _Run) -> LivePanel | None:
-    """Opens the page that a browser shows, if one is requested."""
+    """Opens the live page for a browser; None if it is not requested."""
     if this.meshcat is None or not this.browser:
         return None
     from drake_oa.runs.page import LivePanel, motion_name
@@ -391,7 +399,7 @@ def _open_panel(this: _Run) -> LivePanel | None:
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP: ends a run as Ctrl-C does."""
+    """Interruption by SIGTERM or SIGHUP, handled as Ctrl-C."""
 
     def __str__(self) -> str:
         return "terminated"
@@ -399,22 +407,22 @@ class Terminated(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def stop_between_steps() -> Iterator[Callable[[], None]]:
-    """Delays Ctrl-C and SIGTERM; yields a function that raises them, to call between two steps.
+    """Delays Ctrl-C and SIGTERM; yields a function that raises them between two steps.
 
-    Raised anywhere, it would also strike inside numba's and Drake's own callbacks, and
-    leave them half done. A second one is raised at once.
+    An exception inside a callback of numba or Drake would leave its data inconsistent. A second
+    signal raises at once.
     """
     requested: list[type[KeyboardInterrupt]] = []
 
-    def ask(number: int, _: FrameType | None) -> None:
+    def request_stop(number: int, _: FrameType | None) -> None:
         kind = KeyboardInterrupt if number == signal.SIGINT else Terminated
         if requested:
             raise kind
         requested.append(kind)
-        again = "Ctrl-C again: at once" if kind is KeyboardInterrupt else "terminated"
-        print(f"\nstopping ({again}) ...", file=sys.stderr)
+        hint = "Ctrl-C again stops at once" if kind is KeyboardInterrupt else "terminated"
+        print(f"\nstopping after this step ({hint}) ...", file=sys.stderr)
 
-    def raise_if_asked() -> None:
+    def raise_if_requested() -> None:
         if requested:
             raise requested[0]
 
@@ -425,9 +433,9 @@ def stop_between_steps() -> Iterator[Callable[[], None]]:
     for number, handler in before.items():
         # nohup ignores SIGHUP.
         if handler is not signal.SIG_IGN:
-            signal.signal(number, ask)
+            signal.signal(number, request_stop)
     try:
-        yield raise_if_asked
+        yield raise_if_requested
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

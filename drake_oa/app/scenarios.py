@@ -1,4 +1,4 @@
-"""`drake-oa scenarios`, `new`, `check`, `graph`, and shared parts of commands with a scenario."""
+"""Commands `drake-oa scenarios`, `new`, `check` and `graph`; parts shared by other commands."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ else:
     """Name or file of a scenario; the shell completes the shipped names."""
 
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
-"""Fields to be replaced, as "a.b=c"; the option may be repeated."""
+"""Scenario fields and their new values, as "a.b=c"; the option may be repeated."""
 
 
 Positive = Annotated[float, Parameter(validator=Number(gt=0.0, lt=math.inf))]
 """Positive finite number."""
 Rate = Annotated[float, Parameter(validator=Number(gt=0.0, lte=1.0))]
-"""Simulated seconds in one of the wall clock."""
+"""Simulated time over wall time, in (0, 1]."""
 Count = Annotated[int, Parameter(validator=Number(gte=1))]
-"""Number of scenes, processes or steps."""
+"""Number of scenes, processes or steps, at least 1."""
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
-"""Seed of random numbers."""
+"""Seed of random numbers, at least 0."""
 
 
 def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) -> Scenario:
-    """Loads a scenario, and checks the files that the command is going to write.
+    """Loads a scenario, and checks that the output files of a command can be written.
 
     Raises:
-        ValueError, OSError: for a scenario that cannot be read, or a file that cannot be written.
+        ValueError, OSError: if the scenario cannot be read, or a file cannot be written.
     """
     from drake_oa.scenario.loading import load_scenario, scenario_path
 
@@ -56,7 +56,7 @@ def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) ->
 
 @contextlib.contextmanager
 def build_errors() -> Iterator[None]:
-    """Drake refuses a model or a camera by RuntimeError: bad input, not a bug of ours."""
+    """Turns RuntimeErrors of Drake about models and cameras into ScenarioErrors."""
     from drake_oa.common.config import ScenarioError
     from drake_oa.runs.simulation import MotionInterruptedError
 
@@ -74,46 +74,47 @@ def scenario_name(name_or_file: str) -> str:
 
 
 def scenarios(*, files: bool = False) -> None:
-    """List the shipped scenarios.
+    """List the shipped scenarios with their descriptions.
 
     Args:
-        files: print where they are instead: copy one to start a scenario of your own.
+        files: print the path of each file instead; a copy is the beginning of a custom scenario.
     """
     from drake_oa.scenario.shipped import description, missing_package
 
     rows = []
     for name, path in shipped_scenarios().items():
         package = missing_package(path)
-        needs = f" (needs {package}: pip install 'drake_oa[robots]')" if package else ""
-        rows.append({"name": name, "text": str(path) if files else description(path) + needs})
+        requires = f" (requires {package}: pip install 'drake_oa[robots]')" if package else ""
+        rows.append({"name": name, "text": str(path) if files else description(path) + requires})
     show(TextTable([Column(key, "", side="left") for key in ("name", "text")], rows))
 
 
 SCHEMA = "scenario.schema.json"
+"""Name of the file with the JSON schema of scenarios."""
 
 
 def new(name: str, /, *, like: str | None = None) -> int:
-    """Write a commented scenario of your own, which runs as it is.
+    """Write a new scenario with comments, which can be run without changes.
 
-    Writes NAME.scenario.yaml, and beside it scenario.schema.json, from which editors with a
-    YAML language server complete fields and explain them. Then:
+    The files are NAME.scenario.yaml and, in the same folder, scenario.schema.json, with which
+    editors with a YAML language server complete and explain fields. Then:
 
         drake-oa check NAME.scenario.yaml
         drake-oa run NAME.scenario.yaml --html NAME.html
 
     Args:
-        name: of the scenario, or its file; files that exist are left alone.
-        like: a shipped scenario to begin with, in place of a box and a pole.
+        name: name of the scenario, or its file, which must not exist.
+        like: shipped scenario to copy (default: a scenario with a box and a pole).
     """
     from drake_oa.common.files import package_file
     from drake_oa.scenario.loading import scenario_path, scenario_schema
 
     stem = scenario_name(name)
     if not re.fullmatch(r"[\w.-]+", stem):
-        raise ValueError(f"'{stem}': a name is made of letters, digits, '_', '-' and '.'")
+        raise ValueError(f"NAME: '{stem}' must consist of letters, digits, '_', '-' and '.'")
     file = Path(name).with_name(f"{stem}.scenario.yaml")
     if file.exists():
-        raise ValueError(f"{file} exists already; name another one")
+        raise ValueError(f"{file} exists; choose another name, or delete the file")
     source = package_file("package://drake_oa/scenes/own.scenario.yaml")
     text = (scenario_path(like) if like else source).read_text("utf-8")
     head = f"# yaml-language-server: $schema={SCHEMA}\n"
@@ -132,37 +133,43 @@ def check(
     overrides: Overrides = (),
     plot: Path | None = None,
 ) -> int:
-    """Say all that is wrong with a scenario.
+    """Check a scenario for errors, and print its clearances at start and goal.
 
-    Where its fields are right the cell is built, and a table says what start and goal leave
-    the arm. A line says how much of the space near the arm its cameras do not see, at the start
-    and on the way. The picture of --plot shows the cell with the arm at the start, and what each
-    camera sees; green is the start, red the goal.
+    Each error line names a field, the problem and the valid values. Without errors it prints a
+    table with a row for start and goal, and these columns:
 
-    Exit status: 0 when nothing is wrong, 1 when something is, 2 for a file that cannot be read.
+      tool clearance [m]   distance of hand and fingers to the nearest obstacle
+      robot clearance [m]  distance of all links to the nearest obstacle
+      contacts             pairs of a link and an object, or of two links, in contact
+
+    Below it are the requested clearance, the achievable clearance if that is less, and the fraction
+    of the space near the nominal motion of the arm that no camera observes.
+
+    Exit status: 0 without errors, 1 with errors, 2 if the file cannot be read.
 
     Args:
-        scenario: a file, or a shipped name (see `drake-oa scenarios`).
+        scenario: file, or name of a shipped scenario (see `drake-oa scenarios`).
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
-        plot: draw a picture, .png.
+        plot: write an image (.png) of the station with the arm at the start (green) and the goal
+            (red), and the images of the cameras, to this file.
     """
     from drake_oa.scenario.loading import scenario_path, scenario_problems
 
     check_outputs(plot, read=[scenario_path(scenario)])
-    wrong = scenario_problems(scenario, overrides)
-    if not wrong:
+    problems = scenario_problems(scenario, overrides)
+    if not problems:
         from drake_oa.runs.camera_placement import view_note
         from drake_oa.runs.scenario_check import build_problems, end_contacts, end_table
 
         chosen = open_scenario(scenario, overrides, plot)
         with quiet():
-            wrong = build_problems(chosen)
-    for problem in wrong:
+            problems = build_problems(chosen)
+    for problem in problems:
         complain(problem)
-    if wrong:
+    if problems:
         return FAILED
     if chosen.robot is None:
-        print(f"{scenario}: nothing is wrong; without a robot there is nothing to draw")
+        print(f"{scenario}: no errors; clearances and --plot require a robot")
         return 0
     with build_errors(), quiet():
         table, contacts = end_table(chosen), end_contacts(chosen)
@@ -188,9 +195,9 @@ def graph(
     dot: bool = False,
     signals: bool = False,
 ) -> None:
-    """Print the layers of a scenario's diagram as SVG, or all systems as dot source or as a table.
+    """Print the diagram of a scenario: its layers as SVG, or its systems as dot source or table.
 
-    The diagram is that of the scenario's avoiding motion.
+    It is the diagram of the avoiding motion.
 
     For example:
 
@@ -198,10 +205,11 @@ def graph(
         drake-oa graph tabletop_box --signals
 
     Args:
-        scenario: a shipped name (see `drake-oa scenarios`) or a file.
+        scenario: name of a shipped scenario (see `drake-oa scenarios`), or a file.
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
-        dot: print the source of a graph of all systems, for Graphviz.
-        signals: print each output port with the inputs that read it, loggers left out.
+        dot: print all systems as dot source for Graphviz.
+        signals: print a table with a row for each output port (output) and the input ports that
+            are connected to it (read by), except those of log sinks.
     """
     from drake_oa.common.signal_builder import connections
     from drake_oa.diagrams.avoidance import build_avoidance

@@ -1,4 +1,4 @@
-"""The command `drake-oa train`."""
+"""Command `drake-oa train`: training of the networks."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ def train(
     seed: Seed = 0,
     iterations: Count | None = None,
 ) -> None:
-    """Train a network and write its weights.
+    """Train a regressor chain on simulated motions, and write its weights.
 
-    Without a recipe, train the chain of the default scenario. The training data are simulated
-    motions; no file is needed.
+    The recipes are:
 
-      paper          the regressor chains of the paper, on the paper's training set, with its
-                     Table I: paper_chain.safetensors, RC(lambda', Delta), and
-                     paper_chain_unconstrained.safetensors, RC(lambda')
-      paper_running  the same chain RC(lambda', Delta), trained on the motions of this program:
+      paper          the paper's regressor chains on the paper's training set:
+                     paper_chain.safetensors with RC(lambda', Delta), and
+                     paper_chain_unconstrained.safetensors with RC(lambda')
+      paper_running  RC(lambda', Delta) on motions of this program, as scenarios use it:
                      paper_chain_running.safetensors
+
+    It prints the errors of the networks in the table of `drake-oa evaluate table1`.
 
     For example:
 
@@ -35,10 +36,11 @@ def train(
         drake-oa train --recipe paper --out weights --seed 1
 
     Args:
-        recipe: which network.
+        recipe: recipe of the training, see above.
         out: folder of the weights.
         seed: random seed of the data and of the initial weights.
-        iterations: limit for a shorter trial: optimization steps of each network.
+        iterations: number of optimization steps of each network, for a short trial (default:
+            the recipe's number).
     """
     # SciPy and torch take a second to import, which `drake-oa --help` need not wait for.
     paper = import_extra("drake_oa.training.paper", "train")

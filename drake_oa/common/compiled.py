@@ -1,4 +1,4 @@
-"""Decorators of compiled functions, the place of their code, and threads for all cores."""
+"""Decorators of compiled functions, their cache folder, and threads for all cores."""
 
 from __future__ import annotations
 
@@ -27,36 +27,40 @@ CORES = max(len(os.sched_getaffinity(0)), 1)
 
 
 class KernelCacheLocator(InTreeCacheLocator):
-    """Place and stamp of the compiled code of the package's kernels.
+    """Locator of the folder and the source stamp of cached kernels, for numba.
 
-    The place is beside the source; where that cannot be written, the user's cache, with a copy of
-    the code beside the source; else a temporary folder. Numba's stamp covers the file of a kernel
-    alone, and it would run former code of the kernels that it calls: this one covers those, too,
-    and the constants that it uses.
+    The folder is `__pycache__` of the source; if it is read-only, a copy in the user's cache; else
+    a temporary folder. Numba's own stamp covers only the file of a kernel, so that outdated code of
+    called kernels would be used. This stamp covers called kernels and used constants, too.
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
-        """Finds the place of a kernel's code."""
+        """Determines the cache folder of a kernel, and the kernels and constants that it uses.
+
+        Args:
+            py_func: Python function of the kernel.
+            py_file: file of its source.
+        """
         super().__init__(py_func, py_file)
         self._used = [py_func.__globals__.get(name) for name in py_func.__code__.co_names]
         self._cache_path = _kernel_folder(super().get_cache_path())
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelCacheLocator | None:
-        """Returns a locator; None for functions of other packages, or if the user names a place."""
+        """Returns a locator; None for other packages, or if NUMBA_CACHE_DIR is set."""
         is_own = py_func.__module__.startswith(f"{__package__.partition('.')[0]}.")
         return cls(py_func, py_file) if is_own and not numba.config.CACHE_DIR else None
 
     def get_disambiguator(self) -> str:
-        """Returns a part of the file name, so that code of another source is never unpickled.
+        """Returns the part of the cache file's name that depends on the source.
 
-        Numba compares stamps after it has unpickled the types of arguments, which fails where one
-        of them has been renamed.
+        Numba unpickles the argument types of a cache file before it compares stamps, which fails
+        if a type has been renamed. With this name it never reads files of other sources.
         """
         return self.get_source_stamp()[:16]
 
     def get_source_stamp(self) -> str:
-        """Computes a digest of the source that the compiled code depends on."""
+        """Computes the digest of the sources and constants that determine the compiled code."""
         stamps = [super().get_source_stamp()]
         for value in self._used:
             if isinstance(value, Dispatcher) and hasattr(value._cache, "_cache_file"):
@@ -68,7 +72,7 @@ class KernelCacheLocator(InTreeCacheLocator):
 
 @cache
 def _kernel_folder(beside: str) -> str:
-    """Returns the folder for the compiled code of modules whose own folder for it is given."""
+    """Returns a writable cache folder for kernels: `beside`, its copy, or a temporary folder."""
     user = user_cache("kernels") / hashlib.sha256(beside.encode()).hexdigest()[:16]
     with suppress(OSError):
         Path(beside).mkdir(exist_ok=True)
@@ -77,13 +81,13 @@ def _kernel_folder(beside: str) -> str:
     with suppress(OSError):
         user.parent.mkdir(parents=True, exist_ok=True)
         if not user.is_dir():
-            # Renamed when it is complete: another process may be starting, too.
-            made = tempfile.mkdtemp(dir=user.parent)
+            # The complete copy is renamed, because another process may create it, too.
+            copy = tempfile.mkdtemp(dir=user.parent)
             if os.path.isdir(beside):
-                shutil.copytree(beside, made, dirs_exist_ok=True)
-            Path(made).rename(user)
+                shutil.copytree(beside, copy, dirs_exist_ok=True)
+            Path(copy).rename(user)
         return str(user)
-    # Not a fixed name in a shared folder: compiled code is read back without checks.
+    # A fixed name in a shared folder would be unsafe: compiled code is loaded without checks.
     return tempfile.mkdtemp(prefix="drake_oa-kernels-")
 
 
@@ -92,30 +96,31 @@ numba.config.CACHE_LOCATOR_CLASSES = ",".join(
     for locator in (KernelCacheLocator, *CacheImpl._locator_classes)
 )
 
-# Said for each: one that says nothing of fastmath takes its caller's, if that is the first to
-# have it compiled, and the cache then hands it to everyone, where 0 * inf may be anything.
+# Each decorator sets fastmath explicitly. Otherwise a kernel would be compiled with the setting of
+# its first caller, and cached for all callers; with fastmath, 0 * inf is undefined.
 compiled = njit(cache=True, error_model="numpy", fastmath=False, _nrt=True)
-"""Decorator like `numba.njit`: kept on disk, division by zero as in NumPy, strict arithmetic."""
+"""Decorator of a kernel: `numba.njit`, cached on disk, with NumPy's division and no fastmath."""
 
 leaf = njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)
-"""Decorator like `compiled` for functions that allocate nothing: no counts of references.
+"""Decorator of a kernel without allocations: as `compiled`, without reference counting.
 
-Counting them takes 10 ns an array and call, more than a short kernel that is given many.
+Reference counting costs 10 ns per array and call, more than a short kernel with many arrays.
 """
 
 parted = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-"""Decorator like `compiled` for the parts that `on_cores` runs in parallel."""
+"""Decorator of a kernel for `on_cores`: as `compiled`, without the global interpreter lock."""
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
+    """Returns the pool of threads of `on_cores`."""
     return ThreadPoolExecutor(max(CORES - 1, 1), "on_cores")
 
 
 def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
-    """Runs `kernel(part, parts, *arguments)` for each part, each in a thread of its own.
+    """Runs `kernel(part, parts, *arguments)` for part = 0, ..., parts - 1 in parallel threads.
 
-    Numba's own threads wait busily for the next call: 6 ms of processor time a call.
+    Numba's own threads wait for the next call in a busy loop, which costs 6 ms of processor time.
     """
     others = [_pool().submit(kernel, part, parts, *arguments) for part in range(1, parts)]
     kernel(0, parts, *arguments)
@@ -124,9 +129,8 @@ def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
 
 
 def kernel_arrays(*arrays: ArrayLike) -> list[NDArray[np.float64]]:
-    """Copies as float64, C-contiguous and writeable.
+    """Returns writable, C-contiguous float64 copies of arrays.
 
-    The arrays of frozen values are read-only, for which numba would compile a kernel once
-    more.
+    For the read-only arrays of frozen dataclasses numba would compile each kernel again.
     """
     return [np.array(array, dtype=float, order="C") for array in arrays]

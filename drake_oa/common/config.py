@@ -1,9 +1,9 @@
 """Configuration blocks: pydantic dataclasses that are read from YAML, checked, and written.
 
-A block is declared with `@dataclass(config=BLOCK)`; its fields carry their ranges
-(`pydantic.Field`) and, as the string below each, their description with the unit in brackets. A
-value is checked where its block is constructed or changed; `validate` builds a block from plain
-data and reports every wrong field at once.
+A block is declared with `@dataclass(config=BLOCK)`. Each field has its range (`pydantic.Field`)
+and, as the string below it, its description with the unit in brackets. Values are checked when a
+block is constructed or changed; `validate` builds a block from plain data, and reports all wrong
+fields.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
 _LCM_PROVIDERS = ("udpm", "tcpq", "memq")
-"""Providers of LCM that transport messages in both directions; `file` only records or replays."""
+"""LCM providers that both send and receive messages; `file` only records or replays."""
 
 BLOCK = ConfigDict(
     extra="forbid",
@@ -47,7 +47,7 @@ BLOCK = ConfigDict(
     validate_default=True,
     arbitrary_types_allowed=True,
 )
-"""Configuration of every block: unknown fields and non-finite numbers are errors."""
+"""Pydantic configuration of every block: unknown fields and non-finite numbers are errors."""
 
 
 class ScenarioError(ValueError):
@@ -76,7 +76,7 @@ class ScenarioError(ValueError):
 
 @contextmanager
 def field_errors(field: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Turns errors of some kinds into a `ScenarioError` that begins with the name of a field."""
+    """Turns exceptions of some types into a `ScenarioError` that names a field."""
     try:
         yield
     except kinds as error:
@@ -84,6 +84,7 @@ def field_errors(field: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 def _check_angle(angle: float) -> float:
+    """Returns an angle [rad]; raises ValueError above one turn, which is probably in degrees."""
     if abs(angle) > 2.0 * math.pi:
         raise ValueError(
             f"{angle:g} rad is more than one turn; angles are in radians "
@@ -93,18 +94,18 @@ def _check_angle(angle: float) -> float:
 
 
 def length(count: int) -> Any:
-    """Returns the annotation of a list that has exactly so many values."""
+    """Returns the annotation of a list with `count` values."""
     return Field(min_length=count, max_length=count)
 
 
 Vector3 = Annotated[list[float], length(3)]
-"""Three numbers."""
+"""List of three numbers."""
 Angles = Annotated[list[Annotated[float, AfterValidator(_check_angle)]], length(3)]
-"""Roll, pitch and yaw [rad], each at most one turn in either direction."""
+"""List of roll, pitch and yaw, each in [-2 pi, 2 pi] [rad]."""
 
 
 def above(name: str) -> AfterValidator:
-    """Validator of a field whose value must exceed the value of another, earlier field."""
+    """Returns the validator of a field that must exceed an earlier field."""
 
     def check(value: float, info: ValidationInfo) -> float:
         if name in info.data and value <= info.data[name]:
@@ -115,9 +116,9 @@ def above(name: str) -> AfterValidator:
 
 
 class Tagged:
-    """Annotation of a union of blocks that YAML tells apart by their tags.
+    """Annotation of a union of blocks that are distinguished by their YAML tags.
 
-    The tag is an exclamation mark and the name of the class; a mapping without one is of the
+    The tag is an exclamation mark and the name of the class; a mapping without tag belongs to the
     first class. In plain data the tag is the value of the key "_tag".
     """
 
@@ -147,18 +148,19 @@ class Tagged:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        # An editor's schema sees no tags, so several blocks may match.
+        # A JSON schema does not contain YAML tags, so several blocks may match.
         return {"anyOf": handler(schema)["oneOf"]}
 
 
 def _without_tag(data: Any) -> Any:
+    """Returns plain data without the key of the tag."""
     if isinstance(data, Mapping):
         return {name: value for name, value in data.items() if name != "_tag"}
     return data
 
 
 class DrakeStruct:
-    """Annotation of a field whose type is one of Drake's YAML structs."""
+    """Annotation of a field with one of Drake's YAML structs as its type."""
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -182,7 +184,7 @@ class DrakeStruct:
 
 
 def _struct_schema(struct: Any) -> dict[str, Any]:
-    """JSON schema of one of Drake's structs: the names of its fields."""
+    """Returns the JSON schema of one of Drake's structs: the names of its fields."""
     properties = {
         field.name: _struct_schema(field.type) if hasattr(field.type, "__fields__") else {}
         for field in struct.__fields__
@@ -194,9 +196,9 @@ def validate(kind: Any, data: Any, where: str = "") -> Any:
     """Builds a value of a type from plain data.
 
     Args:
-        kind: a block, or a type made of blocks.
-        data: plain data as `read_yaml` returns them.
-        where: name of the field that the data are of, for errors; empty for a whole file.
+        kind: a block, or a type that contains blocks.
+        data: plain data, see `read_yaml`.
+        where: name of the field with these data, for errors; empty for a whole file.
 
     Raises:
         ScenarioError: listing every wrong field.
@@ -209,7 +211,7 @@ def validate(kind: Any, data: Any, where: str = "") -> Any:
 
 
 class _BlockSchema(GenerateJsonSchema):
-    """JSON schema that describes the fields a block inherits, too."""
+    """Generator of JSON schemas that describe all fields of a block, inherited ones included."""
 
     def dataclass_schema(self, schema: core_schema.DataclassSchema) -> dict[str, Any]:
         result, block = super().dataclass_schema(schema), typing.cast(Any, schema["cls"])
@@ -225,29 +227,29 @@ def json_schema(block: type) -> dict[str, Any]:
 
 @cache
 def _descriptions(block: type) -> dict[str, str]:
-    """Returns the strings below the fields of a block and of its base classes, by field.
+    """Returns the descriptions of the fields of a block and of its base classes, by field.
 
-    Pydantic would read the source of every block when it is imported.
+    They are read on demand; pydantic would read the source of every block at its import.
     """
-    found: dict[str, str] = {}
+    descriptions: dict[str, str] = {}
     for base in filter(is_dataclass, reversed(block.__mro__)):
-        # A block that is typed into an interactive session has no source.
+        # A block that is defined in an interactive session has no source.
         with suppress(OSError):
             source: Any = ast.parse(textwrap.dedent(inspect.getsource(base)))
             for field, text in pairwise(source.body[0].body):
                 match field, text:
                     case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(value))):
-                        found[name] = inspect.cleandoc(value)
-    return found
+                        descriptions[name] = inspect.cleandoc(value)
+    return descriptions
 
 
 def plain_data(value: Any) -> Any:
-    """Plain data of a block, its own and inner blocks' defaults included."""
+    """Returns the plain data of a block, with the defaults of it and of its inner blocks."""
     return TypeAdapter(type(value)).dump_python(value)
 
 
 def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
-    """One line on an error: the full name of the field, the problem and the valid values."""
+    """Returns one line for an error: full name of the field, problem and valid values."""
     place, block, unit, limits = where, _block(kind), "", list[str]()
     for part in error["loc"]:
         if isinstance(part, int):
@@ -261,33 +263,33 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
             bracket = re.search(r" \[[^\]]+\]", _descriptions(block).get(part, "").split("\n\n")[0])
             kind, unit = fields[part].annotation, bracket[0] if bracket else ""
             block, limits = _block(kind), _limits(fields[part].metadata)
-    context, given = error.get("ctx", {}), error["input"]
+    context, value = error.get("ctx", {}), error["input"]
     if error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         if error["loc"][-1] == "_tag":
-            return f"{place.removesuffix('._tag')}: takes no tag, but has {given}"
+            return f"{place.removesuffix('._tag')}: must have no tag, not {value}"
         known = list(getattr(block, "__dataclass_fields__", {}))
         near, valid = did_you_mean(str(error["loc"][-1]), known), ", ".join(known) or "none"
         return f"{place}: is not a field{near}; valid fields: {valid}"
     if error["type"] == "union_tag_invalid":
         tags = context["expected_tags"].replace("'", "")
-        if not isinstance(given, Mapping):
-            return f"{place}: expected one of {tags} with its fields, not {given!r}"
+        if not isinstance(value, Mapping):
+            return f"{place}: expected one of {tags} with its fields, not {value!r}"
         tag = context["tag"]
         return f"{place}: tag {tag} is not one of {tags}{did_you_mean(tag, tags.split(', '))}"
     if error["type"] == "value_error":
         return f"{place}: {context['error']}{unit}"
     if error["type"].startswith(("greater", "less")) and limits:
-        return f"{place}: must be {' and '.join(limits)}{unit}, not {given!r}"
+        return f"{place}: must be {' and '.join(limits)}{unit}, not {value!r}"
     if error["type"] == "missing":
         return f"{place}: is missing"
     if error["type"] in ("dataclass_type", "dict_type"):
-        return f"{place}: expected a block of field: value, not {given!r}"
+        return f"{place}: expected a block of field: value, not {value!r}"
     message = re.sub(r"List (.*) items? after.*", r"\1 values", error["msg"])
-    return f"{place}: {message.removeprefix('Input ')}{unit}, not {given!r}"
+    return f"{place}: {message.removeprefix('Input ')}{unit}, not {value!r}"
 
 
 def _limits(metadata: Iterable[Any]) -> list[str]:
-    """Returns the limits in the metadata of a field of one number, as text."""
+    """Returns the limits of a numeric field as texts such as ">= 0", from its metadata."""
     signs = {"gt": ">", "ge": ">=", "le": "<="}
     return [
         f"{sign} {getattr(item, name):g}"
@@ -298,22 +300,22 @@ def _limits(metadata: Iterable[Any]) -> list[str]:
 
 
 def _block(kind: Any, tag: str = "") -> Any:
-    """Returns the block in a type, of several the one with the tag; None if there is none."""
+    """Returns the first block in a type, or the one with a tag; None if there is none."""
     if isinstance(kind, type) and hasattr(kind, "__dataclass_fields__"):
         return kind if tag in ("", f"!{kind.__name__}") else None
     blocks = (_block(each, tag) for each in typing.get_args(kind))
     return next((block for block in blocks if block is not None), None)
 
 
-def check_choice(what: str, known: Collection[str], *names: str) -> None:
-    """Raises ValueError for a name that is not among the known ones."""
+def check_choice(subject: str, known: Collection[str], *names: str) -> None:
+    """Checks that names are known; raises ValueError with the subject and the valid names."""
     for name in names:
         if name not in known:
-            raise ValueError(f"unknown {what} {name!r}; valid: {', '.join(known)}")
+            raise ValueError(f"unknown {subject} {name!r}; valid: {', '.join(known)}")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Returns ` (did you mean ...?)` if one of the known words is similar to the given one."""
+    """Returns ` (did you mean ...?)` with the most similar known word; "" without one."""
     near = difflib.get_close_matches(word, known, 1)
     return f" (did you mean {near[0]}?)" if near else ""
 
@@ -322,7 +324,7 @@ def check_lcm_url(url: str, field: str) -> str:
     """Checks that LCM can both send and receive messages at a URL, and returns it.
 
     Args:
-        url: PROVIDER://ADDRESS. LCM itself only prints that it does not know a provider.
+        url: PROVIDER://ADDRESS. LCM itself only logs an unknown provider.
         field: name of the field or option, for errors.
 
     Raises:
@@ -338,42 +340,42 @@ def check_lcm_url(url: str, field: str) -> str:
 
 
 def read_yaml(text: str) -> Any:
-    """Returns the plain data of a YAML text, the tag of a mapping under the key "_tag".
+    """Returns the plain data of a YAML text, with the tag of a mapping as its key "_tag".
 
     Raises:
-        ScenarioError: if the text is not valid YAML, or a key is given twice.
+        ScenarioError: if the text is not valid YAML, or a mapping has a key twice.
     """
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         if root is None:
-            # Drake takes an empty text for no text at all.
+            # yaml_load of Drake does not accept an empty text.
             return None
         _check_nodes(root)
         return yaml_load(data=text)
     except ScenarioError:
         raise
     except RecursionError:
-        raise ScenarioError("not valid YAML: too many blocks or lists within each other") from None
+        raise ScenarioError("not valid YAML: blocks or lists are nested too deeply") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ScenarioError(f"not valid YAML: {error}") from None
 
 
 def _check_nodes(node: yaml.Node, where: str = "") -> None:
-    """Checks for keys and tags that plain data cannot represent."""
+    """Checks that plain data can represent a YAML node: its tags, and unique textual keys."""
     if node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
         prefix = f"{where.rstrip('.')}: " if where else ""
-        raise ScenarioError(f"{prefix}tag {node.tag} needs a block: write '{node.tag} {{}}'")
+        raise ScenarioError(f"{prefix}tag {node.tag} requires a block: write '{node.tag} {{}}'")
     if isinstance(node, yaml.MappingNode):
-        seen = set()
+        names = set()
         for key, value in node.value:
             line = key.start_mark.line + 1
             if not key.tag.endswith((":str", ":merge")):
-                shown = f"'{key.value}'" if isinstance(key, yaml.ScalarNode) else "a block or list"
-                raise ScenarioError(f"a field's name must be text, not {shown} (line {line})")
+                text = f"'{key.value}'" if isinstance(key, yaml.ScalarNode) else "a block or list"
+                raise ScenarioError(f"a field's name must be text, not {text} (line {line})")
             name = f"{where}{key.value}"
-            if key.value in seen:
+            if key.value in names:
                 raise ScenarioError(f"'{name}' is given twice (line {line})")
-            seen.add(key.value)
+            names.add(key.value)
             _check_nodes(value, f"{name}.")
     elif isinstance(node, yaml.SequenceNode):
         for number, item in enumerate(node.value):
@@ -383,11 +385,11 @@ def _check_nodes(node: yaml.Node, where: str = "") -> None:
 def apply_override(data: dict[str, Any], override: str) -> None:
     """Merges "a.b=c" into plain data: c, read as YAML, replaces field b of block a.
 
-    A block without a tag is merged into the block that is there.
+    A block without a tag is merged into the existing block.
     """
     key, equals, text = override.partition("=")
     if not equals or not all(map(str.strip, key.split("."))):
-        raise ScenarioError(f"override '{override}' must have the form field.subfield=value")
+        raise ScenarioError(f"override '{override}' must have the form FIELD.SUBFIELD=VALUE")
     try:
         value = read_yaml(f"value: {text}")["value"]
     except ScenarioError as error:

@@ -101,8 +101,8 @@ def test_empty_file_gives_all_defaults(text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"task: &a {goal: *a}", "too many blocks or lists within each other"),
-        (b"cameras: " + b"[" * 3000 + b"]" * 3000, "too many blocks or lists within each other"),
+        (b"task: &a {goal: *a}", "blocks or lists are nested too deeply"),
+        (b"cameras: " + b"[" * 3000 + b"]" * 3000, "blocks or lists are nested too deeply"),
         (b"\x7fELF\xc5\x00", "can't decode byte 0xc5"),
     ],
 )
