@@ -1,4 +1,4 @@
-"""`drake-oa evaluate`: runs methods on a suite of scenes and prints their figures."""
+"""Command `drake-oa evaluate`: runs methods on suites of scenes, and prints their metrics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from drake_oa.evaluation.panda.evaluation import PandaResults, PandaSuite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
-"""Default folder of results, relative to the current folder."""
+"""Default folder of the results of runs, relative to the current folder."""
 
 Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
 """Names of methods; the option may be repeated."""
@@ -42,33 +42,38 @@ def synthetic(
     seed: Seed = 0,
     json: Path | None = None,
 ) -> None:
-    """Compare methods on scenes of ellipsoids.
+    """Compare methods on scenes of a point among ellipsoids.
 
-    table1, table2, table3, figure_familiar and figure_dead_zone, commands of their own, are the
-    paper's, its print beside; panda and mbm move the whole robot. For each method it prints:
+    The subcommands table1, table2, table3, figure_familiar and figure_dead_zone reproduce tables
+    and figures of the paper beside its published values. The subcommands panda, mbm and sources
+    simulate the whole robot.
 
-      collisions       scenes in which an obstacle was touched
-      clearance        least distance to an obstacle over the whole motion
-      short            scenes more than 1 mm short of the feasible clearance:
-                       min(Delta, distance of the start, distance of the goal)
-      goal error       distance to the goal at the end of the motion: of the scaled
-                       duration tau T; `verified` goes on until it has arrived, to
-                       2 tau T at most, and `paper` to 2 T
-      path ratio       length of the path over that of the straight line
+    The table has a row for each method, and these columns:
 
-    An independent float64 check judges the motions, on samples four times finer.
+      collisions               number of scenes in which the motion is in collision
+      mean clearance [m]       mean over the scenes of the minimum clearance of a motion
+      mean if achievable [m]   its mean over the scenes whose achievable clearance is the requested
+                               clearance Delta
+      min. clearance [m]       minimum clearance over all scenes
+      scenes with shortfall    number of scenes with more than 1 mm less than the achievable
+                               clearance min(Delta, distance of start, distance of goal)
+      max. goal error [mm]     maximum distance to the goal at the end of a motion: at its duration
+                               tau T; at the arrival, up to 2 tau T for verified and 2 T for paper
+      mean path ratio          mean length of the path over that of the straight line
 
-    Suites:
+    An independent float64 check evaluates the motions on samples that are four times finer.
+
+    Suites (number of scenes):
 
       novel      the paper's random obstacles at baselines of 0.5 to 2 m (4000)
-      hit        novel with random orientations, the straight line in collision (1000)
+      hit        as novel, with random orientations and a straight line in collision (1000)
 
     Methods (default: paper and verified):
 
-      paper                the paper's own regressor chain, as `table2` reads it
-      verified             the running system's search among roll-outs, from terms on 16 sides
-                           without those of the regressor chain
-      original             the coupling term that the paper starts from
+      paper      the paper's regressor chain, as in table2
+      verified   the running system's search among roll-outs, with seeds on 16 sides of the
+                 obstacles and without those of the regressor chain
+      original   the coupling term of the literature that the paper improves
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}.
 
@@ -78,11 +83,11 @@ def synthetic(
         drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
 
     Args:
-        suite: which scenes, see above.
-        methods: a method, see above; may be repeated.
-        scenes: how many.
-        seed: of the scenes.
-        json: write the figures.
+        suite: suite of scenes, see above.
+        methods: method, see above; may be repeated.
+        scenes: number of scenes (default: that of the suite).
+        seed: seed of the scenes.
+        json: write the metrics to this file.
     """
     evaluate_points(suite, methods, scenes, seed, json)
 
@@ -100,13 +105,13 @@ def evaluate_points(
     """Runs methods on a suite of ellipsoids and prints their tables.
 
     Args:
-        name: of the suite.
+        name: name of the suite.
         methods: names of methods.
         count: number of scenes; None: that of the suite.
-        seed: of the scenes; None for scenes without one.
-        json: where the figures go.
+        seed: seed of the scenes; None for scenes without one.
+        json: file of the metrics, or None.
         notes: lines below the first table.
-        terms: whether both coupling terms alone are compared as well.
+        terms: whether both coupling terms are also compared without a method.
     """
     from drake_oa.evaluation.scenes.evaluation import (
         compare_terms,
@@ -126,8 +131,7 @@ def evaluate_points(
     metrics = evaluation_metrics(name, seed, suite.settings, outcomes) | more
     replace_json(json, metrics)
     hit = int((line_distance(drawn) < 0.0).sum())
-    print(f"{name}: {len(drawn)} scenes; in {hit} an obstacle is on the straight line")
-    print("where feasible: mean over the scenes in which Delta itself is feasible\n")
+    print(f"{name}: {len(drawn)} scenes; the straight line is in collision in {hit}\n")
     show(*map(term_table, more.values()), *evaluation_tables(metrics, notes))
 
 
@@ -137,17 +141,17 @@ def evaluate_points(
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """Options of runs of the whole robot, and files of their results.
+    """Options of evaluations of the whole robot: processes, duration, and files of results.
 
     Attributes:
-        jobs: processes at once (default: cores).
-        scheduler: send the scenes to a running Dask cluster, as tcp://host:8786
+        jobs: number of parallel processes (default: number of cores).
+        scheduler: run the scenes on a Dask cluster with this address, for example tcp://host:8786
             (pip install 'drake_oa[cluster]').
-        duration: end each run after so many simulated seconds.
-        json: write the figures.
-        results: folder of the results, scene by scene (default: beside --json as STEM.scenes,
-            or drake_oa_runs/evaluate-panda).
-        write_scenes: write the scenes as scenario files for `drake-oa run` to this folder.
+        duration: end each run at this simulated time [s].
+        json: write the metrics to this file.
+        results: folder of the results, one file per scene and method (default: STEM.scenes in the
+            folder of --json, or drake_oa_runs/evaluate-panda).
+        write_scenes: write the scenes to this folder as scenario files for `drake-oa run`.
     """
 
     jobs: Count | None = None
@@ -159,6 +163,7 @@ class Runs:
 
 
 RUNS = Runs()
+"""Default options of evaluations of the whole robot."""
 
 
 @evaluate.command
@@ -173,62 +178,65 @@ def panda(
     cameras: Literal[1, 2] = 1,
     runs: Runs = RUNS,
 ) -> int:
-    """Run the whole robot, seeing, in random scenes of several kinds.
+    """Evaluate methods with the whole robot in random scenes of several kinds.
 
-    In each the planned motion of 0.5 to 1.0 m would touch something. Kinds (--suite):
+    In each scene the nominal motion, of 0.5 to 1.0 m, is in contact. Kinds (--suite):
 
-      tabletop     1 to 6 things on the table: boxes, cylinders, spheres, piles
-      moving       1 or 2 things cross the way at 0.1 to 0.4 m/s, up to 2 more stand there
-      elbow        the hand's way is free by 5 cm and the elbow's is not: posts, boards in
-                   the air, boxes on stands
-      clutter6     six things on the table, three or more within 25 cm of the way
-      moving_hard  2 to 4 things of 5 to 30 cm at 0.1 to 0.8 m/s enter from outside the
-                   image, change speed, turn, stop, come back; up to 2 more stand there;
-                   not every scene has a solution
-      moving_high  as moving_hard, and the middle of one thing at least passes 0.6 to 1.0 m up
-      drp          boxes by the parameters of DRPBench, of one level or several (--level):
+      tabletop     1 to 6 objects on the table: boxes, cylinders, spheres, piles
+      moving       1 or 2 objects cross the nominal path at 0.1 to 0.4 m/s, with up to 2 resting
+                   objects
+      elbow        objects that only the elbow touches, while the hand has 5 cm of clearance:
+                   posts, boards in the air, boxes on stands
+      clutter6     six objects on the table, at least three within 25 cm of the nominal path
+      moving_hard  2 to 4 objects of 5 to 30 cm enter the image at 0.1 to 0.8 m/s, change speed
+                   and direction, stop and return, with up to 2 resting objects; not every scene
+                   has a solution
+      moving_high  as moving_hard; the center of at least one object is 0.6 to 1.0 m high
+      drp          boxes by the parameters of DRPBench, for one or several levels (--level):
                    sudden1 to 3, floating1 and 2, goal_blocked1 and 2, moving_goal_blocked1
                    to 4 (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6:
                    floating1 with boxes of this speed [m/s]
 
     Methods (default: the first four):
 
-      nominal       the planned motion, blind to obstacles
-      paper            the paper's method alone, which nothing checks
-      verified         motions of the whole arm, verified by roll-outs among the obstacles, or a
-                       planned path that the primitives imitate; among moving obstacles
-                       maneuvers of the whole arm
-      differential_ik  Drake's differential inverse kinematics with collision constraints, on
-                       the same planned motion; it knows the obstacles exactly, and its tool
-                       keeps the requested clearance as far as start and goal have it
-      planner          a sampling-based planner that knows the obstacles exactly: RRT-Connect
-                       of the package ompl (pip install 'drake_oa[baselines]'), the whole robot
-                       25 mm from everything; among moving obstacles a search in time that
-                       knows their courses, 5 mm from everything. It is not simulated, and
-                       success means solved
+      nominal          the nominal motion, which avoids nothing
+      paper            the paper's method, without verification
+      verified         motions of the whole arm that roll-outs have verified among the obstacles,
+                       or a joint path that the movement primitives imitate; among moving
+                       obstacles also maneuvers of the whole arm
+      differential_ik  baseline: Drake's differential inverse kinematics with collision constraints
+                       along the nominal motion; it knows the obstacles exactly, and requests
+                       the achievable clearance
+      planner          baseline: the planner RRT-Connect of the package ompl
+                       (pip install 'drake_oa[baselines]'), which knows the obstacles exactly, with
+                       25 mm clearance of the whole robot; among moving obstacles a search in space
+                       and time that knows their trajectories, with 5 mm. Its path is not
+                       simulated: success means that it has found one
 
-    It prints:
+    The table has a row for each kind and method, and these columns:
 
-      contacts    scenes in which a link, the hand or a finger touched an obstacle, the
-                  table or another of the robot's, by SceneGraph, until all was at rest
-      success     no contact, and the tool ends within 5 mm of the goal
-      avoidable   contacts among moving things for which at least one of 500 joint motions
-                  from the state 0.2 s before stays clear; by view: and the obstacle's
-                  velocity was observed in time
-      claims A, B     logged instants of all scenes at which a point of the arm approaches
-                  a moving obstacle that could reach it from where it was seen (A), or is
-                  faster than 0.25 m/s toward where sight is lacking (B)
-      DRPBench    contacts and success by its rules: no contact with an obstacle or the table
-                  within its episode of 16.7 s, and then within 5 cm and 15 degrees of the goal
-      clearance   minimum over all scenes, of hand and fingers
-      duration    of the motion, median
+      contacts                     number of scenes with a contact of the robot with an obstacle,
+                                   the table or itself, by SceneGraph, until the world is at rest
+      avoidable by physics, by view
+                                   number of contacts with moving objects that at least one of 500
+                                   joint motions avoids from the state 0.2 s before; and of those
+                                   with an obstacle whose velocity was observed in time
+      success                      number of scenes without contact and with the tool within 5 mm of
+                                   the goal at the end
+      violations of claims A, B    number of logged instants at which a point of the arm approaches
+                                   a moving obstacle that can reach it from its observed position
+                                   (A), or moves into unobserved space faster than 0.25 m/s (B)
+      DRPBench contacts, success   numbers of scenes by DRPBench's rules: a contact with an obstacle
+                                   or the table within 16.7 s; none, and within 5 cm and 15 degrees
+                                   of the goal at that time
+      min. tool clearance [m]      minimum clearance of hand and fingers over all scenes
+      median duration [s]          median duration of the motions
 
-    --json writes more figures, and the result of each scene. Below the table: why runs were
-    stopped, and what was touched.
+    Lines below the table list the reasons of stops, the pairs in contact, and the sources of the
+    executed motions. --json has further metrics, and the result of each scene.
 
-    Every scene is on disk as soon as it is done (--results), and the same command
-    resumes. A Dask cluster's workers need this package, and are best started with
-    --nthreads 1.
+    The result of each scene is written at once (--results); the same command resumes an interrupted
+    evaluation. Workers of a Dask cluster require this package; start them with --nthreads 1.
 
     For example:
 
@@ -237,24 +245,25 @@ def panda(
         drake-oa evaluate panda --suite drp --level floating1 --perception truth --scenes 10
 
     Args:
-        kinds: of the scenes; may be repeated.
-        levels: of drp; may be repeated.
-        methods: a method, see above; may be repeated.
-        scenes: how many of each kind.
-        seed: of the scenes.
-        perception: depth (the camera) or truth (SceneGraph).
-        cameras: 2: two beside the robot, 2.1 m from the workspace's middle, in place of one.
-        runs: how runs are made.
+        kinds: kind of scenes, see above; may be repeated.
+        levels: level of drp; may be repeated.
+        methods: method, see above; may be repeated.
+        scenes: number of scenes of each kind.
+        seed: seed of the scenes.
+        perception: source of the obstacles: depth (camera) or truth (SceneGraph).
+        cameras: number of cameras; 2: on both sides of the robot, 2.1 m from the center of the
+            workspace.
+        runs: options of the runs.
     """
     from drake_oa.evaluation.panda.evaluation import panda_suite
     from drake_oa.evaluation.panda.scenes import suite_kinds
     from drake_oa.evaluation.panda.tables import kinds_metrics
 
     if cameras == 2 and perception != "depth":
-        raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
-    sees = "depth2" if cameras == 2 else perception
+        raise ValueError(f"--cameras 2 requires --perception depth, not {perception}")
+    source = "depth2" if cameras == 2 else perception
     suites = [
-        panda_suite(kind, scenes, seed, methods, sees, runs.duration)
+        panda_suite(kind, scenes, seed, methods, source, runs.duration)
         for kind in suite_kinds(kinds, levels)
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
@@ -272,44 +281,45 @@ def mbm(
     perception: Literal["depth", "truth"] = "truth",
     runs: Runs = RUNS,
 ) -> int:
-    """Run the whole robot on MotionBenchMaker's problems, of a file.
+    """Evaluate methods with the whole robot on the problems of MotionBenchMaker.
 
-    They are those of Chamzas et al., RA-L 2022 (data BSD-3-Clause, Rice University), as VAMP's
-    repository (github.com/KavrakiLab/vamp) carries them: a .tar.bz2 with folders <set>_<robot> of
+    The problems are those of Chamzas et al., RA-L 2022 (data BSD-3-Clause, Rice University), in the
+    form of VAMP's repository (github.com/KavrakiLab/vamp): a .tar.bz2 with folders <set>_<robot> of
     scene0001.yaml and request0001.yaml. Sets of the Panda and of the UR5: table_pick,
     table_under_pick, bookshelf_small, bookshelf_tall, bookshelf_thin, box, cage.
 
-    The demonstration is the tool's straight minimum-jerk motion from FK(start) to
-    FK(goal), 5 s, with the turn between them; the posture leads from the start's joints
-    to the goal's. The obstacles are known exactly, or with --perception depth seen by two
-    cameras, 1.2 m left and right of and above the middle between start and goal; what the goal
-    grasps (the tool point is inside) is left out. Requested are 3 cm, or what the whole robot
-    has at start and goal, and the supervisor stops no farther from obstacles.
+    The demonstration is a straight minimum-jerk motion of the tool from FK(start) to FK(goal) in
+    5 s, with the rotation between them. The nominal posture leads from the start configuration to
+    the goal configuration. Obstacles are known exactly, or with --perception depth perceived by
+    two cameras, 1.2 m to the left, to the right and above the center between start and goal. An
+    object that the goal grasps (the tool point is inside) is omitted. The requested clearance is
+    3 cm, or the clearance of the whole robot at start or goal if that is less.
 
-    Success: the simulated arm ends within 1 cm and 15 degrees of the goal, no contact
-    with the scene or itself, and no joint is more than 1 mrad beyond its limit. Methods:
+    Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each
+    joint at most 1 mrad beyond its limit. Methods:
 
       verified, nominal, differential_ik
-                            as of `drake-oa evaluate panda`
-      planner               RRT-Connect from the start's joints to the goal's, the whole
-                            robot at the requested clearance from the same shapes, 200 000
-                            states at most; not simulated
+                            as in `drake-oa evaluate panda`
+      planner               RRT-Connect from the start configuration to the goal configuration, with
+                            the requested clearance of the whole robot, at most 200 000 states; not
+                            simulated
 
-    --json has a block for each set, and `all`.
+    The table is that of `drake-oa evaluate panda`, with a row for each set and method, and rows
+    `all`. --json has a block for each set, and `all`.
 
     For example:
 
         drake-oa evaluate mbm --problems motionbenchmaker_panda.tar.bz2 --scenes 6
 
     Args:
-        problems: the file, .tar.bz2.
-        robot: panda (default), ur5 (with its gripper; pip install 'drake_oa[robots]'), or a
-            scenario whose robot block is of the problems' robot.
-        sets: of the problems (default: all); may be repeated.
-        methods: a method, see above; may be repeated.
-        scenes: the first N of each set.
-        perception: truth (SceneGraph) or depth (two cameras).
-        runs: how runs are made.
+        problems: file of the problems, .tar.bz2.
+        robot: panda (default), ur5 (with a gripper; pip install 'drake_oa[robots]'), or a
+            scenario with the block `robot` of the problems' robot.
+        sets: set of problems (default: all sets); may be repeated.
+        methods: method, see above; may be repeated.
+        scenes: number of problems of each set (default: all problems).
+        perception: source of the obstacles: truth (SceneGraph) or depth (two cameras).
+        runs: options of the runs.
     """
     from drake_oa.evaluation.mbm.suite import mbm_metrics, mbm_suites
 
@@ -333,13 +343,13 @@ def sources(
     seed: Seed = 0,
     runs: Runs = RUNS,
 ) -> int:
-    """Count the sources of the executed motions, and evaluate without each of them.
+    """Evaluate the method `verified` without each source of motions, and count executed sources.
 
-    Sources: nominal (the demonstrated motion), chain (the rows of the paper's regressor chain
-    together, with heading guidance), search (the local search) and
-    joint_path (a path in the joints that the primitives imitate). It prints the table of `drake-oa
-    evaluate panda` for `verified` and without chain, search and joint_path, and below it the
-    number of scenes in which a motion of each source was executed.
+    Sources: nominal (the nominal motion), chain (parameters of the paper's regressor chain, with
+    heading guidance), search (the local search) and joint_path (a joint path that the movement
+    primitives imitate). The table is that of `drake-oa evaluate panda`, for `verified` and for
+    `verified` without chain, search and joint_path. Lines below it count the scenes in which a
+    motion of each source was executed.
 
     For example:
 
@@ -347,12 +357,13 @@ def sources(
         drake-oa evaluate sources --problems motionbenchmaker_panda.tar.bz2 --seed 1000
 
     Args:
-        kinds: of the scenes of the Panda, see `drake-oa evaluate panda`, perceived by its camera.
+        kinds: kind of scenes of `drake-oa evaluate panda`, perceived by the camera; may be
+            repeated.
         problems: file of MotionBenchMaker's problems, see `drake-oa evaluate mbm`.
         scenes: number of scenes of each kind.
         count: number of problems of each set.
-        seed: of the scenes.
-        runs: how runs are made.
+        seed: seed of the scenes.
+        runs: options of the runs.
     """
     from drake_oa.evaluation.mbm.suite import mbm_suites
     from drake_oa.evaluation.panda.evaluation import WITHOUT, panda_suite
@@ -370,17 +381,17 @@ def run_suites(
     runs: Runs,
     suites: Sequence[PandaSuite],
     heading: str,
-    together: Callable[[Sequence[PandaResults], Sequence[dict[str, Any]]], dict[str, Any]],
+    merge: Callable[[Sequence[PandaResults], Sequence[dict[str, Any]]], dict[str, Any]],
     table: Callable[[Mapping[str, Any]], TextTable] | None = None,
 ) -> int:
-    """Runs several suites of the whole robot, and tells; returns the exit status.
+    """Runs suites of the whole robot, prints their table, and returns the exit status.
 
     Args:
-        runs: how.
-        suites: the suites.
-        heading: begins the line above the table.
-        together: what is written of the results and figures of each.
-        table: of that, what is shown; None: the table of `panda`.
+        runs: options of the runs.
+        suites: suites to run.
+        heading: beginning of the line above the table.
+        merge: function that returns the metrics to write from results and metrics of each suite.
+        table: function that returns the table of the merged metrics; None: that of `panda`.
     """
     if runs.jobs is not None and runs.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")
@@ -394,28 +405,28 @@ def run_suites(
 
     if any(PLANNER in suite.methods for suite in suites if suite.kind not in MOVING_KINDS):
         import_extra("ompl.base", "baselines")
-    beside = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
-    folder = runs.results or beside
+    default = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
+    folder = runs.results or default
     folders = filter(None, (folder, runs.write_scenes))
     check_outputs(runs.json, *(each / ".writable" for each in folders))
     workers = runs.scheduler or runs.jobs or cpu_count()
     results = [evaluate_panda(suite, workers=workers, folder=folder) for suite in suites]
-    metrics = [panda_metrics(found, workers) for found in results]
-    whole = together(results, metrics)
+    metrics = [panda_metrics(result, workers) for result in results]
+    whole = merge(results, metrics)
     replace_json(runs.json, whole)
-    for found in results if runs.write_scenes else ():
-        for scene, text in found.scenarios.items():
-            seen = seen_by(parse_scenario(text), found.suite.perception)
-            file = f"{runs.write_scenes}/{found.suite.scene_name(scene)}.scenario.yaml"
-            replace_text(Path(file), scenario_text(seen))
-    resumed = sum(found.resumed for found in results)
-    taken = f"; {resumed} runs were on disk" if resumed else ""
-    kinds = ", ".join(found.suite.kind for found in results)
-    print(f"{heading}, {kinds}, {results[0].suite.perception}{taken}\n")
+    for result in results if runs.write_scenes else ():
+        for scene, text in result.scenarios.items():
+            scenario = seen_by(parse_scenario(text), result.suite.perception)
+            file = f"{runs.write_scenes}/{result.suite.scene_name(scene)}.scenario.yaml"
+            replace_text(Path(file), scenario_text(scenario))
+    resumed = sum(result.resumed for result in results)
+    note = f"; {resumed} results read from {folder}" if resumed else ""
+    kinds = ", ".join(result.suite.kind for result in results)
+    print(f"{heading}, {kinds}, {results[0].suite.perception}{note}\n")
     all_of = [whole["all"]] if "all" in whole else []
     show(panda_table([*metrics, *all_of]) if table is None else table(whole))
-    done = [run for found in results for of in found.runs.values() for run in of.values()]
-    failed = [run["stop_reason"] for run in done if run["failed"]]
-    if failed:
-        complain(f"{len(failed)} of {len(done)} runs failed; the first: {failed[0]}")
-    return FAILED if failed else 0
+    all_runs = [run for result in results for of in result.runs.values() for run in of.values()]
+    failures = [run["stop_reason"] for run in all_runs if run["failed"]]
+    if failures:
+        complain(f"{len(failures)} of {len(all_runs)} runs failed; the first: {failures[0]}")
+    return FAILED if failures else 0

@@ -1,4 +1,4 @@
-"""`drake-oa evaluate table1` and so on: each table and figure of the paper, its print beside."""
+"""Subcommands of `drake-oa evaluate` for the paper's tables and figures, with published values."""
 
 from __future__ import annotations
 
@@ -20,13 +20,20 @@ from drake_oa.common.files import check_outputs, replace_json
 
 
 def table1(*, json: Path | None = None) -> None:
-    """Print the paper's Table I: errors of the chains as shipped, the print beside.
+    """Print the paper's Table I: errors of the shipped regressor chains, with published values.
 
-    NMSE of the three networks of each chain, as training measured them and wrote them into the
-    weights; `drake-oa train --recipe paper` trains them again.
+    The table of each chain has a row for each network (kappa, psi, alpha), and these columns:
+
+      train NMSE, published   normalized mean squared error on the training rows
+      test NMSE, published    the same on the test rows
+      lowest NMSE             test NMSE that no function of the network's inputs can improve
+      rows                    number of training rows
+
+    The errors are those that the training has stored in the weights. `drake-oa train --recipe
+    paper` repeats the training.
 
     Args:
-        json: write the figures.
+        json: write the metrics to this file.
     """
     from drake_oa.evaluation.paper_tables import table_one, table_one_metrics
 
@@ -37,18 +44,29 @@ def table1(*, json: Path | None = None) -> None:
 
 
 def table2(*, scenes: Count = 4000, seed: Seed = 0, json: Path | None = None) -> None:
-    """Run the paper's Table II: 4 x 1,000 novel scenes, the print beside.
+    """Reproduce the paper's Table II: 4 x 1,000 novel scenes, with published values.
 
-    What the print leaves open is read as it agrees best with it: see docs/results/paper.md.
+    The table has a row for each baseline, followed by a row of published values, and these columns:
+
+      collisions            number of scenes in which the motion is in collision
+      mean clearance [m]    mean over the scenes of the minimum clearance of a motion
+      min. clearance [m]    minimum clearance over all scenes
+      mean goal error [mm]  mean distance to the goal at the end of a motion
+      max. goal error [mm]  maximum distance to the goal at the end of a motion
+      differing metrics     metrics that differ from the published value by more than the tolerances
+                            below the table
+
+    Where the paper leaves the setting open, the one with the best agreement is used; see
+    docs/results/paper.md.
 
     For example:
 
         drake-oa evaluate table2 --seed 1000 --json table2.json
 
     Args:
-        scenes: how many, over all four baselines.
-        seed: of the scenes.
-        json: write the figures.
+        scenes: number of scenes of all four baselines together.
+        seed: seed of the scenes.
+        json: write the metrics to this file.
     """
     from drake_oa.evaluation.paper_tables import evaluate_novel, table_two, table_two_metrics
     from drake_oa.evaluation.scenes.suites import draw_scenes
@@ -69,22 +87,28 @@ def table3(
     perception: Literal["depth", "truth"] = "depth",
     runs: Runs = RUNS,
 ) -> int:
-    """Run the paper's Table III: three kinds of obstacles before the whole robot.
+    """Reproduce the paper's Table III: three kinds of obstacles with the whole robot.
 
-    The scenarios paper_box, paper_irregular and paper_clutter, each with the camera's noise of
-    consecutive seeds; the paper's figures stand beside. Methods: nominal, blind to obstacles,
-    and paper, the paper's inference and nothing else.
+    A trial is a run of the scenario paper_box, paper_irregular or paper_clutter with its own noise
+    of the camera. Methods: nominal, which avoids nothing, and paper, the paper's method without
+    verification. The table has a row for each scenario and method, and these columns:
+
+      trials                           number of trials
+      touched objects                  mean number of objects in contact
+      mean clearance [m], published    mean minimum clearance of the tool
+      trials with shortfall            number of trials with less than the achievable clearance
+      mean goal error [mm], published  mean distance of the tool to the goal at the end
 
     For example:
 
         drake-oa evaluate table3 --json table3.json
 
     Args:
-        methods: a method, see above; may be repeated.
-        trials: how many of each kind.
-        seed: of the first trial's noise.
-        perception: depth (the camera) or truth (SceneGraph).
-        runs: how runs are made.
+        methods: method, see above; may be repeated.
+        trials: number of trials of each scenario.
+        seed: seed of the noise in the first trial; later ones have the following seeds.
+        perception: source of the obstacles: depth (camera) or truth (SceneGraph).
+        runs: options of the runs.
     """
     from drake_oa.evaluation.paper_tables import table_three, trial_suites, trials_metrics
 
@@ -99,11 +123,12 @@ def figure_familiar(
     scenes: Count = 100,
     json: Path | None = None,
 ) -> None:
-    """Run the paper's figure of familiar scenes: its 100 ellipses, each in its 12 settings.
+    """Reproduce the paper's figure of familiar scenes: 100 ellipses in 12 settings each.
 
-    Six models, RC(lambda') and RC(lambda', Delta) for five Delta, with tau scaled and not; the
-    paper's figures stand beside. --json has "settings", and over those that ask for a clearance
-    and scale tau the figures of other suites.
+    The settings are six chains, RC(lambda') and RC(lambda', Delta) for five Delta, with and without
+    temporal scaling. Tables have the columns of `drake-oa evaluate SUITE`: first a row for each
+    method, over the settings with Delta and temporal scaling; then one for each setting. --json has
+    the latter under "settings".
 
     For example:
 
@@ -111,13 +136,13 @@ def figure_familiar(
         drake-oa evaluate figure_familiar --method paper --method verified
 
     Args:
-        methods: those of `drake-oa evaluate SUITE`; may be repeated.
-        scenes: how many ellipses, a square.
-        json: write the figures.
+        methods: method of `drake-oa evaluate SUITE`; may be repeated.
+        scenes: number of ellipses, a square number.
+        json: write the metrics to this file.
     """
     notes = (
-        "print: no collision in any setting; the goal within 30 mm where tau is scaled; else",
-        'convergence "rapidly deteriorates" as Delta grows; clearances are drawn as boxes only',
+        "published: no collision in any setting; goal error below 30 mm with temporal scaling, and",
+        'without it convergence "rapidly deteriorates" with larger Delta; clearances as box plots',
     )
     evaluate_points("familiar", methods, scenes, None, json, notes=notes)
 
@@ -128,18 +153,25 @@ def figure_dead_zone(
     scenes: Count = 41,
     json: Path | None = None,
 ) -> None:
-    """Run the paper's dead-zone figure: both coupling terms, and a point obstacle on the line.
+    """Reproduce the paper's dead-zone figure: two coupling terms at an obstacle on the baseline.
 
-    The obstacle is exactly on the line in the first scene, and 10 um to 10 cm off it in the
-    others. Both terms alone, of the same peak and area, and methods that regulate them.
+    The point obstacle is exactly on the baseline in the first scene, and 10 um to 10 cm beside it
+    in the others. The first table compares the coupling terms with equal peak and area, with a row
+    for each gain gamma of the original term:
+
+      clearance head-on: original [mm], dead-zone free [mm]
+                                             minimum clearance in the first scene
+      collisions: original, dead-zone free   number of scenes in collision
+
+    The second table compares methods; its columns are those of `drake-oa evaluate SUITE`.
 
     For example:
 
         drake-oa evaluate figure_dead_zone --json dead_zone.json
 
     Args:
-        methods: those of `drake-oa evaluate SUITE`; may be repeated.
-        scenes: how many places of the obstacle.
-        json: write the figures.
+        methods: method of `drake-oa evaluate SUITE`; may be repeated.
+        scenes: number of positions of the obstacle.
+        json: write the metrics to this file.
     """
     evaluate_points("dead-zone", methods, scenes, None, json, terms=True)

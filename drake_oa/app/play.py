@@ -26,13 +26,13 @@ def play(
 
     The arm moves to the goal and back, in real time. The controls are at the upper right:
 
-      pause, reset, stop     pause the simulation; restart at the start; end the run
-      next method            verified (the default), the paper's regressor chain, or nominal
-      camera or ground truth source of the obstacles: the camera, or their true shapes
-      speed                  simulated time over wall time; 1 is real time
-      clearance [m]          requested clearance of hand and fingers
-      goal x, y, z [m]       position of the goal
-      NAME: x, y, yaw        position [m] and yaw [rad] of an obstacle, in a folder of its name
+      pause, reset, stop      pause the simulation; restart at the start; end the run
+      next method             verified (the default), the paper's regressor chain, or nominal
+      camera or ground truth  source of the obstacles: the camera, or their true shapes
+      speed                   simulated time over wall time; 1 is real time
+      clearance [m]           requested clearance of hand and fingers
+      goal x, y, z [m]        position of the goal
+      NAME: x, y, yaw         position [m] and yaw [rad] of an obstacle, in a folder of its name
 
     The panel at the lower left shows time, method, minimum clearances, contacts, and the reason of
     a hold. A change becomes active when the slider has rested for 0.3 s: a new motion starts at the

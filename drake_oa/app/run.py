@@ -114,12 +114,15 @@ def run(
       motion source             nominal, chain, search or joint_path, with the fraction of the time
       termination               goal, or the reason for which the motion ended elsewhere
 
+    Notes and warnings below the table state contacts between links of the robot, an achievable
+    clearance below the requested one, clearance reductions and clearance shortfalls.
+
     Both motions are written to one log for `drake-oa replay` and `drake-oa plot`:
     drake_oa_runs/SCENARIO-TIME.npz, or the file of --log.
 
     With --hardware only the avoiding motion is executed, by the arm and the cameras whose messages
     are on --lcm-url: the driver of a real Panda, or `drake-oa station`; see docs/hardware.md. True
-    obstacles are unknown then, and the report omits clearances.
+    obstacles are unknown then, and the clearances are "-".
 
     Exit status: 0 if the tool of the avoiding motion reached the goal, or the motion reached
     --duration; 1 if it did not, if the robot was in contact, or if an output could not be written;

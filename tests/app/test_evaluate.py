@@ -37,7 +37,7 @@ def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFix
         assert isinstance(load_scenario(str(scene)).perception, GroundTruth)
     assert len(list(Path("p.scenes").glob("*.json"))) == 4
     assert again() == 0
-    assert "2 runs were on disk" in capsys.readouterr().out
+    assert "2 results read from p.scenes" in capsys.readouterr().out
 
 
 def test_runs_of_a_level_are_judged_by_its_rules_from_two_cameras() -> None:

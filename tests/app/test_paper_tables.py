@@ -32,7 +32,7 @@ def test_figures_are_told_and_written(
     if figure == "figure_familiar":
         assert len(paper["settings"]) == 12
         assert paper["collisions"] == 0
-        assert "print: no collision" in told
+        assert "published: no collision" in told
     else:
         assert whole["terms"][-1]["original_collisions"] == 1
         assert paper["collisions"] == 0
