@@ -1,4 +1,4 @@
-"""A headless Chromium, driven by its DevTools protocol."""
+"""Headless Chromium that is controlled by its DevTools protocol."""
 
 import asyncio
 import json
@@ -14,14 +14,17 @@ from typing import Any
 from tornado.websocket import websocket_connect
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
+"""Path of the program; None: it is not installed."""
 _FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader")
 _FLAGS += ("--enable-unsafe-swiftshader", "--remote-debugging-port=0", "--window-size=1400,900")
+"""Command line options of the program."""
 
 
 class Browser:
-    """One page, until it is closed."""
+    """Browser with one page, which the end of a `with` block closes."""
 
     def __init__(self, url: str) -> None:
+        """Starts the browser with the page of a URL."""
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         command = [str(PROGRAM), *_FLAGS, f"--user-data-dir={self._folder.name}", url]
         self._process = subprocess.Popen(
@@ -31,6 +34,7 @@ class Browser:
         self._socket = self._loop.run_until_complete(self._connect())
 
     async def _connect(self) -> Any:
+        """Connects to the page; raises TimeoutError after 60 s."""
         port = Path(self._folder.name) / "DevToolsActivePort"
         deadline = time.monotonic() + 60.0
         while time.monotonic() < deadline:
@@ -41,25 +45,25 @@ class Browser:
                     address = pages[0]["webSocketDebuggerUrl"]
                     return await websocket_connect(address, max_message_size=2**28)
             await asyncio.sleep(0.1)
-        raise TimeoutError("no browser")
+        raise TimeoutError("the browser has no page after 60 s")
 
     def call(self, method: str, **parameters: Any) -> Any:
-        """Calls a method of the DevTools protocol; returns its result."""
+        """Calls a method of the DevTools protocol, and returns its result."""
 
-        async def ask() -> Any:
+        async def request() -> Any:
             await self._socket.write_message(
                 json.dumps({"id": 1, "method": method, "params": parameters})
             )
             while True:
                 message = json.loads(await self._socket.read_message())
-                # Events have no ID.
+                # Messages without this ID are events.
                 if message.get("id") == 1:
                     return message["result"]
 
-        return self._loop.run_until_complete(asyncio.wait_for(ask(), 60.0))
+        return self._loop.run_until_complete(asyncio.wait_for(request(), 60.0))
 
     def evaluate(self, script: str) -> Any:
-        """Returns the value of a JavaScript expression."""
+        """Returns the value of a JavaScript expression on the page."""
         result = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         return result["result"].get("value")
 

@@ -1,4 +1,4 @@
-"""Builders shared by tests of several folders."""
+"""Helpers that tests of several folders share."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,7 +24,7 @@ from drake_oa.scenario.scenario import Scenario
 
 
 def unseen_near(scenario: Scenario) -> float:
-    """Share of the space near the arm that the cameras of perception do not see."""
+    """Returns the fraction of the space near the arm that no camera of a scenario observes."""
     views = view_volumes(scenario, scenario.perception)
     spheres = spheres_along(scenario)
     return unseen_share(*spheres, points_near(*spheres, scenario.table_height), views)
@@ -37,7 +37,7 @@ def balls(
     ids: Sequence[int] | None = None,
     **more: object,
 ) -> EllipsoidSet:
-    """Obstacles about these centers [m]; with three radii ellipsoids along the world's axes."""
+    """Returns balls at the centers [m]; three radii give ellipsoids along the world's axes."""
     count = len(centers)
     return EllipsoidSet(
         stamp=stamp,
@@ -51,21 +51,21 @@ def balls(
 
 
 def depth_image(depth: np.ndarray) -> ImageDepth32F:
-    """Returns an image of (H, W) depths [m]."""
+    """Returns a Drake image of a depth array (H, W) [m]."""
     image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
     image.mutable_data[:, :, 0] = depth
     return image
 
 
 def read(system: System, context: Context, port: str) -> FloatArray:
-    """A vector output."""
+    """Returns the value of a vector output port of a system."""
     return np.array(system.GetOutputPort(port).Eval(context))
 
 
 def hinged_shapes(
     shapes: Sequence[Shape], X_BG: RigidTransform
 ) -> tuple[Diagram, MultibodyPlant, SceneGraph, RigidBody]:
-    """One body, "link", on a hinge about z, with collision geometries."""
+    """Builds a plant with collision geometries on one body, which a joint rotates about z."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
     instance = plant.AddModelInstance("arm")
@@ -79,8 +79,8 @@ def hinged_shapes(
 
 
 def command(*arguments: object) -> int:
-    """Exit status of `drake-oa`, also where it exits by itself."""
+    """Runs `drake-oa` with arguments, and returns its exit status."""
     try:
         return main([str(argument) for argument in arguments])
-    except SystemExit as done:
-        return int(done.code or 0)
+    except SystemExit as ended:
+        return int(ended.code or 0)

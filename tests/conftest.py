@@ -15,25 +15,26 @@ from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import load_scenario, scenario_text
 
-# Torch built for CUDA loads triton when it first differentiates, and triton crashes a process that
-# renders by Mesa: both contain LLVM. Nothing here needs triton, so its import fails.
+# Torch for CUDA imports triton at its first differentiation. Triton and Mesa both contain LLVM, and
+# together crash a process that renders. No test requires triton, so its import is made to fail.
 sys.modules["triton"] = None  # type: ignore[assignment]
 
-# The machine may be busy: no property is judged by the time an example takes.
+# On a busy computer the time of an example is no error, so there is no deadline.
 settings.register_profile("drake_oa", deadline=None, derandomize=True)
 settings.load_profile("drake_oa")
 
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
+"""Folder of reference data and depth scans beside the checkout."""
 
 
 @pytest.fixture(scope="session")
 def reference() -> Callable[[str], Path]:
-    """Path of a reference data file by name; skips the test where it is absent."""
+    """Function that returns the path of a reference file by name, or skips the test without it."""
 
     def find(name: str) -> Path:
         path = _SHARED / "reference" / name
         if not path.is_file():
-            pytest.skip(f"reference data {name} is not here")
+            pytest.skip(f"reference file {path} does not exist")
         return path
 
     return find
@@ -41,22 +42,22 @@ def reference() -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def scan_files() -> list[Path]:
-    """The real depth scans; skips the test where they are absent."""
+    """Files of the real depth scans; skips the test without them."""
     files = sorted((_SHARED / "scans").glob("*.npz"))
     if not files:
-        pytest.skip("the real depth scans are not here")
+        pytest.skip(f"folder {_SHARED / 'scans'} has no depth scans")
     return files
 
 
 @pytest.fixture(scope="session")
 def panda() -> RobotPlant:
-    """The Panda alone; not to be changed."""
+    """Plant of the Panda without a world, shared by all tests: it must not be modified."""
     return make_robot_plant(Robot())
 
 
 @pytest.fixture(scope="session")
 def recording_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one recorded cloud: a small box on a table, in the world frame."""
+    """Folder with one recorded cloud of a box on a table, in the world frame."""
     folder = tmp_path_factory.mktemp("recording")
     grid = np.arange(-0.5, 0.5, 0.004)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
@@ -72,9 +73,9 @@ def recording_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def straight_log() -> Callable[..., MotionLog]:
-    """Makes the log of a free point that goes from the start to the goal, 0.1 s a step.
+    """Function that creates the log of a straight motion without a robot, with steps of 0.1 s.
 
-    `straight_log(count, **changes)`: instants, and attributes to replace.
+    Its arguments are the number of instants, and attributes of the log to replace.
     """
     scenario = scenario_text(load_scenario("free_space"))
 
@@ -113,10 +114,11 @@ def straight_log() -> Callable[..., MotionLog]:
 
 
 _STEPS = 100
+"""Number of time steps of a straight motion."""
 
 
 def straight_motions(scenes: Scenes, setting: Setting) -> Motions:
-    """The unmodulated minimum-jerk motion, which avoids nothing."""
+    """Computes the minimum-jerk motions of scenes along the baseline, without avoidance."""
     s = np.linspace(0.0, 1.0, _STEPS + 1)
     path = np.zeros((len(scenes), _STEPS + 1, 3))
     velocity = np.zeros_like(path)
@@ -127,5 +129,5 @@ def straight_motions(scenes: Scenes, setting: Setting) -> Motions:
 
 @pytest.fixture
 def straight() -> Callable[[Scenes, Setting], Motions]:
-    """The unmodulated motion as a method."""
+    """Method of the evaluation that avoids nothing, see `straight_motions`."""
     return straight_motions

@@ -1,4 +1,4 @@
-"""Figures of `drake-oa benchmark`, and that timing changes nothing."""
+"""Metrics of `drake-oa benchmark`; timing does not affect the motion."""
 
 import json
 import math
@@ -13,14 +13,14 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 
-def test_runs_are_timed_with_their_systems():
+def test_benchmark_measures_runs_and_their_systems():
     scenarios = {name: load_scenario(name) for name in ("tabletop_box", "free_space")}
     metrics = run_benchmark(scenarios, seconds=0.1)
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
     assert {"drake", "drake_oa", "numpy"} <= set(metrics["versions"])
-    for found in metrics["scenarios"].values():
-        assert found["run"]["real_time_factor"] > 0.0
-        assert all(0.0 <= seconds < math.inf for seconds in found["run"]["layers"].values())
+    for item in metrics["scenarios"].values():
+        assert item["run"]["real_time_factor"] > 0.0
+        assert all(0.0 <= seconds < math.inf for seconds in item["run"]["layers"].values())
     layers = metrics["scenarios"]["tabletop_box"]["run"]["layers"]
     assert {REMAINDER, "perception", "motion_verifier", "dmp_integrator", "controller"} <= set(
         layers
@@ -30,7 +30,7 @@ def test_runs_are_timed_with_their_systems():
     assert all(name in table for name in (*layers, metrics["machine"]["cpu"]))
 
 
-def test_a_timed_run_is_the_same_motion_and_drake_is_left_as_it_was():
+def test_timing_changes_neither_motion_nor_drake():
     box, before = load_scenario("tabletop_box"), dict(vars(LeafSystem))
     with timed_systems():
         timed = simulate(box, duration=0.1).q.tolist()
@@ -41,7 +41,7 @@ def test_a_timed_run_is_the_same_motion_and_drake_is_left_as_it_was():
 
 
 class Slow(LeafSystem):
-    """Takes a time to compute its output, after its input if that is connected."""
+    """System whose output evaluates the input, if that is connected, and then sleeps for a time."""
 
     def __init__(self, seconds):
         super().__init__()
@@ -55,13 +55,13 @@ class Slow(LeafSystem):
         self.DeclareAbstractOutputPort("after", lambda: Value(0), calc)
 
 
-def test_each_moment_is_that_of_the_innermost_system():
+def test_time_counts_for_the_innermost_system():
     builder = DiagramBuilder()
-    with timed_systems() as spent:
+    with timed_systems() as wall_times:
         one, other = (builder.AddNamedSystem(f"{s}", Slow(s)) for s in (0.1, 0.02))
     builder.Connect(one.get_output_port(), other.get_input_port())
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     other.get_output_port().Eval(other.GetMyContextFromRoot(context))
-    assert spent["0.1"] == pytest.approx(0.1, abs=0.05)
-    assert spent["0.02"] == pytest.approx(0.02, abs=0.02)
+    assert wall_times["0.1"] == pytest.approx(0.1, abs=0.05)
+    assert wall_times["0.02"] == pytest.approx(0.02, abs=0.02)

@@ -1,4 +1,4 @@
-"""What README and the site's pages show is taken by the program that there is."""
+"""Commands, code, links and messages on README and the pages agree with the program."""
 
 import ast
 import importlib
@@ -35,29 +35,29 @@ PAGES = [page for page in PAGES if page.parent.name not in ("api", "_build", "tu
 
 
 def blocks(kind: str) -> list[tuple[str, str]]:
-    """(page, block) of each fenced block of a kind."""
-    found = []
+    """Returns (page, text) of each fenced block of a kind, for example "python"."""
+    result = []
     for page in PAGES:
         for block in re.findall(rf"^```{kind}\n(.*?)^```", page.read_text(), re.S | re.M):
-            found.append((page.name, block))
-    return found
+            result.append((page.name, block))
+    return result
 
 
 def commands() -> list[tuple[str, str]]:
-    """(page, line) of each line that is a command of ours, in a block or by itself."""
-    found = []
+    """Returns (page, line) of each line that begins with `drake-oa`."""
+    result = []
     for page in PAGES:
         for line in page.read_text().replace("\\\n", " ").splitlines():
             if re.match(r"\s*drake-oa \S", line) and "..." not in line:
-                found.append((page.name, line.strip()))
-    return found
+                result.append((page.name, line.strip()))
+    return result
 
 
-def test_every_command_that_is_shown_is_one() -> None:
+def test_commands_of_the_pages_are_valid() -> None:
     app = _app()
     assert len(commands()) > 30
     for page, line in commands():
-        # A single capital letter stands for a number.
+        # A single capital letter is a placeholder of a number.
         words = ["1" if re.fullmatch("[A-Z]", w) else w for w in shlex.split(line, comments=True)]
         try:
             app.parse_args(words[1:], exit_on_error=False, print_error=False)
@@ -72,7 +72,7 @@ def test_the_environment_is_activated_before_the_first_command() -> None:
         assert ". .venv/bin/activate" in before
 
 
-def test_every_import_that_is_shown_can_be_made() -> None:
+def test_imports_of_the_pages_succeed() -> None:
     assert blocks("python")
     for page, block in blocks("python"):
         for node in ast.walk(ast.parse(block, page)):
@@ -108,11 +108,11 @@ def test_avoidance_rate_is_the_formula_of_the_theory_page() -> None:
         assert dead_zone_free_rate(theta, d, alpha, psi, kappa) == pytest.approx(expected)
 
 
-def test_every_linked_object_of_the_package_exists() -> None:
+def test_linked_objects_of_the_package_exist() -> None:
     for page in PAGES:
         for name in re.findall(r"\{py:\w+\}`[^`]*?~?(drake_oa[\w.]*)>?`", page.read_text()):
-            found, *rest = name.split(".")
-            subject: object = importlib.import_module(found)
+            package, *rest = name.split(".")
+            subject: object = importlib.import_module(package)
             for part in rest:
                 if not hasattr(subject, part):
                     assert isinstance(subject, types.ModuleType), f"{page.name}: {name}"
@@ -120,7 +120,7 @@ def test_every_linked_object_of_the_package_exists() -> None:
                 subject = getattr(subject, part)
 
 
-def test_every_block_of_a_scenario_that_is_shown_is_taken() -> None:
+def test_scenario_blocks_of_the_pages_are_valid() -> None:
     assert blocks("yaml")
     whole = shipped_scenarios()["two_cameras"].read_text()
     around = re.sub(r"^perception:.*\n(?:[ #].*\n)*", "", whole, flags=re.M)
@@ -129,11 +129,11 @@ def test_every_block_of_a_scenario_that_is_shown_is_taken() -> None:
         parse_scenario(around + block)
 
 
-def test_every_file_that_is_linked_is_there() -> None:
+def test_linked_files_exist() -> None:
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text()):
             if "://" not in target and not target.startswith("mailto:"):
-                # The build of the site makes these two.
+                # The build of the site generates these two.
                 is_generated = target.endswith(("gallery.md", "api/index.rst"))
                 assert is_generated or (page.parent / target).exists(), f"{page.name}: {target}"
 

@@ -1,4 +1,4 @@
-"""The modules between a depth image and a torque are those that docs/architecture.md lists."""
+"""Modules between depth image and torque, compared with the list in docs/architecture.md."""
 
 import re
 import sys
@@ -11,11 +11,13 @@ from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.scenario.loading import load_scenario
 
 PAGE = Path(__file__).parents[1] / "docs/architecture.md"
-MOST = 40
+MAX_COUNT = 40
+"""Maximum number of modules between depth image and torque."""
 BEFORE_PERCEPTION = {"drake_oa.world.cameras", "drake_oa.world.delayed_camera"}
+"""Modules that create the depth image."""
 
 
-def test_the_documented_modules_run_between_image_and_torque() -> None:
+def test_documented_modules_run_between_image_and_torque() -> None:
     simulator = Simulator(build_avoidance(load_scenario("tabletop_box")))
     simulator.Initialize()
     run: set[str] = set()
@@ -34,4 +36,4 @@ def test_the_documented_modules_run_between_image_and_torque() -> None:
     section = PAGE.read_text().partition("## The path of a depth image")[2]
     listed = {f"drake_oa.{name}" for name in re.findall(r"`(\w+\.\w+)`", section)}
     assert run == listed
-    assert len(run) <= MOST
+    assert len(run) <= MAX_COUNT

@@ -14,6 +14,7 @@ FOLDERS = sorted(
     for path in (ROOT / tree).rglob("__init__.py")
 )
 README_LINES = 10
+"""Minimum number of lines of a package overview."""
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)
@@ -26,7 +27,7 @@ def test_each_package_has_an_overview(folder: Path) -> None:
 
 
 def test_tests_mirror_the_tree() -> None:
-    """A folder of tests is of a folder of the package, and a test's name says of which module."""
+    """Each folder of tests has the name of a folder of the package."""
     folders = {
         path.parent.relative_to(ROOT / "tests") for path in (ROOT / "tests").rglob("test_*.py")
     }

@@ -1,4 +1,4 @@
-"""`from drake_oa import X` for each layer's system, and nothing before it is asked for."""
+"""Systems that the package exports, and its lazy imports."""
 
 import subprocess
 import sys
@@ -8,12 +8,12 @@ from pydrake.systems.framework import LeafSystem
 import drake_oa
 
 
-def test_every_layer_is_found_in_the_package() -> None:
+def test_package_exports_the_system_of_each_layer() -> None:
     assert all(issubclass(getattr(drake_oa, name), LeafSystem) for name in drake_oa.__all__)
     assert set(drake_oa.__all__) <= set(dir(drake_oa))
 
 
-def test_the_package_alone_imports_nothing_heavy() -> None:
+def test_package_import_loads_no_large_package() -> None:
     source = (
         "import sys, drake_oa\n"
         "print([name for name in ('pydrake', 'numba', 'numpy') if name in sys.modules])"

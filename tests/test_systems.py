@@ -1,6 +1,6 @@
-"""Every system alone: its ports, its outputs, its context, and inputs that are not a number.
+"""Ports, outputs and contexts of each system alone, and its response to NaN inputs.
 
-The systems and their inputs are those of diagrams of shipped scenarios.
+The systems and their inputs come from diagrams of shipped scenarios.
 """
 
 import importlib
@@ -52,16 +52,17 @@ ECHOES = {
     "MotionGuard.tracking_error",
     "MotionGuard.orientation_error",
 }
-"""Outputs that hand on an input that is not a number, and the time of a contact that never comes;
-the controller commands no torque of them."""
+"""Outputs that may be NaN or inf: copies of inputs that no torque depends on, and the time of a
+contact that is not predicted."""
 
 
 Parts = list[tuple[LeafSystem, Context]]
+"""Systems of a diagram with their contexts."""
 
 
 def system_classes() -> dict[str, type[LeafSystem]]:
-    """All systems of the package by name."""
-    found = {}
+    """Returns the classes of all systems of the package by name."""
+    classes = {}
     for module in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
         for name, member in vars(importlib.import_module(module.name)).items():
             if (
@@ -69,26 +70,29 @@ def system_classes() -> dict[str, type[LeafSystem]]:
                 and issubclass(member, LeafSystem)
                 and member.__module__ == module.name
             ):
-                found[name] = member
-    return found
+                classes[name] = member
+    return classes
 
 
 def own_systems(diagram: Diagram) -> Iterator[LeafSystem]:
-    """The package's systems in a diagram."""
+    """Yields the systems of a diagram that the package defines."""
     for system in diagram.GetSystems():
         if type(system).__module__.startswith("drake_oa."):
             yield system
 
 
 def inputs_of(system: LeafSystem) -> list[Any]:
+    """Returns the input ports of a system."""
     return [system.get_input_port(i) for i in range(system.num_input_ports())]
 
 
 def outputs_of(system: LeafSystem) -> list[Any]:
+    """Returns the output ports of a system."""
     return [system.get_output_port(i) for i in range(system.num_output_ports())]
 
 
 def full_name(port: Any) -> str:
+    """Returns "Class.port" of a port."""
     return f"{type(port.get_system()).__name__}.{port.get_name()}"
 
 
@@ -96,7 +100,7 @@ def full_name(port: Any) -> str:
 
 
 def documented_ports(kind: type[LeafSystem]) -> dict[str, Any]:
-    """The port list of a system's docstring."""
+    """Returns the port lists in the docstring of a system's class."""
     text = textwrap.dedent(inspect.getdoc(kind) or "")
     block = re.search(r"\.\. pydrake_system::\n\n((?: +.*\n|\n)+)", text)
     if block is None:
@@ -105,15 +109,15 @@ def documented_ports(kind: type[LeafSystem]) -> dict[str, Any]:
 
 
 def checked_systems(diagram: Diagram) -> set[str]:
-    """Names of the package's systems in a diagram, whose ports were compared."""
+    """Compares ports of a diagram's systems with their docstrings; returns the classes."""
     checked = set()
     for system in own_systems(diagram):
         listed = documented_ports(type(system))
         inputs = [port.get_name() for port in inputs_of(system)]
         written = [str(p).partition(" ") for p in listed.get("input_ports") or []]
-        # A port "(with x)" is there when the system was given an x.
-        given = [name for name, _, kind in written if not kind.startswith("(with")]
-        assert inputs in (given, [name for name, _, _ in written])
+        # A port "(with x)" exists if the system was constructed with an x.
+        required = [name for name, _, kind in written if not kind.startswith("(with")]
+        assert inputs in (required, [name for name, _, _ in written])
         outputs = [str(p).split(" ")[0] for p in listed.get("output_ports") or []]
         assert [port.get_name() for port in outputs_of(system)] == outputs
         checked.add(type(system).__name__)
@@ -125,12 +129,12 @@ def test_every_system_documents_its_ports() -> None:
         assert documented_ports(kind)["name"] == name
 
 
-# Each alone.
+# Each system alone.
 
 
 @pytest.fixture(scope="module")
 def diagrams(recording_folder: Path, straight_log: Any) -> dict[str, Diagram]:
-    """Diagrams that have every system but those on the bus of a robot and of a baseline."""
+    """Diagrams that together have every system except those of hardware and of baselines."""
     recorded = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
     meshcat = Meshcat()
     built = {}
@@ -142,7 +146,7 @@ def diagrams(recording_folder: Path, straight_log: Any) -> dict[str, Diagram]:
 
 
 def alone(system: LeafSystem, inner: Context) -> Simulator:
-    """A simulation of one system, its inputs fixed at their values in the diagram's context."""
+    """Creates the simulator of one system, with the inputs fixed to their values in a context."""
     context = system.CreateDefaultContext()
     for port in inputs_of(system):
         if port.HasValue(inner):
@@ -155,7 +159,7 @@ def alone(system: LeafSystem, inner: Context) -> Simulator:
 
 
 class Bits(pickle.Pickler):
-    """Pickles messages, with images and clouds as their arrays."""
+    """Pickler of messages that stores images, clouds and forces as arrays."""
 
     def reducer_override(self, value: Any) -> Any:
         if isinstance(value, ImageDepth32F):
@@ -168,20 +172,20 @@ class Bits(pickle.Pickler):
 
 
 def outputs_at(simulator: Simulator, time: float) -> dict[str, bytes]:
-    """All outputs by name, once the simulator has gone on to a time [s]."""
+    """Advances to a time [s], and returns the pickled outputs of the system by name."""
     simulator.AdvanceTo(time)
-    found = {}
+    outputs = {}
     for port in outputs_of(simulator.get_system()):
         Bits(file := io.BytesIO()).dump(port.Eval(simulator.get_context()))
-        found[port.get_name()] = file.getvalue()
-    return found
+        outputs[port.get_name()] = file.getvalue()
+    return outputs
 
 
 def test_the_diagrams_have_every_system(diagrams: dict[str, Diagram]) -> None:
     live = load_scenario("tabletop_box", ["perception=!LcmCamera {lcm_url: 'memq://'}"])
     every = [*diagrams.values(), build_avoidance(live)]
     checked = set().union(*map(checked_systems, every))
-    # Tested in tests/hardware and in tests/evaluation; and base classes.
+    # Tests of hardware and evaluation check the first ones; the last two are base classes.
     others = {"CommandStream", "CommandedJoints", "MeasuredState", "ProgramInputs"}
     others |= {"TimedCamera", "InverseDynamics"}
     assert checked == set(system_classes()) - others
@@ -190,14 +194,14 @@ def test_the_diagrams_have_every_system(diagrams: dict[str, Diagram]) -> None:
 
 @pytest.fixture(params=[*OVERRIDES, "replay"])
 def parts(diagrams: dict[str, Diagram], request: pytest.FixtureRequest) -> Parts:
-    """The systems of one of the diagrams, and their contexts after a while."""
+    """Systems of one of the diagrams, with their contexts at 0.05 s."""
     whole = Simulator(diagrams[request.param])
     whole.AdvanceTo(0.05)
     root = whole.get_context()
     return [(one, one.GetMyContextFromRoot(root)) for one in own_systems(diagrams[request.param])]
 
 
-def test_a_clone_goes_on_to_the_same_bits(parts: Parts) -> None:
+def test_clone_of_a_context_has_identical_outputs(parts: Parts) -> None:
     for system, inner in parts:
         one = alone(system, inner)
         begin = one.get_context().Clone()
@@ -205,11 +209,11 @@ def test_a_clone_goes_on_to_the_same_bits(parts: Parts) -> None:
         other = Simulator(system, one.get_context().Clone())
         other.Initialize(InitializeParams(suppress_initialization_events=True))
         assert outputs_at(one, 0.21) == outputs_at(other, 0.21)
-        # Nothing is kept outside the context.
+        # The state is in the context alone.
         assert outputs_at(Simulator(system, begin), 0.1) == first
 
 
-def test_an_input_that_is_not_a_number_is_no_command(parts: Parts) -> None:
+def test_nan_input_yields_finite_commands(parts: Parts) -> None:
     for system, inner in parts:
         for port in inputs_of(system):
             simulated = type(system).__module__.startswith("drake_oa.world.")
@@ -220,7 +224,7 @@ def test_an_input_that_is_not_a_number_is_no_command(parts: Parts) -> None:
             try:
                 outputs_at(one, 0.02)
             except ValueError:
-                continue  # It is refused.
+                continue  # The system refuses the input.
             for output in outputs_of(system):
                 name = full_name(output)
                 if output.get_data_type() == PortDataType.kVectorValued and name not in ECHOES:

@@ -1,4 +1,4 @@
-"""The built wheel: complete, no more than it should be, and at work without the checkout."""
+"""Contents of the wheel, and the installed command without the checkout."""
 
 import os
 import shutil
@@ -16,7 +16,7 @@ SOURCES = {"drake_oa": "drake_oa", "diagrams": "drake_oa/diagrams", "models": "d
 
 
 def data_files() -> set[str]:
-    """The files below the packages that are not code, by their path in the wheel."""
+    """Returns the paths in the wheel of all data files of the packages."""
     return {
         f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, inside in SOURCES.items()
@@ -26,7 +26,7 @@ def data_files() -> set[str]:
 
 
 def modules() -> set[str]:
-    """The Python files of the packages, by their path in the wheel."""
+    """Returns the paths in the wheel of all Python files of the packages."""
     return {
         f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, inside in SOURCES.items()
@@ -35,7 +35,7 @@ def modules() -> set[str]:
 
 
 def quiet_run(*command: str, **options: object) -> subprocess.CompletedProcess[str]:
-    """Runs a command; what it said is in the failure when it failed."""
+    """Runs a command; its output is in the message of a failed assertion."""
     answer = subprocess.run(command, capture_output=True, text=True, check=False, **options)
     assert answer.returncode == 0, f"{command}:\n{answer.stdout}\n{answer.stderr}"
     return answer
@@ -43,11 +43,11 @@ def quiet_run(*command: str, **options: object) -> subprocess.CompletedProcess[s
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel, built from a copy so that the checkout stays as it is."""
+    """File of the wheel, built from a copy, so that the checkout does not change."""
     tree = tmp_path_factory.mktemp("source")
     for folder in SOURCES:
-        leave = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(ROOT / folder, tree / folder, ignore=leave)
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / folder, tree / folder, ignore=ignore)
     for file in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / file, tree)
     folder = tmp_path_factory.mktemp("wheel")
@@ -59,14 +59,14 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def names(wheel: Path) -> set[str]:
-    """The files in the wheel."""
+    """Paths of the files in the wheel."""
     with zipfile.ZipFile(wheel) as archive:
         return set(archive.namelist())
 
 
 @pytest.fixture(scope="module")
 def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the wheel is installed, and nothing else."""
+    """Folder in which only the wheel is installed."""
     folder = tmp_path_factory.mktemp("site")
     install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
     quiet_run(*install, "--target", str(folder), str(wheel))
@@ -74,34 +74,36 @@ def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def installed(site: Path, folder: Path, *arguments: str, **environment: str) -> str:
-    """Runs the installed command in a folder, before whatever else is installed."""
+    """Runs the installed `drake-oa` in a folder, with precedence over other installations."""
     path = {"PYTHONPATH": str(site)}
     command = [sys.executable, str(site / "bin" / "drake-oa"), *arguments]
     return quiet_run(*command, cwd=folder, env=os.environ | path | environment).stdout
 
 
-def test_wheel_holds_the_tree_and_nothing_else(names: set[str]) -> None:
+def test_wheel_contains_exactly_the_package(names: set[str]) -> None:
     assert {name for name in names if ".dist-info/" not in name} == modules() | data_files()
     assert len({name.partition("/")[0] for name in names}) == 2
 
 
-def test_installed_code_is_the_wheels(site: Path, tmp_path: Path) -> None:
+def test_installed_command_uses_the_wheel(site: Path, tmp_path: Path) -> None:
     for line in installed(site, tmp_path, "scenarios", "--files").splitlines():
         assert Path(line.split(maxsplit=1)[1]).is_relative_to(site)
 
 
 @pytest.mark.slow
-def test_installed_code_loads_where_nothing_can_be_written(site: Path, tmp_path: Path) -> None:
+def test_installed_command_runs_without_writable_folders(site: Path, tmp_path: Path) -> None:
     frozen = tmp_path / "site"
     shutil.copytree(site, frozen, ignore=shutil.ignore_patterns("__pycache__"))
-    (frozen / "drake_oa" / "__pycache__").touch()  # Not a folder: not even root can fill it.
+    (
+        frozen / "drake_oa" / "__pycache__"
+    ).touch()  # A file, so that not even root can write into it.
     nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "NUMBA_CACHE_DIR": ""}
     assert "tabletop_box" in installed(frozen, tmp_path, "scenarios", **nowhere)
 
 
 @pytest.mark.slow
-def test_a_wheel_with_compiled_kernels_compiles_nothing(tmp_path: Path) -> None:
-    """The fresh environment shares the other packages of this one, but not this checkout."""
+def test_wheel_with_compiled_kernels_compiles_nothing(tmp_path: Path) -> None:
+    """The new environment has the other packages of the present one, but not the checkout."""
     stamp = f"{sys.prefix}/.installed-dev"
     quiet_run(
         "make", "-C", str(ROOT), "wheel", f"VENV={sys.prefix}", "-o", stamp, f"DIST={tmp_path}"

@@ -27,7 +27,7 @@ def table1(*, json: Path | None = None) -> None:
       train NMSE, published   normalized mean squared error on the training rows
       test NMSE, published    the same on the test rows
       lowest NMSE             test NMSE that no function of the network's inputs can improve
-      rows                    number of training rows
+      rows                    number of training and test rows
 
     The errors are those that the training has stored in the weights. `drake-oa train --recipe
     paper` repeats the training.
@@ -94,9 +94,9 @@ def table3(
     verification. The table has a row for each scenario and method, and these columns:
 
       trials                           number of trials
-      touched objects                  mean number of objects in contact
+      touched objects                  number of different objects in contact in any trial
       mean clearance [m], published    mean minimum clearance of the tool
-      trials with shortfall            number of trials with less than the achievable clearance
+      trials with shortfall            number of trials with less than the requested clearance
       mean goal error [mm], published  mean distance of the tool to the goal at the end
 
     For example:

@@ -1,6 +1,6 @@
-"""Commands, options, exit statuses and JSON keys of `drake-oa`, compared to a stored snapshot.
+"""Options, exit statuses and JSON keys of all commands, compared with a stored snapshot.
 
-Where a difference is intended, write the snapshot again, and review its difference:
+After an intended change, write the snapshot again, and review the difference:
 
     python -m tests.app.test_commands
 """
@@ -28,7 +28,7 @@ INSIDE = "perception=!GivenEllipsoids {ellipsoids: [{center: [0, 0, 0]}]}"
 DIRECTIVE = "directives=[{add_model: {name: a, file: b.sdf}}]"
 PANDA = "evaluate panda --scenes 1 --duration 0.02 --perception truth --method nominal"
 
-# In this order, in one folder: later ones read what earlier ones have written.
+# They run in this order in one folder: later invocations read files that earlier ones have written.
 INVOCATIONS = (
     "",
     "rnu free_space",
@@ -111,28 +111,28 @@ obstacles: [{name: a, shapes: [!Sphere {radius: 0.1}], translation: [0.45, -0.45
 """Scenario with an obstacle at the start."""
 
 DATA = ("versions", "dropped", "sources")
-"""Keys whose values have keys that are data."""
+"""JSON keys whose values are dictionaries with data as keys."""
 
 
 def options(app: App, root: App) -> dict[str, Any]:
     """Returns the options of all commands of an app in the root app, with their defaults."""
-    found: dict[str, Any] = {}
+    options_of: dict[str, Any] = {}
     for name in app:
         if name.startswith("-"):
             continue
         part = app[name]
         arguments = part.assemble_argument_collection(default_parameter=root.default_parameter)
-        found[name] = {
+        options_of[name] = {
             " ".join(each.names): "required" if each.required else str(each.field_info.default)
             for each in arguments
             if "*" not in each.names
         }
-        found |= {f"{name} {inner}": own for inner, own in options(part, root).items()}
-    return found
+        options_of |= {f"{name} {sub}": value for sub, value in options(part, root).items()}
+    return options_of
 
 
 def keys(value: Any) -> Any:
-    """Returns the nested keys of a JSON value; of a list, those of all its items."""
+    """Returns the nested keys of a JSON value; for a list, the union of those of its items."""
     if isinstance(value, list):
         merged: dict[str, Any] = {}
         for item in map(keys, value):
@@ -147,8 +147,8 @@ def observed() -> dict[str, Any]:
     """Runs all invocations in the current folder.
 
     Returns:
-        All options; of each invocation its status, the number of its error messages, and the keys
-        of the JSON that it wrote; and all files.
+        "commands": options of all commands; "invocations": exit status, number of error messages
+        and keys of the written JSON of each invocation; "files": all written files.
     """
     box = (np.array([0.75, -0.2, 0.0]), np.array([0.85, -0.1, 0.15]))
     depth = ray_cast(camera_pose(0.8, 0.8), (box,), (-90.0, 0.0, 99.0, 99.0))

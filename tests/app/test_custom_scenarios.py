@@ -22,11 +22,13 @@ obstacles: [{name: a, shapes: [!Sphere {radius: 0.1}], translation: [0.45, 0.45,
 
 
 @pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_a_new_scenario_has_no_errors_and_moves(capsys: pytest.CaptureFixture[str]) -> None:
+def test_new_scenario_has_no_errors_and_can_be_simulated(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["new", "mine"]) == 0
     assert capsys.readouterr().out.split() == ["mine.scenario.yaml", "scenario.schema.json"]
     assert main(["check", "mine.scenario.yaml", "--plot", "mine.png"]) == 0

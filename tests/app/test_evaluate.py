@@ -1,4 +1,4 @@
-"""`drake-oa evaluate`: results that are kept, shared scenes, and resumed runs."""
+"""`drake-oa evaluate`: written results and scenes, and resumed evaluations."""
 
 import json
 import sys
@@ -22,7 +22,9 @@ def _in_a_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_of_several_kinds_are_written_and_resumed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     short = ("--scenes", "1", "--duration", "0.02", "--perception", "truth")
     chosen = ("--method", "nominal", "--suite", "tabletop", "--suite", "clutter6")
     again = partial(run, "panda", *short, *chosen, "--json", "p.json")
@@ -40,16 +42,16 @@ def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFix
     assert "2 results read from p.scenes" in capsys.readouterr().out
 
 
-def test_runs_of_a_level_are_judged_by_its_rules_from_two_cameras() -> None:
+def test_drp_levels_are_evaluated_by_their_rules() -> None:
     one = partial(run, "panda", "--suite", "drp", "--level", "floating1", "--method", "nominal")
     short = partial(one, "--scenes", "1", "--duration", "0.02", "--json", "p.json")
     digests = set()
     for more in ("--perception", "truth"), ("--cameras", "2"):
         assert short(*more) == 0
-        found = json.loads(Path("p.json").read_text())
-        assert found["methods"]["nominal"]["drp_success"] == 0
-        assert found["methods"]["nominal"]["drp_contacts"] == 0
-        digests.add(found["scenes_digest"])
+        metrics = json.loads(Path("p.json").read_text())
+        assert metrics["methods"]["nominal"]["drp_success"] == 0
+        assert metrics["methods"]["nominal"]["drp_contacts"] == 0
+        digests.add(metrics["scenes_digest"])
     assert len(digests) == 1
 
 

@@ -1,4 +1,4 @@
-"""`drake-oa`: help, interruption, streams, and the command `run` beyond its exit statuses."""
+"""`drake-oa`: help, interruptions, output streams, and results of `run`."""
 
 import io
 import json
@@ -21,7 +21,7 @@ from tests.builders import command as run
 
 @pytest.fixture(autouse=True)
 def _restore_logging() -> None:
-    """Commands set the level of Drake's log for their own process."""
+    """Restores the level of Drake's log, which commands set for their process."""
     drake = logging.getLogger("drake")
     level = drake.level
     yield
@@ -30,7 +30,7 @@ def _restore_logging() -> None:
 
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run leaves its log in the current folder."""
+    """Changes to a temporary folder, because a run writes its log to the current one."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -39,11 +39,11 @@ def test_help_explains_each_command(
     command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(*command, "--help") == 0
-    shown = capsys.readouterr().out
-    assert "Usage: drake-oa" in shown
-    assert len(shown.splitlines()) > 6
-    if "Commands:\n" in shown:
-        summaries = shown.split("Commands:\n")[1].split("\n\n")[0].splitlines()
+    text = capsys.readouterr().out
+    assert "Usage: drake-oa" in text
+    assert len(text.splitlines()) > 6
+    if "Commands:\n" in text:
+        summaries = text.split("Commands:\n")[1].split("\n\n")[0].splitlines()
         # Lines without an indent continue a long summary.
         assert all(line.partition(": ")[2].strip() for line in summaries if line[:2] == "  ")
 
@@ -61,17 +61,17 @@ def test_help_and_scenarios_import_no_large_package() -> None:
     )
     loaded, seconds = answer.stdout.splitlines()[-1].rsplit(maxsplit=1)
     assert loaded == "[]"
-    assert float(seconds) < 1.0  # 0.2 s where nothing else is at work.
+    assert float(seconds) < 1.0  # 0.2 s on an idle computer.
 
 
 class Terminal(io.StringIO):
-    """A stream that is a terminal."""
+    """Text stream that claims to be a terminal."""
 
     def isatty(self) -> bool:
         return True
 
 
-def test_progress_is_shown_on_a_terminal_alone(
+def test_progress_is_printed_only_on_a_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ("run", "free_space", "--duration", "0.2", "--no-log")
@@ -85,7 +85,7 @@ def test_progress_is_shown_on_a_terminal_alone(
     assert "\x1b" not in capsys.readouterr().out
 
 
-def test_set_replaces_fields_of_a_file_and_the_motion_arrives(
+def test_set_replaces_fields_and_the_motion_reaches_the_goal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copy(shipped_scenarios()["free_space"], "mine.scenario.yaml")
@@ -105,7 +105,7 @@ def test_set_replaces_fields_of_a_file_and_the_motion_arrives(
         (RuntimeError("boom"), 1, "interrupted", "RuntimeError: boom"),
     ],
 )
-def test_a_motion_that_is_cut_short_is_reported_and_written(
+def test_interrupted_motion_is_reported_and_logged(
     fault: BaseException,
     status: int,
     message: str,
@@ -141,7 +141,7 @@ def test_ctrl_c_in_a_command_is_one_line(
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as error:
-            # As compiled modules do.
+            # Compiled modules raise this error.
             raise SystemError("returned a result with an exception set") from error
 
     monkeypatch.setattr("drake_oa.app.scenarios.shipped_scenarios", interrupt)

@@ -1,4 +1,4 @@
-"""`drake-oa evaluate table1` and so on: what they print, write and refuse."""
+"""`drake-oa evaluate table2`, `figure_familiar` and `figure_dead_zone`: tables and JSON."""
 
 import json
 from functools import partial
@@ -11,7 +11,7 @@ from tests.builders import command
 run = partial(command, "evaluate")
 
 
-def test_of_fewer_scenes_than_baselines_the_rest_is_empty(
+def test_baselines_without_scenes_have_empty_cells(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert run("table2", "--scenes", "1") == 0
@@ -21,20 +21,20 @@ def test_of_fewer_scenes_than_baselines_the_rest_is_empty(
 
 
 @pytest.mark.parametrize("figure", ["figure_familiar", "figure_dead_zone"])
-def test_figures_are_told_and_written(
+def test_metrics_of_figures_are_printed_and_written(
     figure: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "figure.json"
     assert run(figure, "--scenes", "9", "--json", str(out)) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     whole = json.loads(out.read_text())
     paper = whole["methods"]["paper"]
     if figure == "figure_familiar":
         assert len(paper["settings"]) == 12
         assert paper["collisions"] == 0
-        assert "published: no collision" in told
+        assert "published: no collision" in printed
     else:
         assert whole["terms"][-1]["original_collisions"] == 1
         assert paper["collisions"] == 0
         assert whole["methods"]["original"]["collisions"] == 1
-        assert "terms alone" in told
+        assert "gamma = 10" in printed

@@ -1,4 +1,4 @@
-"""`drake-oa perceive`: clusters and ellipsoids of a frame, and the command line."""
+"""`drake-oa perceive`: clusters and ellipsoids of frames, files and errors."""
 
 import json
 
@@ -22,14 +22,14 @@ BOXES = (
 
 @pytest.fixture(scope="module")
 def depth() -> np.ndarray:
-    """Two boxes on the plane z = 0."""
+    """Depth image (H, W) of two boxes on the plane z = 0 [m]."""
     image = ray_cast(X_WC, BOXES, (-90.0, 0.0, 99.0, 99.0))
     return np.where(np.isfinite(image), image, np.nan).astype(np.float32)
 
 
 @pytest.fixture
 def points(depth: np.ndarray) -> np.ndarray:
-    """The same as a cloud (N, 3) in C."""
+    """Cloud (N, 3) of the depth image in the camera frame C [m]."""
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
     return (rays * depth[..., None].astype(float)).reshape(-1, 3)
@@ -37,7 +37,7 @@ def points(depth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("pose", [X_WC, None])
 @pytest.mark.parametrize("kind", ["image", "cloud"])
-def test_clusters_are_enclosed_and_named_by_their_pixels(depth, points, pose, kind, tmp_path):
+def test_ellipsoids_contain_clusters_and_masks_list_pixels(depth, points, pose, kind, tmp_path):
     frame = RecordedFrame(tmp_path, 0.0, depth, K)
     if kind == "cloud":
         frame = RecordedFrame(tmp_path, 0.0, points=points)
@@ -83,7 +83,7 @@ def test_results_of_a_folder(depth, tmp_path, capsys):
     assert frame["clusters"][0]["ellipsoid"]["semi_axes"][0] < axes[0]
 
 
-def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth, tmp_path, capsys):
+def test_invalid_file_is_reported_and_others_are_processed(depth, tmp_path, capsys):
     np.savez(tmp_path / "scan.npz", depth=depth, K=K)
     np.savez(tmp_path / "empty.npz", depth=np.full(SIZE, np.nan), K=K)
     (tmp_path / "broken.npz").write_bytes(b"no such data")

@@ -1,7 +1,7 @@
-"""Rendered scenes of many kinds: nothing is lost, and no table is taken for an object.
+"""Segmentation of rendered scenes: each object has a cluster, and the table has none.
 
-Random table tops, ray cast with labels, and with the noise of a simulated structured-light
-camera. The table of all of them is printed by
+Random table tops are ray cast with labels and the noise of a structured-light camera. The rates
+over all kinds are printed by
 
 python -m pytest -m slow tests/app/test_perceive_rendered.py -s
 """
@@ -25,22 +25,22 @@ K = np.array([525.0, 525.0, 319.5, 239.5])
 TABLE, FLOOR, WALL, FIRST = 1, 2, 3, 20
 RAYS = rays_of(np.eye(4), K, SIZE)
 
-# Kind -> differences from the default: ranges, numbers and things.
 KINDS: dict[str, dict] = {
     "mixed": {},
-    "flat": {"things": ("flat",), "distance": (0.7, 1.0)},
-    "tall": {"things": ("stick",)},
-    "small": {"things": ("small",), "distance": (0.7, 1.0)},
+    "flat": {"objects": ("flat",), "distance": (0.7, 1.0)},
+    "tall": {"objects": ("stick",)},
+    "small": {"objects": ("small",), "distance": (0.7, 1.0)},
     "crowded": {"number": (9, 15), "gap": 0.005},
     "grazing": {"pitch": (0.2, 0.4), "number": (1, 5)},
     "steep": {"pitch": (1.15, 1.5)},
     "edge": {"half": (0.3, 0.4), "reach": 1.0, "number": (1, 4)},
     "room": {"half": (0.3, 0.5), "wall": True},
-    "large": {"things": ("large",), "number": (1, 2), "half": (0.55, 0.8), "reach": 0.1},
+    "large": {"objects": ("large",), "number": (1, 2), "half": (0.55, 0.8), "reach": 0.1},
     "cropped": {"cropped": True},
 }
+"""Kind of scenes -> its differences from `_DEFAULTS`."""
 _DEFAULTS = {
-    "things": ("box", "box", "cylinder", "ball", "flat"),
+    "objects": ("box", "box", "cylinder", "ball", "flat"),
     "number": (2, 7),
     "half": (0.4, 0.8),
     "reach": 0.7,
@@ -50,6 +50,7 @@ _DEFAULTS = {
     "wall": False,
     "cropped": False,
 }
+"""Ranges of the numbers and sizes of a scene [m, rad], and the kinds of its objects."""
 _SIZES = {
     "box": ([0.05, 0.05, 0.04], [0.25, 0.2, 0.3]),
     "flat": ([0.08, 0.08, 0.016], [0.25, 0.2, 0.025]),
@@ -59,11 +60,11 @@ _SIZES = {
     "stick": ([0.013, 0.0, 0.18], [0.03, 0.0, 0.32]),
     "ball": ([0.03, 0.0, 0.0], [0.09, 0.0, 0.0]),
 }
-"""Least and greatest size of a thing: that of a box, or radius and height [m]."""
+"""Kind of an object -> minimum and maximum size: of a box, or radius, 0 and height [m]."""
 
 
 class Scene(NamedTuple):
-    """depth (H, W) [m] as measured, exact (H, W) [m], label (H, W), X_WC; table: z = 0."""
+    """Rendered scene: depth with noise and exact depth (H, W) [m], label (H, W), and X_WC."""
 
     depth: np.ndarray
     exact: np.ndarray
@@ -72,27 +73,27 @@ class Scene(NamedTuple):
 
 
 def make_scene(kind: str, seed: int) -> Scene:
-    """A scene of one of `KINDS`."""
+    """Renders a scene of one of `KINDS`, with the table at z = 0."""
     rng = np.random.default_rng([list(KINDS).index(kind), seed])
-    given = _DEFAULTS | KINDS[kind]
-    yaw, pitch = rng.uniform(-3.0, 3.0), rng.uniform(*given["pitch"])
+    ranges = _DEFAULTS | KINDS[kind]
+    yaw, pitch = rng.uniform(-3.0, 3.0), rng.uniform(*ranges["pitch"])
     away = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)]
     target = np.array([0.0, 0.0, 0.03])
-    X_WC = look_at(target - rng.uniform(*given["distance"]) * np.array(away), target)
-    half, floor = rng.uniform(*given["half"], 2), -rng.uniform(0.6, 0.8)
+    X_WC = look_at(target - rng.uniform(*ranges["distance"]) * np.array(away), target)
+    half, floor = rng.uniform(*ranges["half"], 2), -rng.uniform(0.6, 0.8)
     meshes = [(_box(2 * half[0], 2 * half[1], 0.02, z=-0.02), TABLE)]
     meshes.append((_box(10.0, 10.0, 0.01, z=floor - 0.01), FLOOR))
-    if given["wall"]:
+    if ranges["wall"]:
         wall = _turned(_box(0.05, 8.0, 4.0, z=floor), yaw)
         apart = rng.uniform(0.8, 2.0)
         meshes.append((wall.translate((apart * np.cos(yaw), apart * np.sin(yaw), 0.0)), WALL))
     placed: list = []
-    reach, number = np.minimum(half, 0.4) * given["reach"], rng.integers(*given["number"])
+    reach, number = np.minimum(half, 0.4) * ranges["reach"], rng.integers(*ranges["number"])
     for _ in range(300):
-        mesh, radius = _thing(rng, rng.choice(given["things"]))
+        mesh, radius = _object(rng, rng.choice(ranges["objects"]))
         place = rng.uniform(-1.0, 1.0, 2) * reach
         apart = [np.hypot(*(place - p)) - radius - r for p, r in placed]
-        if len(placed) < number and min(apart, default=1.0) > given["gap"]:
+        if len(placed) < number and min(apart, default=1.0) > ranges["gap"]:
             mesh = _turned(mesh, rng.uniform(0.0, 6.28)).translate((*place, 0.0))
             meshes.append((mesh, FIRST + 10 * len(placed)))
             placed.append((place, radius))
@@ -106,13 +107,13 @@ def make_scene(kind: str, seed: int) -> Scene:
     exact = hit["t_hit"].numpy().astype(float)
     label = names[np.minimum(hit["geometry_ids"].numpy(), len(meshes))]
     depth = add_depth_noise(exact, 0.0, K=K, seed=int(rng.integers(2**31)))
-    if given["cropped"]:
+    if ranges["cropped"]:
         depth = np.where((label != TABLE) & (label < FIRST), np.nan, depth)
     return Scene(depth.astype(np.float32), exact, label, X_WC)
 
 
-def _thing(rng, kind: str):
-    """A mesh that stands on z = 0 at the origin, and the radius of its foot."""
+def _object(rng, kind: str):
+    """Creates the mesh of an object on z = 0 at the origin; returns it and its base radius [m]."""
     x, y, z = rng.uniform(*_SIZES[kind])
     shapes = open3d.geometry.TriangleMesh
     if kind == "ball":
@@ -123,29 +124,32 @@ def _thing(rng, kind: str):
 
 
 def _box(x: float, y: float, height: float, z: float = 0.0):
+    """Creates the mesh of a box with its base at height z, centered about the z axis [m]."""
     mesh = open3d.geometry.TriangleMesh.create_box(x, y, height)
     return mesh.translate((-x / 2, -y / 2, z))
 
 
 def _turned(mesh, angle: float):
+    """Returns a mesh rotated about the z axis by an angle [rad]."""
     R = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return mesh.rotate(R, (0.0, 0.0, 0.0))
 
 
 _COUNTS = ("objects", "lost", "table pixels", "false clusters", "no plane")
+"""Names of the counts of errors."""
 
 
-def judged(scene: Scene, found: Segmentation) -> Counter:
-    """Objects that were lost, and pixels and clusters of the table that were taken for objects."""
+def count_errors(scene: Scene, segmentation: Segmentation) -> Counter:
+    """Counts objects without a cluster, and pixels and clusters that belong to the table."""
     cluster = np.zeros(scene.label.shape, dtype=int)
-    for number, pixels in enumerate(found.pixels, start=1):
+    for number, pixels in enumerate(segmentation.pixels, start=1):
         cluster.flat[pixels] = number
     valid = np.isfinite(scene.depth) & (scene.depth > 0.3) & (scene.depth < 2.5)
     exact = np.where(np.isfinite(scene.exact), scene.exact, 0.0)
     height = (RAYS * exact[..., None]) @ scene.X_WC[2, :3] + scene.X_WC[2, 3]
     count: Counter = Counter(dict.fromkeys(_COUNTS, 0))
     for name in np.unique(scene.label[scene.label >= FIRST]):
-        # The border of an object shows what is behind it, too; its foot is the table's.
+        # Border pixels of an object also measure the background; pixels at its base, the table.
         inner = binary_erosion(scene.label == name, iterations=3) & valid
         raised = inner & (height > 0.008)
         if np.count_nonzero(inner) >= 150 and np.median(scene.depth[inner]) <= 2.0:
@@ -153,24 +157,24 @@ def judged(scene: Scene, found: Segmentation) -> Counter:
             count["lost"] += not raised.any() or np.mean(cluster[raised] > 0) < 0.5
     table = binary_erosion(scene.label == TABLE, iterations=3) & valid & (abs(height) < 1e-3)
     count["table pixels"] = np.count_nonzero(cluster[table])
-    for number in range(1, len(found.pixels) + 1):
+    for number in range(1, len(segmentation.pixels) + 1):
         count["false clusters"] += np.mean(scene.label[cluster == number] == TABLE) > 0.5
-    count["no plane"] = found.table is None
+    count["no plane"] = segmentation.table is None
     return count
 
 
 @pytest.mark.parametrize("kind", ["mixed", "edge", "large", "cropped"])
-def test_nothing_is_lost_and_no_table_taken(kind):
+def test_objects_are_found_and_the_table_is_no_cluster(kind):
     scene = make_scene(kind, 0)
-    count = judged(scene, segment_depth(scene.depth, K, None))
+    count = count_errors(scene, segment_depth(scene.depth, K, None))
     assert count["objects"] > 0
     assert all(count[name] == 0 for name in ("lost", "false clusters", "no plane"))
     assert count["table pixels"] < 30
 
 
 @pytest.mark.slow
-def test_table_of_all_kinds(monkeypatch):
-    # Of the labeled images: a surface is measured up to a grazing angle of 80 to 82 degrees.
+def test_detection_rates_of_all_kinds(monkeypatch):
+    # In the labeled images surfaces are measured up to a grazing angle of 80 to 82 degrees.
     monkeypatch.setattr(depth_noise, "_GRAZING_START", np.deg2rad(80.0))
     monkeypatch.setattr(depth_noise, "_GRAZING_END", np.deg2rad(82.0))
     print("\n\n| kind |", " | ".join(_COUNTS), "|")
@@ -179,7 +183,7 @@ def test_table_of_all_kinds(monkeypatch):
         count: Counter = Counter()
         for seed in range(20):
             scene = make_scene(kind, seed)
-            count.update(judged(scene, segment_depth(scene.depth, K, None)))
+            count.update(count_errors(scene, segment_depth(scene.depth, K, None)))
         total.update(count)
         print(f"| {kind} |", " | ".join(str(count[name]) for name in _COUNTS), "|")
     print("| all |", " | ".join(str(total[name]) for name in _COUNTS), "|")

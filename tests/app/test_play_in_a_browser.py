@@ -1,4 +1,4 @@
-"""`drake-oa play` in a real browser: what is moved there moves the arm here."""
+"""`drake-oa play` in a real browser: its controls move the arm."""
 
 import re
 import time
@@ -20,7 +20,7 @@ obstacles:
 
 @pytest.mark.slow
 @pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
-def test_a_slider_that_is_moved_moves_the_arm() -> None:
+def test_slider_in_the_browser_moves_the_arm() -> None:
     meshcat = start_viewer(browser=False)
     session = PlaySession(
         parse_scenario(SCENARIO), meshcat, open_page(meshcat, "played", "A post.")
@@ -31,7 +31,7 @@ def test_a_slider_that_is_moved_moves_the_arm() -> None:
             session.tick()
 
     def move(name: str) -> None:
-        """Moves a slider; the page's message comes by another thread."""
+        """Moves a slider, and waits for the message of the page, which another thread receives."""
         page.evaluate(f"viewer.gui_controllers[{name}, 0")
         time.sleep(0.5)
 
@@ -52,12 +52,12 @@ def test_a_slider_that_is_moved_moves_the_arm() -> None:
         assert page.evaluate("'post' in viewer.gui.__folders")
         controls = page.evaluate("Object.keys(viewer.gui_controllers)")
         assert controls.index("stop") < controls.index("speed") < controls.index("post: x [m]")
-        # The way back begins without an executed path.
+        # The motion back starts without an executed path.
         ticks(0.5)
-        deadline, shown = time.monotonic() + 60.0, ""
-        while "executed path" not in shown:
-            assert time.monotonic() < deadline, shown
-            shown = page.evaluate("document.getElementById('drake-oa').innerText")
+        deadline, text = time.monotonic() + 60.0, ""
+        while "executed path" not in text:
+            assert time.monotonic() < deadline, text
+            text = page.evaluate("document.getElementById('drake-oa').innerText")
             time.sleep(0.2)
-        assert re.search(r"played A post.\nt = .*\ntool: clearance 0", shown, re.DOTALL)
+        assert re.search(r"played A post.\nt = .*\ntool: clearance 0", text, re.DOTALL)
     session.finish()

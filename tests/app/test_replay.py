@@ -1,4 +1,4 @@
-"""`drake-oa run` leaves a log; `drake-oa replay` and `drake-oa plot` show it."""
+"""Logs of `drake-oa run`, and their replay and plot."""
 
 import os
 import re
@@ -25,7 +25,7 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def box_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a robot among obstacles, cut short by its time limit."""
+    """Log of a robot among obstacles, until its time limit of 0.25 s."""
     file = tmp_path_factory.mktemp("logs") / "box.npz"
     assert run("run", *BOX, "--log", file) == 0
     return file
@@ -33,13 +33,13 @@ def box_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def point_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a free point."""
+    """Log of a motion without a robot."""
     file = tmp_path_factory.mktemp("logs") / "point.npz"
     assert run("run", "free_space", "--duration", "0.5", "--log", file) == 0
     return file
 
 
-def test_a_run_leaves_a_log_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_run_writes_a_new_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(2):
         assert run("run", "free_space", "--duration", "0.1", "--set", "seed=5") == 0
     first, second = sorted((tmp_path / "drake_oa_runs").iterdir(), key=os.path.getmtime)
@@ -59,34 +59,34 @@ def test_a_run_leaves_a_log_of_its_own(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("option", ["--log", "--html"])
-def test_an_output_on_a_full_disk_does_not_cost_the_others(
+def test_full_disk_of_one_output_does_not_affect_the_others(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ("--duration", "0.05", "--json", "run.json", option, "/dev/full")
     assert run("run", "free_space", *arguments) == 1
-    told = capsys.readouterr()
-    assert "avoiding" in told.out
-    assert "cannot write /dev/full: No space left on device" in told.err
+    printed = capsys.readouterr()
+    assert "avoiding" in printed.out
+    assert "cannot write /dev/full: No space left on device" in printed.err
     assert Path("run.json").is_file()
 
 
 @pytest.mark.parametrize(
-    ("number", "status", "said"),
+    ("number", "status", "reason"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
 )
-def test_a_run_that_is_stopped_leaves_the_motion_under_way(
-    number: signal.Signals, status: int, said: str, tmp_path: Path
+def test_stopped_run_logs_the_motion_in_progress(
+    number: signal.Signals, status: int, reason: str, tmp_path: Path
 ) -> None:
-    # The start is inside the obstacle: the second motion is held there, and would not end.
+    # The start is inside the obstacle, so the second motion is held without an end.
     script = (
         "import signal, sys, drake_oa.app.main as cli, drake_oa.runs.simulation as simulation\n"
-        # A shell's background job would leave it ignored.
+        # In background jobs of a shell, SIGINT is ignored by default.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "whole = simulation.simulate\n"
         "def simulate(scenario, **options):\n"
         "    if options['avoid_obstacles']:\n"
         "        options['duration'] = 1e4\n"
-        "        print('under way', flush=True)\n"
+        "        print('simulating', flush=True)\n"
         "    return whole(scenario, **options)\n"
         "simulation.simulate, simulation.MAX_HOLD_TIME = simulate, 1e4\n"
         "sys.exit(cli.main(['run', 'free_space', '--duration', '0.3', *sys.argv[1:]]))\n"
@@ -101,25 +101,23 @@ def test_a_run_that_is_stopped_leaves_the_motion_under_way(
     )
     try:
         assert process.stdout is not None
-        assert process.stdout.readline() == "under way\n"
+        assert process.stdout.readline() == "simulating\n"
         time.sleep(0.5)
         process.send_signal(number)
-        _, told = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert process.returncode == status, told
-    # Kernels that were compiled are reported after it.
-    assert f"drake-oa: error: {said}" in told.splitlines()
+    assert process.returncode == status, errors
+    # The line about compiled kernels may follow.
+    assert f"drake-oa: error: {reason}" in errors.splitlines()
     (file,) = (tmp_path / "drake_oa_runs").iterdir()
     logs = load_logs(file)
     assert list(logs) == ["nominal", "avoiding"]
     assert logs["avoiding"].duration > 0.0
-    assert logs["avoiding"].stop_reason == said
+    assert logs["avoiding"].stop_reason == reason
 
 
-def test_a_replay_is_one_page_and_can_be_repeated(
-    box_log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_writes_identical_pages(box_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pages = [Path(name) for name in ("a.html", "b.html")]
     for page in pages:
         assert run("replay", box_log, "--html", page) == 0
@@ -130,16 +128,16 @@ def test_a_replay_is_one_page_and_can_be_repeated(
 
 @pytest.mark.parametrize("command", ["replay", "plot"])
 @pytest.mark.parametrize(
-    ("kind", "said"),
+    ("kind", "message"),
     [
         ("cut off", "is not a motion log, or is damaged"),
         ("other model", "robot.model: 'package://none/x.urdf'"),
     ],
 )
-def test_what_cannot_be_shown_is_one_clear_line(
+def test_unusable_log_is_reported_in_one_line(
     command: str,
     kind: str,
-    said: str,
+    message: str,
     point_log: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -153,7 +151,7 @@ def test_what_cannot_be_shown_is_one_clear_line(
     capsys.readouterr()
     out = ["--html", "x.html"] if command == "replay" else ["--out", "x.png"]
     assert run(command, file, *out) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert len(told.splitlines()) == 1
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert len(errors.splitlines()) == 1
     assert not Path(out[1]).exists()

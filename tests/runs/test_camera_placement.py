@@ -1,4 +1,4 @@
-"""Unseen share of scenarios, and the places that are suggested."""
+"""Unobserved fraction of the space near the arm, and suggested camera poses."""
 
 import re
 
@@ -9,16 +9,16 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_te
 from tests.builders import unseen_near
 
 
-def test_the_cameras_of_a_moving_scenario_see_most_of_the_space():
+def test_cameras_of_a_moving_scenario_observe_most_of_the_space():
     note = view_note(load_scenario("moving_obstacle"))
     assert re.fullmatch(r"cameras: 1\d% of the space within 0.4 m of the arm is unobserved", note)
 
 
-def test_nothing_is_said_without_cameras():
+def test_view_note_is_empty_without_cameras():
     assert view_note(load_scenario("tabletop_box", ["perception=!GroundTruth {}"])) == ""
 
 
-def test_a_suggested_place_leaves_as_much_as_it_says():
+def test_suggested_camera_pose_has_the_stated_unobserved_fraction():
     scenario = load_scenario("tabletop_box")
     note = view_note(scenario)
     before, after = (int(share) / 100 for share in re.findall(r"(\d+)%", note))

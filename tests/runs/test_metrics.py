@@ -1,4 +1,4 @@
-"""Collisions, clearance and path length of finished motions."""
+"""Contacts and clearances of logged motions."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from tests.builders import balls
 
 
 @pytest.mark.parametrize(
-    ("x", "initial", "made"),
+    ("x", "is_initial", "is_new"),
     [
         ([0.0, 0.3, 0.5], False, True),
         ([0.5, 0.0, 0.5], True, True),
@@ -25,20 +25,20 @@ from tests.builders import balls
         ([], False, False),
     ],
 )
-def test_contacts_of_the_start_are_told_from_those_the_motion_made(
-    x: list[float], initial: bool, made: bool
+def test_initial_contacts_are_separate_from_new_contacts(
+    x: list[float], is_initial: bool, is_new: bool
 ) -> None:
     path = np.column_stack([x, np.zeros((len(x), 2))])
     found = free_point_metrics(path, balls((0.5, 0.0, 0.0), ids=[10]))
     name = ("tool point - ellipsoid 10",)
-    assert found.initial_contacts == (name if initial else ())
-    assert found.new_contacts == (name if made else ())
-    assert found.contacts == (name if initial or made else ())
+    assert found.initial_contacts == (name if is_initial else ())
+    assert found.new_contacts == (name if is_new else ())
+    assert found.contacts == (name if is_initial or is_new else ())
 
 
 @pytest.fixture(scope="module")
 def poses() -> dict[str, FloatArray]:
-    """Positions with the tool over the box, in it, and in the table."""
+    """Positions of the robot with the tool beside the box, in the box, and in the table."""
     robot = Robot()
     plant = make_robot_plant(robot)
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
@@ -58,7 +58,7 @@ def poses() -> dict[str, FloatArray]:
     }
 
 
-def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> None:
+def test_scene_graph_measures_clearances_and_contacts(poses: dict[str, FloatArray]) -> None:
     scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
     found = robot_metrics(scenario, np.stack([poses["start"], poses["inside"], poses["table"]]))
     np.testing.assert_allclose(found.p_WE[0], [0.45, -0.45, 0.3], atol=1e-6)
@@ -70,14 +70,14 @@ def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> Non
     assert any("table" in name for name in found.new_contacts)
 
 
-def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:
+def test_self_contacts_are_separate_from_contacts(poses: dict[str, FloatArray]) -> None:
     folded = np.r_[0.0, 0.0, 0.0, -1.6, 0.0, -0.0175, 0.785, 0.02, 0.02]
     found = robot_metrics(load_scenario("tabletop_box"), np.stack([poses["start"], folded]))
     assert found.self_contacts == ("panda_hand - panda_link5",)
     assert found.contacts == ()
 
 
-def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
+def test_resting_clearance_excludes_moving_obstacles(
     poses: dict[str, FloatArray],
 ) -> None:
     start = np.array([0.45, -0.45, 0.3])
@@ -95,13 +95,13 @@ def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
     both = robot_metrics(scenario, poses["start"][None])
     assert both.resting_clearance[0] == alone.tool_clearance[0]
     assert both.tool_clearance[0] < alone.tool_clearance[0]
-    # Start and goal leave what rests there leaves.
+    # The achievable clearance depends on resting obstacles only.
     assert achievable_clearance_of(scenario) == pytest.approx(scenario.task.clearance)
     scenario.task.clearance = 1.0
     assert achievable_clearance_of(scenario) <= both.resting_clearance[0]
 
 
-def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArray]) -> None:
+def test_clearance_is_infinite_without_obstacles(poses: dict[str, FloatArray]) -> None:
     scenario = load_scenario(
         "tabletop_box", ["directives=[]", "perception=!GroundTruth {}", "cameras=[]"]
     )
@@ -111,11 +111,11 @@ def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArr
     assert robot_metrics(scenario, np.zeros((0, 9))).p_WE.shape == (0, 3)
 
 
-def test_the_whole_world_is_posed_where_the_log_has_it(poses: dict[str, FloatArray]) -> None:
+def test_metrics_use_the_world_positions_of_the_log(poses: dict[str, FloatArray]) -> None:
     scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
     q = poses["start"][None]
     alone = robot_metrics(scenario, q)
-    # Nothing but the robot moves here: the world's positions are the robot's.
+    # Only the robot moves in this world: its positions are those of the world.
     for q_world in (np.zeros((1, 0)), q):
         same = robot_metrics(scenario, q, q_world)
         np.testing.assert_array_equal(same.robot_clearance, alone.robot_clearance)

@@ -1,4 +1,4 @@
-"""The log of a motion, and its file."""
+"""Log of a motion, and its file."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -20,6 +20,7 @@ LogOf = Callable[..., MotionLog]
 
 
 def ellipsoids(count: int, stamp: float = 0.0) -> EllipsoidSet:
+    """Returns random spherical-axes ellipsoids with a stamp [s]."""
     rng = np.random.default_rng(count)
     return EllipsoidSet(
         stamp=stamp,
@@ -33,6 +34,7 @@ def ellipsoids(count: int, stamp: float = 0.0) -> EllipsoidSet:
 
 @pytest.fixture
 def log(straight_log: LogOf) -> MotionLog:
+    """Log of a robot with two observations and a hold."""
     return straight_log(
         4,
         q=np.ones((4, 9)),
@@ -46,7 +48,9 @@ def log(straight_log: LogOf) -> MotionLog:
     )
 
 
-def test_what_is_written_is_read_back(log: MotionLog, straight_log: LogOf, tmp_path: Path) -> None:
+def test_logs_are_equal_after_writing_and_reading(
+    log: MotionLog, straight_log: LogOf, tmp_path: Path
+) -> None:
     file = tmp_path / "run.npz"
     for one in (log, straight_log(0)):
         save_logs(file, {"nominal": straight_log(2), "avoiding": one})
@@ -65,21 +69,21 @@ def test_the_table_lists_every_key_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("version", "said"),
+    ("version", "message"),
     [(None, "schema 1, this"), (3, r"missing .*'q'"), (2, "read it with drake_oa 0.0.9")],
 )
 def test_another_schema_and_missing_keys_are_named(
-    version: int | None, said: str, tmp_path: Path
+    version: int | None, message: str, tmp_path: Path
 ) -> None:
     keys = {} if version is None else {"schema_version": version}
     motion = {"avoiding/stop_reason": "goal", "avoiding/versions": ["drake_oa 0.0.9"]}
     np.savez(tmp_path / "run.npz", **motion, **keys)
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         load_logs(tmp_path / "run.npz")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_what_is_no_log_is_refused_by_name(share: float, log: MotionLog, tmp_path: Path) -> None:
+def test_damaged_logs_are_refused_by_name(share: float, log: MotionLog, tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
     save_logs(file, {"avoiding": log})
     content = file.read_bytes()
@@ -108,6 +112,6 @@ def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer(log: MotionLo
     assert np.isnan(packed["p_WO"][0, 2:]).all()
     whole = replace(log, **packed)
     for row, frame in enumerate(frames):
-        seen = whole.observation(row)
+        observed = whole.observation(row)
         for name in ("p_WO", "R_WO", "semi_axes", "v_WO", "ids"):
-            np.testing.assert_array_equal(getattr(seen, name), getattr(frame, name))
+            np.testing.assert_array_equal(getattr(observed, name), getattr(frame, name))

@@ -1,4 +1,4 @@
-"""The panel of recordings and live pages."""
+"""Panel of recordings and live pages."""
 
 import json
 import re
@@ -33,6 +33,7 @@ CLEARANCE = r"t = 0\.[123] s\navoiding motion: verified, obstacles from ground t
 
 
 def get(page: LivePage, path: str) -> str:
+    """Returns the response of the page's server to a path."""
     with urlopen(page.url + path) as answer:
         text: str = answer.read().decode()
     return text
@@ -40,19 +41,21 @@ def get(page: LivePage, path: str) -> str:
 
 @pytest.fixture(scope="module")
 def viewer() -> Meshcat:
+    """Viewer without a browser."""
     return start_viewer(browser=False)
 
 
 @pytest.fixture
 def page(viewer: Meshcat) -> Iterator[LivePage]:
+    """Live page of the viewer, closed after the test."""
     page = open_page(viewer, "mine: avoiding motion", SCENARIO.description)
     yield page
     page.close()
 
 
 @pytest.fixture(scope="module")
-def shown(viewer: Meshcat) -> tuple[MotionLog, str]:
-    """A log, and what the live page showed at its end."""
+def simulated(viewer: Meshcat) -> tuple[MotionLog, str]:
+    """Log of a motion of 0.3 s, and the last reading of its live page."""
     page = open_page(viewer, "mine", "")
     log = simulate(SCENARIO, duration=0.3, on_step=LivePanel(page, SCENARIO))
     text: str = json.loads(get(page, "/reading/0"))[1]
@@ -60,10 +63,10 @@ def shown(viewer: Meshcat) -> tuple[MotionLog, str]:
     return log, text
 
 
-def test_live_pages_and_recordings_have_one_panel(
-    shown: tuple[MotionLog, str], page: LivePage
+def test_live_pages_and_recordings_have_the_same_panel(
+    simulated: tuple[MotionLog, str], page: LivePage
 ) -> None:
-    log, live = shown
+    log, live = simulated
     recorded = label_page(PAGE, "mine", SCENARIO, log)
     for text in (recorded, get(page, "/")):
         assert "<title>mine: avoiding motion</title>" in text
@@ -74,34 +77,34 @@ def test_live_pages_and_recordings_have_one_panel(
     assert [row.time for row in rows[:2]] == [0.0, 0.1]
     for text in (rows[-1].text, live):
         assert re.match(CLEARANCE, text)
-    held = replace(
+    with_hold = replace(
         log, supervision_time=[0.05], supervision_action=["hold"], supervision_reason=["x"]
     )
-    said = [row.text for row in readings(SCENARIO, held)]
-    assert "motion guard" not in said[0]
-    assert said[1].endswith("motion guard: hold, x")
+    texts = [row.text for row in readings(SCENARIO, with_hold)]
+    assert "motion guard" not in texts[0]
+    assert texts[1].endswith("motion guard: hold, x")
 
 
 def test_the_page_names_a_motion_without_avoidance_and_its_contacts(
-    shown: tuple[MotionLog, str],
+    simulated: tuple[MotionLog, str],
 ) -> None:
     scenario = parse_scenario(TEXT.replace("[0.6, 0.0, 0.2]", "[0.45, -0.2, 0.3]"))
-    text = label_page(PAGE, "mine", scenario, replace(shown[0], avoid_obstacles=False))
+    text = label_page(PAGE, "mine", scenario, replace(simulated[0], avoid_obstacles=False))
     assert "<title>mine: nominal motion (without avoidance)</title>" in text
     assert re.search(r'"contact: panda_\w+ - obstacle_ball', text)
 
 
-def test_a_frame_waits_until_the_page_has_drawn_the_previous_one(page: LivePage) -> None:
+def test_frame_waits_until_the_page_has_drawn_the_previous_one(page: LivePage) -> None:
     page.pace()
     get(page, "/reading/0")
     time.sleep(0.2)
     requests: list[str] = []
 
-    def ask() -> None:
+    def request() -> None:
         requests.append("/reading/1")
         get(page, requests[0])
 
-    timer = Timer(0.2, ask)
+    timer = Timer(0.2, request)
     timer.start()
     page.pace()
     assert requests

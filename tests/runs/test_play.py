@@ -1,4 +1,4 @@
-"""An interactive run: effects of its controls, without a browser."""
+"""Effects of the controls of an interactive run, without a browser."""
 
 import math
 
@@ -20,16 +20,18 @@ obstacles:
 
 
 def play(text: str) -> PlaySession:
+    """Starts an interactive run of a scenario's YAML text."""
     meshcat = start_viewer(browser=False)
     return PlaySession(parse_scenario(text), meshcat, open_page(meshcat, "played", ""))
 
 
 def ticks(session: PlaySession, seconds: float) -> None:
+    """Ticks for a simulated time [s]."""
     for _ in range(round(seconds / TICK)):
         session.tick()
 
 
-def test_changes_take_effect_and_impossible_ones_are_refused(
+def test_changes_become_active_and_invalid_ones_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     session = play(SCENARIO)
@@ -40,7 +42,7 @@ def test_changes_take_effect_and_impossible_ones_are_refused(
     apart = session.page.reading.text
     assert "\nwhole arm: clearance 0." in apart
 
-    # Nothing happens until the slider rests; then the motion goes on from where the arm was.
+    # A change becomes active when the slider rests; the motion starts at the present position.
     meshcat.SetSliderValue("post: y [m]", 0.4)
     session.tick()
     assert not session.logs
@@ -48,10 +50,10 @@ def test_changes_take_effect_and_impossible_ones_are_refused(
     assert list(session.logs) == ["leg_1"]
     assert math.dist(session.tool_point(), begin) > 0.01
 
-    # The controls return where a change is refused.
+    # Controls return to their previous values when a change is refused.
     x, y, _ = session.tool_point()
     monkeypatch.setattr(session, "_clicks", lambda button: int(button == "pause"))
-    for said, values in (
+    for reason, values in (
         ("task.goal: out of reach", {"goal x [m]": 0.75, "goal y [m]": 0.7, "goal z [m]": 0.8}),
         ("obstacle inside the robot (panda_", {"post: x [m]": x, "post: y [m]": y}),
     ):
@@ -59,12 +61,12 @@ def test_changes_take_effect_and_impossible_ones_are_refused(
         for name, value in values.items():
             meshcat.SetSliderValue(name, value)
         ticks(session, 0.4)
-        assert f"refused: {said}" in session.status()
+        assert f"refused: {reason}" in session.status()
         assert session.page.reading.text.endswith(session.status())
         assert {name: meshcat.GetSliderValue(name) for name in values} == before
     monkeypatch.undo()
 
-    # To the goal, and back.
+    # The motion leads to the goal, and back.
     nearest = math.inf
     while not session.is_returning:
         session.tick()
@@ -77,7 +79,7 @@ def test_changes_take_effect_and_impossible_ones_are_refused(
     assert logs["leg_1"].stop_reason == "restarted"
 
 
-def test_shipped_obstacles_have_sliders() -> None:
+def test_obstacles_of_directives_can_be_moved() -> None:
     scenario = load_scenario("tabletop_clutter")
     scenario.directives = flat_directives(scenario.directives)
     assert len(obstacle_poses(scenario)) >= 3
@@ -87,7 +89,7 @@ def test_shipped_obstacles_have_sliders() -> None:
     assert obstacle_poses(scenario)[name].IsNearlyEqualTo(X_WO, 1e-12)
 
 
-def test_a_free_point_is_refused() -> None:
+def test_scenario_without_robot_is_refused() -> None:
     text = "{robot: null, perception: !GivenEllipsoids {ellipsoids: []}}"
     with pytest.raises(ScenarioError, match="robot: must be set"):
         play(text)

@@ -1,4 +1,4 @@
-"""Figures of logged runs."""
+"""Plots of logged runs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +13,7 @@ from tests.builders import balls
 
 
 @pytest.mark.parametrize("instants", [1, 51])
-def test_a_run_is_drawn_with_pauses_and_moved_obstacles(
+def test_runs_with_holds_and_moving_obstacles_are_plotted(
     straight_log: Callable[..., MotionLog], instants: int, tmp_path: Path
 ) -> None:
     frames = [balls((0.5, 0.02 * k, 0.0), (0.2, 0.3, 0.0), stamp=0.1 * k) for k in range(20)]

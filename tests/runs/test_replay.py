@@ -1,4 +1,4 @@
-"""A log as a function of time."""
+"""Replay of logged motions: LogPlayer, and its positions and paths."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -32,19 +32,25 @@ FILE = Path("run.npz")
 
 @pytest.fixture(scope="module")
 def player(straight_log: LogOf) -> LogPlayer:
-    seen = pack_ellipsoids([balls((x, 0, 0), stamp=t) for t, x in ((0.0, 0.5), (0.09, 0.6))])
-    log = straight_log(t=PERIOD * np.arange(51), observation_time=np.array([0.01, 0.1]), **seen)
+    """Player of a log with 51 instants and two observations."""
+    observations = pack_ellipsoids(
+        [balls((x, 0, 0), stamp=t) for t, x in ((0.0, 0.5), (0.09, 0.6))]
+    )
+    log = straight_log(
+        t=PERIOD * np.arange(51), observation_time=np.array([0.01, 0.1]), **observations
+    )
     return LogPlayer(FREE, log, np.arange(51.0)[:, None])
 
 
 def read(player: LogPlayer, port: str, time: float) -> Any:
+    """Returns the value of an output port at a time [s]."""
     context = player.CreateDefaultContext()
     context.SetTime(time)
     return player.GetOutputPort(port).Eval(context)
 
 
 @given(row=st.integers(0, 60), late=st.floats(-1e-10, 0.9 * PERIOD))
-def test_the_last_logged_instant_is_found_despite_rounding(
+def test_latest_logged_instant_is_output_despite_rounding(
     player: LogPlayer, row: int, late: float
 ) -> None:
     time = max(PERIOD * row + late, 0.0)
@@ -54,12 +60,12 @@ def test_the_last_logged_instant_is_found_despite_rounding(
     np.testing.assert_array_equal(state.p_WG, FREE.task.goal)
 
 
-def test_obstacles_are_those_that_had_arrived(player: LogPlayer) -> None:
-    for time, seen in ((0.0, []), (0.01, [0.5]), (0.095, [0.5]), (9.0, [0.6])):
-        assert read(player, "ellipsoids_W", time).p_WO[:, 0].tolist() == seen
+def test_ellipsoids_are_those_of_the_latest_observation(player: LogPlayer) -> None:
+    for time, x in ((0.0, []), (0.01, [0.5]), (0.095, [0.5]), (9.0, [0.6])):
+        assert read(player, "ellipsoids_W", time).p_WO[:, 0].tolist() == x
 
 
-def test_the_motion_is_the_modulated_one_unless_requested(straight_log: LogOf) -> None:
+def test_avoiding_motion_is_the_default(straight_log: LogOf) -> None:
     logs = {"nominal": straight_log(), "avoiding": straight_log()}
     assert choose_motion(FILE, logs, None) == "avoiding"
     assert choose_motion(FILE, {"nominal": straight_log()}, None) == "nominal"
@@ -70,17 +76,17 @@ def test_the_motion_is_the_modulated_one_unless_requested(straight_log: LogOf) -
         choose_motion(FILE, {"avoiding": straight_log(0, stop_reason="interrupted")}, None)
 
 
-def test_a_demonstrated_path_is_that_of_the_preplanned_motion(straight_log: LogOf) -> None:
-    shown = load_scenario("free_space")
-    assert planned_path(shown, {"nominal": straight_log()}) is None
-    shown.task.demonstration = ["path.npz"]
-    path = planned_path(shown, {"nominal": straight_log(450)})
+def test_planned_path_is_that_of_the_nominal_motion(straight_log: LogOf) -> None:
+    scenario = load_scenario("free_space")
+    assert planned_path(scenario, {"nominal": straight_log()}) is None
+    scenario.task.demonstration = ["path.npz"]
+    path = planned_path(scenario, {"nominal": straight_log(450)})
     assert path is not None
     assert 100 < len(path) <= 200
-    assert planned_path(shown, {"nominal": straight_log(ended="interrupted")}) is None
+    assert planned_path(scenario, {"nominal": straight_log(ended="interrupted")}) is None
 
 
-def test_the_world_is_posed_by_what_the_log_has(straight_log: LogOf) -> None:
+def test_world_positions_are_those_of_the_log(straight_log: LogOf) -> None:
     plant = MultibodyPlant(0.001)
     robot = add_world(plant, load_scenario("tabletop_box"))
     plant.Finalize()
