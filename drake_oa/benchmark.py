@@ -25,7 +25,7 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
 
 REMAINDER = "plant, Simulator and logs"
-"""Name of the wall time outside the callbacks of all Python systems."""
+"""Name of the table row for the wall time outside all Python systems."""
 _WARMUP = 0.1
 """Simulated duration of the warm-up, which loads kernels and renderer [s]."""
 

@@ -22,7 +22,7 @@ RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Default folder of the results of runs, relative to the current folder."""
 
 Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
-"""Names of methods; the option may be repeated."""
+"""Annotation of the repeatable option --method: names of methods."""
 
 evaluate = App(name="evaluate")
 for _name in ("table1", "table2", "table3", "figure_familiar", "figure_dead_zone"):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from drake_oa.perception.recordings import RecordedFrame
 
 _ENCLOSED_TOLERANCE = 1e-9
-"""Tolerance of the gauge of a dilated point, which is at most 1 inside an ellipsoid [1]."""
+"""Tolerance of the normalized distance to an ellipsoid's center, 1 on its surface [1]."""
 _REPEATS = 5
 """Number of time measurements, of which the median is reported."""
 

@@ -28,17 +28,17 @@ else:
     """Name or file of a scenario; the shell completes the shipped names."""
 
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
-"""Scenario fields and their new values, as "a.b=c"; the option may be repeated."""
+"""Annotation of the repeatable option --set: scenario fields with new values, as "a.b=c"."""
 
 
 Positive = Annotated[float, Parameter(validator=Number(gt=0.0, lt=math.inf))]
-"""Positive finite number."""
+"""Annotation of an option that must be a positive finite number."""
 Rate = Annotated[float, Parameter(validator=Number(gt=0.0, lte=1.0))]
-"""Simulated time over wall time, in (0, 1]."""
+"""Annotation of an option for simulated time over wall time, in (0, 1]."""
 Count = Annotated[int, Parameter(validator=Number(gte=1))]
-"""Number of scenes, processes or steps, at least 1."""
+"""Annotation of an option that counts scenes, processes or steps, at least 1."""
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
-"""Seed of random numbers, at least 0."""
+"""Annotation of an option for the seed of random numbers, at least 0."""
 
 
 def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) -> Scenario:

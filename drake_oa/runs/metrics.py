@@ -101,7 +101,7 @@ def _metrics(
     clearance: FloatArray,
     p_WE: FloatArray,
 ) -> MotionMetrics:
-    """Summarizes the contacts of all instants.
+    """Creates the metrics of a motion from its clearances and contacts at each instant.
 
     Args:
         contacts: contacts of the robot with objects at each instant.
@@ -185,7 +185,7 @@ class ClearanceEvaluator:
         return self._body[geometry_id].model_instance() == self._station.robot
 
     def metrics(self, q: FloatArray, q_world: FloatArray | None = None) -> MotionMetrics:
-        """Computes the metrics of a motion.
+        """Computes clearances and contacts of the robot at each instant of a motion.
 
         Args:
             q: (T, nq) positions of the robot, in the plant's order.

@@ -17,11 +17,11 @@ t                     (T,)           s         simulated time
 q                     (T, nq)        rad, m    positions of the robot
 v                     (T, nv)        rad/s     velocities of the robot (m/s: prismatic)
 torque                (T, nu)        N m, N    applied actuation
-saturated             (T,)           1         1 where an effort limit was reached
+saturated             (T,)           1         1 if a joint is at its effort limit, else 0
 p_WE                  (T, 3)         m         actual tool point; without a robot the desired one
 desired_position      (T, 3)         m         desired tool point p_WE
-desired_velocity      (T, 3)         m/s       its first derivative
-desired_acceleration  (T, 3)         m/s^2     its second derivative
+desired_velocity      (T, 3)         m/s       first derivative of desired_position
+desired_acceleration  (T, 3)         m/s^2     second derivative of desired_position
 phase                 (T,)           1         canonical phase k, from 1 down to 0
 speed_scale           (T,)           1         speed scale of the motion guard in [0, 1]; 1 without
                                                a guard
@@ -34,27 +34,26 @@ observation_stamp     (F,)           s         times that the observations descr
                                                ellipsoids
 p_WO                  (F, M, 3)      m         centers of the ellipsoids; NaN rows where an
                                                observation has fewer than M
-R_WO                  (F, M, 3, 3)   1         their orientations, principal axes in columns
-semi_axes             (F, M, 3)      m         their semi-axes
-v_WO                  (F, M, 3)      m/s       velocities of their centers
-obstacle_id           (F, M)         -         their track IDs; -1: none
-out_of_range          (F,)           1         number of them with inputs beyond the training range
-                                               of the regressor chain
+R_WO                  (F, M, 3, 3)   1         orientations, principal axes in columns
+semi_axes             (F, M, 3)      m         semi-axes of the ellipsoids
+v_WO                  (F, M, 3)      m/s       velocities of the centers
+obstacle_id           (F, M)         -         track IDs of the obstacles; -1: none
+out_of_range          (F,)           1         number of obstacles beyond the training range of the
+                                               regressor chain
 inference             ()             text      "Verified" or "Paper"; "" for the nominal motion
 shortfall             (T,)           m         predicted clearance shortfall of the verified motion
 event_time            (E,)           s         times at which the note of the policy changed
-event                 (E,)           text      those notes; "": the motion continues
+event                 (E,)           text      notes of the policy; "": the motion continues
 supervision_time      (S,)           s         times at which the guard's supervision changed
 supervision_action    (S,)           text      "run", "slow", "hold" or "stop" from then on
 supervision_reason    (S,)           text      reason of the action; "" for "run"
 position_name         (nq,)          text      names of the robot's positions
-position_lower        (nq,)          rad, m    their lower limits
-position_upper        (nq,)          rad, m    their upper limits
+position_lower        (nq,)          rad, m    lower position limits
+position_upper        (nq,)          rad, m    upper position limits
 velocity_limit        (nv,)          rad/s     maximum speed of each velocity (m/s: prismatic)
 actuator_name         (nu,)          text      names of the actuated joints
-effort_limit          (nu,)          N m, N    their maximum actuation; inf: none
-stop_reason           ()             text      "goal", or the reason for which the motion ended
-                                               before it
+effort_limit          (nu,)          N m, N    maximum actuation of these joints; inf: none
+stop_reason           ()             text      "goal", or the reason of another termination
 wall_time             ()             s         wall-clock time of the simulation
 avoid_obstacles       ()             bool      whether obstacles were avoided
 scenario              ()             text      the scenario as YAML, defaults included
@@ -65,8 +64,8 @@ desired_orientation   (T, 4)         1         quaternion w, x, y, z of the desi
                                                constant
 orientation_error     (T, 3)         rad       rotation vector from actual to desired orientation
                                                in W; (0, 3): constant
-desired_posture       (T, 2n)        rad,      nominal arm positions, then velocities, of the null
-                                     rad/s     space; (T, 0): none
+desired_posture       (T, 2n)        rad,      nominal configuration of the null space, then its
+                                     rad/s     velocities; (T, 0): none
 guard_action          (T,)           1         action of the guard: 0 follow, 1 slow, 2 wait, 3
                                                evade, 4 brake; (0,): no guard
 guard_contact         (T,)           s         time of the first contact predicted on the verified
@@ -104,7 +103,7 @@ from drake_oa.common.files import read_arrays, replace_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 
 SCHEMA_VERSION = 3
-"""Schema of log files; a file without the key `schema_version` has schema 1."""
+"""Version of the schema of log files; a file without the key `schema_version` has version 1."""
 
 _SCHEMA_KEY = "schema_version"
 DECISION_SIGNAL = "decision_"

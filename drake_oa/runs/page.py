@@ -51,7 +51,7 @@ class PanelReadings:
     def read(
         self, now: float, state: str, q: FloatArray, q_world: FloatArray, source: float = -1.0
     ) -> Reading:
-        """Computes the reading of an instant.
+        """Computes the reading of the panel at a time.
 
         Args:
             now: time [s].
@@ -106,9 +106,9 @@ def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
 def _logged_state(log: MotionLog, now: float) -> str:
     """Returns the logged hold reason or guard action at a time [s], as `motion_state`."""
     row = int(np.searchsorted(log.supervision_time, now, side="right")) - 1
-    supervision = ("run", "")
-    if row >= 0:
-        supervision = log.supervision_action[row], log.supervision_reason[row]
+    supervision = (
+        (log.supervision_action[row], log.supervision_reason[row]) if row >= 0 else ("run", "")
+    )
     row = int(np.searchsorted(log.event_time, now, side="right")) - 1
     return motion_state(supervision, log.event[row] if row >= 0 else "")
 

@@ -224,7 +224,7 @@ def min_clearance(clearance: FloatArray) -> float | None:
 
 
 def time_fractions(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str, float]:
-    """Returns the fraction of a motion's instants by name, from logged row numbers of the names."""
+    """Returns the fraction of a motion's instants with each code, by the name of the code."""
     codes = codes[log.moving] if len(codes) else codes
     shares = {name: float(np.mean(codes == code)) for code, name in enumerate(names) if len(codes)}
     return {name: share for name, share in shares.items() if share > 0.0 and name}

@@ -19,7 +19,7 @@ from drake_oa.world.station import make_station
 
 
 def build_problems(scenario: Scenario) -> list[str]:
-    """Returns the errors of building a scenario: world, start and goal, and diagram."""
+    """Builds world, end configurations and diagram of a scenario, and returns the errors."""
     steps: list[Callable[[], object]] = [lambda: build_avoidance(scenario)]
     if scenario.robot is not None:
         steps = [
@@ -37,7 +37,7 @@ def build_problems(scenario: Scenario) -> list[str]:
 
 
 def end_contacts(scenario: Scenario) -> str:
-    """Returns one line with the contacts that exclude a motion; "" without any.
+    """Returns one line with contacts at start or goal that make the task impossible, or "".
 
     They are contacts of the robot at the start, and of the tool with resting obstacles at the goal.
     At the goal the arm may have another configuration, and moving obstacles another position.

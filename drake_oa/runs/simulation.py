@@ -55,7 +55,7 @@ _ARRIVAL_DELAY = 0.2
 ARRIVAL_TOLERANCE = Verified().tolerance
 """Distance to the goal below which the desired position has arrived [m]."""
 ARRIVAL_SPEED_RATIO = 20.0
-"""Maximum scaled velocity of an arrived motion over `ARRIVAL_TOLERANCE` [1]."""
+"""Scaled velocity tau T v over `ARRIVAL_TOLERANCE`, below which a motion has arrived [1]."""
 AT_GOAL = 5e-3
 """Distance of the tool point to the goal below which the tool is at the goal [m]."""
 AT_REST = 0.01
@@ -63,7 +63,7 @@ AT_REST = 0.01
 REST_TIME = 1.0
 """Duration of rest of the whole world after which the simulation ends [s]."""
 MAX_SETTLING_TIME = 5.0
-"""Time after motion and trajectories at which the simulation ends without rest [s]."""
+"""Time after motion and trajectories at which the simulation ends, even without rest [s]."""
 
 
 class MotionInterruptedError(RuntimeError):
@@ -525,7 +525,7 @@ def collect_log(
 
 
 def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[str, Any]:
-    """Returns the columns of rows by name: an array of times [s], and tuples of texts."""
+    """Converts rows to named columns of a log: an array of times [s], and tuples of texts."""
     times, *texts = zip(*rows, strict=True) if rows else [()] * len(names)
     return dict(zip(names, (np.array(times, dtype=float), *texts), strict=True))
 
