@@ -98,10 +98,10 @@ def timed_systems() -> Iterator[dict[str, float]]:
                     try:
                         return item(*values)
                     finally:
-                        whole = time.perf_counter() - start
+                        total = time.perf_counter() - start
                         # A system has its name only after its construction.
-                        wall_times[system.get_name()] += whole - inner.pop()
-                        inner[-1] += whole
+                        wall_times[system.get_name()] += total - inner.pop()
+                        inner[-1] += total
 
                 return call
 

@@ -412,8 +412,8 @@ def run_suites(
     workers = runs.scheduler or runs.jobs or cpu_count()
     results = [evaluate_panda(suite, workers=workers, folder=folder) for suite in suites]
     metrics = [panda_metrics(result, workers) for result in results]
-    whole = merge(results, metrics)
-    replace_json(runs.json, whole)
+    output = merge(results, metrics)
+    replace_json(runs.json, output)
     for result in results if runs.write_scenes else ():
         for scene, text in result.scenarios.items():
             scenario = seen_by(parse_scenario(text), result.suite.perception)
@@ -423,8 +423,8 @@ def run_suites(
     note = f"; {resumed} results read from {folder}" if resumed else ""
     kinds = ", ".join(result.suite.kind for result in results)
     print(f"{heading}, {kinds}, {results[0].suite.perception}{note}\n")
-    all_of = [whole["all"]] if "all" in whole else []
-    show(panda_table([*metrics, *all_of]) if table is None else table(whole))
+    all_of = [output["all"]] if "all" in output else []
+    show(panda_table([*metrics, *all_of]) if table is None else table(output))
     all_runs = [run for result in results for of in result.runs.values() for run in of.values()]
     failures = [run["stop_reason"] for run in all_runs if run["failed"]]
     if failures:

@@ -267,8 +267,8 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
     if error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         if error["loc"][-1] == "_tag":
             return f"{place.removesuffix('._tag')}: must have no tag, not {value}"
-        known = list(getattr(block, "__dataclass_fields__", {}))
-        near, valid = did_you_mean(str(error["loc"][-1]), known), ", ".join(known) or "none"
+        names = list(getattr(block, "__dataclass_fields__", {}))
+        near, valid = did_you_mean(str(error["loc"][-1]), names), ", ".join(names) or "none"
         return f"{place}: is not a field{near}; valid fields: {valid}"
     if error["type"] == "union_tag_invalid":
         tags = context["expected_tags"].replace("'", "")
@@ -307,16 +307,16 @@ def _block(kind: Any, tag: str = "") -> Any:
     return next((block for block in blocks if block is not None), None)
 
 
-def check_choice(subject: str, known: Collection[str], *names: str) -> None:
-    """Checks that names are known; raises ValueError with the subject and the valid names."""
+def check_choice(subject: str, choices: Collection[str], *names: str) -> None:
+    """Checks that names are valid choices; raises ValueError with the subject and all choices."""
     for name in names:
-        if name not in known:
-            raise ValueError(f"unknown {subject} {name!r}; valid: {', '.join(known)}")
+        if name not in choices:
+            raise ValueError(f"unknown {subject} {name!r}; valid: {', '.join(choices)}")
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, choices: Iterable[str]) -> str:
     """Returns ` (did you mean ...?)` with the most similar known word; "" without one."""
-    near = difflib.get_close_matches(word, known, 1)
+    near = difflib.get_close_matches(word, choices, 1)
     return f" (did you mean {near[0]}?)" if near else ""
 
 

@@ -128,11 +128,11 @@ def _metrics(
 
 def _max_penetrations(instants: Iterable[Contacts]) -> Contacts:
     """Returns the maximum penetration of each pair over all instants, in order of first contact."""
-    found: Contacts = {}
+    depths: Contacts = {}
     for contacts in instants:
         for pair, depth in contacts.items():
-            found[pair] = max(found.get(pair, 0.0), depth)
-    return found
+            depths[pair] = max(depths.get(pair, 0.0), depth)
+    return depths
 
 
 class ClearanceEvaluator:
@@ -244,11 +244,11 @@ class ClearanceEvaluator:
     def geometries_at(self, time: float) -> CollisionGeometries:
         """Computes the collision geometries of all bodies but the robot at a time [s], at rest."""
         self._plant.SetPositions(self._plant_context, self.positions_at(time))
-        found = []
+        geometries = []
         for geometry, body in self._others:
             X_WB = body.EvalPoseInWorld(self._plant_context).GetAsMatrix4()
-            found.append(replace(geometry, X_WO=X_WB @ geometry.X_WO))
-        return geometries_of(found)
+            geometries.append(replace(geometry, X_WO=X_WB @ geometry.X_WO))
+        return geometries_of(geometries)
 
     def contact_speeds(
         self, q: FloatArray, v: FloatArray, q_world: FloatArray
@@ -266,19 +266,19 @@ class ClearanceEvaluator:
         """
         hits, _ = self._deepest_hits(self._query_at(q, q_world))
         self._plant.SetVelocities(self._plant_context, self._station.robot, v)
-        found = {}
+        speeds = {}
         for pair, hit in hits.items():
             is_A = self._is_robot(hit.id_A)
             link = self._body[hit.id_A if is_A else hit.id_B]
             p_WC, sign = (hit.p_WCa, -1.0) if is_A else (hit.p_WCb, 1.0)
             offset = p_WC - link.EvalPoseInWorld(self._plant_context).translation()
             V_WC = link.EvalSpatialVelocityInWorld(self._plant_context).Shift(offset)
-            found[pair] = sign * float(V_WC.translational() @ hit.nhat_BA_W)
-        return found, float(self._plant.EvalKineticEnergy(self._plant_context))
+            speeds[pair] = sign * float(V_WC.translational() @ hit.nhat_BA_W)
+        return speeds, float(self._plant.EvalKineticEnergy(self._plant_context))
 
     def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
         """Returns the maximum penetrations of pairs "link - object", and of pairs "link - link"."""
-        found: Hits = {}
+        hits: Hits = {}
         self_hits: Hits = {}
         for hit in query.ComputePointPairPenetration():
             if hit.depth < MIN_PENETRATION:
@@ -286,15 +286,15 @@ class ClearanceEvaluator:
             first, second = sorted((hit.id_A, hit.id_B), key=self._is_robot, reverse=True)
             link, other = self._body[first], self._body[second]
             if self._is_robot(second):
-                known, pair = self_hits, " - ".join(sorted((link.name(), other.name())))
+                group, pair = self_hits, " - ".join(sorted((link.name(), other.name())))
             elif self._is_robot(first):
                 model = self._plant.GetModelInstanceName(other.model_instance())
-                known, pair = found, f"{link.name()} - {model}"
+                group, pair = hits, f"{link.name()} - {model}"
             else:
                 continue
-            if pair not in known or hit.depth > known[pair].depth:
-                known[pair] = hit
-        return found, self_hits
+            if pair not in group or hit.depth > group[pair].depth:
+                group[pair] = hit
+        return hits, self_hits
 
     def _clearances(self, query: QueryObject) -> FloatArray:
         """Returns the minimum distances of robot, tool, and tool to resting obstacles (3,) [m].
@@ -302,19 +302,19 @@ class ClearanceEvaluator:
         Bounding balls give lower bounds of all pair distances. Pairs are evaluated in order of
         these bounds, until no bound is below the minimum; inf: no obstacle.
         """
-        ours, others = self._robot_balls, self._obstacle_balls
-        apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
-        bounds = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
-        order, least = np.argsort(bounds, axis=None), np.full(3, OUT_OF_WORLD)
+        robot, obstacles = self._robot_balls, self._obstacle_balls
+        apart = robot.centers(self._plant_context)[:, None] - obstacles.centers(self._plant_context)
+        bounds = np.linalg.norm(apart, axis=2) - robot.radius[:, None] - obstacles.radius
+        order, minima = np.argsort(bounds, axis=None), np.full(3, OUT_OF_WORLD)
         for i, j in zip(*np.unravel_index(order, bounds.shape), strict=True):
-            if bounds[i, j] >= least.max():
+            if bounds[i, j] >= minima.max():
                 break
             counts = np.array([True, self._tool[i], self._tool[i] and self._rests[j]])
-            if (least[counts] > bounds[i, j]).any():
-                geometry_ids = ours.geometry_ids[i], others.geometry_ids[j]
+            if (minima[counts] > bounds[i, j]).any():
+                geometry_ids = robot.geometry_ids[i], obstacles.geometry_ids[j]
                 pair = query.ComputeSignedDistancePairClosestPoints(*geometry_ids)
-                least[counts] = np.minimum(least[counts], pair.distance)
-        return np.where(least < OUT_OF_WORLD, least, np.inf)
+                minima[counts] = np.minimum(minima[counts], pair.distance)
+        return np.where(minima < OUT_OF_WORLD, minima, np.inf)
 
 
 class _Balls:
