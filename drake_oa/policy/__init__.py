@@ -1,31 +1,32 @@
 """Policy layer: a dynamic movement primitive (DMP) whose coupling terms steer around obstacles.
 
-In: goal (3,) [m]; optional `EllipsoidSet`, `CouplingParameters`, `Route`, and the motion guard's
-speed scale and evasion velocity (3,) [m/s]. Out: desired position, velocity and acceleration (3,)
-of the tool point E in the world, the phase k and `PolicyState`; for the orientation the quaternion
-of R_WE, the angular velocity w_WE [rad/s] and its derivative.
+In: goal (3,) [m]; optional `EllipsoidSet`, `CouplingParameters`, `Route`, and from `MotionGuard`
+a speed scale and an evasion velocity (3,) [m/s]. Out: desired position, velocity and acceleration
+(3,) of the tool point E in the world, the phase k and `PolicyState`; for the orientation the
+quaternion of R_WE, the angular velocity w_WE [rad/s] and the angular acceleration [rad/s^2].
 
 Systems, updated each `policy.period` (125 Hz by default):
 
-- `DmpIntegrator`: position of the tool point. Between two steps its velocity is linear in time.
-- `OrientationIntegrator`: orientation of the tool, a function of the same phase.
+- `DmpIntegrator`: position of the tool point. Between two steps the velocity is linear in time.
+- `OrientationIntegrator`: orientation of the tool, a function of the phase k of `DmpIntegrator`.
 
-In normalized time s = t / (tau T)
+In normalized time s = t / (tau T), with the demonstrated duration T and the temporal scaling tau,
 
     dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C,    dx/ds = z,    dk/ds = -alpha_k k,
 
 the dynamic movement primitives of Ijspeert et al. (2013) in the form of Pairet et al. (RA-L 2019),
-with the coupling term C = Omega x z, which rotates z and leaves its length unchanged. A step is
-half a step of the spring, the rotation, and the other half step of the spring, each an exact flow
-(docs/theory/integration.md).
+with the coupling term C = Omega x z, which rotates z and leaves its length unchanged. A step
+consists of half a step of the spring, the rotation, and the other half step of the spring. Each of
+these three parts is integrated exactly (docs/theory/integration.md).
 
 Modules:
 
 - `averaging`: mean of several recorded demonstrations, by a penalized spline.
-- `dmp`, `coupling`, `guidance`: movement primitive, coupling terms, and heading toward the selected
-  side. Tests compare the compiled formulas with readable ones in `tests/reference`.
+- `dmp`, `coupling`, `guidance`: movement primitive, coupling terms, and heading toward the side on
+  which an obstacle is passed. Tests compare the compiled formulas with readable ones in
+  `tests/reference`.
 - `action_kernels`, `action`: one step of the whole policy, with holds and temporal scaling.
-- `rollout`: roll-outs of many candidate motions.
+- `rollout`: roll-outs (simulations) of many candidate motions.
 
 The configuration is the block `policy` of a scenario (`config.Policy`).
 

@@ -1,9 +1,10 @@
 """One time step of the policy: movement primitive, coupling terms, temporal scaling and holds.
 
 The step combines the movement primitive (`drake_oa.policy.dmp`), the coupling terms
-(`drake_oa.policy.coupling`) and the guidance headings (`drake_oa.policy.guidance`). Temporal
-scaling is that of section IV-E of Pairet et al., RA-L 2019. A hold stops the motion on its path
-while it would not be safe. The integration is compiled (`drake_oa.policy.action_kernels`).
+(`drake_oa.policy.coupling`) and the guidance headings (`drake_oa.policy.guidance`). The duration is
+scaled with the length of the avoiding path, as in section IV-E of Pairet et al., RA-L 2019. A hold
+stops the motion on its path while continuing would not be safe. The integration is compiled
+(`drake_oa.policy.action_kernels`).
 """
 
 from __future__ import annotations
@@ -33,19 +34,19 @@ from drake_oa.policy.dmp import Dmp, local_frame
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 SCALED_TO_REST = "speed_scale is 0"
-"""Note of a motion that is held because the input `speed_scale` is 0."""
+"""Note in the policy's state of a motion that is held because the input `speed_scale` is 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment(Frozen):
-    """Motion between two consecutive steps of the policy.
+    """Motion of the tool point between two consecutive steps of the policy.
 
     Attributes:
-        state: state of the policy at the beginning.
-        end: state of the policy at the end.
-        evasion_velocity: (2, 3) evasion velocity at the beginning and at the end, which is added
-            to the velocity of the primitive [m/s].
-        primitive: movement primitive of this motion; None: the one passed to `take_step`.
+        state: state of the policy at the beginning of the segment.
+        end: state of the policy at the end of the segment.
+        evasion_velocity: (2, 3) evasion velocity at the beginning and at the end in the world
+            frame, which is added to the velocity of the movement primitive [m/s].
+        primitive: movement primitive of the motion; None: the one passed to `take_step`.
     """
 
     state: PolicyState
@@ -55,16 +56,19 @@ class Segment(Frozen):
 
     @property
     def velocity(self) -> FloatArray:
-        """Velocities of E at the beginning and at the end, evasion included, (2, 3) [m/s]."""
+        """Velocities of the tool point at both ends of the segment, with evasion, (2, 3) [m/s]."""
         scaled = (state.speed * state.z_W for state in (self.state, self.end))
         return np.array([*scaled]) + self.evasion_velocity
 
     def interpolate(self, time: float) -> FloatArray:
-        """Computes position, velocity and acceleration at a time [s] of the segment.
+        """Computes position, velocity and acceleration of the tool point at a time of the segment.
 
-        The velocity is linear in time; the position is its integral, corrected linearly so that
-        it ends at the policy's position. Times before the segment are clipped to its beginning;
-        after its end the velocity is constant.
+        The velocity is linear in time. The position is the integral of the velocity, plus a term
+        linear in time that makes it end at the position of the policy. Times before the segment
+        are clipped to its beginning; after its end the velocity is constant.
+
+        Args:
+            time: time of the simulation [s].
 
         Returns:
             (3, 3) rows p_WE [m], v_WE [m/s] and a_WE [m/s^2].
@@ -82,7 +86,12 @@ class Segment(Frozen):
 
 
 def make_segment(state: PolicyState, primitive: Dmp | None = None) -> Segment:
-    """Returns a segment of zero length at a state of the policy."""
+    """Returns a segment of zero length, which begins and ends at the same state of the policy.
+
+    Args:
+        state: state of the policy.
+        primitive: movement primitive of the motion; None: the one passed to `take_step`.
+    """
     return Segment(state, state, primitive=primitive)
 
 
@@ -102,19 +111,21 @@ def take_step(
 
     Args:
         before: previous segment.
-        p_WG: (3,) current goal [m].
+        p_WG: (3,) current goal in the world frame [m].
         inputs: obstacles and coupling terms.
         time: current time [s].
         step: length of the step [s].
         dmp: movement primitive of three dimensions, used if the segment has none.
         config: constants of coupling terms and holds.
-        speed_scale: requested fraction of full speed, 1 / (tau T). The speed changes toward it at
-            the rate given by `config.hold_time`. Values are clipped to [0, 1]; NaN counts as 0.
-        evasion_velocity: (3,) velocity [m/s] that displaces p_WE in addition to the primitive,
-            without effect on z and phase; linear in time within the step. None or not finite: 0.
+        speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T). The speed changes
+            toward this fraction at the rate given by `config.hold_time`. Values are clipped to
+            [0, 1]; NaN counts as 0.
+        evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], which
+            displaces p_WE in addition to the primitive, without effect on scaled velocity and
+            phase. It is linear in time within the step. None or not finite: 0.
 
     Returns:
-        Motion in this step.
+        Segment of the motion in this step.
 
     Raises:
         ValueError: if start and goal coincide, or the step is negative or not finite.
@@ -166,16 +177,19 @@ def take_step(
 def restart(
     before: Segment, p_WG: FloatArray, time: float, primitive: Dmp | None = None
 ) -> Segment:
-    """Restarts a motion at rest from its current position: the phase returns to 1.
+    """Restarts a motion that is at rest: the current position becomes its start, the phase 1.
 
-    Returns the segment unchanged if it moves, if it is at the goal, or if it is still at its start
-    and has the same primitive.
+    The segment is returned unchanged if the motion has left its start and moves, is at the goal, or
+    is still at its start with the same primitive.
 
     Args:
         before: current segment.
-        p_WG: (3,) goal [m].
+        p_WG: (3,) goal in the world frame [m].
         time: current time [s].
         primitive: movement primitive of the new motion; None: the one passed to `take_step`.
+
+    Returns:
+        Segment of zero length at the start of the new motion, or `before`.
     """
     state = before.end
     has_left = not np.array_equal(state.p_WE, state.p_WS)
@@ -198,16 +212,18 @@ def restart(
 
 @dataclass(frozen=True, eq=False)
 class CouplingInputs(Frozen):
-    """Obstacles and decisions on which the policy acts until they change.
+    """Obstacles, coupling terms and decisions on which the policy acts until its inputs change.
 
     Attributes:
-        ellipsoids: perceived obstacles; None: there is no perception.
-        obstacles: obstacles with their coupling terms.
-        hold: reason for which inference or route hold the motion.
+        ellipsoids: ellipsoids of the perceived obstacles; None: there is no perception.
+        obstacles: obstacles with their coupling terms, in the form of the compiled kernels.
+        hold: reason for which the inference layer or the route layer holds the motion.
         note: explanation of `hold`.
-        tau: requested temporal scaling; 0: none.
-        path_length: length of the route [m]; None: there is no route.
-        verified: whether roll-outs have verified the terms; ellipsoids then do not hold the motion.
+        tau: requested temporal scaling of the demonstrated duration; 0: none is requested.
+        path_length: length of the path past all obstacles on their selected sides [m]; None: there
+            is no route.
+        verified: whether roll-outs (simulations) have verified the motion; a tool or goal inside an
+            ellipsoid then does not hold the motion.
         restart: whether a motion at rest restarts from its current position.
     """
 
@@ -226,14 +242,15 @@ class CouplingInputs(Frozen):
         coupling: CouplingParameters | None,
         route: Route | None,
     ) -> CouplingInputs:
-        """Combines the values of the policy's input ports.
+        """Combines the values of three input ports of the policy into one object.
 
         Args:
-            ellipsoids: M obstacles; None: there is no perception, and the terms do not act.
-            coupling: parameters of M coupling terms; None: no terms. Its normals, tau and hold
-                take precedence over those of the route.
-            route: M sides to pass on, toward which guidance steers (`drake_oa.policy.guidance`);
-                None: no guidance.
+            ellipsoids: M obstacles; None: there is no perception, and the coupling terms do not
+                act.
+            coupling: parameters of M coupling terms; None: no coupling terms. Normals, temporal
+                scaling and hold of these parameters take precedence over those of the route.
+            route: sides on which the M obstacles are passed, toward which guidance turns the motion
+                (`drake_oa.policy.guidance`); None: no guidance.
 
         Raises:
             ValueError: if coupling or route do not have one row per ellipsoid, or a
@@ -260,18 +277,19 @@ class CouplingInputs(Frozen):
         return replace(combined, obstacles=_coupled(shapes, coupling, route))
 
     def hold_at(self, state: PolicyState, time: float, max_age: float) -> tuple[HoldReason, str]:
-        """Returns the reason for holding the motion now, and its explanation.
+        """Returns the reason for holding the motion at a time, and an explanation of this reason.
 
-        The motion is held in these cases, the first of which counts:
+        The motion is held in the following cases. The first that applies determines the reason.
 
-        - There is no observation yet, or it is older than `max_age`.
-        - Inference or route hold the motion, such as when no way past the obstacles is known.
+        - There is no observation of the obstacles yet, or the last one is older than `max_age`.
+        - The inference or the route layer holds the motion, for example because no path past the
+          obstacles is known.
         - The tool or the goal is inside an ellipsoid, and the motion is not verified.
 
         Args:
             state: state of the policy.
             time: current time [s].
-            max_age: maximum age of the observation [s].
+            max_age: maximum age of the last observation [s].
         """
         obstacles = self.ellipsoids
         if obstacles is None:
@@ -297,12 +315,12 @@ class CouplingInputs(Frozen):
 
 
 def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | None) -> Obstacles:
-    """Assembles obstacles and coupling terms for the compiled kernels.
+    """Assembles arrays of obstacles and coupling terms for the compiled kernels.
 
     Args:
         shapes: ellipsoids of the obstacles.
         coupling: parameters of the coupling terms.
-        route: sides to pass on; None: no guidance.
+        route: sides on which the obstacles are passed; None: no guidance.
 
     Raises:
         ValueError: as `CouplingInputs.of`.

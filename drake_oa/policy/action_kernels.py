@@ -1,6 +1,6 @@
-"""Compiled integration of the policy: steps of the DMP's spring, rotated by coupling terms.
+"""Compiled integration of a dynamic movement primitive (DMP) whose coupling terms rotate it.
 
-`DmpIntegrator` advances one step at a time, a roll-out all of its steps.
+`DmpIntegrator` integrates one step at a time, a roll-out (simulation) all steps of a motion.
 """
 
 from __future__ import annotations
@@ -15,21 +15,26 @@ from drake_oa.policy.coupling import Triple, mixed, norm, rotate, triple, turn_s
 from drake_oa.policy.guidance import Obstacles, guide
 
 Flow = tuple[float, float, float, float]
-"""Coefficients a, b, c, d of a step of the DMP's spring: e <- a e + b z, z <- c e + d z."""
+"""Coefficients a, b, c, d of a step of the movement primitive's spring and damper.
+
+The step is e <- a e + b z and z <- c e + d z, with the position e relative to the equilibrium and
+the scaled velocity z."""
 
 
 def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
-    """Computes a step of the DMP's spring exactly: dz/ds = -alpha_x (beta_x e + z), de/ds = z.
+    """Computes the exact solution of the movement primitive's spring and damper over a step.
 
-    e is the position relative to the equilibrium, and z the scaled velocity.
+    The equations are dz/ds = -alpha_x (beta_x e + z), de/ds = z, with the position e relative to
+    the equilibrium, the scaled velocity z and the normalized time s.
 
     Args:
-        alpha_x: gain of the spring, per normalized time.
-        beta_x: gain of the spring; alpha_x / 4 for critical damping, other values are allowed.
+        alpha_x: gain of spring and damper, per normalized time.
+        beta_x: gain of the spring, per normalized time; alpha_x / 4 for critical damping, other
+            values are allowed.
         step: length of the step in normalized time, at least 0.
 
     Returns:
-        a, b, c, d with e <- a e + b z and z <- c e + d z over the step.
+        Coefficients a, b, c, d with e <- a e + b z and z <- c e + d z over the step.
     """
     stiffness, half = alpha_x * beta_x, 0.5 * alpha_x
     omega = cmath.sqrt(half * half - stiffness)
@@ -43,16 +48,17 @@ def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
 
 
 class MotionSetup(NamedTuple):
-    """Constants of an integration over T steps of equal length.
+    """Constants of the integration of a movement primitive over T steps of equal length.
 
     Attributes:
         rest: (T, 3) equilibrium of the spring in the middle of each step, displaced from the goal
             by the forcing term [m].
-        flow: flow of the spring over half a step, see `spring_flow`.
+        flow: coefficients of the spring over half a step, computed by `spring_flow`.
         ds: length of a step in normalized time.
         p_WG: (3,) goal [m].
         x_L: (3,) vector from start to goal [m].
-        fade: distance from the goal within which the coupling fades to zero [m]; 0: no fading.
+        fade: distance from the goal within which the coupling terms fade to zero [m]; 0: no
+            fading.
         every: number of steps between the rows of the output path.
         min_steps: minimum number of steps before the integration may end at the goal.
         tolerance: distance from the goal at which a slow motion ends [m].
@@ -71,7 +77,14 @@ class MotionSetup(NamedTuple):
 
 @compiled
 def spring(p: Triple, z: Triple, rest: Triple, flow: Flow) -> tuple[Triple, Triple]:
-    """Computes position and scaled velocity after a step of the spring, see `spring_flow`."""
+    """Computes position [m] and scaled velocity [m] after a step of the spring and damper.
+
+    Args:
+        p: position before the step [m].
+        z: scaled velocity before the step, the derivative of the position by normalized time [m].
+        rest: equilibrium of the spring [m].
+        flow: coefficients of the step, computed by `spring_flow`.
+    """
     a, b, c, d = flow
     e = mixed(1.0, p, -1.0, rest)
     return mixed(1.0, rest, 1.0, mixed(a, e, b, z)), mixed(c, e, d, z)
@@ -86,21 +99,23 @@ def advance(
     path: FloatArray,
     velocity: FloatArray,
 ) -> tuple[float, float, int]:
-    """Integrates position and scaled velocity over up to T steps.
+    """Integrates position and scaled velocity of a motion with coupling terms over up to T steps.
 
-    A step is half a step of the spring, the rotation by the coupling terms, and the other half
-    step of the spring. Near the goal the strengths alpha fade as (distance / fade)^4: without
-    fading the coupling would keep the motion circling around the goal. The power is that steep
-    because the coupling depends on the logarithm of alpha.
+    A step consists of half a step of the spring, the rotation of the scaled velocity by the
+    coupling terms, and the other half step of the spring. Near the goal the strengths alpha of the
+    coupling terms fade as (distance / fade)^4. Without fading the coupling terms would keep the
+    motion circling around the goal. The power is as high as 4 because the motion depends on the
+    logarithm of alpha.
 
     Args:
         setup: constants of the motion.
         obstacles: obstacles for the guidance headings, which are updated each step.
-        coupling: (K, 12) coupling terms before fading, see `coupling.turn_step`.
-        longest: maximum path length [m]; the integration ends when the length so far plus the
-            distance from the goal exceeds it.
+        coupling: (K, 12) coupling terms without fading, with the columns of `coupling.turn_step`.
+        longest: maximum path length [m]; the integration ends as soon as the length so far plus
+            the distance from the goal exceeds it.
         path: (T // every + 1, 3) positions p_WE [m]; the first row is input, the others output.
-        velocity: (T // every + 1, 3) scaled velocities z_W [m], likewise.
+        velocity: (T // every + 1, 3) scaled velocities z_W [m]; the first row is input, the others
+            output.
 
     Returns:
         Length of the path [m], distance of its end from the goal [m], and number of steps.

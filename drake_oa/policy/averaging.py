@@ -1,9 +1,10 @@
-"""Mean of several recorded demonstrations, by a penalized spline (P-spline) through all samples.
+"""Mean of several recorded demonstrations, by a penalized spline (P-spline) fitted to all samples.
 
 The spline removes hand tremor and averages repetitions sampled at different, uneven times. Each
-recording is expressed in its own normalized time s = (t - t_0) / (t_1 - t_0); positions are
-expressed in its local frame L and divided by its baseline, see `drake_oa.policy.dmp`. The mean
-motion is the quintic spline with evenly spaced knots whose coefficients c minimize
+recording is expressed over normalized time s = (t - t_0) / (t_1 - t_0), from 0 at its start t_0 to
+1 at its end t_1. Positions are expressed in the recording's local frame L (x from start to goal, z
+up) and divided by its baseline (distance from start to goal), as `drake_oa.policy.dmp` describes.
+The mean motion is the quintic spline with evenly spaced knots whose coefficients c minimize
 
     mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 
@@ -36,36 +37,43 @@ from drake_oa.policy.dmp import (
 )
 
 POINTS = 201
-"""Number of samples of the mean motion."""
+"""Number of samples at which the mean of recorded demonstrations is evaluated."""
 SPARSE = 100
-"""Number of samples below which a demonstration is interpolated exactly, as a list of waypoints."""
+"""Number of samples below which a demonstration is a list of waypoints and interpolated exactly."""
 _SPANS_PER_BASIS = 0.4
-"""Number of spline spans per basis function of the primitive; more spans would fit hand tremor."""
+"""Number of polynomial pieces of the mean spline per basis function of the movement primitive [-].
+
+More pieces would fit hand tremor."""
 _PENALTY = 1e-6
-"""Weight lambda of the spline's third differences, which determine it in gaps of recordings [1]."""
+"""Weight lambda of the penalty on third differences of the mean spline's coefficients [-].
+
+The penalty determines the spline in gaps between the samples of the recordings."""
 _SHORT = 0.05
-"""Minimum ratio of a recorded path's baseline (start to end) to its extent [1]."""
+"""Minimum ratio of the distance from start to end of a recorded path to its extent [-].
+
+Shorter distances are refused, because a movement primitive is scaled by this distance."""
 _UNLIKE = math.pi / 2.0
-"""Maximum rotation between the orientations of a recording and of the mean [rad]."""
+"""Maximum rotation between the orientations of a recording and of the mean of recordings [rad]."""
 
 
 def average_paths(
     paths: Sequence[ArrayLike], stamps: Sequence[ArrayLike], *, n_basis: int = N_BASIS
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the mean of recorded paths, from the mean start to the mean goal, without tremor.
+    """Computes the mean of recorded paths without tremor, from their mean start to their mean goal.
 
     Args:
-        paths: (T_d, 3) positions of each recording [m].
-        stamps: (T_d,) times of each recording [s], increasing.
-        n_basis: number of basis functions of the primitive to be fitted; more preserve finer
-            details of the recordings.
+        paths: for each recording d, positions (T_d, 3) in the world frame [m].
+        stamps: for each recording, times (T_d,) [s], increasing.
+        n_basis: number of basis functions of the movement primitive that will be fitted to the
+            mean; more preserve finer details of the recordings.
 
     Returns:
         Path (POINTS, 3) [m], at rest at both ends, and times (POINTS,) from 0 to the mean
         duration [s].
 
     Raises:
-        ValueError: as `imitate`; or if a baseline is less than a twentieth of the path's extent.
+        ValueError: as `dmp.imitate`; or if the distance from start to end of a path is less than a
+            twentieth of its extent.
     """
     local, ends, times = [], [], []
     for positions, t_d in zip(paths, stamps, strict=True):
@@ -82,20 +90,25 @@ def average_paths(
 def average_orientations(
     orientations: Sequence[ArrayLike], stamps: Sequence[ArrayLike], *, n_basis: int = N_BASIS
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the mean of recorded orientations by their rotation vectors from mid-recording.
+    """Computes the mean of recorded tool orientations without tremor.
+
+    Each recording is expressed by rotation vectors from the orientation in the middle of its
+    duration, and these vectors are averaged.
 
     Args:
-        orientations: for each recording (T_d, 4) quaternions of R_WE, w first, of either sign and
-            any nonzero length, or (T_d, 3, 3) rotation matrices.
-        stamps: (T_d,) times of each recording [s], increasing.
-        n_basis: as in `average_paths`.
+        orientations: for each recording d, quaternions (T_d, 4) of R_WE, w first, of either sign
+            and any nonzero length, or rotation matrices (T_d, 3, 3).
+        stamps: for each recording, times (T_d,) [s], increasing.
+        n_basis: number of basis functions of the movement primitive that will be fitted to the
+            mean.
 
     Returns:
-        R_WE (POINTS, 3, 3), at rest at both ends, and times (POINTS,) [s].
+        Orientations R_WE (POINTS, 3, 3), at rest at both ends, and times (POINTS,) from 0 to the
+        mean duration [s].
 
     Raises:
-        ValueError: as `imitate_orientation`; or if a recording differs from the mean by more than
-            90 degrees.
+        ValueError: as `dmp.imitate_orientation`; or if a recording differs from the mean by more
+            than 90 degrees.
     """
     checked = [checked_turn(*pair) for pair in zip(orientations, stamps, strict=True)]
     rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
@@ -119,7 +132,16 @@ def average_orientations(
 def _regressed(
     values: Sequence[FloatArray], stamps: Sequence[FloatArray], n_basis: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fits the P-spline to recordings of values (T_d, D); returns samples (POINTS, D) and times."""
+    """Fits the penalized spline of the module docstring to several recordings.
+
+    Args:
+        values: for each recording d, values (T_d, D) of D quantities.
+        stamps: for each recording, times (T_d,) [s], increasing.
+        n_basis: number of basis functions of the movement primitive, which determines the knots.
+
+    Returns:
+        Samples (POINTS, D) of the spline, and times (POINTS,) from 0 to the mean duration [s].
+    """
     at = np.linspace(0.0, 1.0, POINTS)
     times, parts, shares = [], [], []
     for x, t in zip(values, stamps, strict=True):

@@ -1,19 +1,20 @@
 """Coupling terms: rotation of the motion away from obstacles and toward guidance headings.
 
-A coupling term C rotates the scaled velocity z without changing its length: C = Omega x z
-(eq. 6 of Pairet et al., RA-L 2019), where Omega is an angular rate per normalized time
-s = t / (tau T). Several terms add up (section III-C). Because z replaces the velocity of the
-paper, the path does not depend on tau.
+A coupling term C rotates the scaled velocity z without changing its length: C = Omega x z, (6) of
+Pairet et al., RA-L 2019. Omega is an angular rate per normalized time s = t / (tau T), with the
+demonstrated duration T and the temporal scaling tau. Several terms add up (section III-C of the
+paper). Because z replaces the velocity of the paper, the path does not depend on tau.
 
-Signs. The P-plane is spanned by the vector p_EO to the obstacle's center and z, or is given by its
-normal. The avoidance term rotates z about p_EO x z, the guidance term about z x v_d, with v_d the
-guidance heading. By the right-hand rule, a positive rate rotates z away from the obstacle, or
-toward v_d. Where these products vanish, the normal of the plane is the axis: a positive rotation
-about it turns from the obstacle's center toward the selected side.
+Signs. The P-plane (plane of rotation) is spanned by z and the vector p_EO from the tool point to
+the center of the obstacle, or is given by its normal. The avoidance term rotates z about p_EO x z,
+the guidance term about z x v_d, with the guidance heading v_d. By the right-hand rule, a positive
+rate rotates z away from the obstacle, or toward v_d. If these products vanish, the axis is the
+normal of the P-plane: a positive rotation about it turns from the center of the obstacle toward the
+side on which the obstacle is passed.
 
 The rotation in one step is derived in docs/theory/integration.md. The kernels pass vectors
-as triples, so that they do not allocate memory and can be inlined. Each term has an axis, the exact
-rotation angle over the step if it acted alone, and its initial rate times the step.
+as triples, so that they do not allocate memory and can be inlined. In a step each coupling term has
+an axis, the exact rotation angle as if the term acted alone, and its initial rate times the step.
 """
 
 from __future__ import annotations
@@ -26,33 +27,40 @@ from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
 
 PARALLEL = 1e-6
-"""Sine of the angle below which two directions count as parallel.
+"""Sine of the angle between two directions below which they count as parallel [-].
 
-A demonstrated motion may start with a short step backward. Where its velocity then passes through
+A demonstrated motion may start with a short step backward. When its velocity then passes through
 zero, the heading is rounding error, which must not determine the side of avoidance."""
 
 ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
-"""Column of alpha, psi, kappa, and first column of heading and normal, in a row of coupling terms.
+"""Columns of alpha, psi and kappa, and first columns of heading and normal, in a coupling term.
 
-Columns 0 to 2 are the center."""
+A coupling term is a row of 12 numbers. Columns 0 to 2 contain its center, the obstacle's center."""
 N_COLUMNS = 12
-"""Number of columns of a row of coupling terms."""
+"""Number of columns of an array of coupling terms."""
 
 _MAX_STIFFNESS = 1e4
-"""Maximum ratio of initial rate times step to exact rotation of a coupling term in a step [1]."""
+"""Maximum of the ratio (initial rate times step) / (exact rotation) of a coupling term [-].
+
+Larger ratios would make the linear system for the rotation in a step ill-conditioned."""
 _NEGLIGIBLE = 1e-15
 """Rotation of an avoidance term in a step below which the term is skipped [rad]."""
 
 Triple = tuple[float, float, float]
 """Vector of three components."""
 Term = tuple[Triple, float, float]
-"""Axis, exact rotation over the step [rad] (0: inactive), and initial rate times step [rad]."""
+"""Effect of a coupling term over a step.
+
+The elements are the axis, the exact rotation over the step [rad] (0: inactive), and the initial
+rate times the step [rad]."""
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
-"""Coupling term without effect: zero axis, rotation and rate."""
+"""Effect of an inactive coupling term: zero axis, zero rotation and zero rate."""
 
 
 def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> FloatArray:
-    """Computes the turning rate of Hoffmann et al. (eq. 7): gamma theta exp(-beta |theta|).
+    """Computes the turning rate of the coupling term of Hoffmann et al., (7) of the paper.
+
+    The rate is gamma theta exp(-beta |theta|). It vanishes for a heading straight at the obstacle.
 
     Args:
         theta: signed angle from the obstacle's center to the heading [rad].
@@ -68,10 +76,11 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
 def dead_zone_free_rate(
     theta: FloatArray, d: FloatArray, alpha: FloatArray, psi: FloatArray, kappa: FloatArray
 ) -> FloatArray:
-    """Computes the turning rate of the avoidance term (eq. 8), which has no dead zone.
+    """Computes the turning rate of the avoidance term (8) of the paper, which has no dead zone.
 
-    The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1: a heading
-    straight at the obstacle turns fastest, to the side that the normal of the plane determines.
+    The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1. A heading
+    straight at the obstacle thus turns fastest; the normal of the plane of rotation then determines
+    the side.
 
     Args:
         theta: signed angle from the obstacle's center to the heading [rad].
@@ -118,13 +127,19 @@ def scaled(a: float, v: Triple) -> Triple:
 
 @compiled
 def triple(array: FloatArray, row: int, column: int = 0) -> Triple:
-    """Returns the three consecutive elements of an array's row that start at a column."""
+    """Returns three consecutive elements of an array as a vector.
+
+    Args:
+        array: (M, N) array.
+        row: row of the elements.
+        column: column of the first element.
+    """
     return array[row, column], array[row, column + 1], array[row, column + 2]
 
 
 @compiled
 def rotate(z: Triple, w: Triple) -> Triple:
-    """Rotates z by the rotation vector w (axis times angle [rad]), by Rodrigues' formula."""
+    """Rotates the vector z by the rotation vector w (axis times angle [rad])."""
     angle = norm(w)
     if angle == 0.0:
         return z
@@ -137,9 +152,11 @@ def rotate(z: Triple, w: Triple) -> Triple:
 
 @compiled
 def between(a: Triple, b: Triple) -> tuple[Triple, float, bool]:
-    """Computes axis and angle [rad] of the rotation from unit vector a to unit vector b.
+    """Computes axis and angle of the rotation from unit vector a to unit vector b.
 
-    The third result is False if they are parallel or opposite, so that the axis is undefined.
+    Returns:
+        Axis as a unit vector, angle in [0, pi] [rad], and whether the axis is defined, which it is
+        not for parallel or opposite vectors.
     """
     across, cosine = cross(a, b), dot(a, b)
     sine = norm(across)
@@ -150,10 +167,16 @@ def between(a: Triple, b: Triple) -> tuple[Triple, float, bool]:
 
 @compiled
 def between_in_plane(a: Triple, b: Triple, n: Triple) -> tuple[Triple, float, bool]:
-    """Computes axis and angle as `between`, of the projections of a and b along a unit normal n.
+    """Computes axis and angle of the rotation from a to b, projected onto the plane with normal n.
 
-    The axis is n or -n. It is n for parallel projections, and undefined if the projections are
-    opposite or one of them vanishes.
+    Args:
+        a: unit vector.
+        b: unit vector.
+        n: unit normal of the plane.
+
+    Returns:
+        Axis n or -n, angle in [0, pi] [rad], and whether the axis is defined. The axis is n for
+        parallel projections. It is not defined if the projections are opposite or one vanishes.
     """
     sine, cosine = dot(n, cross(a, b)), dot(a, b) - dot(a, n) * dot(b, n)
     if abs(sine) <= PARALLEL:
@@ -163,10 +186,9 @@ def between_in_plane(a: Triple, b: Triple, n: Triple) -> tuple[Triple, float, bo
 
 @compiled
 def orthogonal(n: Triple, e: Triple) -> Triple:
-    """Computes the unit vector along the component of n orthogonal to the unit vector e.
+    """Computes the unit vector along the component of n that is orthogonal to the unit vector e.
 
-    If n is zero or parallel to e, the world's z axis or, if that is parallel too, x axis replaces
-    it.
+    If n is zero or parallel to e, the world's z axis replaces n, or the x axis if e is vertical.
     """
     part = mixed(1.0, n, -dot(n, e), e)
     if norm(part) <= 1e-3 * norm(n):
@@ -178,11 +200,21 @@ def orthogonal(n: Triple, e: Triple) -> Triple:
 
 @compiled
 def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
-    """Computes the rotation [rad] over a step of d theta/ds = A exp(-theta^2 / psi^2).
+    """Computes the rotation by the avoidance term over a step, if the term acts alone.
 
-    `rate` is d theta/ds at the initial angle theta >= 0. The result is within 2.5 % of the exact
-    flow: with u = theta / psi, c = rate step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the
-    angle after the step is psi sqrt(u^2 + log(1 + c g)), at most pi.
+    The angle theta from the center of the obstacle to the heading obeys
+    d theta/ds = A exp(-theta^2 / psi^2). The result is within 2.5 % of the exact solution. With
+    u = theta / psi, c = rate step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after
+    the step is psi sqrt(u^2 + log(1 + c g)), at most pi.
+
+    Args:
+        rate: d theta/ds at the beginning of the step [rad per normalized time].
+        theta: angle at the beginning of the step, at least 0 [rad].
+        psi: width of the response to the heading [rad].
+        step: length of the step in normalized time.
+
+    Returns:
+        Increase of theta over the step [rad].
     """
     c, u = rate * step / psi, theta / psi
     if c < 1e-14:
@@ -198,12 +230,13 @@ def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
 def avoidance_term(
     o: Triple, e: Triple, normal: Triple, alpha: float, psi: float, kappa: float, step: float
 ) -> Term:
-    """Computes the avoidance term, a rotation away from the obstacle (eq. 8).
+    """Computes the rotation of the motion away from an obstacle over a step, (8) of the paper.
 
     Args:
-        o: vector from E to the center of the obstacle [m].
+        o: vector from the tool point E to the center of the obstacle [m].
         e: heading of the motion, unit vector.
-        normal: normal of the plane in which the term acts, of any length; zero: the P-plane.
+        normal: normal of the plane in which the term acts, of any length; zero: the plane of o and
+            e.
         alpha: strength [rad per normalized time].
         psi: width of the response to the heading [rad].
         kappa: decay with the squared distance [1/m^2].
@@ -230,11 +263,20 @@ def avoidance_term(
 def guidance_term(
     v: Triple, e: Triple, normal: Triple, alpha: float, closeness: float, step: float
 ) -> Term:
-    """Computes the guidance term, a rotation toward the unit heading v; v = 0: no term.
+    """Computes the rotation of the motion toward a guidance heading over a step.
 
     The gain (rate over angle) is alpha (1 - exp(-kappa d^2)), which is bounded and vanishes at the
-    obstacle. It replaces the gain of (eq. 9), which grows without bound with the distance d.
-    `closeness` is kappa d^2; the other arguments are those of `avoidance_term`.
+    obstacle. This gain replaces that of (9) of the paper, which grows without bound with the
+    distance d from the center of the obstacle.
+
+    Args:
+        v: guidance heading, unit vector; zero: no guidance.
+        e: heading of the motion, unit vector.
+        normal: normal of the plane in which the obstacle is passed, of any length; it determines
+            the axis if v is opposite to e.
+        alpha: strength [rad per normalized time].
+        closeness: kappa d^2 [-].
+        step: length of the step in normalized time.
     """
     gain = -alpha * math.expm1(-closeness)
     if norm(v) == 0.0 or not gain > 0.0:
@@ -249,7 +291,7 @@ def guidance_term(
 
 @compiled
 def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
-    """Solves A w = b for a symmetric positive definite A, by the factorization L D L^T.
+    """Solves A w = b for w with a symmetric positive definite matrix A (3, 3), by A = L D L^T.
 
     Args:
         diagonal: elements xx, yy, zz of A.
@@ -272,17 +314,19 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 
 @leaf
 def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float) -> Triple:
-    """Computes the rotation of the heading over a step, by all coupling terms.
+    """Computes the rotation of the motion's heading over a step, by all coupling terms together.
 
     The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i for terms with
     unit axis a_i, exact rotation phi_i and q_i = (initial rate times step) / phi_i. A term that
-    acts alone thus rotates by phi_i, however large its rate: never past the direction straight away
-    from the obstacle, or past the guidance heading. The angle is at most pi.
+    acts alone thus rotates the heading by phi_i, even if its rate is large. It never rotates past
+    the direction straight away from the obstacle, or past the guidance heading. The angle is at
+    most pi.
 
     Args:
-        terms: (M, 12) rows: p_WO (3), alpha, psi, kappa, guidance heading (3, unit vector; zero: no
-            guidance) and normal (3); finite, psi > 0, alpha and kappa not negative.
-        fade: factor on the strengths alpha.
+        terms: (M, 12) coupling terms with the columns p_WO (3), alpha, psi, kappa, guidance heading
+            (3, unit vector; zero: no guidance) and normal of the plane of rotation (3; zero:
+            undefined); all finite, psi > 0, alpha and kappa not negative.
+        fade: factor on the strengths alpha, for fading near the goal.
         p: position p_WE [m].
         z: scaled velocity z_W [m].
         step: length of the step in normalized time, at least 0.

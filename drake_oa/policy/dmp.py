@@ -1,22 +1,23 @@
 """Dynamic movement primitives (DMP) of the position and of the orientation.
 
-Time. T is the demonstrated duration in seconds and tau the temporal scaling
-relative to it; s = t / (tau T) is normalized time, 1 at the end of the motion. The equations are
+Time. T is the demonstrated duration in seconds and tau the temporal scaling of T. Normalized time
+s = t / (tau T) is 1 at the end of the motion. The equations are
 
-    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C      (eq. 1)
-    dx/ds = z                                            (eq. 2)
-    dk/ds = -alpha_k k,  k(0) = 1                        (eq. 5)
+    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C      (1)
+    dx/ds = z                                            (2)
+    dk/ds = -alpha_k k,  k(0) = 1                        (5)
 
-with position x, scaled velocity z, goal g, phase k, forcing term f, and coupling term C. They are
-those of Pairet et al. (RA-L 2019) with tau T in place of tau: z is in meters, the velocity is
-z / (tau T), and the path does not depend on tau.
+with position x, scaled velocity z, goal g, phase k, forcing term f, and coupling term C. These are
+the equations of Pairet et al. (RA-L 2019) with the same numbers, and tau T in place of tau: z is in
+meters, the velocity is z / (tau T), and the path does not depend on tau.
 
 Space. The forcing term is learned in the demonstration's local frame L and divided by its baseline
 (distance from start to goal). A new motion scales and rotates it: f_W = baseline R_WL f(k).
 
-Orientation. The orientation is R_WE = R_WA exp([r]), with r the rotation vector from an origin A,
-expressed in A. The origin is the orientation at the start S, so that r starts at zero, unless the
-demonstration rotates far (`OrientationDmp.offset`). r obeys, with the phase k of the position,
+Orientation. The orientation is R_WE = R_WA exp([r]), with r the rotation vector from a fixed frame
+A, the origin, expressed in A. A is rotated relative to the start S as the middle sample of the
+demonstration is relative to its first sample (`OrientationDmp.offset`); without a demonstration A
+has the orientation of S. r obeys, with the phase k of the position,
 
     dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) (g - r(0)) + f(k),    dr/ds = z,
 
@@ -53,30 +54,35 @@ from drake_oa.policy.action_kernels import MotionSetup, advance, spring_flow
 from drake_oa.policy.guidance import NO_OBSTACLES
 
 ALPHA_X = 48.0
-"""Default gain alpha_x of the spring, per normalized time."""
+"""Default gain alpha_x of a movement primitive's spring and damper, per normalized time [-]."""
 BETA_X = ALPHA_X / 4.0
-"""Default gain beta_x of the spring, for critical damping, per normalized time."""
-ALPHA_K = math.log(100.0)
-"""Default decay rate of the phase, per normalized time: the phase is 1 % at the motion's end."""
-N_BASIS = 35
-"""Default number of basis functions of the forcing term."""
-_STILL = 0.2
-"""Normalized time after the motion's end in which the forcing term is fitted to zero.
+"""Default gain beta_x of a movement primitive's spring, per normalized time [-].
 
-Without it a remaining force displaces the end of a recorded motion by 1 to 2 mm."""
+A quarter of the default alpha_x makes the spring critically damped."""
+ALPHA_K = math.log(100.0)
+"""Default decay rate of the phase, per normalized time [-].
+
+The phase of the movement primitive is 1 at the start of the motion and then 0.01 at the end."""
+N_BASIS = 35
+"""Default number of basis functions of the forcing term, which reproduces a demonstration."""
+_STILL = 0.2
+"""Normalized time after the end of the motion in which the forcing term is fitted to zero.
+
+Without this interval a remaining force displaces the end of a recorded motion by 1 to 2 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dmp(Frozen):
-    """Parameters of a movement primitive of D dimensions, for a baseline of length 1.
+    """Parameters of a dynamic movement primitive in D dimensions, for a start 1 m from the goal.
 
     Attributes:
-        alpha_x: gain of the spring, per normalized time.
-        beta_x: gain of the spring; alpha_x / 4 for critical damping.
+        alpha_x: gain of spring and damper, per normalized time.
+        beta_x: gain of the spring, per normalized time; alpha_x / 4 for critical damping.
         alpha_k: decay rate of the phase, per normalized time.
         centers: (N,) centers c_i of the basis functions over the phase.
         widths: (N,) widths h_i of the basis functions exp(-h_i (k - c_i)^2), above 0.
-        weights: (D, N) weights of the basis functions in the local frame, divided by the baseline.
+        weights: (D, N) weights of the basis functions in the local frame (x from start to goal, z
+            up), divided by the distance from start to goal.
         duration: duration T of the demonstration [s].
     """
 
@@ -89,11 +95,15 @@ class Dmp(Frozen):
     duration: float = 1.0
 
     def phase(self, s: ArrayLike) -> FloatArray:
-        """Computes the phase k = exp(-alpha_k s) at normalized times s (eq. 5)."""
+        """Computes the phase k = exp(-alpha_k s), the solution of (5), at normalized times s."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
     def forcing(self, k: FloatArray) -> FloatArray:
-        """Computes the forcing term (T, D) at phases (T,), for a baseline of length 1 (eq. 3)."""
+        """Computes the forcing term (T, D) in the local frame at phases k (T,).
+
+        It is (3) of the paper, f(k) = k sum_i w_i psi_i(k) / sum_i psi_i(k), for a distance of 1
+        from start to goal.
+        """
         return np.asarray(activations(k, self.centers, self.widths) @ self.weights.T)
 
     def setup(
@@ -104,8 +114,9 @@ class Dmp(Frozen):
         Args:
             k: (T,) phases in the middle of the T steps.
             ds: length of a step in normalized time.
-            goal: (3,) goal.
-            spread: (3, D) matrix that scales and rotates the forcing term: f = spread f_L(k).
+            goal: (3,) goal position [m], or rotation vector of the goal orientation [rad].
+            spread: (3, D) matrix that scales and rotates the forcing term of a motion of length 1:
+                f = spread f_L(k).
             more: further fields of `MotionSetup`.
         """
         rest = goal + self.forcing(k) @ spread.T / (self.alpha_x * self.beta_x)
@@ -117,7 +128,19 @@ class Dmp(Frozen):
 
 
 def activations(k: FloatArray, centers: FloatArray, widths: FloatArray) -> FloatArray:
-    """Computes the normalized basis functions (eq. 4) times the phase, (T, N) at phases (T,)."""
+    """Computes the activations k psi_i(k) / sum_j psi_j(k) of N basis functions at phases k (T,).
+
+    psi_i(k) = exp(-h_i (k - c_i)^2) is (4) of the paper. The forcing term is linear in the
+    activations.
+
+    Args:
+        k: (T,) phases.
+        centers: (N,) centers c_i.
+        widths: (N,) widths h_i.
+
+    Returns:
+        (T, N) activations.
+    """
     exponent = widths * (k[:, None] - centers) ** 2
     # The common factor prevents an underflow of all basis functions far from every center.
     basis = np.exp(exponent.min(axis=1, keepdims=True) - exponent)
@@ -130,11 +153,10 @@ def normalized_time(k: float, alpha_k: float) -> float:
 
 
 def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
-    """Computes the orientation R_WL of the local frame of a motion (section II-A of the paper).
+    """Computes the orientation R_WL of the local frame L of a motion (section II-A of the paper).
 
-    x points from start to goal, z upward and orthogonal to x, and y completes the
-    right-handed frame. For a vertical baseline y is the world's y axis, the limit for baselines in
-    the world's xz plane that point toward +x.
+    x points from start to goal, z upward and orthogonal to x, and y completes the right-handed
+    frame. If start and goal lie on a vertical line, y is the world's y axis.
 
     Args:
         p_WS: (3,) start [m].
@@ -162,8 +184,8 @@ def minimum_jerk(
     """Computes the straight minimum-jerk motion from rest to rest, the default demonstration.
 
     Args:
-        start: (D,) start [m].
-        goal: (D,) goal [m].
+        start: (D,) start position in the world frame [m].
+        goal: (D,) goal position in the world frame [m].
         duration: duration of the motion [s].
         samples: number of samples, at least 2.
 
@@ -176,7 +198,10 @@ def minimum_jerk(
 
 
 def minimum_jerk_share(s: FloatArray) -> FloatArray:
-    """Computes the minimum-jerk profile m(s) = 10 s^3 - 15 s^4 + 6 s^5 for s in [0, 1]."""
+    """Computes the minimum-jerk profile m(s) = 10 s^3 - 15 s^4 + 6 s^5.
+
+    m(s) is the fraction of the way from start to goal at normalized times s in [0, 1].
+    """
     return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
@@ -200,7 +225,17 @@ def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: Any) -> Dm
 
 
 def in_local_frame(path: FloatArray, share: float = 1e-6) -> FloatArray:
-    """Expresses a path (T, 3) relative to its end, in its local frame, divided by its baseline.
+    """Expresses a path relative to its end, in its local frame, divided by its baseline.
+
+    The local frame has x from start to end of the path and z up. The baseline is the distance from
+    start to end.
+
+    Args:
+        path: (T, 3) positions in the world frame [m].
+        share: minimum ratio of the baseline to the extent of the path.
+
+    Returns:
+        (T, 3) scaled positions [-], zero at the end of the path.
 
     Raises:
         ValueError: if the baseline is at most `share` times the extent of the path.
@@ -225,18 +260,21 @@ def fit_forcing(
 ) -> Dmp:
     """Fits the forcing term of a movement primitive to a demonstration.
 
-    With x relative to the end, (eq. 1) follows the demonstration for the forcing term
-    f = dz/ds + alpha_x (z + beta_x x). It is sampled on the `interpolant` of the demonstration and
-    fitted by linear least squares over all basis functions at once.
+    With x relative to the end, the equation of motion (1) follows the demonstration for the forcing
+    term f = dz/ds + alpha_x (z + beta_x x). This term is sampled on the `interpolant` of the
+    demonstration and fitted by linear least squares over all basis functions at once.
 
     Args:
-        local: (T, D) positions relative to the last one, in the local frame, divided by the
-            baseline.
+        local: (T, D) positions relative to the last position, in the local frame (x from start to
+            goal, z up), divided by the distance from start to goal.
         t: (T,) times [s].
         n_basis: number of basis functions, at least 2, evenly spaced in time.
-        alpha_x: gain of the spring, per normalized time.
+        alpha_x: gain of spring and damper, per normalized time.
         beta_x: gain of the spring, per normalized time.
         alpha_k: decay rate of the phase, per normalized time.
+
+    Returns:
+        Movement primitive with the duration of the demonstration.
     """
     duration = float(t[-1] - t[0])
     spline = interpolant((t - t[0]) / duration, local)
@@ -249,15 +287,22 @@ def fit_forcing(
 
 
 def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
-    """Returns the quintic spline, or a lower degree for T < 6, through (T, D) at times (T,)."""
+    """Returns a spline through samples x (T, D) at increasing times s (T,).
+
+    The degree is 5, or lower for fewer than six samples.
+    """
     return make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
 
 
 @lru_cache(maxsize=16)
 def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
-    """Computes the constants of `fit_forcing`: times, basis functions and least-squares matrix.
+    """Computes the quantities of `fit_forcing` that do not depend on the demonstration.
 
-    They are cached because they do not depend on the demonstration and cost 15 ms.
+    They are cached because their computation requires 15 ms.
+
+    Args:
+        n_basis: number of basis functions.
+        alpha_k: decay rate of the phase, per normalized time.
 
     Returns:
         Normalized times (samples,), centers (n_basis,) and widths (n_basis,) of the basis
@@ -278,7 +323,19 @@ def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
 
 
 def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
-    """Checks a demonstration; returns positions (T, D) and times (T,). Raises as `imitate`."""
+    """Checks a demonstration, and returns its positions and times as arrays.
+
+    Args:
+        path: (T, D) positions; T at least 2.
+        t: (T,) times [s], increasing; None: evenly over one second.
+
+    Returns:
+        Positions (T, D) and times (T,) [s].
+
+    Raises:
+        ValueError: for a wrong shape, fewer than two samples, values that are not finite, or times
+            that do not increase.
+    """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or len(path) < 2:
         raise ValueError(f"path must be (T, D) with at least 2 samples, not {path.shape}")
@@ -292,18 +349,23 @@ def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatAr
 
 
 def _refuse(bad: Any, message: str) -> None:
-    """Raises a ValueError with the index of the first bad sample, if there is one."""
+    """Raises a ValueError if a sample of a demonstration is bad.
+
+    Args:
+        bad: (T,) whether each sample is bad.
+        message: text of the error, with {} for the index of the first bad sample.
+    """
     if bad.any():
         raise ValueError(message.format(int(bad.argmax())))
 
 
 class Trajectory(NamedTuple):
-    """Motion sampled in normalized time.
+    """Motion of position or orientation, sampled at normalized times.
 
     Attributes:
-        s: (n + 1,) normalized times.
-        p: (n + 1, D) positions [m], or rotation vectors [rad].
-        z: (n + 1, D) derivatives dp/ds [m or rad].
+        s: (n + 1,) normalized times (time over demonstrated duration times temporal scaling).
+        p: (n + 1, 3) positions [m], or rotation vectors [rad].
+        z: (n + 1, 3) derivatives dp/ds [m or rad].
     """
 
     s: FloatArray
@@ -324,17 +386,20 @@ def roll_out(
 ) -> Trajectory:
     """Integrates a movement primitive without coupling terms.
 
-    A step is exact except for the forcing term, which is constant at its value in the middle.
+    Each step is exact for a forcing term that is constant at its value in the middle of the step.
 
     Args:
         dmp: movement primitive of D dimensions.
-        spread: (3, D) matrix that scales and rotates its forcing term: f = spread f_L(k).
-        goal: (3,) goal.
-        p: (3,) initial position.
-        z: (3,) initial derivative of the position by normalized time.
+        spread: (3, D) matrix that scales and rotates the forcing term: f = spread f_L(k).
+        goal: (3,) goal position [m], or rotation vector of the goal orientation [rad].
+        p: (3,) initial position [m], or rotation vector [rad].
+        z: (3,) initial derivative of p by normalized time [m or rad].
         k: initial phase.
-        end: length in normalized time.
+        end: normalized time from the initial state to the end.
         steps: number of steps.
+
+    Returns:
+        Motion at steps + 1 normalized times, from 0 to `end`.
     """
     s, ds = np.linspace(0.0, end, steps + 1), end / steps
     setup = dmp.setup(k * dmp.phase(s[1:] - 0.5 * ds), ds, goal, spread)
@@ -352,7 +417,7 @@ def trajectory(
     steps: int = 500,
     end: float = 1.0,
 ) -> Trajectory:
-    """Integrates a movement primitive from rest at a start: the nominal motion.
+    """Computes the nominal motion of a movement primitive, from rest and without coupling terms.
 
     Args:
         dmp: movement primitive of three dimensions.
@@ -362,10 +427,10 @@ def trajectory(
         end: normalized time at the end.
 
     Returns:
-        Motion at steps + 1 times.
+        Motion at steps + 1 normalized times, from 0 to `end`.
 
     Raises:
-        ValueError: if start and goal coincide, or do not fit the primitive.
+        ValueError: if start and goal coincide, or do not have three components.
     """
     p, g = np.array(start, dtype=float), np.array(goal, dtype=float)
     spread = float(np.linalg.norm(g - p)) * local_frame(p, g)
@@ -373,28 +438,34 @@ def trajectory(
 
 
 LARGEST_ANGLE = math.radians(300.0)
-"""Maximum rotation from the middle of a demonstration [rad]; rotation vectors end at 2 pi."""
-_HALF_TURN = math.pi - 1e-6
-"""Angle above which the direction of a rotation is ambiguous [rad]."""
-_STEP = 5e-4
-"""Maximum step of the orientation in normalized time, in which the forcing term is constant.
+"""Maximum rotation between the middle sample of a demonstration and any other sample [rad].
 
-The ripple that the steps cause in the acceleration is proportional to its square."""
+Rotation vectors become singular at 2 pi."""
+_HALF_TURN = math.pi - 1e-6
+"""Angle between two orientations above which the direction of rotation is ambiguous [rad]."""
+_STEP = 5e-4
+"""Maximum step in normalized time for the integration of the orientation's movement primitive.
+
+The forcing term is constant in a step. The resulting ripple of the angular acceleration is
+proportional to the square of the step."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrientationDmp(Frozen):
-    """Movement primitive of the orientation, see the module docstring.
+    """Movement primitive of the tool's orientation, learned from one demonstration.
+
+    The equations are those of the module docstring.
 
     Attributes:
-        dmp: primitive of four dimensions: f_0, the factor on the goal's rotation vector, and f
-            (3,) [rad].
-        total: (3,) rotation vector from the demonstration's start to its end, continuous along the
-            samples, so that it may exceed pi; zero without a demonstration [rad].
+        dmp: movement primitive of four dimensions: the forcing term f_0, which is multiplied by the
+            difference of the rotation vectors of goal and start, and the forcing term f (3,) [rad].
+        total: (3,) difference of the rotation vectors at the end and at the start of the
+            demonstration; zero without a demonstration [rad]. Rotation vectors are continuous along
+            the samples, so that it may be longer than pi.
         first: (3, 3) orientation at the start of the demonstration.
         last: (3, 3) orientation at the end of the demonstration.
-        offset: (3,) rotation vector r(0) from the origin, the orientation in the middle of the
-            demonstration, to the start; zero without a demonstration [rad].
+        offset: (3,) rotation vector r(0) from the orientation in the middle of the demonstration to
+            the orientation at the start; zero without a demonstration [rad].
     """
 
     dmp: Dmp
@@ -419,16 +490,16 @@ def rotation_matrix(orientation: ArrayLike) -> FloatArray:
 
 
 def goal_vector(start: ArrayLike, goal: ArrayLike, near: ArrayLike | None = None) -> FloatArray:
-    """Computes the rotation vector from one orientation to another, in the frame of the first.
+    """Computes the rotation vector from one orientation S to another G, expressed in S.
 
     Args:
-        start: (3, 3) R_WS.
-        goal: (3, 3) R_WG.
-        near: (3,) rotation vector [rad]; of all equivalent results the nearest to it is returned.
-            None: the shortest.
+        start: (3, 3) orientation R_WS.
+        goal: (3, 3) orientation R_WG.
+        near: (3,) rotation vector [rad], to which the nearest of all equivalent rotation vectors is
+            returned; None: the shortest is returned.
 
     Returns:
-        (3,) [rad].
+        (3,) rotation vector [rad].
 
     Raises:
         ValueError: if the orientations differ by 180 degrees and `near` is None.
@@ -445,7 +516,10 @@ def goal_vector(start: ArrayLike, goal: ArrayLike, near: ArrayLike | None = None
 
 
 def _nearest(r: FloatArray, near: FloatArray) -> FloatArray:
-    """Returns the rotation vector nearest to `near` among those of the same rotation as r."""
+    """Returns the rotation vector nearest to `near` (3,) among all equivalent to r (3,) [rad].
+
+    Equivalent rotation vectors differ by multiples of 2 pi along their axis.
+    """
     angle, length = float(np.linalg.norm(r)), float(np.linalg.norm(near))
     # The identity has no axis; that of `near`, or any other, gives the nearest vector.
     axis = r / angle if angle > 1e-9 else near / length if length > 0.0 else np.eye(3)[0]
@@ -462,7 +536,11 @@ def imitate_orientation(
         orientations: (T, 4) quaternions of R_WE, w first, each of either sign and any nonzero
             length; or (T, 3, 3) rotation matrices. T at least 2.
         t: (T,) times [s], increasing; None: evenly over one second.
-        constants: keyword arguments of `fit_forcing`; alpha_k must be that of the position.
+        constants: keyword arguments of `fit_forcing`; alpha_k must equal that of the movement
+            primitive of the position, whose phase the orientation follows.
+
+    Returns:
+        Movement primitive with the duration of the demonstration.
 
     Raises:
         ValueError: for a wrong shape, fewer than two samples, a sample that is no
@@ -485,11 +563,17 @@ def imitate_orientation(
 
 
 def vectors_from(R: FloatArray, origin: int) -> FloatArray:
-    """Computes continuous rotation vectors (T, 3) from the orientation of index `origin` to each.
+    """Computes the rotation vectors from one orientation of a sequence to all of them.
+
+    The rotation vectors are continuous along the sequence, so that they may be longer than pi.
 
     Args:
         R: (T, 3, 3) orientations.
-        origin: index of the orientation from which the rotations are measured.
+        origin: index of the orientation from which the rotation vectors are measured, and in which
+            they are expressed.
+
+    Returns:
+        (T, 3) rotation vectors [rad].
     """
     r = Rotation.from_matrix(R[origin].T @ R).as_rotvec()
     r[origin] = 0.0
@@ -501,12 +585,19 @@ def vectors_from(R: FloatArray, origin: int) -> FloatArray:
 
 
 def origin_of(primitive: OrientationDmp, start: FloatArray) -> Rotation:
-    """Computes the origin R_WA of the rotation vectors of a motion from a start R_WS (3, 3)."""
+    """Computes the orientation R_WA from which the rotation vectors of a motion are measured.
+
+    Args:
+        primitive: movement primitive of the orientation.
+        start: (3, 3) orientation R_WS at the start of the motion.
+    """
     return Rotation.from_matrix(start) * Rotation.from_rotvec(-primitive.offset)
 
 
 def minimum_jerk_orientation(**constants: Any) -> OrientationDmp:
-    """Returns the default primitive: a minimum-jerk rotation about a fixed axis.
+    """Returns the default movement primitive of the orientation.
+
+    The rotation from start to goal has a fixed axis and a minimum-jerk angle.
 
     Args:
         constants: keyword arguments of `fit_forcing`.
@@ -515,16 +606,34 @@ def minimum_jerk_orientation(**constants: Any) -> OrientationDmp:
 
 
 def checked_turn(orientations: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
-    """Returns rotation matrices (T, 3, 3) and times (T,); raises as `imitate_orientation`."""
+    """Checks a demonstration of the orientation, and returns its samples as arrays.
+
+    Args:
+        orientations: (T, 4) quaternions, w first, or (T, 3, 3) rotation matrices.
+        t: (T,) times [s], increasing; None: evenly over one second.
+
+    Returns:
+        Rotation matrices (T, 3, 3) and times (T,) [s].
+
+    Raises:
+        ValueError: as `checked_rotations` and `checked_demonstration`.
+    """
     R = checked_rotations(orientations)
     return R, checked_demonstration(np.zeros((len(R), 1)), t)[1]
 
 
 def checked_rotations(orientations: ArrayLike) -> FloatArray:
-    """Checks demonstrated orientations; returns (T, 3, 3) rotation matrices.
+    """Checks demonstrated orientations, and converts them to rotation matrices.
+
+    Args:
+        orientations: (T, 4) quaternions, w first, or (T, 3, 3) rotation matrices; T at least 2.
+
+    Returns:
+        (T, 3, 3) rotation matrices.
 
     Raises:
-        ValueError: as `imitate_orientation`.
+        ValueError: for a wrong shape, fewer than two samples, a sample that is no rotation, or 180
+            degrees between two consecutive samples.
     """
     R = np.asarray(orientations, dtype=float)
     if R.shape[1:] not in ((4,), (3, 3)) or len(R) < 2:
@@ -559,18 +668,18 @@ def roll_orientation(
     *,
     end: float,
 ) -> Trajectory:
-    """Integrates a movement primitive of the orientation.
+    """Integrates a movement primitive of the orientation without coupling terms.
 
     Args:
-        primitive: movement primitive.
-        goal: (3,) rotation vector of the goal from the origin, see `demonstrated_goal` [rad].
+        primitive: movement primitive of the orientation.
+        goal: (3,) rotation vector of the goal orientation, computed by `demonstrated_goal` [rad].
         r: (3,) initial rotation vector [rad].
         z: (3,) initial derivative of r by normalized time [rad].
         k: initial phase.
-        end: length in normalized time.
+        end: normalized time from the initial state to the end.
 
     Returns:
-        Rotation vectors as `p`, and their derivatives as `z`.
+        Motion with the rotation vectors as `p`, and their derivatives by normalized time as `z`.
     """
     spread = np.column_stack([goal - primitive.offset, np.eye(3)])
     steps = max(math.ceil(end / _STEP), 1)
@@ -580,7 +689,7 @@ def roll_orientation(
 def orientation_along(
     primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike, s: ArrayLike
 ) -> FloatArray:
-    """Computes the orientations of a motion at normalized times.
+    """Computes the orientations of the tool along a motion from rest at normalized times.
 
     Args:
         primitive: movement primitive of the orientation.
@@ -589,10 +698,10 @@ def orientation_along(
         s: (T,) normalized times, at least 0.
 
     Returns:
-        (T, 3, 3) R_WE.
+        (T, 3, 3) orientations R_WE.
 
     Raises:
-        ValueError: as `goal_vector`.
+        ValueError: if the orientations differ by 180 degrees and there is no demonstration.
     """
     R_WS, target = np.asarray(start, dtype=float), demonstrated_goal(primitive, start, goal)
     end = max(float(np.max(s)), _STEP)
@@ -602,12 +711,21 @@ def orientation_along(
 
 
 def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike) -> FloatArray:
-    """Computes the rotation vector from the origin of a motion to a goal R_WG (3, 3).
+    """Computes the rotation vector of a motion's goal orientation.
 
-    The direction of rotation is the demonstrated one; without a demonstration, the shortest.
+    Among the equivalent rotation vectors, the one in the demonstrated direction of rotation is
+    returned; without a demonstration, the shortest.
+
+    Args:
+        primitive: movement primitive of the orientation.
+        start: (3, 3) orientation R_WS at the start of the motion.
+        goal: (3, 3) orientation R_WG at the goal.
+
+    Returns:
+        (3,) rotation vector from the frame A of `origin_of` to the goal, expressed in A [rad].
 
     Raises:
-        ValueError: as `goal_vector`.
+        ValueError: if the orientations differ by 180 degrees and there is no demonstration.
     """
     near = primitive.offset + primitive.total
     origin = origin_of(primitive, np.asarray(start, dtype=float)).as_matrix()
@@ -617,24 +735,24 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
 QUATERNION, W, ALPHA = slice(0, 4), slice(4, 7), slice(7, 10)
 """Slices of quaternion, angular velocity and angular acceleration in the result of `evaluate`."""
 _DIFFERENCE = 1e-5
-"""Time between the samples of the central difference of the angular velocity [s]."""
+"""Time step of the central difference by which the angular acceleration is computed [s]."""
 
 
 def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> FloatArray:
-    """Interpolates an orientation between two steps: quaternion, angular velocity, acceleration.
+    """Computes orientation, angular velocity and acceleration of the tool between two steps.
 
-    The rotation vector r is the cubic polynomial in time between both steps; afterwards its rate is
-    constant.
+    The orientation is R_WA exp([r]). The rotation vector r is a cubic polynomial in time between
+    both steps; after the second step its time derivative is constant.
 
     Args:
-        ends: (2, 2, 3) r [rad] and its rate [rad/s] at the first and at the second step.
+        ends: (2, 2, 3) r [rad] and its time derivative [rad/s] at the first and at the second step.
         length: time between the steps [s].
-        origin: origin R_WA of the rotation vectors.
+        origin: orientation R_WA from which r is measured.
         time: time since the first step, at least 0 [s].
 
     Returns:
-        (10,) quaternion of R_WE, continuous in r for all angles, w_WE [rad/s] and
-        alpha_WE [rad/s^2] in W.
+        (10,) quaternion of R_WE, w first; w_WE [rad/s] and alpha_WE [rad/s^2] in the world frame.
+        The quaternion is continuous in r for all angles.
     """
     (begin, rate), (end, rate_end) = ends
     cubic = np.array([end, rate_end, np.zeros(3), np.zeros(3)])
@@ -654,11 +772,14 @@ def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> 
 
 @compiled
 def _rate(cubic: FloatArray, time: float) -> FloatArray:
-    """Computes the angular velocity (3,) in A [rad/s] at a time [s] of a cubic rotation vector.
+    """Computes the angular velocity of a rotation whose rotation vector is a cubic polynomial.
 
     Args:
         cubic: (4, 3) coefficients of r(t) = c_0 + c_1 t + c_2 t^2 + c_3 t^3.
         time: time t [s].
+
+    Returns:
+        (3,) angular velocity in the frame from which r is measured [rad/s].
     """
     r = cubic[0] + time * (cubic[1] + time * (cubic[2] + time * cubic[3]))
     dr = cubic[1] + time * (2.0 * cubic[2] + 3.0 * time * cubic[3])
@@ -673,9 +794,9 @@ def _rate(cubic: FloatArray, time: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Demonstration(Frozen):
-    """Demonstration of position, orientation and posture for a new motion.
+    """Demonstration that a new motion imitates: position and orientation of the tool, and posture.
 
-    Fields that are None or empty are replaced by the demonstration of the task.
+    The demonstration of the task replaces each field that is None or empty.
 
     Attributes:
         position: movement primitive of the tool point, with the duration of the motion.
@@ -694,5 +815,12 @@ class Demonstration(Frozen):
     q: FloatArray = zeros(0, 0)
 
     def posture(self, s: FloatArray) -> FloatArray:
-        """Interpolates joint positions (M, n) [rad] at normalized times (M,), clipped to [0, 1]."""
+        """Interpolates the demonstrated joint positions linearly at normalized times.
+
+        Args:
+            s: (M,) normalized times, clipped to [0, 1].
+
+        Returns:
+            (M, n) joint positions [rad].
+        """
         return np.stack([np.interp(s, self.s, joint) for joint in self.q.T], axis=1)

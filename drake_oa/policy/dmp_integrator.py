@@ -55,26 +55,27 @@ class DmpIntegrator(LeafSystem):
     - goal: (3,) goal of the motion in the world frame [m]; it may move.
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the obstacles dilated by the tool.
       Not connected: nominal motion without avoidance.
-    - coupling_parameters (optional): abstract `CouplingParameters`, one row per
-      ellipsoid. Its normals and its tau, if set, take precedence over the route's; while its
-      `hold` is set the motion is held. Not connected: no coupling terms.
-    - route (optional): abstract `Route` of `CostRingSelector`, one row per ellipsoid. The
-      guidance headings toward its sides are computed at each step. Not connected: no guidance
-      term, and no temporal scaling by the path length.
+    - coupling_parameters (optional): abstract `CouplingParameters`, one row per ellipsoid. Normals
+      and a temporal scaling tau in this message take precedence over those of the route. While
+      `hold` is set in the message, the motion is held. Not connected: no coupling terms.
+    - route (optional): abstract `Route` of `CostRingSelector`, one row per ellipsoid: the side on
+      which each obstacle is passed. The guidance headings toward these sides are computed at each
+      step. Not connected: no guidance term, and no temporal scaling by the path length.
     - speed_scale (optional): (1,) requested fraction of full speed in [0, 1], from
       `MotionGuard`. The speed changes toward it within `policy.hold_time` and the path does
       not change; at 0 the motion is held. Not connected: 1.
-    - evasion_velocity (optional): (3,) velocity in the world [m/s] from `MotionGuard` that
+    - evasion_velocity (optional): (3,) velocity in the world frame [m/s] from `MotionGuard` that
       displaces p_WE in addition to the primitive. It does not change phase and scaled velocity;
       the spring acts from the displaced position. It should be continuous, because the desired
       velocity follows it within one step. Not connected: 0.
-    - demonstration (optional): abstract `Demonstration`, whose position a restarted motion
-      follows. Not connected or without position: the constructor's primitive.
+    - demonstration (optional): abstract `Demonstration`, whose primitive of the position a
+      restarted motion follows. Not connected or without this primitive: the constructor's
+      primitive.
     - desired_position: (3,) p_WE in the world frame [m].
     - desired_velocity: (3,) v_WE in the world frame [m/s].
     - desired_acceleration: (3,) a_WE in the world frame [m/s^2].
     - phase: (1,) phase k of the canonical system, from 1 at the start to 0.
-    - policy_state: abstract `PolicyState` at the last step.
+    - policy_state: abstract `PolicyState` at the last step of the integrator.
 
     With position x, scaled velocity z, phase k, goal g, and normalized time s = t / (tau T), where
     T is the demonstrated duration and tau the temporal scaling, the system integrates
@@ -88,9 +89,10 @@ class DmpIntegrator(LeafSystem):
     velocity of the tool point.
 
     The abstract state is the current `Segment` between two steps. The desired motion is
-    interpolated in it, so that a controller may run faster than the policy. A simulator that
-    continues with an existing Context continues its motion. The motion is held (ds/dt falls to 0,
-    on the path) while it would not be safe, see `drake_oa.policy.action.CouplingInputs.hold_at`.
+    interpolated in this segment, so that a controller may run faster than the policy. A simulator
+    that starts with an existing Context continues the motion of the Context. While continuing
+    would not be safe the motion is held: ds/dt falls to 0, and the motion stays on its path. The
+    cases are listed in `drake_oa.policy.action.CouplingInputs.hold_at`.
     """
 
     def __init__(
@@ -105,7 +107,7 @@ class DmpIntegrator(LeafSystem):
         Args:
             dmp: movement primitive of three dimensions.
             start: (3,) start of the motion in the world frame [m].
-            config: period, and constants of coupling terms and holds; None: the defaults.
+            config: configuration of period, coupling terms and holds; None: the defaults.
         """
         super().__init__()
         self._dmp, self._config = dmp, config or Policy()

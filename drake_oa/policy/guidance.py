@@ -1,14 +1,17 @@
-"""Heading v_d of the guidance term (eq. 9 of Pairet et al., RA-L 2019).
+"""Computation of the heading v_d toward which the guidance term turns the motion.
 
-The paper defines neither the heading that guides the motion to a selected direction omega_d, nor
-when guidance ends. Here v_d is the heading of the line through E that is tangent to the obstacle at
-the requested clearance, on the selected side: the shortest way past the obstacle.
+The guidance term is that of (9) of Pairet et al., RA-L 2019. The paper defines neither v_d for a
+selected passing direction omega_d of an obstacle, nor when guidance ends. Here v_d is the direction
+from the tool point E along the tangent to the obstacle at the requested clearance, on the selected
+side. This is the shortest path past the obstacle.
 
-Guidance acts while both conditions hold:
+Guidance acts while both conditions hold, with the heading u of the motion and the direction e from
+E to the center of the obstacle:
 
-- The ray along the heading u enters the obstacle grown by the clearance, before the goal.
-- The avoidance term would turn the motion to another side: with e the direction to the center, the
-  normal e x u of the P-plane has a negative component (lean) along the normal of the passing plane.
+- The ray from E along u enters the obstacle, grown by the clearance, before the goal.
+- The avoidance term would turn the motion to another side: the normal e x u of the plane in which
+  the avoidance term acts has a negative component along the normal of the plane in which the
+  obstacle is to be passed. The angle that belongs to this component is the lean.
 
 v_d blends linearly from u to the tangent as the sine of the lean rises from 0 to 0.5 (30 degrees).
 """
@@ -38,16 +41,19 @@ from drake_oa.policy.coupling import (
 
 
 class Obstacles(NamedTuple):
-    """Obstacles and coupling terms for one step of the policy, one row per obstacle.
+    """Ellipsoids of M obstacles and their coupling terms, for one step of the policy.
 
     Attributes:
-        p_WO: (M, 3) centers of the ellipsoids [m].
+        p_WO: (M, 3) centers of the ellipsoids in the world frame [m].
         R_WO: (M, 3, 3) rotations of the ellipsoids.
         semi_axes: (M, 3) semi-axes of the ellipsoids [m].
-        terms: (M, 12) coupling terms before fading, see `coupling.turn_step`; headings are zero,
-            normals those of the planes in which the obstacles are passed, zero if unknown.
-        direction: (M, 3) unit directions omega_d of the route.
-        remaining_clearance: (M,) clearance at which guidance passes [m]; 0: no guidance.
+        terms: (M, 12) coupling terms without fading near the goal. `coupling.turn_step` describes
+            the columns. The columns of the guidance heading are zero. The normal is that of the
+            plane in which the obstacle is passed, or zero if no side is selected.
+        direction: (M, 3) unit vectors omega_d from the baseline (line from start to goal) to the
+            side on which each obstacle is passed.
+        remaining_clearance: (M,) distance from each obstacle at which guidance leads the motion
+            past the obstacle [m]; 0: no guidance.
     """
 
     p_WO: FloatArray
@@ -61,22 +67,24 @@ class Obstacles(NamedTuple):
 NO_OBSTACLES = Obstacles(
     *(np.zeros(shape) for shape in ((0, 3), (0, 3, 3), (0, 3), (0, N_COLUMNS), (0, 3), (0,)))
 )
-"""Empty set of obstacles."""
+"""Empty set of obstacles, for motions without coupling terms or guidance."""
 
 
 @compiled
 def guide(
     p: Triple, z: Triple, p_WG: Triple, ahead: Triple, obstacles: Obstacles, terms: FloatArray
 ) -> None:
-    """Writes the guidance headings of a step into the terms; zero where guidance does not act.
+    """Writes the guidance heading v_d for each obstacle into the coupling terms of a step.
+
+    The heading is zero if guidance does not act. The conditions are those of the module docstring.
 
     Args:
-        p: position p_WE [m].
-        z: scaled velocity z_W [m].
-        p_WG: goal [m].
-        ahead: vector from start to goal [m], the heading of a motion at rest.
+        p: position p_WE of the tool point in the world frame [m].
+        z: scaled velocity z_W, the derivative of p_WE by normalized time [m].
+        p_WG: goal in the world frame [m].
+        ahead: vector from start to goal [m], whose direction is the heading of a motion at rest.
         obstacles: M obstacles.
-        terms: (M, 12) coupling terms of the obstacles; their heading columns are output.
+        terms: (M, 12) coupling terms of the obstacles; the three columns of the heading are output.
     """
     along = z if norm(z) > 0.0 else ahead
     u = scaled(1.0 / norm(along), along)

@@ -39,19 +39,23 @@ _SUCCEEDED = EventStatus.Succeeded()
 
 @dataclass(frozen=True, eq=False)
 class OrientationSegment(Frozen):
-    """Motion of the tool's rotation vector between two steps.
+    """Motion of the tool's orientation between two consecutive steps of its integrator.
+
+    The orientation is R_WE = R_WA exp([r]) with a rotation vector r, expressed in a frame A.
 
     Attributes:
         primitive: movement primitive of the orientation.
-        origin: origin R_WA of the rotation vectors.
-        goal: (3,) rotation vector of the goal from the origin [rad].
-        ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both steps.
-        z: (3,) derivative of the rotation vector by normalized time at the second step [rad].
-        phase: last phase of the policy.
+        origin: orientation R_WA from which the rotation vectors are measured.
+        goal: (3,) rotation vector from A to the goal orientation [rad].
+        ends: (2, 2, 3) rotation vector r [rad] and its time derivative [rad/s] at both steps.
+        z: (3,) derivative of r by normalized time at the second step [rad].
+        phase: phase k of the policy (1 at the start, decaying to 0) at the second step.
         begin: time of the first step [s].
-        length: time between the steps [s]; 0 before the first step.
-        p_WS: (3,) last start of the policy's motion [m]; (0,) before the first step.
-        demonstration: active demonstration; empty: the constructor's primitive.
+        length: time between the steps [s]; 0 before the integrator's first step.
+        p_WS: (3,) start of the policy's motion at the second step [m]; (0,) before the
+            integrator's first step.
+        demonstration: active demonstration; while it is empty the constructor's primitive is
+            active.
     """
 
     primitive: OrientationDmp
@@ -69,7 +73,14 @@ class OrientationSegment(Frozen):
 def start_segment(
     primitive: OrientationDmp, R_WS: FloatArray, R_WG: FloatArray, **more: Any
 ) -> OrientationSegment:
-    """Returns a segment of zero length at the start of a motion from R_WS to R_WG, (3, 3) each."""
+    """Returns an orientation segment of zero length, at rest at the start of a rotation.
+
+    Args:
+        primitive: movement primitive of the orientation.
+        R_WS: (3, 3) orientation of the tool at the start.
+        R_WG: (3, 3) orientation of the tool at the goal.
+        more: further fields of `OrientationSegment`.
+    """
     ends = np.array([[primitive.offset, np.zeros(3)]] * 2)
     goal = demonstrated_goal(primitive, R_WS, R_WG)
     return OrientationSegment(primitive, origin_of(primitive, R_WS), goal, ends, **more)
@@ -93,19 +104,20 @@ class OrientationIntegrator(LeafSystem):
     - policy_state: abstract `PolicyState`. The primitive follows its phase, so that temporal
       scaling and holds of the position also apply to the orientation.
     - goal_orientation (optional): (4,) quaternion w, x, y, z of R_WG, of either sign. A new
-      goal is approached from the current orientation; of the possible rotation vectors of the
-      goal the nearest to the previous one is used. Not connected: the constructor's goal.
+      goal is approached from the current orientation. Among the equivalent rotation vectors of the
+      goal, the one nearest to the previous goal's is used. Not connected: the constructor's goal.
     - demonstration (optional): abstract `Demonstration`, which becomes active when the policy's
       motion starts or restarts; its primitive and goal replace those of the constructor.
-      Not connected: the constructor's.
+      Not connected: the constructor's primitive and goal.
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE, continuous along a motion.
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
     - desired_angular_acceleration: (3,) alpha_WE in the world frame [rad/s^2].
 
     The primitive is described in `drake_oa.policy.dmp`. The abstract state is the current
-    `OrientationSegment` between two steps. In it the rotation vector is a cubic polynomial in time;
-    angular velocity and acceleration are its exact derivatives. Both steps must be completed before
-    they are interpolated, so that the orientation lags two periods behind the policy.
+    `OrientationSegment` between two steps. In a segment the rotation vector is a cubic polynomial
+    in time; angular velocity and acceleration are its exact derivatives. Both steps must be
+    completed before they are interpolated, so that the orientation lags two periods behind the
+    policy.
     """
 
     def __init__(
@@ -166,7 +178,12 @@ class OrientationIntegrator(LeafSystem):
         value.set_value(evaluate(segment.ends, segment.length, segment.origin, since))
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> FloatArray:
-        """Computes the current goal's rotation vector (3,) from the origin [rad]."""
+        """Computes the rotation vector (3,) [rad] from a segment's origin to the current goal.
+
+        Args:
+            context: context of the system, whose input `goal_orientation` is evaluated.
+            before: previous segment, whose goal remains if the input is not connected.
+        """
         if not self._goal_port.HasValue(context):
             return before.goal
         try:
@@ -178,10 +195,15 @@ class OrientationIntegrator(LeafSystem):
     def _restart(
         self, context: Context, before: OrientationSegment, policy: PolicyState
     ) -> OrientationSegment:
-        """Returns the segment, or a segment at rest if a motion with a demonstration starts.
+        """Returns the previous segment, or a new one at rest if a motion with demonstration starts.
 
-        A demonstration with an orientation starts at its own first orientation; otherwise the
-        constructor's primitive starts at the current orientation.
+        A demonstration with an orientation starts at the first demonstrated orientation. Without
+        one, the constructor's primitive starts at the current orientation.
+
+        Args:
+            context: context of the system, whose input `demonstration` is read.
+            before: previous segment.
+            policy: current state of the policy, which tells whether a motion starts.
         """
         demonstration = self._demonstration.find(context)
         has_restarted = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)

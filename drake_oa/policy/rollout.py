@@ -1,7 +1,7 @@
-"""Roll-outs of the tool point: paths of many candidate motions from the current state.
+"""Roll-outs of the tool point: simulations of many candidate motions from the current state.
 
-A candidate is a set of coupling terms. Roll-outs use the kernel and the time step of
-`DmpIntegrator` (`drake_oa.policy.action_kernels.advance`).
+A candidate is a set of coupling terms (turning rates of the motion). Roll-outs use the kernel and
+the time step of `DmpIntegrator` (`drake_oa.policy.action_kernels.advance`).
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from drake_oa.policy.dmp import Dmp, local_frame, normalized_time
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 LATEST = 2.0
-"""Latest end of a roll-out in normalized time; at least 1 after the current normalized time."""
+"""Default normalized time at which the simulation of a candidate motion ends at the latest [-]."""
 ARRIVED = 6e-4
-"""Distance from the goal at which a motion counts as arrived [m]."""
+"""Default distance from the goal below which a simulated motion counts as arrived [m]."""
 _EACH = 8
-"""Minimum number of rolled-out candidates per additional thread."""
+"""Number of candidate motions for which the simulation uses one more thread."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(Frozen):
-    """Current motion of the tool point among M ellipsoids, in the world frame.
+    """Initial state of simulated motions of the tool point among M obstacles, in the world frame.
 
     Attributes:
-        p_WE: (3,) current position [m].
-        z_W: (3,) current scaled velocity [m].
+        p_WE: (3,) current position of the tool point [m].
+        z_W: (3,) current scaled velocity, the derivative of p_WE by normalized time [m].
         p_WG: (3,) goal [m].
-        R_WL: (3, 3) local frame of the motion, x from start to goal.
+        R_WL: (3, 3) local frame of the motion, x from start to goal, z up.
         baseline: distance L from start to goal [m].
-        ellipsoids: obstacles at their current positions.
-        clearance: (M,) requested clearance of each obstacle [m].
-        s: current normalized time.
+        ellipsoids: ellipsoids of the obstacles at their current positions.
+        clearance: (M,) requested clearance from each obstacle [m].
+        s: current normalized time (time over demonstrated duration times temporal scaling).
     """
 
     p_WE: FloatArray
@@ -56,7 +56,7 @@ class Scene(Frozen):
 
     @property
     def p_WS(self) -> FloatArray:
-        """Start of the motion, (3,) [m]."""
+        """Position of the tool point at the start of the motion in the world frame, (3,) [m]."""
         return self.p_WG - self.baseline * self.R_WL[:, 0]
 
 
@@ -68,14 +68,16 @@ def scene_under_way(
     clearance: float,
     alpha_k: float,
 ) -> Scene:
-    """Returns the scene of the current motion, with obstacles extrapolated to the current time.
+    """Returns the initial state of simulations that continue the current motion.
+
+    The obstacles are extrapolated at constant velocity from their observation to the current time.
 
     Args:
-        policy: state of the motion.
-        p_WG: (3,) goal [m].
-        ellipsoids: observed obstacles, which move at constant velocity since their stamp.
-        clearance: requested clearance [m].
-        alpha_k: decay rate of the phase.
+        policy: current state of the motion.
+        p_WG: (3,) goal in the world frame [m].
+        ellipsoids: observed obstacles with velocities and the stamp of the observation.
+        clearance: requested clearance from all obstacles [m].
+        alpha_k: decay rate of the policy's phase, per normalized time.
     """
     lag = policy.stamp - ellipsoids.stamp if math.isfinite(ellipsoids.stamp) else 0.0
     return Scene(
@@ -92,15 +94,19 @@ def scene_under_way(
 
 @dataclass(frozen=True, eq=False)
 class ToolRollouts(Frozen):
-    """Roll-outs of N candidates over at most T steps, sampled at each `every`-th step.
+    """Simulated motions of the tool point for N candidates, over at most T steps.
+
+    Paths are sampled at the start and after each `every`-th step, an argument of `roll_out_tool`.
 
     Attributes:
         ds: length of a step in normalized time.
-        path: (N, T // every + 1, 3) positions [m], NaN after the end.
-        velocity: (N, T // every + 1, 3) scaled velocities z at these positions [m].
+        path: (N, T // every + 1, 3) positions in the world frame [m], NaN after the end of a
+            motion.
+        velocity: (N, T // every + 1, 3) scaled velocities at these positions, the derivatives of
+            the positions by normalized time [m].
         path_length: (N,) lengths of the paths [m].
-        goal_error: (N,) distances from the goal at the end [m].
-        steps: (N,) numbers of steps until the end.
+        goal_error: (N,) distances from the goal at the end of the motions [m].
+        steps: (N,) numbers of steps until the end of the motions.
     """
 
     ds: float
@@ -124,19 +130,26 @@ def roll_out_tool(
     obstacles: Obstacles | None = None,
     every: int = 1,
 ) -> ToolRollouts:
-    """Rolls out N candidates from the current state of a motion.
+    """Simulates the motions of the tool point for N candidates, from the current state of a motion.
 
     Args:
-        scene: current motion; its ellipsoids have no effect.
-        terms: (N, K, 12) coupling terms of each candidate before fading, see `coupling.turn_step`.
-        dmp: movement primitive.
-        policy: time step and fade; the step in normalized time is `period / duration`.
-        end: earliest end in normalized time; at least the current one.
-        latest: latest end in normalized time; at least the current one plus 1.
+        scene: current state of the motion; its ellipsoids have no effect.
+        terms: (N, K, 12) coupling terms of each candidate without fading near the goal, with the
+            columns of `coupling.turn_step`.
+        dmp: movement primitive of the nominal motion.
+        policy: configuration, of which `period` and `fade` are used; the step in normalized time
+            is `period` over the duration of the primitive.
+        end: earliest normalized time at which a motion may end; values below the current
+            normalized time count as the current one.
+        latest: latest normalized time at which a motion ends; at least 1 after the current one.
         tolerance: distance from the goal at which a slow motion ends between both times [m].
-        longest: () or (N,) path length bound at which a candidate ends early, see `advance` [m].
+        longest: () or (N,) maximum path length, above which a simulation ends early as described
+            in `advance` [m].
         obstacles: K obstacles that determine the guidance headings of the terms; None: no guidance.
         every: number of steps between the samples of the paths.
+
+    Returns:
+        Sampled motions with their lengths and goal errors.
 
     Raises:
         ValueError: for terms of another shape, or an end that is not finite.
@@ -166,7 +179,10 @@ def _setup(
     tolerance: float,
     every: int,
 ) -> MotionSetup:
-    """Computes the constants of the integration; arguments are those of `roll_out_tool`."""
+    """Computes the constants of all simulations of a call of `roll_out_tool` with these arguments.
+
+    They are cached because searches call it repeatedly from the same state.
+    """
     ds = period / dmp.duration
     max_steps = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
     return dmp.setup(
@@ -193,9 +209,20 @@ def _roll_some(
     path: FloatArray,
     velocity: FloatArray,
 ) -> None:
-    """Rolls out candidates part, part + parts, ..., the share of one thread.
+    """Simulates the candidates with numbers part, part + parts, ..., the work of one thread.
 
-    Writes path length [m], goal error [m] and number of steps of each candidate to `out` (N, 3).
+    Args:
+        part: number of the thread, from 0.
+        parts: number of threads.
+        setup: constants of the integration.
+        obstacles: obstacles that determine the guidance headings.
+        terms: (N, K, 12) coupling terms of all candidates.
+        longest: (N,) maximum path lengths [m].
+        out: (N, 3) path length [m], distance from the goal at the end [m] and number of steps;
+            output.
+        path: (N, T // every + 1, 3) positions [m]; the first is input, the others output.
+        velocity: (N, T // every + 1, 3) scaled velocities [m]; the first is input, the others
+            output.
     """
     for i in range(part, len(terms), parts):
         acts = len(terms[i]) * int((terms[i, :, ALPHA] > 0.0).any())
