@@ -1,14 +1,14 @@
 """Diagram builders that connect the layers, and the shipped scenarios.
 
-In: a `Scenario`. Out: a Drake `Diagram` with the simulated station, all layers from its cameras to
-its torques, and loggers.
+In: a `Scenario`. Out: a Drake `Diagram` with the simulated station (robot, objects and cameras),
+all layers from camera images to joint torques, and loggers.
 
 Layers, in the order of the data flow: station, perception, collision_scene, descriptor, inference,
 route, verification, policy, posture, safety, control; in addition faults and view. A function
 `add_<layer>(signals, scenario, station)` creates the systems of a layer from the blocks of the
 scenario and adds them to a `SignalBuilder` (`drake_oa.common.signal_builder`), which connects ports
 by the names of their signals. The packages of the layers import neither scenarios nor the station;
-only the modules of this package do.
+only the modules of `drake_oa.diagrams` do.
 
 Signals and the systems that output them (`avoidance.Layers` lists the inputs of each layer):
 
@@ -26,5 +26,7 @@ Signals and the systems that output them (`avoidance.Layers` lists the inputs of
     desired_joint_state, speed_scale, evasion_velocity     motion_guard
     actuation, tracking_error, torque_saturation           controller
 
-The files `*.scenario.yaml` are the shipped scenarios. Read `avoidance` first.
+The files `*.scenario.yaml` in the folder of this package are the shipped scenarios.
+
+Read first: `avoidance`.
 """

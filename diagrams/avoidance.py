@@ -1,7 +1,7 @@
-"""The complete diagram: a robot that perceives obstacles and avoids them.
+"""Builder of the complete diagram: a robot that perceives obstacles and avoids them.
 
-Each layer adds its systems by one function, and ports are connected by the names of their signals
-(`drake_oa.common.signal_builder`). Another function can replace that of a layer:
+One function adds the systems of each layer, and ports are connected by the names of their signals
+(`drake_oa.common.signal_builder`). Another function can replace the function of a layer:
 
     build_avoidance(scenario, layers=replace(Layers(), perception=my_source))
 
@@ -31,19 +31,22 @@ from drake_oa.diagrams.view import add_view
 from drake_oa.scenario.scenario import Scenario
 
 AddLayer = Callable[[SignalBuilder, Scenario, StationModel | None], None]
-"""Function that adds the systems of a layer; without a robot the station is None."""
+"""Function (signals, scenario, station) that adds the systems of a layer to the signals.
+
+The station is None for a scenario without a robot."""
 
 
 def no_op(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds no system, in place of a layer."""
+    """Adds no system; used in `Layers` in place of the function of a layer that is left out."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """Functions that add the layers, in the order of construction and of the data flow.
+    """Functions that add the layers to the diagram, in the order of construction and data flow.
 
-    A function sees the signals of the layers before it (`"motion" in signals`), so the order of the
-    fields matters. A function adds no system where the scenario does not need its layer.
+    A function can check for the signals of the previous layers (`"motion" in signals`), so the
+    order of the fields matters. A function adds no system if the scenario does not require the
+    layer.
 
     ================= ============================================ ================================
     layer             inputs                                       outputs
@@ -69,9 +72,9 @@ class Layers:
                       or of the tool                               tracking_error
     ================= ============================================ ================================
 
-    Ground truth as the source of perception outputs collision_scene_W, too; given ellipsoids output
-    ellipsoids_W. With `inference: !Paper` the layers verification and safety are empty, and
-    inference and route output coupling_parameters and route.
+    With `perception: !GroundTruth` the perception layer also outputs collision_scene_W, and with
+    `!GivenEllipsoids` it outputs ellipsoids_W only. With `inference: !Paper` the layers
+    verification and safety are empty, and inference and route output coupling_parameters and route.
     """
 
     perception: AddLayer = add_perception
@@ -87,7 +90,13 @@ class Layers:
 
 
 def without_avoidance(layers: Layers) -> Layers:
-    """Returns layers of the nominal motion: without perception, decisions and safety."""
+    """Returns the layers of a diagram for the nominal motion, which does not avoid obstacles.
+
+    Perception, collision scene, descriptor, inference, route, verification and safety are removed.
+
+    Args:
+        layers: functions that add the layers.
+    """
     removed = (
         "perception",
         "collision_scene",
@@ -109,21 +118,22 @@ def build_avoidance(
     meshcat: Meshcat | None = None,
     add_station: Callable[..., StationModel | None] = add_station,
 ) -> Diagram:
-    """Builds the diagram of a scenario.
+    """Builds the diagram of a scenario: station, all layers from cameras to torques, and loggers.
 
-    It exports the outputs desired_position, phase and policy_state.
+    The diagram has the output ports desired_position, phase and policy_state.
 
     Args:
         scenario: configuration of all systems.
-        avoid_obstacles: whether obstacles are avoided; False: `without_avoidance`.
+        avoid_obstacles: whether obstacles are avoided; False: the layers are reduced by
+            `without_avoidance` to those of the nominal motion.
         layers: functions that add the layers; None: `Layers()`.
         customize: function that changes the signals before they are connected.
-        meshcat: viewer, or None.
+        meshcat: viewer of the motion, or None.
         add_station: function with the parameters of `drake_oa.diagrams.station.add_station` that
             adds robot and cameras, for example those of real hardware.
 
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: if the scenario is invalid; names the field.
         ValueError: if two systems output the same signal, or a system is interposed behind a
             signal without a source.
     """

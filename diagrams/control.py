@@ -1,4 +1,4 @@
-"""Builders of the layers posture, safety and control."""
+"""Functions that add the layers posture, safety and control to the diagram of a scenario."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ from drake_oa.scenario.sources import padding, perception_period
 
 
 def add_control(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds controller: desired motion, robot_state -> actuation.
+    """Adds the system `controller`, which computes the actuation from state and desired motion.
 
-    JointInverseDynamics tracks the joint motion of MotionGuard. Without a guard,
-    CartesianInverseDynamics tracks the tool motion; its nominal posture and orientation are those
-    of the start. Both use the robot's model with the model error of the scenario's faults.
+    With MotionGuard the controller is a JointInverseDynamics, which tracks the joint motion of
+    MotionGuard. Without MotionGuard it is a CartesianInverseDynamics, which tracks the motion of
+    the tool; its default posture and orientation are those at the start. Both use the model of the
+    robot, with the model error of the scenario's faults.
 
     Raises:
         ScenarioError: if the model error belongs to another robot.
@@ -59,14 +60,16 @@ def add_control(signals: SignalBuilder, scenario: Scenario, station: StationMode
 
 
 _GUIDE_SAMPLES = 41
-"""Number of samples of the nominal posture from the start to the goal."""
+"""Number of samples of the nominal posture between the configurations at start and goal."""
 
 
 def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds nominal_posture_source, which outputs desired_posture.
+    """Adds systems that output desired_posture, the nominal posture of the arm's null space.
 
-    Without MotionVerifier posture_guide and guide_follower output it, if the task has a
-    configuration at the goal: it leads from the configuration at the start to that one.
+    With MotionVerifier this is the system nominal_posture_source, which follows the planned motion.
+    Without MotionVerifier, and if the task has a configuration at the goal, these are the systems
+    posture_guide and guide_follower; the posture then leads from the configuration at the start to
+    the configuration at the goal.
     """
     if station is None:
         return
@@ -89,10 +92,10 @@ def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationMode
 
 
 def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds motion_guard where motions are verified.
+    """Adds the system motion_guard, which limits the arm's motion, if motions are verified.
 
-    Inputs are the desired motion of the tool, motion, collision_scene_W and robot_state; outputs
-    are desired_joint_state, desired_joint_acceleration, path_state, speed_scale and
+    Its inputs are the desired motion of the tool, motion, collision_scene_W and robot_state. Its
+    outputs are desired_joint_state, desired_joint_acceleration, path_state, speed_scale and
     evasion_velocity.
     """
     if station is None or "motion" not in signals:

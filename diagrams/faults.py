@@ -1,4 +1,4 @@
-"""Builder of fault models and of systems that drive obstacles."""
+"""Functions that add fault models, and systems that drive obstacles, to a scenario's diagram."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from drake_oa.world.station import Station
 
 
 def add_faults(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Interposes the scenario's fault models, and adds mover_<model instance> of driven obstacles.
+    """Adds the fault models of a scenario, and the systems that drive moving obstacles.
 
-    Where obstacles are driven, plant_state is logged.
+    The system weak_actuators limits torques, and the system push applies external forces. For each
+    driven obstacle, mover_<model instance> is added. If obstacles are driven, plant_state is
+    logged.
 
     Raises:
-        ScenarioError: naming the push on a link that the robot does not have.
+        ScenarioError: for a push on a link that the robot does not have; names the field.
     """
     if station is None:
         return
@@ -61,7 +63,15 @@ def add_faults(signals: SignalBuilder, scenario: Scenario, station: StationModel
 
 
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
-    """Creates an ObstacleMover for each driven obstacle, by the name of its model instance."""
+    """Creates a system ObstacleMover for each driven obstacle of a scenario.
+
+    Args:
+        scenario: configuration of the obstacles.
+        station: station whose plant contains the obstacles.
+
+    Returns:
+        Systems by the name of the obstacle's model instance.
+    """
     movers = {}
     for obstacle in scenario.obstacles:
         if obstacle.is_driven:

@@ -1,4 +1,4 @@
-"""Builders of the layers inference, route, verification and policy."""
+"""Functions that add the layers inference, route, verification and policy to a diagram."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ from drake_oa.scenario.task import goal_trajectory
 
 
 def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds goal, dmp_integrator and, if the tool turns, orientation_integrator.
+    """Adds the systems goal, dmp_integrator and, if the tool rotates, orientation_integrator.
 
-    Inputs are ellipsoids_W, coupling_parameters, route, speed_scale and evasion_velocity, as far as
-    these signals exist.
+    The inputs of dmp_integrator are ellipsoids_W, coupling_parameters, route, speed_scale and
+    evasion_velocity, as far as these signals exist.
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
@@ -76,10 +76,13 @@ def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
-    """Creates the movement primitive of the task: of its demonstrations, or of minimum jerk.
+    """Creates the movement primitive of a scenario's task.
+
+    The primitive imitates the demonstrations of the task or, without any, a straight minimum-jerk
+    motion.
 
     Raises:
-        ScenarioError: naming the file of a demonstration that cannot be read or imitated.
+        ScenarioError: for a demonstration that cannot be read or imitated; names its file.
     """
     task = scenario.task
     if task.demonstration:
@@ -93,7 +96,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 Rings = Mapping[str, Ring] | None
-"""User-supplied cost rings by name, or None."""
+"""User-supplied cost rings by name, or None; a cost ring rates the sides of passing an obstacle."""
 
 
 def add_route(
@@ -102,9 +105,17 @@ def add_route(
     station: StationModel | None,
     rings: Rings = None,
 ) -> None:
-    """Adds cost_ring_selector: ellipsoids_W, policy_state and goal -> route.
+    """Adds the system cost_ring_selector, which selects the side to pass each obstacle on.
 
-    With `!Verified` the output is proposed_route.
+    The inputs are ellipsoids_W, policy_state and goal. The output is route, or with
+    `inference: !Verified` proposed_route. With `inference: !Paper`, the system is added only if the
+    field `guided` is set.
+
+    Args:
+        signals: builder that receives the system.
+        scenario: configuration of the system.
+        station: not used.
+        rings: user-supplied cost rings by name.
     """
     inference = scenario.inference
     if "ellipsoids_W" not in signals or not (isinstance(inference, Verified) or inference.guided):
@@ -116,9 +127,10 @@ def add_route(
 
 
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
-    """Creates the cost ring selector of a scenario, with user-supplied rings.
+    """Creates the cost ring selector of a scenario, with user-supplied cost rings.
 
-    Without MotionVerifier, which rolls out the whole arm, one ring is the reach of the arm.
+    With `inference: !Paper`, the selector also has rings for reach and joint limits of the arm.
+    With `!Verified` these are left out, because MotionVerifier simulates the whole arm.
     """
     inference = scenario.inference
     is_verified = isinstance(inference, Verified)
@@ -132,17 +144,18 @@ def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRing
 
 
 _LEG_SAMPLES = 6
-"""Number of poses for which inverse kinematics is solved on each leg of a path."""
+"""Number of poses for which inverse kinematics is solved on each straight leg of a path."""
 
 
 def make_joint_margins(scenario: Scenario) -> JointMargins | None:
-    """Creates the function that computes joint margins along paths of the tool.
+    """Creates the function that computes the joints' distance from their limits along tool paths.
 
-    The arm follows each path from its start; its null space tracks the configuration at the start
-    of the task, as the controller does. Margins of a path that starts out of reach are inf.
+    The arm follows each path from the path's start. The null space of the arm tracks the
+    configuration at the start of the task, as it does with the controller. The distances are inf
+    for all paths if their start is out of reach.
 
     Returns:
-        The function; None without a robot.
+        Function of type `JointMargins`; None for a scenario without a robot.
     """
     if scenario.robot is None:
         return None
@@ -171,7 +184,10 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
 
 
 def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
-    """Creates the function from normalized times (T,) to orientations R_WE (T, 3, 3)."""
+    """Creates the function that computes the orientation of the tool along a scenario's motion.
+
+    This function maps normalized times (T,) from 0 to 1 to orientations R_WE (T, 3, 3).
+    """
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
 
@@ -179,13 +195,14 @@ def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArr
 def add_verification(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds motion_verifier where inference is `!Verified`.
+    """Adds the system motion_verifier for `inference: !Verified`, which searches for a motion.
 
-    Inputs are collision_scene_W, policy_state, goal, path_state, proposed_parameters and
-    proposed_route; outputs are motion, demonstration, coupling_parameters and route.
+    The system verifies motions by simulation of the whole arm. Inputs are collision_scene_W,
+    policy_state, goal, path_state, proposed_parameters and proposed_route; outputs are motion,
+    demonstration, coupling_parameters and route.
 
     Raises:
-        ScenarioError: without a robot, or without collision geometry of the obstacles.
+        ScenarioError: if the scenario has no robot, or no collision geometry of the obstacles.
     """
     inference, policy, task = scenario.inference, scenario.policy, scenario.task
     if not isinstance(inference, Verified):
@@ -241,7 +258,10 @@ def add_verification(
 
 
 def _warn_of_bare_links(station: StationModel) -> None:
-    """Warns of links that have visual geometry but no collision geometry."""
+    """Logs a warning about links of the robot that have visual but no collision geometry.
+
+    The clearance of such links is not checked.
+    """
     plant, inspector = (
         station.robot_plant.plant,
         station.robot_plant.scene_graph.model_inspector(),
@@ -262,12 +282,13 @@ def _warn_of_bare_links(station: StationModel) -> None:
 
 
 def add_inference(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds regressor_chain: ellipsoids_W, policy_state -> coupling_parameters.
+    """Adds the system regressor_chain, which computes the parameters of the coupling terms.
 
-    With `!Verified` the output is proposed_parameters.
+    The inputs are ellipsoids_W and policy_state. The output is coupling_parameters, or with
+    `inference: !Verified` proposed_parameters.
 
     Raises:
-        ScenarioError: naming the file of weights that are missing or of another network.
+        ScenarioError: for a weights file that is missing or of another network; names the file.
     """
     inference = scenario.inference
     outputs: dict[str, str] = {}

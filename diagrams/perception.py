@@ -1,4 +1,4 @@
-"""Builders of the layers perception, collision_scene and descriptor."""
+"""Functions that add the layers perception, collision_scene and descriptor to a diagram."""
 
 from __future__ import annotations
 
@@ -46,22 +46,25 @@ PIXEL_CENTER = 0.5
 
 
 AddSource = Callable[..., None]
-"""Function (signals, block, scenario, station) that adds a source of obstacles; without a robot the
-station is None."""
+"""Function (signals, block, scenario, station) that adds a source of obstacles to the signals.
+
+The block is the scenario's field `perception`. The station is None if the scenario has no robot."""
 
 SOURCES: dict[type, AddSource] = {}
-"""Functions that add sources of obstacles, by the class of the block; see `register_source`."""
+"""Functions that add sources of obstacles, by the class of the block `perception`.
+
+`register_source` adds a function."""
 
 
 def register_source(block: type, add: AddSource) -> None:
-    """Registers a tagged block of scenario files and the function that adds its systems.
+    """Registers a custom source of obstacles for the field `perception` of scenario files.
 
     Args:
-        block: dataclass with a field `period`, the time between observations [s]; in a file
-            `perception: !<name of the class> {<field>: <value>}`.
-        add: function that adds the systems. They output obstacles_W (`ObstacleClouds`); optionally
-            cloud for the viewer, and collision_scene_W (`CollisionScene`) in place of the one that
-            is estimated from obstacles_W.
+        block: dataclass with a field `period`, the time between observations [s]. A scenario file
+            selects it by `perception: !<name of the class> {<field>: <value>}`.
+        add: function that adds the systems of the source to the signals. The systems output
+            obstacles_W (`ObstacleClouds`). Optional outputs are cloud for the viewer, and
+            collision_scene_W (`CollisionScene`) in place of the scene estimated from obstacles_W.
     """
     allow_perception(block)
     SOURCES[block] = add
@@ -70,12 +73,12 @@ def register_source(block: type, add: AddSource) -> None:
 def add_perception(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds the source of obstacles that the scenario's tagged block names.
+    """Adds the source of obstacles that the scenario's field `perception` selects.
 
-    It outputs obstacles_W; `!GivenEllipsoids` outputs ellipsoids_W.
+    The source outputs obstacles_W; only the source `!GivenEllipsoids` outputs ellipsoids_W instead.
 
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: if the scenario is invalid; names the field.
     """
     SOURCES[type(scenario.perception)](signals, scenario.perception, scenario, station)
 
@@ -202,9 +205,10 @@ SOURCES |= {
 def add_collision_scene(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds collision_scene for `!Verified`: obstacles_W -> collision_scene_W.
+    """Adds the system collision_scene for `inference: !Verified`.
 
-    It adds no system where the source of perception outputs collision_scene_W.
+    The system computes collision_scene_W, the collision geometry of the obstacles, from
+    obstacles_W. It is not added if the source of perception already outputs collision_scene_W.
     """
     if station is None or "collision_scene_W" in signals or "obstacles_W" not in signals:
         return
@@ -224,7 +228,11 @@ def add_collision_scene(
 
 
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
-    """Returns the segmentation parameters, with the table height of the scenario by default."""
+    """Returns the segmentation parameters of a source of obstacles.
+
+    If the block does not set the height of the table, the table height of the scenario is used; if
+    the scenario has no table either, the search for a table plane is switched off.
+    """
     if source.segmentation.table_height is not None:
         return source.segmentation
     if scenario.table_height is None:
@@ -248,7 +256,7 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
 def add_descriptor(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds ellipsoid_descriptor: obstacles_W -> ellipsoids_W."""
+    """Adds the system ellipsoid_descriptor, which computes ellipsoids_W from obstacles_W."""
     if station is None or "obstacles_W" not in signals:
         return
     goal = "goal" if scenario.task.goal_moves else None
@@ -256,7 +264,10 @@ def add_descriptor(
 
 
 def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
-    """Creates the descriptor; it dilates obstacles by the tool in each orientation of the task."""
+    """Creates the system that computes ellipsoids of obstacles dilated by the tool.
+
+    Obstacles are dilated by the tool in all orientations that the task requires.
+    """
     task = scenario.task
     held = list(map(tool_link_corners, robots_along_motion(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]

@@ -1,4 +1,4 @@
-"""Builder of the simulated station, and models of its robot."""
+"""Function that adds the simulated station to a diagram, and models of the station's robot."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from drake_oa.world.station import Station, make_station
 
 @dataclass(frozen=True)
 class StationModel(Station):
-    """Simulated station with the models of its robot that the layers use.
+    """Simulated station (robot, objects and cameras), with the robot models that the layers use.
 
     Attributes:
         scenario: configuration of the station.
         robot_plant: plant of the robot without its environment.
-        q_start: (nq,) positions of the robot with the tool point E at the start.
+        q_start: (nq,) positions of the robot with the tool point E at the start of the task [rad,
+            m].
     """
 
     scenario: Scenario
@@ -37,7 +38,7 @@ class StationModel(Station):
 
     @cached_property
     def chain(self) -> Chain:
-        """Kinematic chain of the arm."""
+        """Kinematic chain of the arm for compiled forward and inverse kinematics."""
         plant, tool_frame = self.robot_plant.plant, self.robot_plant.tool_frame
         return make_chain(plant, tool_frame, self.q_start, self.spheres.arrays)
 
@@ -49,7 +50,7 @@ class StationModel(Station):
 
     @property
     def spheres(self) -> ArmSpheres:
-        """Spheres that cover the robot."""
+        """Spheres that cover the collision geometry of the robot, for the checks of clearance."""
         return covered_arm(robot_of(self.scenario))
 
 
@@ -60,23 +61,23 @@ def add_station(
     avoid_obstacles: bool = True,
     external: ExternalInputs | None = None,
 ) -> StationModel | None:
-    """Adds plant, scene graph and the cameras that perception uses.
+    """Adds plant, scene graph, and the cameras that perception uses to a diagram.
 
-    Signals: robot_state, plant_state, query_object and body_poses; of the camera depth_image,
-    camera_pose, image_stamp and plant_state_at_image, with the suffix _NAME if there are several
-    cameras.
+    The signals of the plant are robot_state, plant_state, query_object and body_poses. The signals
+    of a camera are depth_image, camera_pose, image_stamp and plant_state_at_image, with the suffix
+    _NAME if there are several cameras.
 
     Args:
         signals: builder that receives the systems.
         scenario: configuration of the station.
-        avoid_obstacles: whether images are rendered.
+        avoid_obstacles: whether images are rendered, for a diagram that avoids obstacles.
         external: state and clocks for cameras outside the simulation.
 
     Returns:
-        The station; None without a robot.
+        Station with the robot models; None for a scenario without a robot.
 
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: if the scenario is invalid; names the field.
     """
     if scenario.robot is None:
         return None
@@ -104,14 +105,14 @@ def add_station(
 
 
 _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}
-"""Spheres of robots that this process has computed, because computing them requires seconds."""
+"""Cache of the spheres that cover each robot, because computing them requires seconds."""
 
 
 def covered_arm(robot: Robot) -> ArmSpheres:
-    """Returns spheres that cover a robot with the protrusion of its block.
+    """Returns spheres that cover the collision geometry of a robot, as configured by its block.
 
-    Computed once per process, in the home configuration: in another one rounding would differ, and
-    results would depend on the scenarios that the process ran before.
+    The spheres are computed once per process, in the home configuration. In another configuration
+    rounding would differ, and results would depend on the scenarios that the process ran before.
 
     Raises:
         ScenarioError: for a robot that cannot be covered.

@@ -1,4 +1,4 @@
-"""Builder of the viewer: Drake's visualizer and the overlay of intermediate results."""
+"""Functions that add Drake's visualizer and an overlay of intermediate results to a diagram."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 def add_view(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> None:
-    """Adds overlay, and cost rings for it where `!Paper` decides without them."""
+    """Adds Drake's visualizer, and the system overlay that draws intermediate results.
+
+    If `inference: !Paper` does not use cost rings, a cost ring selector is added for the overlay.
+    """
     if isinstance(scenario.inference, Paper) and "shown_route" not in signals:
         outputs = {"decision": None, "route": "shown_route"}
         signals.add("cost_ring_selector", make_cost_ring_selector(scenario), outputs=outputs)
@@ -33,7 +36,10 @@ def add_view(
 def make_overlay(
     scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> MeshcatOverlay:
-    """Creates the overlay of intermediate results, and sets background and camera of the viewer."""
+    """Creates the system that draws intermediate results, and sets the style of the viewer.
+
+    The style consists of background and camera pose.
+    """
     set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show
     if show is None:
@@ -52,7 +58,10 @@ def make_overlay(
 
 
 def _planned_path(scenario: Scenario) -> FloatArray | None:
-    """Returns the path (T, 3) of the nominal motion in the world [m]; None: a straight line."""
+    """Computes the path (T, 3) of the nominal motion in the world frame [m].
+
+    The path is None for a task without demonstration, whose nominal motion is a straight line.
+    """
     task = scenario.task
     if not task.demonstration:
         return None

@@ -1,20 +1,20 @@
-"""Shared modules of all layers; they import none of the layers.
+"""Modules that all layers share, and that do not import any layer.
 
 - `messages`: immutable messages on the abstract ports between layers: `ObstacleClouds`,
-  `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. A copy is the
-  message itself, so that a Context clones in constant time.
+  `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Copying a message
+  returns the same object, so that a Context clones in constant time.
 - `signal_builder`: a builder of diagrams that connects ports by the names of their signals.
 - `ports`: typed reading of abstract input ports, and output ports of an abstract state.
 - `config`: validation of configuration blocks: units, ranges, YAML data.
-- `latency`: simulated compute latency of a decision (`LatencyModel`, block `compute_latency`),
-  and the decision that stays active meanwhile (`PendingDecision`).
-- `compiled`: decorators of numba kernels, and the folder of their machine code; `numba_tools`:
-  its processor target.
+- `latency`: simulated compute latency of decisions (`LatencyModel`, block `compute_latency`), and
+  a decision that is being computed while the previous one stays active (`PendingDecision`).
+- `compiled`: decorators of numba kernels, and the folder that caches the machine code of the
+  kernels; `numba_tools`: the processor for which this code is generated.
 - `files`: atomic replacement of files, software versions and source digest of a result.
 - `console`: exit statuses, errors, tables and progress of the commands.
 
 Units are SI. Frames follow Drake's monogram notation: p_WE is the position of the tool point E in
-the world W, R_WO the orientation of O in W, v_WO its velocity in W.
+the world W, R_WO the orientation of an obstacle O in W, v_WO the velocity of O in W.
 
 Read first: `messages`.
 """

@@ -1,4 +1,4 @@
-"""Output of commands: exit statuses, errors, tables and progress."""
+"""Output of command-line programs: exit statuses, error messages, tables and progress bars."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from rich.table import Table
 from rich.text import Text
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
-"""Exit statuses of a failed command, of invalid input, and of the signals SIGINT and SIGTERM."""
+"""Exit statuses of commands: failure, invalid input, and the signals SIGINT and SIGTERM."""
 
 _MAX_LINE_LENGTH = 2000
-"""Length at which a line of an error message is truncated [characters]."""
+"""Length above which a line of an error message is truncated [characters]."""
 _TABLE_WIDTH = 100_000
 """Width of the virtual console on which tables are laid out, so that no line wraps [characters]."""
 
 
 def complain(message: str) -> None:
-    """Prints an error message on stderr; lines over `_MAX_LINE_LENGTH` are truncated."""
+    """Prints an error message on stderr, with lines over `_MAX_LINE_LENGTH` truncated."""
     lines = [
         textwrap.shorten(line, _MAX_LINE_LENGTH, placeholder=" ...")
         for line in message.splitlines()
@@ -37,18 +37,22 @@ def complain(message: str) -> None:
 
 @cache
 def announce_first_use(work: str) -> None:
-    """Prints a line on stderr about slow work whose result is cached; once per process and work."""
+    """Prints a line on stderr about slow work, at its first use in a process.
+
+    Args:
+        work: description of the work, whose result is cached for later uses.
+    """
     print(f"{work} (first use only) ...", file=sys.stderr)
 
 
 class Column(NamedTuple):
-    """Specification of a column of a table.
+    """Specification of a column of a `TextTable`.
 
     Attributes:
-        key: key of the values in the rows.
-        heading: quantity and unit; None: the key.
-        form: format of the values; texts are printed as they are.
-        scale: factor of the values before they are formatted.
+        key: key of the column's values in the rows of the table.
+        heading: quantity and unit; None: the key is the heading.
+        form: format string of numbers; texts are printed as they are.
+        scale: factor by which numbers are multiplied before they are formatted.
         side: alignment; None: "left" in the first column, "right" in others.
     """
 
@@ -59,7 +63,7 @@ class Column(NamedTuple):
     side: Literal["left", "right"] | None = None
 
     def cell(self, row: Mapping[str, Any]) -> str:
-        """Returns the formatted value of a row; "-" if it is missing or not finite."""
+        """Returns the text of this column in a row; "-" if the value is missing or not finite."""
         value = row.get(self.key)
         if isinstance(value, str):
             return value
@@ -73,10 +77,10 @@ class TextTable:
     """Table with notes below it, printed as aligned text.
 
     Attributes:
-        columns: specification of each column; a column whose key no row has is omitted, and the
-            headings if all are empty.
+        columns: specification of each column. A column whose key is in no row is omitted. The line
+            of headings is omitted if all headings are empty.
         rows: values of each row by key.
-        notes: lines below.
+        notes: lines of text below the table.
         transposed: whether each row of values is printed as a column.
     """
 
@@ -86,7 +90,7 @@ class TextTable:
     transposed: bool = False
 
     def __str__(self) -> str:
-        """Returns the table as aligned text, as wide as its columns."""
+        """Returns the table and its notes as aligned text, as wide as the columns require."""
         used = [of for of in self.columns if any(of.key in row for row in self.rows)]
         columns = [
             [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)] for of in used
@@ -114,7 +118,7 @@ def show(*tables: TextTable) -> None:
 
 @contextmanager
 def progress_bar(total: float) -> Iterator[Callable[[str, float], None]]:
-    """Shows a progress bar with the remaining time on stderr, if that is a terminal.
+    """Shows a progress bar with the remaining time on stderr, if stderr is a terminal.
 
     Args:
         total: total amount of work, in any unit.

@@ -24,16 +24,18 @@ _SOURCES = {
     "drake_oa.diagrams": ("*.py", "*.scenario.yaml"),
     "drake_oa.models": ("*.sdf", "*.yaml", "*.urdf", "*.obj", "*.npz", "*.safetensors"),
 }
-"""Package -> patterns of its files that `source_digest` covers."""
+"""Patterns of the files that `source_digest` covers, by the name of their package."""
 _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
-"""Parts of drake_oa that do not affect simulated motions, or are packages of `_SOURCES`."""
+"""Folders and files of a package that `source_digest` does not cover.
+
+They do not affect simulated motions, or have their own entry in `_SOURCES`."""
 
 _PLOT_STYLE: tuple[Any, ...] = ("tableau-colorblind10", {"axes.grid": True, "legend.fontsize": 7})
-"""Matplotlib styles of all figures; color-blind readers can distinguish the colors."""
+"""Matplotlib styles of all figures, with colors that color-blind readers can distinguish."""
 
 
 class OutputError(OSError):
-    """Error of a file that cannot be written; the message names the file."""
+    """Error for a file that cannot be written, with a message that names the file."""
 
 
 def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
@@ -43,10 +45,10 @@ def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
 
     Args:
         paths: output files; None: no output.
-        read: input files of the command, which no output may replace.
+        read: input files of the command, which no output file may replace.
 
     Raises:
-        ValueError: names the first file that cannot be written, and the reason.
+        ValueError: for the first file that cannot be written; names the file and the reason.
     """
     conflicts = dict.fromkeys((path.resolve() for path in read), "the command reads this file")
     for path in filter(None, paths):
@@ -69,7 +71,13 @@ def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
 def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
     """Creates an empty file <folder>/<stem>-<time><suffix> whose name is unique among processes.
 
-    The time is UTC, to a microsecond.
+    Args:
+        folder: folder of the file, created if missing.
+        stem: beginning of the file name; the current UTC time in microseconds follows.
+        suffix: suffix of the file name, with its dot.
+
+    Returns:
+        Path of the file.
 
     Raises:
         ValueError: if the file cannot be created; names the folder and the reason.
@@ -116,12 +124,12 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replaces a text file atomically, see `replace_file`."""
+    """Replaces a text file atomically, by `replace_file`."""
     replace_file(path, lambda temporary: temporary.write_text(text))
 
 
 def replace_json(path: Path | None, content: object) -> None:
-    """Replaces a JSON file atomically, see `replace_file`.
+    """Replaces a JSON file atomically, by `replace_file`.
 
     Args:
         path: file to replace; None: nothing is written.
@@ -136,7 +144,7 @@ def replace_json(path: Path | None, content: object) -> None:
 
 
 def replace_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Replaces a compressed .npz archive of named arrays atomically, see `replace_file`."""
+    """Replaces a compressed .npz archive of named arrays atomically, by `replace_file`."""
     import numpy as np
 
     def write(temporary: Path) -> None:
@@ -148,11 +156,11 @@ def replace_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Reads the arrays of an .npz archive by name.
+    """Reads an .npz archive, and returns its arrays by name.
 
     Raises:
         OSError: if the file cannot be opened.
-        ValueError: if it is not an .npz archive, is damaged, or contains Python objects.
+        ValueError: if the file is not an .npz archive, is damaged, or contains Python objects.
     """
     import numpy as np
 
@@ -168,12 +176,17 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def cached_arrays(
     name: str, compute: Callable[[], Mapping[str, Any]]
 ) -> Mapping[str, NDArray[Any]]:
-    """Reads named arrays from a file of the user's cache; computes and saves them if it is missing.
+    """Returns the results of a slow computation, which are cached in a file of the user.
+
+    If the file is missing or damaged, the results are computed and saved.
 
     Args:
         name: <folder>/<digest>, the name of the file without suffix. The digest must cover all
             inputs of the computation.
-        compute: function that computes the arrays by name.
+        compute: function that computes the results, arrays by name.
+
+    Returns:
+        Arrays by name.
     """
     path = user_cache(f"{name}.npz")
     try:
@@ -187,13 +200,18 @@ def cached_arrays(
 
 @contextlib.contextmanager
 def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
-    """Provides an empty figure in the common style, and saves it atomically after the block.
+    """Provides an empty figure in the common style, and saves the figure after the `with` block.
+
+    The file is replaced atomically.
 
     Args:
         path: output file; its suffix determines the format.
         width: width of the figure [inch].
         height: height of the figure [inch].
         title: title of the figure.
+
+    Yields:
+        Matplotlib figure without axes.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -210,7 +228,11 @@ def saved_figure(path: Path, width: float, height: float, title: str = "") -> It
 
 
 def user_cache(name: str) -> Path:
-    """Returns the user's cache folder for one kind of results; it may not exist yet."""
+    """Returns the path of a file or folder in the user's cache, which may not exist yet.
+
+    Args:
+        name: path relative to the cache folder of this package.
+    """
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "drake_oa" / name
 
@@ -227,10 +249,14 @@ def package_file(url_or_file: str) -> Path:
 
 
 def import_extra(module: str, extra: str) -> Any:
-    """Imports a module of an optional dependency.
+    """Imports a module of an optional dependency, and returns the module.
+
+    Args:
+        module: name of the module.
+        extra: name of the pip extra of this package that installs the dependency.
 
     Raises:
-        ValueError: if the package is not installed; names it and the extra to install.
+        ValueError: if the dependency is not installed; names the missing package and the extra.
     """
     try:
         return import_module(module)
@@ -241,10 +267,13 @@ def import_extra(module: str, extra: str) -> Any:
 
 
 def installed_package(name: str) -> Path | None:
-    """Returns the folder of package://<name> for a name installed in this Python environment.
+    """Returns the folder of package://<name> if a package `name` is installed in the environment.
 
-    It is share/<name> of the distribution of that name, otherwise the folder of the Python package
-    of that name; None if there is neither. The package is not imported.
+    The folder is share/<name> in the files of the Python distribution `name`, otherwise the folder
+    of the Python package `name`. The package is not imported.
+
+    Returns:
+        Path of the folder; None if there is neither.
     """
     from importlib import metadata
 
@@ -259,7 +288,7 @@ def installed_package(name: str) -> Path | None:
 
 
 _TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)', re.MULTILINE)
-"""Regular expression of comment lines and docstrings, with blank lines before them."""
+"""Regular expression that matches comment lines and docstrings, with blank lines before them."""
 
 
 @cache
@@ -285,7 +314,7 @@ def source_digest() -> str:
 
 
 def provenance() -> dict[str, str]:
-    """Returns version of this package, date (UTC) and source digest, to be saved with a result."""
+    """Returns the provenance of a result: version of this package, date (UTC) and source digest."""
     from importlib.metadata import version
 
     return {

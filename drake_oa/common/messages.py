@@ -1,9 +1,10 @@
 """Immutable messages that the layers exchange on abstract ports.
 
 A message is a frozen dataclass of read-only arrays. Copying it is free (``__deepcopy__`` returns
-the message itself): a Drake Context that holds one clones in constant time, and no receiver can
-change the input of another. Suffix _W: in the world frame; p_WO: position of O in W; R_WO:
-orientation of O in W; E: tool point, the end effector; S, G: start and goal of the motion.
+the message itself): a Drake Context that contains a message clones in constant time, and no
+receiver can change the input of another. The suffix _W means "in the world frame W". p_WO is the
+position and R_WO the orientation of an obstacle O in W, E the tool point, and S and G are start and
+goal of the motion.
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ BoolArray = NDArray[np.bool_]
 
 
 PART_ID_STRIDE = 2**20
-"""Difference between the IDs of consecutive parts of one obstacle; ID % stride is the track ID."""
+"""Difference between the IDs of two consecutive ellipsoids of one obstacle.
+
+The track ID of the obstacle is the remainder ID % PART_ID_STRIDE."""
 
 
 class Frozen:
-    """Base class of immutable dataclasses: arrays are read-only, copies are the object itself."""
+    """Base class of immutable dataclasses with read-only arrays, whose copy is the same object."""
 
     def __post_init__(self) -> None:
         fields = self.__dict__
@@ -44,13 +47,20 @@ class Frozen:
 
 
 def zeros(*shape: int, kind: Any = float) -> Any:
-    """Returns a dataclass field with an array of zeros as default: shape `shape`, dtype `kind`."""
+    """Returns a dataclass field whose default is an array of zeros.
+
+    Args:
+        shape: shape of the array.
+        kind: data type of the elements.
+    """
     return field(default_factory=lambda: np.zeros(shape, dtype=kind))
 
 
 @dataclass(frozen=True, eq=False)
 class TablePlane(Frozen):
-    """Support plane of the objects, usually a table: points Q with ``normal_W . p_WQ = offset``.
+    """Support plane of the objects, usually a table.
+
+    Points Q of the plane satisfy ``normal_W . p_WQ = offset``.
 
     Attributes:
         normal_W: (3,) unit normal in the world frame, pointing to free space.
@@ -61,13 +71,14 @@ class TablePlane(Frozen):
     offset: float = 0.0
 
     def height(self, p_WQ: FloatArray) -> FloatArray:
-        """Computes the signed heights [m] of points p_WQ above the plane: (..., 3) -> (...)."""
+        """Computes the signed heights (...) of points p_WQ (..., 3) above the plane [m]."""
         return np.asarray(p_WQ @ self.normal_W - self.offset)
 
     def distance_to(self, other: TablePlane) -> float:
-        """Computes an upper bound of the height difference of two planes within 1 m of the origin.
+        """Computes an upper bound of the height difference between this plane and another [m].
 
-        The bound [m] is ``|offset_1 - offset_2| + |normal_1 - normal_2| * 1 m``.
+        The bound ``|offset_1 - offset_2| + |normal_1 - normal_2| * 1 m`` is valid within 1 m of the
+        world origin.
         """
         turn = np.linalg.norm(self.normal_W - other.normal_W)
         return abs(self.offset - other.offset) + float(turn)
@@ -75,16 +86,16 @@ class TablePlane(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class ObstacleClouds(Frozen):
-    """Point clouds of the M obstacles at one instant.
+    """Point clouds of M perceived obstacles at one instant.
 
     Attributes:
-        stamp: time of the observation [s]; -inf before the first frame.
+        stamp: time of the observation [s]; -inf before the first observation.
         clouds_W: for each obstacle an (N_i, 3) array of surface points in the world frame [m].
         ids: (M,) track IDs of the obstacles.
-        table: support plane; None if none was found.
-        note: reason why this frame is degraded, such as "no valid pixel"; otherwise empty.
-        v_WO: (M, 3) velocities in the world frame [m/s], exactly zero for an obstacle
-            without significant motion; zeros by default.
+        table: support plane of the objects; None if no plane was detected.
+        note: reason why this observation is degraded, such as "no valid pixel"; otherwise empty.
+        v_WO: (M, 3) velocities of the obstacles in the world frame [m/s], exactly zero for an
+            obstacle without significant motion; zeros by default.
     """
 
     stamp: float = -np.inf
@@ -105,18 +116,19 @@ class ObstacleClouds(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class EllipsoidSet(Frozen):
-    """Obstacle descriptors: M ellipsoids, each of an obstacle dilated by the tool.
+    """Descriptors of obstacles: M ellipsoids that each describe an obstacle dilated by the tool.
 
-    Because of the dilation, the tool is treated as the point E.
+    Because of the dilation, the tool is treated as its tool point E.
 
     Attributes:
-        stamp: time of the observation that is described [s].
+        stamp: time of the observation from which the ellipsoids were computed [s]; -inf before the
+            first observation.
         p_WO: (M, 3) centers in the world frame [m].
-        R_WO: (M, 3, 3) rotations; the columns are the principal axes.
-        semi_axes: (M, 3) semi-axes along those columns [m].
+        R_WO: (M, 3, 3) rotations, whose columns are the principal axes in the world frame.
+        semi_axes: (M, 3) semi-axes along the principal axes [m].
         v_WO: (M, 3) velocities of the centers in the world frame [m/s].
-        ids: (M,) unique IDs of the rows: track ID + part * `PART_ID_STRIDE`, with part 0 for the
-            first ellipsoid of an obstacle.
+        ids: (M,) unique IDs of the ellipsoids: track ID + part * `PART_ID_STRIDE`, with part 0 for
+            the first ellipsoid of an obstacle.
         table: support plane from perception, or None.
         note: reason why the observation is degraded; otherwise empty.
     """
@@ -135,30 +147,30 @@ class EllipsoidSet(Frozen):
 
 
 class HoldReason(StrEnum):
-    """Reason for which the motion is held (stopped on its path); a separate note explains it."""
+    """Reason for which a motion is held, that is, stopped on its path."""
 
     NONE = "none"
-    """The motion is not held."""
+    """Absence of a hold: the motion is not held."""
     DECIDING = "deciding"
-    """The first decision of the motion is being computed."""
+    """Hold at the start of a motion until its first decision has been computed."""
     SPEED_SCALE = "speed_scale"
-    """The input `speed_scale` is 0."""
+    """Hold because the input `speed_scale` of the policy is 0."""
     SUPERVISOR = "supervisor"
-    """The supervisor holds the motion. Set by the run monitor; the policy reports SPEED_SCALE."""
+    """Hold by the supervisor, set by the run monitor where the policy reports SPEED_SCALE."""
     OBSTACLES = "obstacles"
-    """Obstacles are not observed, contain the tool or goal, or cannot be passed on any side."""
+    """Hold because obstacles are not observed, contain the tool or goal, or cannot be passed."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyState(Frozen):
-    """State of the dynamic movement primitive (DMP) that generates the motion.
+    """State of the dynamic movement primitive (DMP) that generates the motion of the tool point.
 
     Attributes:
         p_WE: (3,) position of the tool point E in the world frame [m].
         z_W: (3,) scaled velocity, the derivative of p_WE by normalized time
             s = t / (tau T), in the world frame [m]; T is the demonstrated duration [s].
         phase: phase k of the canonical system, 1 at the start and decaying to 0.
-        tau: temporal scaling of the duration T [1].
+        tau: temporal scaling, by which the demonstrated duration T is multiplied [-].
         p_WS: (3,) start of the motion in the world frame [m].
         p_WG: (3,) goal in the world frame [m].
         R_WL: (3, 3) local frame: x from start to goal, z up.
@@ -182,18 +194,21 @@ class PolicyState(Frozen):
 
     @property
     def baseline(self) -> float:
-        """Distance from start to goal [m]."""
+        """Distance from start to goal of the motion [m]."""
         return math.dist(self.p_WG, self.p_WS)
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion(Frozen):
-    """Motion of tool point and arm that the inference layer predicts from the current time on.
+    """Motion of tool point and arm, planned from the current time to the end of the motion.
+
+    Normalized time is time over the demonstrated duration times the temporal scaling tau.
 
     Attributes:
         s: (T,) normalized times, increasing; (0,): no motion is planned.
         p_WE: (T, 3) positions of the tool point at these times in the world frame [m].
-        q: (T, n) joint positions at these times [rad]; (0, n): no joint positions are planned.
+        q: (T, n) joint positions of the arm at these times [rad]; (0, n): no joint positions are
+            planned.
         p_WS: (3,) start of the planned motion in the world frame [m]; (0,): the plan belongs to
             the current motion.
     """
@@ -207,36 +222,45 @@ class PlannedMotion(Frozen):
         return len(self.s)
 
     def joints(self, s: float | FloatArray) -> FloatArray:
-        """Interpolates the joint positions (..., n) [rad] linearly at normalized times (...)."""
+        """Interpolates the planned joint positions linearly.
+
+        Args:
+            s: (...) normalized times.
+
+        Returns:
+            (..., n) joint positions [rad].
+        """
         return np.stack([np.interp(s, self.s, joint) for joint in self.q.T], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Route(Frozen):
-    """Selected passing side of each of M obstacles, and the cost rings it was selected from.
+    """Selected side on which each of M obstacles is passed, and the cost rings of this selection.
 
-    A cost ring (Pairet et al., RA-L 2019) rates K directions of passing, evenly spaced on a circle
-    around the baseline (the straight line from start to goal). Rows are those of the EllipsoidSet
-    of the decision.
+    A cost ring (Pairet et al., RA-L 2019) rates K directions in which an obstacle can be passed.
+    The directions are evenly spaced on a circle around the baseline (the straight line from start
+    to goal). Rows are those of the EllipsoidSet from which the sides were selected.
 
     Attributes:
-        direction_W: (M, 3) selected direction omega_d on the circle in the local YZ plane, as a
-            unit vector in the world frame.
-        normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle
-            is passed; a positive rotation about it turns the baseline toward the selected side.
-        remaining_clearance: (M,) clearance that guidance aims at on that side [m]; 0: no guidance.
-        index: (M,) selected column of the rings.
+        direction_W: (M, 3) selected direction omega_d, a unit vector in the world frame orthogonal
+            to the baseline.
+        normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle is passed,
+            with the direction x_L of the baseline; a positive rotation about this normal turns the
+            baseline toward the selected side.
+        remaining_clearance: (M,) clearance at which guidance leads the motion past the obstacle on
+            the selected side [m]; 0: no guidance.
+        index: (M,) index of the selected direction.
         angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
-        costs: ring name -> (M, K) costs in [0, 1].
-        path_length: estimated length of the avoiding path [m].
-        p_WS: (3,) start of the motion for which the route was decided [m].
-        p_WG: (3,) goal of that motion [m].
-        R_WL: (3, 3) local frame of that motion.
+        costs: costs (M, K) in [0, 1] by the name of the ring.
+        path_length: estimated length of the path past all obstacles on the selected sides [m].
+        p_WS: (3,) start of the motion for which the sides were selected [m].
+        p_WG: (3,) goal of this motion [m].
+        R_WL: (3, 3) local frame of this motion: x from start to goal, z up.
         ids: (M,) IDs of the ellipsoids.
-        blocked: whether every side of some obstacle is forbidden.
+        blocked: whether every side of an obstacle is forbidden.
         note: reason why every side is forbidden; otherwise empty.
-        side_cost: (N,) costs of N evenly spaced sides by user-supplied rings, as additional path
-            length over the baseline; inf: forbidden.
+        side_cost: (N,) costs of N evenly spaced sides by user-supplied cost rings, as additional
+            path length over the distance from start to goal; inf: forbidden.
     """
 
     direction_W: FloatArray = zeros(0, 3)
@@ -261,18 +285,19 @@ class Route(Frozen):
 
 
 OUT_OF_WORLD = 25.0
-"""Coordinate in the world frame beyond which an obstacle counts as absent [m]."""
+"""Magnitude of a world coordinate above which an obstacle counts as absent from the scene [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CouplingParameters(Frozen):
     """Parameters of M coupling terms, which turn the motion away from obstacles.
 
-    With the angle theta between heading and obstacle, and the distance d, the turning rate is
+    With the angle theta from the direction to the obstacle's center to the heading, and the
+    distance d from this center, the turning rate is
     alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2).
 
     Attributes:
-        alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated duration.
+        alpha: (M,) strength: turning rate in units of 1/T, with the demonstrated duration T.
         psi: (M,) width of the response to the heading [rad].
         kappa: (M,) decay with the squared distance [1/m^2].
         in_range: (M,) False if the input of the regressor chain was outside its trained range and
@@ -280,15 +305,18 @@ class CouplingParameters(Frozen):
         center_W: (M, 3) centers of the terms in the world frame [m]; (0, 3): the centers of the
             ellipsoids.
         normal_W: (M, 3) normals of the planes in which the obstacles are passed. A nonzero row
-            replaces the normal of the route and switches guidance off for it; (0, 3): no normals.
-        tau: temporal scaling of the motion, replaces the scaling by the route's path length; 0:
-            not set.
-        hold: reason for holding the motion; NONE: it is not held.
+            replaces the normal of the route and switches guidance off for this obstacle; (0, 3): no
+            normals.
+        tau: temporal scaling of the motion, which replaces the scaling by the route's path length;
+            0: not set.
+        hold: reason for holding the motion; NONE: the motion is not held.
         note: explanation of `hold`.
         restart: whether a motion at rest restarts from its current position.
-        verified: whether roll-outs have verified the motion. The terms then act about `center_W`,
-            do not belong to the perceived ellipsoids, and these do not hold the motion.
-        ellipsoids: ellipsoids of verified terms that guidance steers past.
+        verified: whether roll-outs (simulations) have verified the motion. The coupling terms then
+            act about `center_W` and do not belong to the perceived ellipsoids, and a tool or goal
+            inside a perceived ellipsoid does not hold the motion.
+        ellipsoids: ellipsoids that belong to verified coupling terms, past which guidance turns the
+            motion.
     """
 
     alpha: FloatArray = zeros(0)
@@ -313,4 +341,4 @@ class CouplingParameters(Frozen):
 
 
 DECIDING = "no motion from here is verified yet"
-"""Note of a motion that is held until its first decision is active."""
+"""Note in the policy's state of a motion that is held until its first decision is active."""

@@ -1,4 +1,4 @@
-"""Helpers of Drake systems: typed abstract inputs, periods, output ports of an abstract state."""
+"""Helpers for Drake systems: typed abstract inputs, periods, output ports of an abstract state."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ from pydrake.systems.framework import AbstractStateIndex, Context, DependencyTic
 T = TypeVar("T")
 
 DECISION_OFFSET = 1e-3
-"""Delay of a layer's decision after the start of a period [s]: inputs are up to date by then."""
+"""Delay between the start of a period and a layer's periodic decision [s].
+
+After this delay, the inputs of the decision contain the observations of the same period."""
 
 
 class AbstractInput(Generic[T]):
-    """Abstract input port of a system that checks the type of its values."""
+    """Abstract input port of a Drake system, with a check of the type of its values."""
 
     def __init__(self, system: LeafSystem, name: str, kind: type[T]) -> None:
         """Declares the port.
 
         Args:
-            system: system under construction.
+            system: system under construction, to which the port is added.
             name: name of the port.
-            kind: class of its values.
+            kind: class of the port's values.
         """
         self.port, self._kind = system.DeclareAbstractInputPort(name, Value(kind())), kind
 
     def read(self, context: Context) -> T:
-        """Evaluates the port.
+        """Evaluates the port, and returns its value.
 
         Raises:
             TypeError: for a value of another class; names system, port and both classes.
@@ -48,11 +50,11 @@ class AbstractInput(Generic[T]):
         return value
 
     def find(self, context: Context) -> T | None:
-        """Evaluates the port; returns None if it is not connected."""
+        """Evaluates the port, and returns its value or, if the port is not connected, None."""
         return self.read(context) if self.port.HasValue(context) else None
 
     def read_or_empty(self, context: Context) -> T:
-        """Evaluates the port; returns a default-constructed value if it is not connected."""
+        """Evaluates the port, and returns its value or, if not connected, a default instance."""
         return self.read(context) if self.port.HasValue(context) else self._kind()
 
     def ticket(self) -> DependencyTicket:
@@ -61,7 +63,11 @@ class AbstractInput(Generic[T]):
 
 
 def valid_period(period: float) -> float:
-    """Returns the period [s]; raises ValueError unless it is positive and finite."""
+    """Checks the period of a system, and returns it [s].
+
+    Raises:
+        ValueError: if the period is not positive and finite.
+    """
     if not 0.0 < period < math.inf:
         raise ValueError(f"period must be positive and finite [s], not {period}")
     return float(period)
@@ -70,13 +76,13 @@ def valid_period(period: float) -> float:
 def declare_state_outputs(
     system: LeafSystem, state: AbstractStateIndex, *ports: tuple[str, int | type, str]
 ) -> None:
-    """Declares output ports that publish attributes of an abstract state.
+    """Declares output ports that publish attributes of a system's abstract state.
 
     Args:
         system: system under construction.
         state: index of the abstract state.
-        ports: tuple for each port: its name; the size of its vector or the class of its abstract
-            value; the dotted path of the attribute in the state.
+        ports: for each port a tuple of the port's name; the size of the vector, or the class of the
+            abstract value; and the dotted path of the attribute in the state.
     """
     tickets = {system.abstract_state_ticket(state)}
     for name, kind, path in ports:

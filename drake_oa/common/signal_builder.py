@@ -14,24 +14,27 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, Output
 from pydrake.systems.primitives import LogVectorOutput
 
 LOG_PERIOD = 0.004
-"""Sampling period of logged signals [s]."""
+"""Sampling period of the signals that a diagram logs [s]."""
 
 _Added = TypeVar("_Added", bound=System)
 _Port = TypeVar("_Port", InputPort, OutputPort)
 
 Names = Mapping[str, str | None]
-"""Port name -> signal name, for ports whose signal has another name; None: not connected."""
+"""Signal names by port name, for ports whose signal has another name than the port.
+
+A port mapped to None is not connected."""
 
 
 @dataclass
 class _SignalSystem:
-    """System with the signals of its ports.
+    """Drake system with the names of the signals that its ports read and output.
 
     Attributes:
-        system: the system.
-        inputs: input port -> signal, as for `SignalBuilder.add`.
-        outputs: output port -> signal, as for `SignalBuilder.add`.
-        interposed: signals that the system reads and replaces; empty: it replaces none.
+        system: the Drake system.
+        inputs: signal name by input port, as for `SignalBuilder.add`.
+        outputs: signal name by output port, as for `SignalBuilder.add`.
+        interposed: signals that the system reads from their source and replaces for all other
+            readers; empty: no signal.
     """
 
     system: System
@@ -41,18 +44,26 @@ class _SignalSystem:
 
     @cached_property
     def input_ports(self) -> dict[str, InputPort]:
-        """Returns the input port of each signal that the system reads."""
+        """Input ports of the system by the name of the signal that they read."""
         count = self.system.num_input_ports()
         return self._named(list(map(self.system.get_input_port, range(count))), self.inputs)
 
     @cached_property
     def output_ports(self) -> dict[str, OutputPort]:
-        """Returns the output port of each signal that the system outputs."""
+        """Output ports of the system by the name of the signal that they output."""
         count = self.system.num_output_ports()
         return self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
 
     def _named(self, ports: list[_Port], names: Names) -> dict[str, _Port]:
-        """Returns signal -> port; an interposed system's only port carries its only signal."""
+        """Returns ports by the name of their signal.
+
+        If the system has one port and is interposed on one signal, and `names` is empty, the port
+        belongs to this signal.
+
+        Args:
+            ports: all input ports or all output ports of the system.
+            names: signal names of ports whose signal has another name than the port.
+        """
         if len(ports) == 1 == len(self.interposed) and not names:
             return {self.interposed[0]: ports[0]}
         signals = {names.get(port.get_name(), port.get_name()): port for port in ports}
@@ -62,8 +73,9 @@ class _SignalSystem:
 class SignalBuilder:
     """Builder of a diagram whose ports are connected by signal names.
 
-    A port reads, or is the source of, the signal of its own name, unless `inputs` or `outputs` map
-    the port to another signal. `connect` makes all connections at the end::
+    A signal is a named value with one output port as its source. By default, a port belongs to the
+    signal that has the port's name. The arguments `inputs` or `outputs` map a port to another
+    signal. `connect` makes all connections at the end::
 
         builder = DiagramBuilder()
         signals = SignalBuilder(builder)
@@ -76,11 +88,12 @@ class SignalBuilder:
         signals.connect()
         diagram = builder.Build()
 
-    An input of a signal without a source stays unconnected, as optional ports may be. The order
-    of adding determines the order of interposed systems, and of events at equal times. It does not
-    matter for other connections, but ``signal in signals`` only knows the sources added before.
+    An input port that reads a signal without a source stays unconnected, as optional ports may be.
+    The order in which systems are added determines the order of interposed systems, and of events
+    at equal times. This order does not matter for other connections, but ``signal in signals``
+    considers only sources that have been added before.
 
-    The resulting edges are listed in tests/golden/<scenario>.connections.txt, one
+    The resulting connections are listed in tests/golden/<scenario>.connections.txt, one
     ``system.port -> system.port`` a line, and printed by ``drake-oa graph <scenario> --signals``.
     """
 
@@ -128,8 +141,9 @@ class SignalBuilder:
         Args:
             name: name of the subsystem.
             system: system to add.
-            inputs: input port -> signal, for signals of another name; None: not connected.
-            outputs: output port -> signal, likewise.
+            inputs: signal name by input port, for signals with another name than the port; a port
+                mapped to None is not connected.
+            outputs: signal name by output port, likewise.
 
         Returns:
             The system.
@@ -148,13 +162,13 @@ class SignalBuilder:
         inputs: Names | None = None,
         outputs: Names | None = None,
     ) -> _Added:
-        """Replaces a system that was added before; its signals stay by default.
+        """Replaces a system that was added before by another one.
 
         Args:
-            name: name of the subsystem.
+            name: name of the subsystem to replace.
             system: new system.
-            inputs: as for `add`; None: those of the replaced system.
-            outputs: likewise.
+            inputs: signal name by input port, as for `add`; None: those of the replaced system.
+            outputs: signal name by output port, as for `add`; None: those of the replaced system.
 
         Returns:
             The new system.
@@ -184,16 +198,16 @@ class SignalBuilder:
     ) -> _Added:
         """Inserts a system between the source of a signal and all its readers.
 
-        The system reads the original signal and outputs its replacement, by ports of the signal's
-        name or by its only input and output port. Of several systems interposed on one signal, the
-        first is next to the source.
+        The system reads the original signal and outputs its replacement. The ports for this must
+        have the name of the signal, or be the only input and the only output port of the system. If
+        several systems are interposed on one signal, the first is next to the source.
 
         Args:
-            signal: one or several signals.
+            signal: name of one signal, or of several.
             name: name of the subsystem.
             system: system to insert.
-            inputs: as for `add`.
-            outputs: as for `add`.
+            inputs: signal name by input port, as for `add`.
+            outputs: signal name by output port, as for `add`.
 
         Returns:
             The system.
@@ -213,11 +227,14 @@ class SignalBuilder:
         return system
 
     def log(self, *signals: str) -> None:
-        """Logs vector signals every `LOG_PERIOD` in sinks log_<signal>; skips absent signals."""
+        """Logs vector signals every `LOG_PERIOD` in sinks named log_<signal>.
+
+        Signals without a source are skipped.
+        """
         self._logged += signals
 
     def export(self, *signals: str) -> None:
-        """Exports signals as output ports of the diagram; skips signals without a source."""
+        """Exports signals as output ports of the diagram; signals without a source are skipped."""
         self._exported += signals
 
     def __contains__(self, signal: str) -> bool:
@@ -252,7 +269,16 @@ class SignalBuilder:
             self.builder.ExportOutput(self._source(signal), signal)
 
     def _add(self, name: str, entry: _SignalSystem) -> None:
-        """Registers a system; raises ValueError if its name or a source of its signals exists."""
+        """Registers a system for `connect`.
+
+        Args:
+            name: name of the subsystem.
+            entry: system with the signals of its ports.
+
+        Raises:
+            ValueError: if the name is in use, or a signal that the system outputs already has a
+                source.
+        """
         if name in self._systems or self.builder.HasSubsystemNamed(name):
             raise ValueError(
                 f"there is already a system '{name}'; use SignalBuilder.replace to replace it"
@@ -263,7 +289,11 @@ class SignalBuilder:
         self._systems[name] = entry
 
     def _check_no_source(self, signal: str) -> None:
-        """Raises ValueError if a signal already has a source."""
+        """Checks that a signal has no source yet.
+
+        Raises:
+            ValueError: if the signal already has a source.
+        """
         if signal in self._signals():
             raise ValueError(
                 f"the signal '{signal}' already has a source; use SignalBuilder.interpose to "
@@ -271,22 +301,25 @@ class SignalBuilder:
             )
 
     def _signals(self) -> set[str]:
-        """Returns the signals that have a source."""
+        """Returns the names of all signals that have a source."""
         signals = set(self._sources)
         for entry in self._systems.values():
             signals |= entry.output_ports.keys() - set(entry.interposed)
         return signals
 
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
-        """Returns the port that readers of a signal are connected to; None without a source.
+        """Returns the output port to which readers of a signal are connected.
 
-        That is the port of the last system interposed on the signal, otherwise the signal's source,
-        otherwise the source of its fallback.
+        It is the output port of the last system interposed on the signal; otherwise the source of
+        the signal; otherwise the source of its fallback.
 
         Args:
             signal: name of the signal.
-            before: name of an interposed system that reads the signal: only systems interposed
-                before it count.
+            before: name of the reader if the reader is interposed on the signal; only systems
+                interposed before this reader are considered. None: all are considered.
+
+        Returns:
+            Output port; None if the signal has no source.
         """
         port = self._sources.get(signal)
         for entry in self._systems.values():
@@ -303,7 +336,10 @@ class SignalBuilder:
 
 
 def connections(diagram: Diagram) -> list[tuple[str, str]]:
-    """Returns the connections of a diagram, sorted: output port and input port as "system.port"."""
+    """Returns the connections between the systems of a diagram, in alphabetical order.
+
+    Each connection is a tuple of output port and input port, each as "system.port".
+    """
     return sorted(
         (
             f"{source.get_name()}.{source.get_output_port(out).get_name()}",

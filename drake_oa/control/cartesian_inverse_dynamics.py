@@ -16,11 +16,14 @@ from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.robot.arm import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
-"""Tool position error along an axis above which integral action pauses [m].
+"""Position error of the tool along a world axis above which integral action pauses [m].
 
-A larger error is probably not caused by the model, but by contact or saturation."""
+A larger error is probably not caused by errors of the robot's model, but by contact or
+saturation."""
 LARGEST_ACCELERATION = 2.0
-"""Maximum correction of each axis by integral action [m/s^2]; model errors of a Panda need < 1."""
+"""Maximum correction of the tool's acceleration along a world axis by integral action [m/s^2].
+
+Model errors of a Panda require less than 1 m/s^2."""
 
 
 class CartesianInverseDynamics(InverseDynamics):
@@ -47,9 +50,9 @@ class CartesianInverseDynamics(InverseDynamics):
 
     - robot_state: (2n,) positions and velocities of the robot, 18 elements for the Panda with
       its hand [rad, m, rad/s, m/s].
-    - desired_position: (3,) of the tool point in the world frame [m].
-    - desired_velocity: (3,) of the tool point in the world frame [m/s].
-    - desired_acceleration: (3,) of the tool point in the world frame [m/s^2].
+    - desired_position: (3,) position of the tool point in the world frame [m].
+    - desired_velocity: (3,) velocity of the tool point in the world frame [m/s].
+    - desired_acceleration: (3,) acceleration of the tool point in the world frame [m/s^2].
     - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE, of either sign and
       any nonzero length. Not connected: the constructor's orientation.
     - desired_angular_velocity (optional): (3,) w_WE in the world frame [rad/s]. Not connected: 0.
@@ -57,22 +60,22 @@ class CartesianInverseDynamics(InverseDynamics):
       connected: 0.
     - desired_posture (optional): (2m,) nominal positions [rad] and velocities [rad/s] of the arm's
       m joints, which the null space tracks. Not connected: the constructor's posture, at rest.
-    - actuation: (n,) in the order of the plant's actuators [N m, N]: control law of
-      `drake_oa.control.operational_space` for the arm, spring and damper for the fingers.
+    - actuation: (n,) torques and forces in the order of the plant's actuators [N m, N]: control law
+      of `drake_oa.control.operational_space` for the arm, spring and damper for the fingers.
     - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
       otherwise 0.
-    - tracking_error: (3,) desired minus actual position in the world frame [m]; inf
-      while it is unknown.
+    - tracking_error: (3,) desired minus actual position in the world frame [m]; inf while stopping
+      is 1.
     - stopping: (1,) 1 while the joints are braked because an input is not finite or the
       quaternion is zero, otherwise 0; the torque is 0 if the robot's state is not finite.
     - orientation_error: (3,) rotation vector from the actual to the desired orientation in
-      the world frame [rad]; inf while it is unknown.
+      the world frame [rad]; inf while stopping is 1.
 
     Under a constant disturbance d, such as a model error, the position error e obeys
-    e'' + kd e' + kp e = d and would remain at d / kp. Integral action removes it: `ki_position`
-    times the integral of e is added to the desired acceleration. So that the force of a blocked
-    tool does not grow, the integral pauses while the error exceeds `LARGEST_ERROR`, and its
-    correction is limited to `LARGEST_ACCELERATION`.
+    e'' + kd e' + kp e = d and would remain at d / kp. Integral action removes this error:
+    `ki_position` times the integral of e is added to the desired acceleration. So that the force of
+    a blocked tool does not grow, the integral pauses while the error exceeds `LARGEST_ERROR`, and
+    the added acceleration is limited to `LARGEST_ACCELERATION`.
 
     The task acceleration is A_c = (alpha_c, a_c) with
 
@@ -98,10 +101,11 @@ class CartesianInverseDynamics(InverseDynamics):
         """Declares ports and state.
 
         Args:
-            plant: plant of the robot, see `InverseDynamics`, as for all other arguments.
-            R_WE_desired: orientation of the tool while desired_orientation is not connected.
-            q_posture: (nq,) positions of the plant that contain the nominal posture while
-                desired_posture is not connected [rad, m].
+            plant: plant of the robot, with the requirements of `InverseDynamics`.
+            R_WE_desired: orientation of the tool, used if desired_orientation is not connected.
+            q_posture: (nq,) positions of the plant [rad, m], whose arm joints are the nominal
+                posture if desired_posture is not connected.
+            options: keyword arguments of `InverseDynamics`.
         """
         super().__init__(plant, **options)
         gains = self._gains

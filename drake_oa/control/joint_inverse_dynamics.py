@@ -29,17 +29,20 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.02
-"""Joint error above which integral action pauses [rad]; contact probably blocks the arm then."""
-LARGEST_ACCELERATION = 4.0
-"""Maximum correction of each joint by integral action [rad/s^2]."""
-FINGER_STIFFNESS = 400.0
-"""Stiffness of the finger joints of the hand [N/m]."""
-FINGER_DAMPING = 10.0
-"""Damping of the finger joints of the hand [N s/m]."""
-LARGEST_STATE = 1e9
-"""Magnitude of a position [rad, m] or velocity [rad/s, m/s] that counts as not finite.
+"""Position error of a joint above which integral action pauses [rad].
 
-Torques computed from larger values would overflow."""
+With a larger error, contact probably blocks the arm."""
+LARGEST_ACCELERATION = 4.0
+"""Maximum correction of the acceleration of each joint by integral action [rad/s^2]."""
+FINGER_STIFFNESS = 400.0
+"""Stiffness with which the controller holds each finger joint at its set point [N/m]."""
+FINGER_DAMPING = 10.0
+"""Damping with which the controller holds each finger joint at its set point [N s/m]."""
+LARGEST_STATE = 1e9
+"""Magnitude of a position [rad, m] or velocity [rad/s, m/s] from which the state counts as invalid.
+
+The controller treats an invalid state as one that is not finite, because torques computed from
+larger values would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +50,11 @@ class Command(Frozen):
     """Torques and status from one evaluation of the control law.
 
     Attributes:
-        tau: (m,) torques of all joints, finite and within the limits [N m, N].
+        tau: (m,) torques and forces of all m joints, finite and within the limits [N m, N].
         saturated: whether the control law exceeds the effort limit of an arm joint.
         stopping: whether the joints are braked because an input is not finite.
-        error: (k,) control error; inf while the joints are braked.
+        error: (k,) control error of the joints or of the tool [rad, m]; inf while the joints are
+            braked.
     """
 
     tau: FloatArray = zeros(0)
@@ -73,21 +77,21 @@ class InverseDynamics(LeafSystem):
       - stopping
 
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
-    - actuation: (m,) in the order of the plant's actuators [N m, N].
+    - actuation: (m,) torques and forces in the order of the plant's actuators [N m, N].
     - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
       otherwise 0.
     - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0.
 
     With the equation of motion M dv/dt + h = tau, a subclass computes tau - h and the control
-    error. It declares a discrete state of the error's size: `ki_position` times the integral of the
-    error, an acceleration. The control law is evaluated once for all outputs. The Context of the
-    robot's plant is a cache entry.
+    error. The subclass also declares a discrete state of the same size as the error. This state is
+    `ki_position` times the integral of the error, an acceleration. The control law is evaluated
+    once for all outputs. The Context of the robot's plant is a cache entry.
     """
 
     largest_error: FloatArray | float
-    """Control error above which integral action pauses, for each component [m or rad]."""
+    """Magnitude of a component of the control error above which its integral pauses [m or rad]."""
     max_correction: float
-    """Maximum correction of a component by integral action [m/s^2 or rad/s^2]."""
+    """Maximum acceleration that integral action adds to each component [m/s^2 or rad/s^2]."""
 
     def __init__(
         self,
@@ -103,10 +107,10 @@ class InverseDynamics(LeafSystem):
         Args:
             plant: finalized plant of the robot alone, its base welded to the world, every joint of
                 one degree of freedom and actuated. It must outlive the system.
-            tool_frame: name of the frame E, which the arm's joints move.
+            tool_frame: name of the tool frame E, which the arm's joints move.
             gains: gains of the controller; None: the defaults.
-            finger_opening: set point of each joint that does not move the tool [m].
-            period: period of the integral's update [s].
+            finger_opening: set point of each finger joint, a joint that does not move E [m].
+            period: period with which the integral is updated [s].
 
         """
         super().__init__()
@@ -137,7 +141,13 @@ class InverseDynamics(LeafSystem):
         self._declare_output("stopping", 1, lambda command: np.full(1, command.stopping))
 
     def _declare_output(self, name: str, size: int, part: Callable[[Command], Any]) -> None:
-        """Declares an output port that publishes a part of the command."""
+        """Declares a vector output port that publishes a part of the current `Command`.
+
+        Args:
+            name: name of the port.
+            size: size of the vector.
+            part: function from the command to the vector.
+        """
         self.DeclareVectorOutputPort(
             name,
             size,
@@ -153,16 +163,17 @@ class InverseDynamics(LeafSystem):
     def _drive(
         self, context: Context, model: Context, M: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Computes the torques that accelerate the arm.
+        """Computes the torques that accelerate the arm, in addition to those against gravity.
 
         Args:
             context: context of the system.
             model: context of the plant, at a finite state.
             M: (n, n) mass matrix of the arm, reflected rotor inertia included [kg m^2].
-            correction: (k,) acceleration by the integral [m/s^2 or rad/s^2].
+            correction: (k,) acceleration by the integral of the error [m/s^2 or rad/s^2].
 
         Returns:
-            Torques tau - h (n,) [N m], not finite if an input is not; and control error (k,).
+            Torques tau - h (n,) [N m], not finite if an input is not; and control error (k,) [rad
+            or m].
         """
 
     def _integrate(self, context: Context, values: DiscreteValues) -> None:
@@ -216,8 +227,8 @@ class JointInverseDynamics(InverseDynamics):
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
     - desired_joint_state: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints.
     - desired_joint_acceleration: (n,) accelerations of the arm's joints [rad/s^2].
-    - actuation: (m,) in the order of the plant's actuators [N m, N]: computed torque for the arm,
-      spring and damper for the other joints.
+    - actuation: (m,) torques and forces in the order of the plant's actuators [N m, N]: computed
+      torque for the arm, spring and damper for the other joints.
     - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
       otherwise 0.
     - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0; the
@@ -237,7 +248,12 @@ class JointInverseDynamics(InverseDynamics):
     largest_error, max_correction = LARGEST_ERROR, LARGEST_ACCELERATION
 
     def __init__(self, plant: MultibodyPlant, **options: Any) -> None:
-        """Declares ports and state; the arguments are those of `InverseDynamics`."""
+        """Declares ports and state.
+
+        Args:
+            plant: plant of the robot, with the requirements of `InverseDynamics`.
+            options: keyword arguments of `InverseDynamics`.
+        """
         super().__init__(plant, **options)
         self._desired = self.DeclareVectorInputPort("desired_joint_state", 2 * self._n)
         self._acceleration = self.DeclareVectorInputPort("desired_joint_acceleration", self._n)
@@ -258,7 +274,11 @@ class JointInverseDynamics(InverseDynamics):
 
 
 def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
-    """Returns the joints that move the tool, as a slice of the plant's velocities.
+    """Finds the joints that move the tool, as a slice of the plant's velocities.
+
+    Args:
+        plant: plant of the robot.
+        frame: tool frame.
 
     Raises:
         ValueError: if no joint moves the tool frame, or these joints are not consecutive.
@@ -275,12 +295,12 @@ def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
 def limit_torque(
     bias: FloatArray, drive: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, bool]:
-    """Limits the torques tau = bias + drive to the efforts of the joints.
+    """Limits the torques tau = bias + drive of an arm to the effort limits of the joints.
 
-    If a joint exceeds its effort, the drive of all joints is scaled by the largest admissible
-    factor in [0, 1]. Gravity remains compensated, and the acceleration keeps its direction;
-    clipping each joint separately would bend the tool's path and rotate the tool. A bias that
-    exceeds its limit alone is clipped.
+    If a joint exceeds its effort limit, the drive of all joints is scaled by the largest factor in
+    [0, 1] that satisfies all limits. Gravity remains compensated, and the acceleration keeps its
+    direction. Clipping each joint separately would bend the tool's path and rotate the tool. A bias
+    that alone exceeds a limit is clipped.
 
     Args:
         bias: (n,) torques that compensate gravity and velocity terms [N m].
@@ -288,7 +308,7 @@ def limit_torque(
         effort: (n,) maximum magnitudes of the torques [N m].
 
     Returns:
-        Torques (n,) within the limits [N m], and whether a joint exceeded its effort.
+        Torques (n,) within the limits [N m], and whether bias + drive exceeds a limit.
     """
     saturated: BoolArray = np.abs(bias + drive) > effort
     acts = drive != 0.0

@@ -6,8 +6,8 @@ Robotics and Automation 3(1), 1987)
 
     dv/dt_c = a_0 + J# (A_c - dJ/dt v - J a_0),    tau = M dv/dt_c + h,
 
-with J# = M^-1 J^T (J M^-1 J^T)^-1, the dynamically consistent inverse: a_0 produces no acceleration
-of the tool. Spatial quantities have Drake's order, rotation before translation.
+with the dynamically consistent inverse J# = M^-1 J^T (J M^-1 J^T)^-1, because of which a_0 produces
+no acceleration of the tool. Spatial quantities have Drake's order, rotation before translation.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ def operational_space_drive(
     posture: FloatArray,
     gains: Gains,
 ) -> FloatArray:
-    """Computes the torques tau - h = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0).
+    """Computes the joint torques for a commanded acceleration of the tool and a null-space posture.
+
+    The torques are tau - h = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0), to which the
+    controller adds gravity and velocity terms h.
 
     Args:
         M: (n, n) mass matrix [kg m^2].
@@ -35,7 +38,7 @@ def operational_space_drive(
         gains: gains, of which `max_effective_mass` and `rotation_length` are used.
 
     Returns:
-        (n,) torques [N m]; not finite if an argument is not.
+        (n,) torques tau - h [N m]; not finite if an argument is not.
     """
     J_by_M = np.linalg.solve(M, J.T).T
     remaining = task - J @ posture
@@ -49,13 +52,14 @@ def operational_space_drive(
 def damped_task_force(
     inverse_inertia: FloatArray, acceleration: FloatArray, max_mass: float, length: float
 ) -> FloatArray:
-    """Computes the task force (J M^-1 J^T)^-1 A of an acceleration A, damped near singularities.
+    """Computes the spatial force (J M^-1 J^T)^-1 A at the tool, damped near singularities.
 
-    Let u_i and w_i be eigenvectors and eigenvalues of S (J M^-1 J^T) S, where S multiplies angles
-    by a length. w_i is the inverse of the effective mass in direction u_i. The damped inverse is
-    S sum_i u_i u_i^T / (w_i + mu_i) S with
+    A is the commanded spatial acceleration of the tool. Let u_i and w_i be eigenvectors and
+    eigenvalues of S (J M^-1 J^T) S, where S multiplies angles by a length. w_i is the inverse
+    of the effective mass in direction u_i. The damped inverse is S sum_i u_i u_i^T / (w_i +
+    mu_i) S with
 
-        mu_i = w_0 (1 - w_i / w_0)^2 where w_i < w_0 = 1 / max_mass, else 0.
+        mu_i = w_0 (1 - w_i / w_0)^2 if w_i < w_0 = 1 / max_mass, else 0.
 
     This is damped least squares in the near-singular directions only; the other directions are
     exact. Joint accelerations are bounded because the smallest denominator is 3 w_0 / 4 (compare
@@ -63,7 +67,7 @@ def damped_task_force(
     effective masses).
 
     Args:
-        inverse_inertia: (6, 6) J M^-1 J^T, rotation first.
+        inverse_inertia: (6, 6) inverse J M^-1 J^T of the tool's inertia matrix, rotation first.
         acceleration: (6,) task acceleration A, rotation first [rad/s^2, m/s^2].
         max_mass: effective mass above which a direction is damped [kg].
         length: length that converts angles to distances [m].

@@ -10,11 +10,11 @@ Systems, both without state:
   bytes of the cloud, so that an unchanged obstacle is described once.
 - `GivenEllipsoidSource` outputs the constant ellipsoids of a scenario (`!GivenEllipsoids`).
 
-Each cloud is dilated by the reflected tool (Minkowski sum). The method "enclosing" computes its
-ellipsoid of minimum volume, "least_squares" the fit of Pairet et al., RA-L 2019, eq. 11. Start and
-goal are known to be free. If the ellipsoid would contain one of them, the cloud is divided into up
-to eight parts, and the tool into its convex parts. The obstacle then has several rows, whose IDs
-differ by multiples of `messages.PART_ID_STRIDE`.
+Each cloud is dilated by the reflected tool (Minkowski sum). The method "enclosing" computes the
+ellipsoid of minimum volume that contains the dilated cloud, "least_squares" the fit (11) of Pairet
+et al., RA-L 2019. Start and goal are known to be free. If the ellipsoid would contain one of them,
+the cloud is divided into up to eight parts, and the tool into its convex parts. The obstacle then
+has several rows in the output, whose IDs differ by multiples of `messages.PART_ID_STRIDE`.
 
 Read first: `descriptor.describe`.
 """

@@ -18,11 +18,15 @@ from drake_oa.geometry.ellipsoid import dilate, enclosing_ellipsoid, signed_dist
 from drake_oa.geometry.superquadric import fit_superquadric
 
 HALVINGS = (1, 2, 3)
-"""Numbers of successive halvings of a cloud that are tried, until free points are outside."""
+"""Numbers of successive halvings of an obstacle's cloud.
+
+They are tried in this order until the ellipsoids of the parts do not contain start or goal."""
 _FEWEST = 8
-"""Minimum number of points of a cloud that is halved."""
+"""Number of points below which a cloud is not halved."""
 _MERGED = 1.3
-"""Maximum ratio of the box volume of two merged tool parts to the sum of their box volumes."""
+"""Maximum ratio of two merged tool parts' bounding box to the sum of both parts' boxes, by volume.
+
+Parts with a larger ratio are not merged."""
 
 
 def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
@@ -33,8 +37,8 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
         halvings: number of halvings.
 
     Returns:
-        At most 2^halvings clouds (N_i, 3), which partition the points. Fewer than 8 points, or
-        equal points, are not divided.
+        At most 2^halvings clouds (N_i, 3) [m], which together contain each point once. Fewer than 8
+        points, or equal points, are not divided.
     """
     if halvings == 0 or len(points) < _FEWEST:
         return [points]
@@ -47,13 +51,13 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 
 
 def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """Merges parts of a tool that fill most of their common bounding box.
+    """Merges parts of a tool if the bounding box of both is not much larger than their own boxes.
 
     Args:
-        parts: (K_i, 3) vertices of each part [m].
+        parts: vertices (K_i, 3) of each convex part of the tool [m].
 
     Returns:
-        Vertices of the merged parts [m].
+        Vertices (K_j, 3) of each merged part [m].
     """
     merged = [np.asarray(part, dtype=float) for part in parts]
     i = 0
@@ -70,19 +74,19 @@ def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
 
 
 def _box_volume(points: FloatArray) -> float:
-    """Computes the volume of the axis-aligned bounding box of points [m^3]."""
+    """Computes the volume of the axis-aligned bounding box of points (N, 3) [m^3]."""
     return float(np.prod(np.ptp(points, axis=0)))
 
 
 Method = Literal["enclosing", "least_squares"]
-"""Name of a method of describing a cloud, see `describe`."""
+"""Name of a method by which `describe` computes the ellipsoid of a dilated cloud."""
 
 _ROOM = 0.02
-"""Minimum distance of an obstacle's ellipsoids from free points; otherwise it is divided [m]."""
+"""Distance between start or goal and an obstacle's ellipsoid below which it is divided [m]."""
 
 
 Shape = tuple[FloatArray, FloatArray, FloatArray]
-"""Center (3,) [m], rotation (3, 3) and semi-axes (3,) [m] of an ellipsoid."""
+"""Ellipsoid as a tuple of center (3,) [m], rotation (3, 3) and semi-axes (3,) [m]."""
 
 
 def describe(
@@ -95,21 +99,26 @@ def describe(
 ) -> EllipsoidSet:
     """Computes the ellipsoids of obstacle clouds dilated by the tool.
 
-    Points that are not finite are ignored; an obstacle without finite points is omitted and noted.
-    Velocities are those of the clouds.
+    Points that are not finite are ignored. An obstacle without finite points is omitted, and the
+    note of the result names the obstacle. The velocities are those of the clouds.
 
     Args:
-        obstacles: M clouds in W [m] with IDs, velocities, stamp, table and note.
+        obstacles: M clouds in the world frame [m] with IDs, velocities, stamp, table and note.
         tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point E, in world
             orientation [m].
         method: "enclosing": the ellipsoid of minimum volume (`ellipsoid.enclosing_ellipsoid`).
-            "least_squares": the superquadric of eq. 11 of the paper, squared, with exponents of 1,
-            fitted to the support points of the dilated cloud; parts of the obstacle stay outside.
-        free_W: (F, 3) positions of E that are known to be free, such as start and goal [m]. An
-            obstacle whose ellipsoid contains one, or is closer than 2 cm, is divided into parts if
-            these have a larger distance. Method "enclosing" only.
-        tool_parts: (K_i, 3) vertices of the tool's convex parts, for divided obstacles [m]; empty:
-            the whole tool.
+            "least_squares": the superquadric of (11) of the paper with exponents of 1, an
+            ellipsoid, fitted to the support points of the dilated cloud; parts of the obstacle stay
+            outside.
+        free_W: (F, 3) positions of the tool point E in the world frame that are known to be free,
+            such as start and goal [m]. If the ellipsoid of an obstacle contains one of these
+            positions, or is closer than 2 cm, the obstacle is divided into parts if the ellipsoids
+            of the parts have a larger distance. Method "enclosing" only.
+        tool_parts: vertices (K_i, 3) of each convex part of the tool, which dilate divided
+            obstacles [m]; empty: the whole tool dilates them.
+
+    Returns:
+        Set with one ellipsoid for each obstacle, or several for a divided obstacle.
     """
     free = np.asarray(free_W, dtype=float).reshape(-1, 3)
     tool, tools = _key(tool_W), [_key(part) for part in tool_parts or (tool_W,)]
@@ -149,18 +158,18 @@ def describe(
 
 
 def _key(points: FloatArray) -> bytes:
-    """Returns the bytes of an array (N, 3), as a hashable argument of cached functions."""
+    """Returns the bytes of an array of points (N, 3), as a hashable argument of `_ellipsoid`."""
     return np.ascontiguousarray(points, dtype=float).tobytes()
 
 
 @lru_cache(maxsize=256)
 def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shape:
-    """Computes the ellipsoid of a cloud dilated by a tool.
+    """Computes the ellipsoid of a cloud dilated by a tool; results are cached.
 
     Args:
-        points: cloud, see `_key`.
-        tool: vertices of the tool, see `_key`.
-        method: "enclosing" or "least_squares", see `describe`.
+        points: bytes of the points of the cloud, computed by `_key`.
+        tool: bytes of the tool's vertices, computed by `_key`.
+        method: "enclosing" or "least_squares", as for `describe`.
     """
     cloud, corners = (np.frombuffer(key).reshape(-1, 3) for key in (points, tool))
     if method == "enclosing":
@@ -172,14 +181,15 @@ def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shap
 def _parts(
     points: FloatArray, tools: Sequence[bytes], halvings: int, free: FloatArray, min_room: float
 ) -> tuple[list[Shape], float]:
-    """Computes the ellipsoids of parts of a cloud, each dilated by each part of the tool.
+    """Computes the ellipsoids of each part of a cloud, dilated by each part of the tool.
 
     Args:
         points: (N, 3) points of the cloud [m].
-        tools: vertices of the tool's parts, see `_key`.
-        halvings: number of halvings of the cloud.
-        free: (F, 3) free points [m].
-        min_room: distance from free points at or below which the computation stops early [m].
+        tools: for each part of the tool, bytes of the vertices, computed by `_key`.
+        halvings: number of successive halvings of the cloud into parts.
+        free: (F, 3) points that are known to be free, such as start and goal [m].
+        min_room: minimum distance of the ellipsoids from free points at or below which the
+            computation stops early, because the result would not be used [m].
 
     Returns:
         Ellipsoids, and their minimum distance from free points [m].
@@ -196,6 +206,9 @@ def _parts(
 
 
 def _room(free: FloatArray, ellipsoids: Sequence[Shape]) -> float:
-    """Computes the minimum distance of points (F, 3) from ellipsoids [m]; inf without points."""
+    """Computes the minimum distance of free points (F, 3) from ellipsoids [m]; inf without points.
+
+    The distance is negative for a point inside an ellipsoid.
+    """
     distances = [signed_distance(free, *shape) for shape in ellipsoids]
     return float(np.min(distances, initial=np.inf))

@@ -1,4 +1,4 @@
-"""Systems of the descriptor layer: ellipsoids of perceived obstacles, or of a scenario."""
+"""Systems of the descriptor layer, which output ellipsoids of perceived or given obstacles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drake_oa.geometry.ellipsoid import checked_points
 
 
 class EllipsoidDescriptor(LeafSystem):
-    """Computation of an ellipsoid for each obstacle dilated by the tool.
+    """System that computes an ellipsoid for each obstacle, dilated by the tool.
 
     .. pydrake_system::
 
@@ -32,10 +32,10 @@ class EllipsoidDescriptor(LeafSystem):
       [m]; may be empty.
     - goal (optional): (3,) goal of the motion in the world frame [m], a position of the tool point
       that is known to be free. Not connected: only `free_W` is known to be free.
-    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs,
-      velocities, table and note of the clouds. An obstacle without finite points is omitted
-      and noted. An obstacle whose ellipsoid would contain a free point, or come within 2 cm of it,
-      has several rows.
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs, velocities,
+      table and note of the clouds. An obstacle without finite points is omitted, and the note names
+      the obstacle. An obstacle whose ellipsoid would contain a free point, or come within 2 cm of
+      one, has several rows.
 
     The system has no state. The output is cached until an input changes. The computation is
     described in `drake_oa.descriptor.descriptor.describe`.
@@ -53,13 +53,13 @@ class EllipsoidDescriptor(LeafSystem):
 
         Args:
             tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point, in world
-                orientation [m], which is assumed constant. [[0, 0, 0]] for a point.
-            method: "enclosing": the minimum-volume ellipsoid of all dilated points.
-                "least_squares": the superquadric of the paper; some points stay outside.
-            free_W: (F, 3) positions of the tool point that are known to be free, such as the
-                start [m].
-            tool_parts: (K_i, 3) vertices of the tool's convex parts, for obstacles near
-                free points [m]; empty: the whole tool.
+                orientation [m]. The orientation is assumed constant. [[0, 0, 0]] for a point.
+            method: "enclosing": the minimum-volume ellipsoid that contains all dilated points.
+                "least_squares": the superquadric fitted as in the paper; some points stay outside.
+            free_W: (F, 3) positions of the tool point in the world frame that are known to be free,
+                such as the start [m].
+            tool_parts: vertices (K_i, 3) of each convex part of the tool, which dilate obstacles
+                near free points [m]; empty: the whole tool dilates them.
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, or free_W is
@@ -92,7 +92,7 @@ class EllipsoidDescriptor(LeafSystem):
 
 
 class GivenEllipsoidSource(LeafSystem):
-    """Source of a constant set of ellipsoids.
+    """Source of a constant set of ellipsoids, the obstacles of a scenario without perception.
 
     .. pydrake_system::
 
@@ -107,11 +107,12 @@ class GivenEllipsoidSource(LeafSystem):
     """
 
     def __init__(self, ellipsoids: EllipsoidSet) -> None:
-        """Declares the port.
+        """Declares the output port.
 
         Args:
-            ellipsoids: constant output. With a stamp of `np.inf` it is never too old; otherwise
-                the policy holds the motion once the stamp is older than `max_observation_age`.
+            ellipsoids: constant output. With a stamp of `np.inf` the output is never too old;
+                otherwise the policy holds the motion as soon as the stamp is older than
+                `policy.max_observation_age`.
         """
         super().__init__()
         self.DeclareAbstractOutputPort(

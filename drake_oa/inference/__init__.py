@@ -1,14 +1,16 @@
-"""Inference layer: parameters of the coupling terms, by the paper's regressor chain.
+"""Inference layer: computes the parameters of coupling terms by the paper's regressor chain.
+
+A coupling term is a turning rate that steers the motion away from one obstacle.
 
 In:  ellipsoids_W `EllipsoidSet`, policy_state `PolicyState` (world frame W).
 Out: coupling_parameters `CouplingParameters` (alpha [1/T] with the demonstrated duration T,
      psi [rad], kappa [1/m^2]).
 
 Systems
-    RegressorChain  stateless; three chained networks map the section of each obstacle to the
-                    parameters of its coupling term
+    RegressorChain  stateless; three chained networks map the section of each obstacle by the
+                    plane of motion to the parameters of a coupling term
 
-`planning.MotionVerifier` verifies the motion of these parameters by roll-out.
+`planning.MotionVerifier` verifies the motion of these parameters by roll-out (simulation).
 
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling term is

@@ -1,4 +1,4 @@
-"""Configuration of the source of coupling parameters: a scenario's field `inference`."""
+"""Configuration of the inference layer, which computes coupling parameters: field `inference`."""
 
 from typing import Literal
 
@@ -10,43 +10,45 @@ from drake_oa.common.config import BLOCK
 
 @dataclass(config=BLOCK)
 class Paper:
-    """Coupling parameters by the paper's regressor chain; fields select interpretations of it.
+    """Configuration of the paper's method: a regressor chain computes the coupling parameters.
 
-    `policy.fade` is an interpretation, too.
+    The fields select between interpretations of the paper (Pairet et al., RA-L 2019). The field
+    `policy.fade` also selects an interpretation.
     """
 
     weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
-    """Weights of the regressor chain RC(lambda', Delta): a package:// URL, or a file relative to
-    the scenario. The default is trained by the paper's procedure with this package's integrator."""
+    """Weights file of the regressor chain, which computes coupling parameters from the section of
+    an obstacle: a package:// URL, or a file relative to the scenario. The default file is trained
+    by the paper's procedure with this package's integrator."""
     shape: Literal["superquadric", "enclosing"] = "superquadric"
-    """Descriptor of an obstacle dilated by the tool: the least-squares `superquadric` (eq. 11), or
-    the `enclosing` ellipsoid."""
+    """Ellipsoid that describes an obstacle dilated by the tool: `superquadric` is the least-squares
+    fit (11) of the paper, `enclosing` the ellipsoid of minimum volume that contains all points."""
     guided: bool = True
-    """Whether cost rings select the sides and heading guidance (eq. 9) turns the motion toward
-    them, and the duration is scaled with the length of the avoiding path (section IV-E). If false,
-    the avoidance term alone determines the side."""
+    """Whether cost rings select the side on which each obstacle is passed, heading guidance (9) of
+    the paper turns the motion toward this side, and the duration is scaled with the length of the
+    avoiding path (section IV-E). If false, the avoidance term alone determines the side."""
 
 
 @dataclass(config=BLOCK)
 class Verified:
-    """Motions verified by whole-arm roll-outs among the obstacles' shapes."""
+    """Configuration of the search for a motion, verified by roll-outs (simulations) of the arm."""
 
     chain: str | None = "package://drake_oa/weights/paper_chain_running.safetensors"
-    """Weights of the paper's regressor chain, whose rows together are one candidate motion,
-    and each alone a first candidate of the search: a package:// URL, or a file relative to the
-    scenario; null: no such motions."""
+    """Weights file of the paper's regressor chain, whose coupling terms for all obstacles together
+    are one candidate motion, and for each obstacle alone a seed of the search: a package:// URL, or
+    a file relative to the scenario; null: no such candidates."""
     candidates: int = Field(default=32, ge=8, le=4096)
-    """Number of motions rolled out in each iteration of the search [1]. Raising it searches more
-    widely."""
+    """Number of candidate motions that each iteration of the search simulates [-]. Raising it
+    searches more widely."""
     generations: int = Field(default=8, ge=0, le=1000)
-    """Maximum number of iterations of the search [1]. Raising it searches longer for a feasible
-    motion."""
+    """Maximum number of iterations of the search for a feasible motion [-]. Raising it searches
+    longer before the search fails."""
     refinement_generations: int = Field(default=4, ge=0, le=1000)
-    """Number of iterations of the search after the first feasible motion [1]. Raising it gives
+    """Number of iterations of the search after the first feasible motion [-]. Raising it gives
     shorter motions."""
     slack: float = Field(default=5e-4, ge=0.0, le=0.1)
-    """Maximum clearance shortfall of a feasible motion, and reduction of the clearance achievable
-    at start and goal [m]. Raising it accepts motions closer to the obstacles."""
+    """Maximum clearance shortfall of a feasible motion, and reduction of the clearance that is
+    achievable at start and goal [m]. Raising it accepts motions closer to the obstacles."""
     tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
     """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
     motions that end farther away."""
@@ -54,15 +56,16 @@ class Verified:
     """Requested clearance of the links from all collision geometry, and of the tool from the
     environment [m]. Raising it makes the arm pass at a larger distance."""
     ring_weight: float = Field(default=0.5, ge=0.0, le=100.0)
-    """Cost of a side that a user-supplied cost ring rates with 1, as additional path length over
-    the start-to-goal distance [1]. Raising it accepts longer detours to avoid such sides."""
+    """Cost of passing obstacles on a side that a user-supplied cost ring rates with 1, as
+    additional path length over the distance from start to goal [-]. Raising it accepts longer
+    detours to avoid such sides."""
     compute_budget: float = Field(default=0.028, ge=0.0, le=100.0)
-    """Maximum compute latency of one search while the robot or an obstacle moves, by the model of
-    `drake_oa.common.latency` [s]; a longer search continues with the next observation. Raising it
-    decides later and better; keep it below the frame period of the camera."""
+    """Maximum compute latency of one search while the robot or an obstacle moves [s], estimated by
+    the model of `drake_oa.common.latency`; a longer search continues with the next observation.
+    Raising it gives later and better decisions; keep it below the frame period of the camera."""
     configurations: int = Field(default=20_000, ge=0, le=10_000_000)
-    """Maximum number of configurations that the joint-space planner checks if no motion of the
-    tool is feasible [1]. Raising it finds more paths and takes longer."""
+    """Maximum number of configurations of the arm that the joint-space planner checks if the search
+    has found no feasible motion [-]. Raising it finds more paths and requires more time."""
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
-    """Maximum number of configurations that the joint-space planner checks at the reduced
-    clearance of last resort [1]. Raising it finds more paths and takes longer."""
+    """Maximum number of configurations of the arm that the joint-space planner checks at the
+    reduced clearance, its last resort [-]. Raising it finds more paths and requires more time."""

@@ -6,12 +6,15 @@ Three small networks are evaluated in sequence (section IV-C of Pairet et al., R
     Y2: (h, kappa)      -> psi
     Y3: (h, kappa, psi) -> alpha
 
-The input is h = (lambda1', lambda2', Delta): half-extents lambda' of the obstacle's section by the
-plane of motion, and requested clearance Delta. A chain of two inputs omits Delta.
+The input is h = (lambda1', lambda2', Delta), with the half-extents lambda' of the obstacle's
+section by the plane of motion, and the requested clearance Delta. A chain of two inputs omits
+Delta. The outputs are the parameters of the turning rate
+alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2), with the angle theta between heading and
+obstacle, and the distance d from the center of the obstacle.
 
 The coupling term is scale invariant: with lengths divided by the baseline L (distance from start to
 goal), h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is a turning rate in units of
-1/T, with T the demonstrated duration.
+1/T, with the demonstrated duration T.
 """
 
 from __future__ import annotations
@@ -28,33 +31,35 @@ from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.inference.weights_file import array_of, read_weights, write_weights
 
 _ROUNDING = 1e-12
-"""Distance outside the trained range, in baselines, at which an input still counts as inside."""
+"""Tolerance for rounding by which an input of the chain may be outside the trained range [-].
+
+Inputs are lengths divided by the distance from start to goal."""
 
 _NARROWEST = 1e-3
-"""Minimum of psi, the width of a coupling term's response to the heading [rad]."""
+"""Minimum psi that the chain outputs, the width of a coupling term's response to heading [rad]."""
 
 _PARALLEL = 1e-6
-"""Sine of the angle below which two directions do not span a plane."""
+"""Sine of the angle between two directions below which they do not span a plane [-]."""
 
 
 TARGETS = ("kappa", "psi", "alpha")
-"""Names of the coupling parameters in the order in which the chain's networks compute them."""
+"""Names of the coupling parameters in the order in which a regressor chain computes them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Network(Frozen):
-    """Multilayer perceptron with tanh layers, a linear output and min-max scaling.
+    """Multilayer perceptron with tanh layers, one linear output and min-max scaling.
 
-    The scaled input of the layers is ``(x - in_offset) * in_gain - 1``, and the result of their
-    output y is ``(y + 1) / out_gain + out_offset``.
+    The first layer receives the scaled input ``(x - in_offset) * in_gain - 1``. The result of the
+    network is ``(y + 1) / out_gain + out_offset``, with the output y of the last layer.
 
     Attributes:
-        weights: (n_out, n_in) matrix of each layer.
-        biases: (n_out,) vector of each layer.
-        in_offset: (d,) minima of the training inputs.
-        in_gain: (d,) scale of the inputs.
-        out_offset: minimum of the training targets.
-        out_gain: scale of the target.
+        weights: (n_out, n_in) weight matrix of each layer.
+        biases: (n_out,) bias vector of each layer.
+        in_offset: (d,) minima of the d inputs in the training set.
+        in_gain: (d,) factors that scale the inputs to [-1, 1].
+        out_offset: minimum of the output in the training set.
+        out_gain: factor that scales the output to [-1, 1].
     """
 
     weights: tuple[FloatArray, ...]
@@ -65,7 +70,7 @@ class Network(Frozen):
     out_gain: float
 
     def evaluate(self, x: FloatArray) -> FloatArray:
-        """Evaluates the network at N inputs: (N, d) -> (N,)."""
+        """Evaluates the network at N inputs (N, d), and returns N outputs (N,)."""
         y = (x - self.in_offset) * self.in_gain - 1.0
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             y = np.tanh(y @ weight.T + bias)
@@ -74,14 +79,14 @@ class Network(Frozen):
 
 
 _SCALING = ("in_offset", "in_gain", "out_offset", "out_gain")
-"""Scaling fields of a `Network`: two with one element per input, then two scalars."""
+"""Fields of `Network` for the scaling: two with one element per input, then two scalars."""
 
 
 def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) -> Network:
     """Returns a network from the arrays of a weights file.
 
     Args:
-        path: file, for errors.
+        path: weights file, named in errors.
         arrays: arrays of the file: <name>_W1, <name>_b1, ..., and <name>_<field> for the scaling.
         name: name of the network.
         n_inputs: number of inputs of the network.
@@ -104,14 +109,17 @@ def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) 
 
 @dataclass(frozen=True, eq=False)
 class ChainWeights(Frozen):
-    """Networks of a regressor chain, range of their inputs, and provenance.
+    """Networks of a regressor chain, the trained range of its inputs, and its provenance.
+
+    The inputs are lambda1'/L, lambda2'/L and, if d = 3, Delta/L: half-extents of an obstacle's
+    section and requested clearance, divided by the distance L from start to goal.
 
     Attributes:
-        networks: networks by target name, see `TARGETS`.
-        lower: (d,) minima of lambda1'/L, lambda2'/L and, if d = 3, Delta/L in the training set.
-        upper: (d,) maxima of the same inputs.
+        networks: networks by the names in `TARGETS`.
+        lower: (d,) minima of the inputs in the training set.
+        upper: (d,) maxima of the inputs in the training set.
         metadata: units, ranges, recipe, configuration, seed, normalized mean squared errors,
-            version, date, source digest.
+            version, date and source digest of the training.
     """
 
     networks: Mapping[str, Network]
@@ -123,10 +131,11 @@ class ChainWeights(Frozen):
         """Evaluates the three networks in sequence, without clipping inputs to the trained range.
 
         Args:
-            inputs: (N, d) lambda1'/L, lambda2'/L and, if d = 3, Delta/L.
+            inputs: (N, d) half-extents lambda1'/L, lambda2'/L of the obstacle's section and, if
+                d = 3, requested clearance Delta/L, divided by the distance L from start to goal.
 
         Returns:
-            (N, 3) alpha, psi, kappa L^2.
+            (N, 3) coupling parameters: alpha in units of 1/T, psi [rad], kappa L^2 [-].
         """
         columns = inputs
         for target in TARGETS:
@@ -138,16 +147,17 @@ class ChainWeights(Frozen):
     ) -> CouplingParameters:
         """Computes the coupling parameters of obstacles from their sections, in physical units.
 
-        An input outside the trained range is clipped to it, and its `in_range` is False.
+        Inputs outside the trained range are clipped to this range. `in_range` of such an obstacle
+        is False in the result.
 
         Args:
-            extents: (M, 2) half-extents lambda' along and across the baseline [m], see
-                `section_extents`.
+            extents: (M, 2) half-extents lambda' of the sections along and across the line from
+                start to goal [m], computed by `section_extents`.
             clearance: requested clearance Delta [m]; no effect on a chain of two inputs.
             baseline: distance L from start to goal [m].
 
         Returns:
-            Parameters with one row per obstacle.
+            Coupling parameters with one row per obstacle.
         """
         query = np.column_stack([extents, np.full(len(extents), clearance)]) / baseline
         query = query[:, : len(self.lower)]
@@ -159,15 +169,16 @@ class ChainWeights(Frozen):
 
 
 def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> FloatArray:
-    """Computes the axes along which the sections of M obstacles by planes are measured.
+    """Computes the axes along which sections of M obstacles, each by a plane, are measured.
 
     Args:
-        baseline: (3,) direction from start to goal.
-        to_O: (M, 3) vectors to the obstacles, in the planes.
+        baseline: (3,) unit vector from start to goal, the baseline.
+        to_O: (M, 3) vectors from the tool point to the centers of the obstacles, in the planes.
         normal: (M, 3) unit normals of the planes.
 
     Returns:
-        (M, 2, 3) unit vectors in each plane, along the projection of the baseline and across it.
+        (M, 2, 3) two orthogonal unit vectors in each plane; the first has the direction of the
+        projection of the baseline.
     """
     along = baseline - (normal @ baseline)[:, None] * normal
     # In a plane orthogonal to the baseline, the direction to the obstacle replaces the projection.
@@ -180,23 +191,23 @@ def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> Fl
 def section_extents(
     p_WE: FloatArray, z_W: FloatArray, R_WL: FloatArray, shapes: EllipsoidSet
 ) -> FloatArray:
-    """Computes the half-extents lambda' of the obstacles' sections by their planes of motion.
+    """Computes half-extents lambda' of the sections of obstacles by the plane of motion.
 
-    The plane of motion (P-plane) of an obstacle is spanned by ``p_WO - p_WE`` and the scaled
-    velocity ``z_W``; if these are parallel, by the x and z axes of the local frame. With
-    U = [u1, u2] of `plane_axes`, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
-    ``A = R diag(1/l^2) R^T``, and its half-extents are the support function ``sqrt(u^T S^-1 u)``
-    along u1 and u2. Unlike the principal semi-axes of the section, they vary continuously when an
-    obstacle rotates.
+    Each obstacle has a plane of motion (P-plane), which is spanned by ``p_WO - p_WE`` and the
+    scaled velocity ``z_W``; if these are parallel, by the x and z axes of the local frame. Let
+    U = [u1, u2] be the axes of `plane_axes` in this plane, and ``A = R diag(1/l^2) R^T`` the matrix
+    of the ellipsoid. The section is ``{a : a^T S a <= 1}`` with ``S = U^T A U``. The half-extents
+    are the values of the support function ``sqrt(u^T S^-1 u)`` along u1 and u2. Unlike the
+    principal semi-axes of the section, they vary continuously when an obstacle rotates.
 
     Args:
-        p_WE: (3,) position of the tool point [m].
-        z_W: (3,) scaled velocity [m].
+        p_WE: (3,) position of the tool point in the world frame [m].
+        z_W: (3,) scaled velocity of the tool point in the world frame [m].
         R_WL: (3, 3) local frame, x from start to goal, z up.
-        shapes: M obstacles.
+        shapes: M ellipsoids of the obstacles.
 
     Returns:
-        (M, 2) half-extents along and across the baseline [m].
+        (M, 2) half-extents along and across the baseline (line from start to goal) [m].
     """
     to_O = shapes.p_WO - p_WE
     normal = np.cross(to_O, z_W)
@@ -210,10 +221,10 @@ def section_extents(
 
 
 def save_chain(chain: ChainWeights, path: str | Path) -> None:
-    """Writes a chain and its metadata to a .safetensors file.
+    """Writes the networks and metadata of a regressor chain to a .safetensors file.
 
     Raises:
-        ValueError: for another file name extension.
+        ValueError: for another file name extension than .safetensors.
     """
     arrays = {"lower": chain.lower, "upper": chain.upper}
     for name, network in chain.networks.items():
@@ -224,9 +235,16 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
 
 
 def check_action_level(weights: ChainWeights, path: str | Path) -> None:
-    """Raises ValueError if a chain was trained for another unit of alpha than the policy's, 1/T.
+    """Checks that the strength alpha of a regressor chain has the unit 1/T, as in the policy.
 
-    Chains of the paper's released code have another unit.
+    T is the demonstrated duration. Chains of the paper's released code have another unit.
+
+    Args:
+        weights: regressor chain.
+        path: weights file of the chain, named in the error.
+
+    Raises:
+        ValueError: if the chain has another unit.
     """
     unit = weights.metadata.get("units", {}).get("alpha", "1/T")
     if unit != "1/T":
@@ -237,7 +255,7 @@ def check_action_level(weights: ChainWeights, path: str | Path) -> None:
 
 
 def load_chain(path: str | Path) -> ChainWeights:
-    """Reads a chain of two or three inputs from a file of `save_chain`.
+    """Reads a regressor chain of two or three inputs from a file that `save_chain` has written.
 
     Raises:
         FileNotFoundError: if the file does not exist.
@@ -255,4 +273,4 @@ def load_chain(path: str | Path) -> ChainWeights:
 
 
 _FORMAT = "drake_oa regressor chain 1"
-"""Format name and version in the metadata of weights files."""
+"""Name and version of the file format, in the metadata of a regressor chain's weights file."""

@@ -12,7 +12,7 @@ from drake_oa.inference.regressor import ChainWeights, section_extents
 
 
 class RegressorChain(LeafSystem):
-    """Evaluator of the paper's regressor chain: obstacle descriptors to coupling parameters.
+    """Evaluator of the paper's regressor chain, which maps ellipsoids to coupling parameters.
 
     .. pydrake_system::
 
@@ -24,10 +24,12 @@ class RegressorChain(LeafSystem):
       - coupling_parameters
 
     - ellipsoids_W: abstract `EllipsoidSet`, M obstacles dilated by the tool; may be empty.
-    - policy_state: abstract `PolicyState` of the movement primitive. Position and velocity define
-      the plane of motion of each obstacle, whose section is the input of the chain.
-    - coupling_parameters: abstract `CouplingParameters`, M rows: alpha, psi, kappa of terms about
-      the obstacles' centers, and whether the input was in the trained range.
+    - policy_state: abstract `PolicyState` of the movement primitive. Position, velocity and the
+      center of an obstacle define a plane of motion. The section of the obstacle by this plane is
+      the input of the chain.
+    - coupling_parameters: abstract `CouplingParameters` with M rows: alpha, psi and kappa of
+      coupling terms about the centers of the obstacles, and whether the input of the chain was in
+      the trained range.
 
     The system has no state. The output is cached until an input changes. While start and goal
     coincide (before the first motion) alpha is 0 and no row is in range.

@@ -18,7 +18,13 @@ from drake_oa.common.messages import FloatArray
 def write_weights(
     path: str | Path, arrays: Mapping[str, Any], metadata: Mapping[str, Any], kind: str
 ) -> None:
-    """Writes arrays and metadata to a weights file of format `kind`.
+    """Writes arrays and metadata to a weights file in the .safetensors format.
+
+    Args:
+        path: file to replace.
+        arrays: arrays by name.
+        metadata: metadata, saved as JSON.
+        kind: name and version of the format of arrays and metadata, saved with the metadata.
 
     Raises:
         ValueError: for another file name extension than .safetensors.
@@ -34,11 +40,18 @@ def write_weights(
 
 
 def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Reads arrays and metadata of a weights file of format `kind`.
+    """Reads arrays and metadata of a weights file.
+
+    Args:
+        path: .safetensors file written by `write_weights`.
+        kind: required name and version of the format.
+
+    Returns:
+        Arrays by name, and metadata.
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: if the file cannot be read, or has another format.
+        ValueError: if the file cannot be read, or has another format than `kind`.
     """
     if not path.is_file():
         raise FileNotFoundError(
@@ -64,10 +77,10 @@ def array_of(
     """Returns an array of a weights file and checks its shape and values.
 
     Args:
-        path: file, for errors.
-        arrays: arrays of the file.
+        path: weights file, named in errors.
+        arrays: arrays of the file by name.
         key: name of the array.
-        shape: required shape; None: any length.
+        shape: required shape; an element None permits any length.
 
     Raises:
         ValueError: if the array is missing, misshapen or not finite; names file and array.

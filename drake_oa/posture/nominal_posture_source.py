@@ -1,4 +1,4 @@
-"""System of the posture layer: nominal posture of the arm's null space along the tool's motion."""
+"""System of the posture layer: source of the nominal posture that the arm's null space tracks."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ class NominalPostureSource(LeafSystem):
       output_ports:
       - desired_posture
 
-    - motion: abstract `PlannedMotion`; without joint positions the nominal posture is `q_rest`.
+    - motion: abstract `PlannedMotion`, joint positions over normalized time (time over demonstrated
+      duration times tau); without joint positions the nominal posture is `q_rest`.
     - policy_state: abstract `PolicyState` of the movement primitive.
     - desired_posture: (2n,) nominal positions [rad] and velocities [rad/s] of the arm's n joints,
       for `CartesianInverseDynamics`.
 
-    The posture is that of the plan at the policy's normalized time. It is at rest while the motion
-    is held, and after a restart until there is a plan for the new motion. The transition to a new
-    plan is continuous (`drake_oa.posture.posture_trajectory`). The abstract state is the current
-    `PostureTrajectory`.
+    The posture is that of the planned motion at the policy's normalized time. The posture is at
+    rest while the motion is held, and after a restart until the input contains a plan for the new
+    motion. The transition to a new plan is continuous (`drake_oa.posture.posture_trajectory`). The
+    abstract state is the current `PostureTrajectory`.
     """
 
     def __init__(
@@ -47,7 +48,7 @@ class NominalPostureSource(LeafSystem):
         """Declares the ports.
 
         Args:
-            q_rest: (n,) nominal posture without a plan [rad].
+            q_rest: (n,) nominal posture while no joint positions are planned [rad].
             alpha_k: decay rate of the policy's phase, per normalized time.
             period: period at which the input `motion` is checked for a new plan [s].
 
@@ -77,7 +78,15 @@ class NominalPostureSource(LeafSystem):
         return context.get_abstract_state(self._trajectory).get_value()
 
     def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
-        """Computes normalized time in a motion, its rate [1/s], and the time [s]."""
+        """Computes the arguments of `PostureTrajectory.at` for the current state of the policy.
+
+        Args:
+            context: context of the system.
+            motion: planned motion.
+
+        Returns:
+            Normalized time in the planned motion, its rate [1/s], and the time of the context [s].
+        """
         policy = self._policy.read(context)
         time = context.get_time()
         if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():

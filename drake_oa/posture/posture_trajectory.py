@@ -1,13 +1,14 @@
-"""Trajectory of the nominal posture, continuous also when the plan changes.
+"""Trajectory of the arm's nominal posture, which is continuous even if the planned motion changes.
 
-Between the samples the joints follow monotone cubic polynomials of normalized time (F. N.
-Fritsch and J. Butland, SIAM J. Sci. Stat. Comput. 5(2), 1984). They do not overshoot: each joint
-stays between its positions at both samples. The transition to a new plan q*(t) is critically
-damped,
+Between the samples of a planned motion the joints follow monotone cubic polynomials of normalized
+time (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput. 5(2), 1984). These polynomials do not
+overshoot: each joint stays between its positions at both samples. The transition to a new plan
+q*(t) is critically damped,
 
     q(t) = q*(t) + (e_0 + (de_0/dt + w e_0) (t - t_0)) exp(-w (t - t_0)),
 
-where e_0 is the difference of the old trajectory from q* at the change t_0.
+where e_0 is the difference of the old trajectory from q* at the time t_0 of the change, and w a
+constant rate.
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
 
 TAKE_OVER = 4.0
-"""Rate w at which the trajectory converges to a new plan [1/s]."""
+"""Rate w at which the trajectory of the nominal posture converges to a new plan [1/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PostureTrajectory(Frozen):
-    """Positions and velocities of n joints over time.
+    """Trajectory of the nominal posture: positions and velocities of n joints over time.
 
     Attributes:
-        motion: plan of the motion.
-        spline: joint positions over normalized time [rad]; constant without a plan.
-        offset: (2n,) state of the previous trajectory minus that of the plan when the plan
-            changed [rad, rad/s].
-        since: time of this change [s].
+        motion: planned motion that the trajectory follows.
+        spline: planned joint positions over normalized time [rad]; constant if none are planned.
+        offset: (2n,) positions and velocities of the previous trajectory minus those of the plan,
+            at the time of the change to this plan [rad, rad/s].
+        since: time of the change to this plan [s].
     """
 
     motion: PlannedMotion
@@ -42,12 +43,15 @@ class PostureTrajectory(Frozen):
     since: float = 0.0
 
     def at(self, s: float, speed: float, time: float) -> FloatArray:
-        """Computes positions [rad] and velocities [rad/s] of the joints, (2n,).
+        """Computes positions and velocities of the joints at a time.
 
         Args:
-            s: normalized time.
-            speed: ds/dt [1/s].
+            s: normalized time in the planned motion, clipped to the planned range.
+            speed: rate ds/dt of normalized time [1/s].
             time: current time [s].
+
+        Returns:
+            (2n,) positions [rad] and velocities [rad/s].
         """
         s = min(max(s, self.spline.x[0]), self.spline.x[-1])
         e, de = np.split(self.offset, 2)
@@ -59,7 +63,12 @@ class PostureTrajectory(Frozen):
 
 
 def trajectory_of(motion: PlannedMotion, rest: FloatArray) -> PostureTrajectory:
-    """Returns the trajectory of a plan; without a plan that of the posture `rest` (n,) [rad]."""
+    """Returns the trajectory of a planned motion, without a transition from a previous plan.
+
+    Args:
+        motion: planned motion.
+        rest: (n,) constant posture of the trajectory if no joint positions are planned [rad].
+    """
     s, q = motion.s, motion.q
     if len(q) < 2:
         s, q = np.array([0.0, 1.0]), np.tile(q[0] if len(q) else rest, (2, 1))

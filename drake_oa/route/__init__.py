@@ -3,17 +3,17 @@
 In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m]; optionally the support plane.
 Out: `Route`, with three values for each obstacle: the direction omega_d from the baseline (the line
 from start to goal) to the selected side; the normal of the plane in which the obstacle is passed;
-and the clearance at which guidance passes it.
+and the clearance at which guidance leads the motion past the obstacle.
 
 System: `CostRingSelector`, updated 15 times per second, with hysteresis.
 
-A cost ring (Pairet et al., RA-L 2019, section IV-D) is a cost in [0, 1] of each direction of a
-circle around the baseline: length of the detour, height above the table, limits of the workspace
-and of the joints; 1 forbids a direction. The direction with the minimum sum of costs is selected;
-for several obstacles along the baseline the sequence with the minimum total cost, by dynamic
-programming.
+A cost ring (Pairet et al., RA-L 2019, section IV-D) assigns a cost in [0, 1] to each direction on a
+circle around the baseline. There are rings for the length of the detour, the height above the
+table, the workspace of the arm, and its joint limits; a cost of 1 forbids a direction. The
+direction with the minimum sum of costs is selected. For several obstacles along the baseline, the
+sequence of directions with the minimum total cost is selected by dynamic programming.
 
-- `cost_rings`: cost rings, groups of obstacles, path segments between them, and the selection.
+- `cost_rings`: cost rings, groups of obstacles, path segments between obstacles, and the selection.
 
 The configuration is the field `table_height` of the block `policy`.
 

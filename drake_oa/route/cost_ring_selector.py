@@ -39,7 +39,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 class CostRingSelector(LeafSystem):
-    """Selector of the passing side of each obstacle by cost rings.
+    """Selector of the side on which each obstacle is passed, by costs of directions (cost rings).
 
     .. pydrake_system::
 
@@ -58,11 +58,12 @@ class CostRingSelector(LeafSystem):
     - goal: (3,) goal of the motion in the world frame [m].
     - table (optional): abstract `TablePlane`, the support plane. Not connected: the plane of
       the ellipsoids.
-    - route: abstract `Route`: for each obstacle the selected direction omega_d, the normal of its
-      plane and the clearance of the guidance; the cost rings; and the costs of the sides by
-      user-supplied rings. Empty before the first motion. It changes with decisions, not with each
-      step of the policy; `DmpIntegrator` computes the guidance headings.
-    - decision: the same `Route`.
+    - route: abstract `Route`: for each obstacle the selected direction omega_d, the normal of the
+      plane in which the obstacle is passed, and the clearance of the guidance; the cost rings; and
+      the costs of the sides by user-supplied rings. Empty before the first motion. The output
+      changes with decisions, not with each step of the policy; `DmpIntegrator` computes the
+      guidance headings.
+    - decision: the same `Route`, for readers under another signal name.
 
     The sides of all obstacles are selected together (`drake_oa.route.cost_rings`). If all
     directions of an obstacle are forbidden, `blocked` is set, the note names the obstacle, and the
@@ -91,12 +92,12 @@ class CostRingSelector(LeafSystem):
         Args:
             requested_clearance: requested clearance Delta between tool and obstacles [m].
             period: time between decisions [s].
-            table_height: minimum height of E above the table [m].
-            joint_margins: function for the distance of the joints from their limits along paths
-                of the tool; None: the rings "workspace" and "joint_limits" are omitted.
-            extra_rings: user-supplied rings by name.
-            ring_weight: cost of a side for which such a ring is just below 1, as additional path
-                length over the baseline.
+            table_height: minimum height of the tool point above the table [m].
+            joint_margins: function that computes the distance of the joints from their limits along
+                paths of the tool; None: the rings "workspace" and "joint_limits" are omitted.
+            extra_rings: user-supplied cost rings by name.
+            ring_weight: cost of a side that a user-supplied ring rates just below 1, as additional
+                path length over the distance from start to goal [-].
 
         Raises:
             ValueError: if the period is not finite and positive.
@@ -135,7 +136,16 @@ class CostRingSelector(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
-        """Computes the route of a motion from p_WS to p_WG by the cost rings."""
+        """Selects the passing sides of all obstacles for a motion, by the cost rings.
+
+        Args:
+            context: context of the system, from which obstacles and table are read.
+            p_WS: (3,) start of the motion in the world frame [m].
+            p_WG: (3,) goal of the motion in the world frame [m].
+
+        Returns:
+            Route with the selected sides.
+        """
         ellipsoids = self._ellipsoids.read(context)
         R_WL = local_frame(p_WS, p_WG)
         table = self._table.find(context) or ellipsoids.table
@@ -181,7 +191,7 @@ class CostRingSelector(LeafSystem):
         state.get_mutable_abstract_state(self._decided).set_value(route)
 
     def _current(self, context: Context) -> Route:
-        """Returns the last decision, or a new one if the set of obstacles has changed since."""
+        """Returns the last route, or computes a new one if the set of obstacles has changed."""
         ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()
         if decided.baseline == 0.0:
@@ -194,7 +204,15 @@ class CostRingSelector(LeafSystem):
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
     def _side_cost(self, costs: Mapping[str, FloatArray]) -> FloatArray:
-        """Computes the costs (K,) of the sides by user-supplied rings; zeros (1,) without any."""
+        """Computes the cost of passing all obstacles on the same side, by user-supplied cost rings.
+
+        Args:
+            costs: costs (M, K) of M obstacles and K sides by the name of the ring.
+
+        Returns:
+            (K,) costs as additional path length over the distance from start to goal, inf for a
+            forbidden side; (1,) zeros without user-supplied rings or obstacles.
+        """
         costs = {name: cost for name, cost in costs.items() if name in self._extra and len(cost)}
         if not costs:
             return np.zeros(1)

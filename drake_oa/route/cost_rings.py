@@ -1,15 +1,15 @@
 """Cost rings, and the selection of the sides on which obstacles are passed.
 
-For each obstacle several cost rings rate a circle of directions omega in the YZ plane of the
-policy's local frame L. The direction with the minimum total cost is the side on which the obstacle
-is passed (Pairet et al., RA-L 2019, section IV-D, eq. 12):
+Each cost ring rates, for each obstacle, directions omega on a circle around the line from start to
+goal, in the YZ plane of the local frame L (x from start to goal, z up). The direction with the
+minimum total cost is the side on which the obstacle is passed, by (12) of Pairet et al., RA-L 2019:
 
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
-eta_limits is the sum of two rings, which are not both 1 for any direction: paths that the arm
-cannot reach, and paths close to a joint limit, both by inverse kinematics along the path. A ring is
-a function that maps a `RingScene` to an (M, K) array of costs in [0, 1]; `select_directions` also
-adds user-supplied rings to the sum.
+eta_limits is the sum of two rings, which are not both 1 for any direction. One forbids paths that
+the arm cannot reach, the other paths close to a joint limit, both by inverse kinematics along the
+path. A ring is a function that maps a `RingScene` to an (M, K) array of costs in [0, 1];
+`select_directions` also adds user-supplied rings to the sum.
 
 With several obstacles along the baseline (the line from start to goal) the best side of one depends
 on that of the next: the leg (straight segment) between two passing points has a length and may
@@ -19,11 +19,12 @@ baseline, and the direction omega_i of group i, the selection minimizes
     sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / max(l_max - l_min, 0.1 N L)
           + 2 sum over the legs of their obstruction.
 
-eta_i is the sum of the group's rings except the length ring. l is the length of the path from start
-via the passing points to the goal, with the bounds l_min and l_max, and L the baseline. With one
-obstacle no leg is obstructed, and this is eq. 12 of the paper. Each term depends on consecutive
-groups only, so that dynamic programming (Viterbi) finds the minimum of all K^N combinations in
-N K^2 steps.
+eta_i is the sum of the rings of group i except the length ring. l is the length of the path from
+start via the passing points to the goal, with the minimum l_min and the maximum l_max over all
+combinations, and L the length of the baseline. The obstruction of a leg is computed by
+`obstruction`. With one obstacle no leg is obstructed, and the sum is that of (12) of the paper.
+Each term depends on consecutive groups only, so that dynamic programming (Viterbi) finds the
+minimum of all K^N combinations of K directions in N K^2 steps.
 """
 
 from __future__ import annotations
@@ -39,28 +40,33 @@ from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArr
 from drake_oa.geometry.ellipsoid import signed_distance
 
 FORBIDDEN = 1.0
-"""Cost at which a cost ring forbids a direction of passing an obstacle [1]."""
+"""Cost at or above which a cost ring forbids to pass an obstacle in a direction [-]."""
 JOINT_MARGIN = 0.1
-"""Distance from a joint limit below which `joint_limits_ring` forbids a direction [rad]."""
+"""Distance from a joint limit below which a path past an obstacle is forbidden [rad]."""
 _HYSTERESIS = 0.2
-"""Reduction of the total cost that is required to change the side of a group of obstacles [1]."""
+"""Minimum reduction of the total cost for which the passing side of obstacles changes [-]."""
 LEAST_SPREAD = 0.1
-"""Minimum range of path lengths that is scaled to costs from 0 to 1, in baselines."""
+"""Minimum difference of path lengths that is scaled to costs from 0 to 1 [-].
+
+The unit is the distance from start to goal. Smaller differences are thus rated with lower costs."""
 
 
 @dataclass(frozen=True, eq=False)
 class RingScene:
-    """Input of the cost rings: M obstacles and K directions of passing them.
+    """Input of the cost rings: M obstacles and K directions in which each of them can be passed.
+
+    Positions and directions are in the world frame. The baseline is the line from start to goal.
 
     Attributes:
         p_WS: (3,) start [m].
         p_WG: (3,) goal [m].
         ellipsoids: M obstacles, dilated by the tool.
         table: support plane, or None.
-        angles: (K,) angles of the directions on the local YZ circle [rad].
-        directions_W: (K, 3) directions omega as unit vectors.
-        p_WP: (M, K, 3) passing points, which have the requested clearance from the obstacle and
-            are displaced from the baseline along omega [m].
+        angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
+        directions_W: (K, 3) directions omega, unit vectors orthogonal to the baseline.
+        p_WP: (M, K, 3) passing points of the path past each obstacle in each direction, which have
+            the requested clearance from the obstacle and are displaced from the baseline along
+            omega [m].
         detour: (M, K) distances of the passing points from the baseline [m].
         requested_clearance: requested clearance Delta [m].
         joint_margin: (M, K) minimum distance of the joints from their limits on the path via the
@@ -82,12 +88,15 @@ class RingScene:
 
 
 Ring = Callable[[RingScene], FloatArray]
-"""Cost ring: scene -> (M, K) costs in [0, 1], where 1 forbids a direction."""
-JointMargins = Callable[[FloatArray], FloatArray]
-"""Joint margins along paths: corners (N, P, 3) of N paths [m] -> margins (N, P) [rad].
+"""Cost ring: function that rates K directions of passing M obstacles.
 
-A margin is the minimum distance of the joints from their limits on the leg to a corner; -inf from
-the first corner on that the arm cannot reach."""
+The argument is the scene, the result (M, K) costs in [0, 1], of which 1 forbids a direction."""
+JointMargins = Callable[[FloatArray], FloatArray]
+"""Function that computes the joint margins along N paths of the tool point.
+
+The argument contains P corners of each path, (N, P, 3) [m]. The result (N, P) [rad] contains for
+each corner the minimum distance of the joints from their limits on the leg to this corner, and -inf
+from the first corner on that the arm cannot reach."""
 
 
 def ring_scene(
@@ -103,23 +112,24 @@ def ring_scene(
 ) -> RingScene:
     """Computes the input of the cost rings: directions, passing points and joint margins.
 
-    The passing point of obstacle i along omega is
+    The passing point of obstacle i along the direction omega is
 
         p_P = b + omega max(0, h_i(omega) + Delta - omega . (b - c_i)),
 
-    with b the point of the baseline nearest to the center c_i and h_i the support
-    function of the ellipsoid about its center: the plane through p_P with normal
-    omega has the distance Delta from the obstacle.
+    with the center c_i of the ellipsoid, the point b of the baseline (line from start to goal)
+    nearest to c_i, and the support function h_i of the ellipsoid about c_i. The plane through p_P
+    with normal omega thus has the distance Delta from the obstacle, or more if the maximum is 0.
 
     Args:
-        p_WS: (3,) start [m].
-        p_WG: (3,) goal [m].
-        R_WL: (3, 3) local frame, x from start to goal.
-        ellipsoids: M obstacles.
+        p_WS: (3,) start in the world frame [m].
+        p_WG: (3,) goal in the world frame [m].
+        R_WL: (3, 3) local frame, x from start to goal, z up.
+        ellipsoids: ellipsoids of M obstacles, dilated by the tool.
         table: support plane, or None.
         requested_clearance: requested clearance Delta [m].
-        n_directions: number K of directions.
-        joint_margins: function for the joint margins of the arm; None: unknown.
+        n_directions: number K of directions, evenly spaced around the baseline.
+        joint_margins: function that computes the joint margins of the arm; None: the margins are
+            unknown.
     """
     angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
     circle_L = np.stack([np.zeros(n_directions), np.cos(angles), np.sin(angles)], axis=1)
@@ -153,11 +163,13 @@ def ring_scene(
 
 
 def length_ring(scene: RingScene) -> FloatArray:
-    """Computes eta_length (M, K): length of the path via the passing point, scaled to [0, 1].
+    """Computes the length ring: costs (M, K) of the path length via each passing point.
 
-    The lengths are scaled by their range over the ring, at least a tenth of the baseline. Without
-    this minimum an obstacle on the baseline, whose sides have about equal lengths, would change
-    sides with each millimeter of motion in spite of the hysteresis.
+    With the length l from start via the passing point to the goal, its range [l_min, l_max] over
+    the directions, and the distance L from start to goal, the cost is
+    (l - l_min) / max(l_max - l_min, 0.1 L). Without the term 0.1 L the passing side of an obstacle
+    on the baseline, for which all lengths are about equal, would change with each millimeter of
+    motion in spite of the hysteresis.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -169,11 +181,12 @@ def length_ring(scene: RingScene) -> FloatArray:
 
 
 def table_ring(scene: RingScene, *, height: float) -> FloatArray:
-    """Computes eta_table (M, K): 1 if the passing point is lower than `height` above the table.
+    """Computes the table ring: costs (M, K), 1 for a passing point too close to the table, else 0.
 
     Args:
         scene: obstacles and directions.
-        height: minimum height of E above the table [m]: extent of the tool below E plus a margin.
+        height: minimum height of the tool point E above the table [m]: extent of the tool below E
+            plus a margin.
     """
     if scene.table is None:
         return np.zeros(scene.detour.shape)
@@ -181,28 +194,33 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
 
 
 def reach_ring(scene: RingScene) -> FloatArray:
-    """Computes the workspace ring (M, K): 1 if the arm cannot reach the passing point's path."""
+    """Computes the workspace ring: costs (M, K), 1 if the arm cannot follow the path, else 0.
+
+    The path leads from the start via the passing point of an obstacle to the goal.
+    """
     return np.isneginf(scene.joint_margin).astype(float)
 
 
 def joint_limits_ring(scene: RingScene) -> FloatArray:
-    """Computes the joint limit ring (M, K): 1 if a reachable path is too close to a joint limit.
+    """Computes the joint limit ring: costs (M, K), 1 for a path near a joint limit, else 0.
 
-    It is too close if its joint margin is below `JOINT_MARGIN` and below that of the baseline.
+    A path is near a joint limit if its joint margin is below `JOINT_MARGIN` and below the joint
+    margin of the straight path from start to goal. Paths out of reach have the cost 0 here.
     """
     is_near = scene.joint_margin < min(JOINT_MARGIN, scene.straight_margin)
     return (is_near & ~np.isneginf(scene.joint_margin)).astype(float)
 
 
 _SAMPLES = 41
-"""Number of samples of the baseline in `remaining_clearance`."""
+"""Number of points of the baseline at which `remaining_clearance` computes distances."""
 
 
 def remaining_clearance(scene: RingScene) -> FloatArray:
-    """Computes the clearances (M,) at which guidance passes the obstacles [m].
+    """Computes the clearances (M,) at which guidance leads the motion past M obstacles [m].
 
-    They are the requested clearance, limited by the distances of start and goal. 0 (no guidance) if
-    the baseline already has this clearance, or is nearest to the obstacle at one of its ends.
+    Each is the requested clearance, or the smaller distance of start or goal from the obstacle. It
+    is 0 (no guidance) if the baseline, the line from start to goal, already has this clearance, or
+    is nearest to the obstacle at one of its ends.
     """
     shapes = scene.ellipsoids
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
@@ -219,11 +237,11 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
 def path_length(scene: RingScene, index: IntArray) -> float:
     """Computes the path length from start via the selected passing points to the goal [m].
 
-    It is length(pi-hat) of section IV-E of the paper.
+    In section IV-E of the paper this length is called length(pi-hat) and scales the duration.
 
     Args:
         scene: obstacles and directions.
-        index: (M,) selected directions.
+        index: (M,) index of the selected direction for each obstacle.
     """
     rows = np.flatnonzero(scene.detour[np.arange(len(index)), index] > 0.0)
     points = scene.p_WP[rows, index[rows]]
@@ -239,21 +257,23 @@ def select_directions(
     *,
     previous: IntArray | None = None,
 ) -> tuple[IntArray, dict[str, FloatArray], BoolArray]:
-    """Selects omega_d: the directions with the minimum total cost, see the module docstring.
+    """Selects for each obstacle the passing direction omega_d, by the minimum total cost.
 
-    Obstacles without a passage between them form a group (`overlap_groups`), which is passed on one
-    side. Its costs are the mean of its members' costs, and directions forbidden for one member are
-    forbidden for the group. Of equal costs the lowest angle is selected.
+    The module docstring defines the total cost. Obstacles without a passage between them form a
+    group (`overlap_groups`), which is passed on one side. The cost of a group is the mean of the
+    members' costs, and a direction forbidden for one member is forbidden for the group. Among
+    directions of equal cost the one with the lowest angle is selected.
 
     Args:
         scene: obstacles and directions.
-        rings: rings by name.
-        previous: (M,) directions of the last decision, -1 for new obstacles. A group changes its
-            side only if that is forbidden or another reduces the total cost by `_HYSTERESIS`.
+        rings: cost rings by name.
+        previous: (M,) index of each obstacle's direction in the last decision, -1 for new
+            obstacles. A group changes its side only if this side is forbidden, or if another side
+            reduces the total cost by `_HYSTERESIS`.
 
     Returns:
-        Selected columns (M,) of the rings, costs (M, K) by ring name, and booleans (M,): whether
-        every direction is forbidden.
+        Index (M,) of each obstacle's selected direction; costs (M, K) by the name of the ring; and
+        booleans (M,), True for an obstacle of which every direction is forbidden.
 
     Raises:
         ValueError: if the costs of a ring have another shape; names the ring.
@@ -291,33 +311,38 @@ def select_directions(
 
 
 _OBSTRUCTED = 2.0
-"""Cost of a straight path segment through an obstacle [1].
-
-The value is discussed in docs/decisions/0021-sides-chosen-together.md.
+"""Cost of a straight path segment that intersects an obstacle, in the selection of sides [-].
 
 With a smaller value shorter paths through obstacles are selected, and several coupling terms act
-at once near the obstacle; a larger value has little effect."""
+at once near the obstacle; a larger value has little effect. The value is discussed in
+docs/decisions/0021-sides-chosen-together.md."""
 
 
 def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:
-    """Computes the support functions of M ellipsoids about their centers.
+    """Computes how far M ellipsoids extend from their centers along given directions.
 
     Args:
         ellipsoids: M ellipsoids.
         directions: (M, J, 3) unit directions.
 
     Returns:
-        (M, J) extents of the ellipsoids along the directions [m].
+        (M, J) values of the support function h(omega) = max omega . (p - c) over the points p of
+        an ellipsoid with center c [m].
     """
     axes = ellipsoids.R_WO * ellipsoids.semi_axes[:, None]
     return np.asarray(np.linalg.norm(directions @ axes, axis=2))
 
 
 def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntArray:
-    """Computes the group number (M,) of each obstacle; members have no passage between them.
+    """Computes the group number (M,) of each obstacle.
 
-    Two obstacles are linked if their gap along the line of centers is less than two clearances;
-    groups are the connected components.
+    The obstacles of a group have no passage between them. Two obstacles are linked if their gap
+    along the line of centers is less than twice the requested clearance; groups are the connected
+    components.
+
+    Args:
+        ellipsoids: ellipsoids of M obstacles.
+        requested_clearance: requested clearance [m].
     """
     gap = ellipsoids.p_WO[:, None] - ellipsoids.p_WO
     distance = np.linalg.norm(gap, axis=2)
@@ -327,7 +352,7 @@ def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntA
 
 
 def groups_along_baseline(scene: RingScene) -> list[IntArray]:
-    """Returns the rows of each group of obstacles, in the order along the baseline."""
+    """Returns the row numbers of each group of obstacles, in the order from start to goal."""
     numbers = overlap_groups(scene.ellipsoids, scene.requested_clearance)
     groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
     place = scene.ellipsoids.p_WO @ (scene.p_WG - scene.p_WS)
@@ -335,14 +360,14 @@ def groups_along_baseline(scene: RingScene) -> list[IntArray]:
 
 
 def best_sequence(choice: FloatArray, pair: FloatArray) -> tuple[IntArray, float]:
-    """Finds the sequence of choices with the minimum total cost, by the Viterbi algorithm.
+    """Finds the sequence of N choices with the minimum total cost, by the Viterbi algorithm.
 
     Args:
-        choice: (N, K) costs of each choice at each stage.
-        pair: (N - 1, K, K) costs of each pair of choices at consecutive stages.
+        choice: (N, K) costs of each of K choices at each of N stages.
+        pair: (N - 1, K, K) costs of each pair of choices at two consecutive stages.
 
     Returns:
-        Choices (N,), the lowest indices if costs are equal, and their total cost.
+        Indices (N,) of the choices, the lowest indices if costs are equal, and their total cost.
     """
     onward, after = choice[-1], []
     for stage in range(len(pair) - 1, -1, -1):
@@ -363,21 +388,23 @@ def sequence_costs(
     *,
     counts_length: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the costs of sequences of sides of N groups of obstacles, for `best_sequence`.
+    """Computes the costs of passing N groups of obstacles on K sides each, for `best_sequence`.
 
-    The passing point of a group is that of its member with the largest detour. The first and the
-    last leg are not obstructed by their own group: the coupling terms bend the motion around it.
+    The passing point of a group is that of the member with the largest detour. The group at the
+    end of the first leg does not obstruct this leg, and the group at the beginning of the last leg
+    does not obstruct the last leg, because the coupling terms bend the motion around it.
 
     Args:
         scene: obstacles and directions.
-        groups: rows of the groups along the baseline.
-        rings: (N, K) sums of the rings of each group except the length ring.
-        shut: (N, K) whether a ring forbids the direction, which then costs more than all other
+        groups: row numbers of the obstacles in each group, from start to goal.
+        rings: (N, K) sums of the cost rings of each group except the length ring.
+        shut: (N, K) whether a cost ring forbids the direction, which then costs more than all other
             terms together.
         counts_length: whether the path length is part of the cost.
 
     Returns:
-        Costs of single choices (N, K) and of pairs of choices (N - 1, K, K).
+        Costs (N, K) of the side of each group, and costs (N - 1, K, K) of the sides of each pair of
+        consecutive groups.
     """
     count, width = rings.shape
     farthest = [rows[scene.detour[rows].argmax(axis=0)] for rows in groups]
@@ -393,7 +420,15 @@ def sequence_costs(
     ]
 
     def chain(legs: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Returns costs of single choices, from the outer legs, and of pairs, from the others."""
+        """Sorts costs of legs into costs of single sides and costs of pairs of sides.
+
+        Args:
+            legs: costs of each leg, (beginnings, ends). The first leg begins at the start and the
+                last ends at the goal, so that they depend on one side only.
+
+        Returns:
+            Costs (N, K) of single sides, and costs (N - 1, K, K) of pairs of consecutive sides.
+        """
         choice = np.zeros((count, width))
         choice[0] += legs[0][0]
         choice[-1] += legs[-1][:, 0]
@@ -421,16 +456,16 @@ def obstruction(
 ) -> FloatArray:
     """Computes the obstruction of straight legs by ellipsoids, from 0 (free) to 1 (intersected).
 
-    In coordinates in which the obstacle grown by the clearance is the unit ball, let g be the
-    minimum distance of a leg from the center. The obstruction is max(0, 1 - g), and 1 if the leg
-    intersects the obstacle itself.
+    A leg is a straight path segment between two points. In coordinates in which the obstacle grown
+    by the clearance is the unit ball, let g be the minimum distance of a leg from the center. The
+    obstruction is max(0, 1 - g), and 1 if the leg intersects the obstacle without growth.
 
     Args:
         p_WA: (I, 3) starts of the legs [m].
         p_WB: (J, 3) ends of the legs [m].
-        ellipsoids: M obstacles.
+        ellipsoids: ellipsoids of M obstacles.
         counts: (M,) whether an obstacle is considered.
-        clearance: growth of the obstacles [m].
+        clearance: distance by which the obstacles are grown [m].
 
     Returns:
         (I, J) maximum over the obstacles of the obstruction of each leg.
