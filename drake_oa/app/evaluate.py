@@ -366,10 +366,10 @@ def sources(
         runs: options of the runs.
     """
     from drake_oa.evaluation.mbm.suite import mbm_suites
-    from drake_oa.evaluation.panda.evaluation import WITHOUT, panda_suite
+    from drake_oa.evaluation.panda.evaluation import ABLATIONS, panda_suite
     from drake_oa.evaluation.panda.tables import kinds_metrics
 
-    methods = ("verified", *WITHOUT)
+    methods = ("verified", *ABLATIONS)
     suites = [panda_suite(kind, scenes, seed, methods, "depth", runs.duration) for kind in kinds]
     if problems is not None:
         suites += mbm_suites(problems, None, (), methods, count, "truth", runs.duration)
@@ -399,7 +399,7 @@ def run_suites(
     from joblib import cpu_count
 
     from drake_oa.evaluation.panda.evaluation import PLANNER, evaluate_panda
-    from drake_oa.evaluation.panda.scenes import MOVING_KINDS, seen_by
+    from drake_oa.evaluation.panda.scenes import MOVING_KINDS, with_perception
     from drake_oa.evaluation.panda.tables import panda_metrics, panda_table
     from drake_oa.scenario.loading import parse_scenario, scenario_text
 
@@ -416,7 +416,7 @@ def run_suites(
     replace_json(runs.json, output)
     for result in results if runs.write_scenes else ():
         for scene, text in result.scenarios.items():
-            scenario = seen_by(parse_scenario(text), result.suite.perception)
+            scenario = with_perception(parse_scenario(text), result.suite.perception)
             file = f"{runs.write_scenes}/{result.suite.scene_name(scene)}.scenario.yaml"
             replace_text(Path(file), scenario_text(scenario))
     resumed = sum(result.resumed for result in results)

@@ -1,21 +1,21 @@
-"""Experiments: methods on many scenes, judged by independent code.
+"""Evaluation of avoidance methods on many scenes by independent code.
 
-    scenes/   a point among ellipsoids: the paper's experiments and beyond   evaluate novel, ...
+    scenes/   a point among ellipsoids, as in the paper's experiments        evaluate novel, ...
     panda/    the simulated robot in random scenes                           evaluate panda
-    mbm/      the robot on MotionBenchMaker's problems                       evaluate mbm
+    mbm/      the simulated robot on MotionBenchMaker's problems             evaluate mbm
 
     paper_tables   the paper's Tables I to III                              evaluate table1, ...
 
-Each draws scenes from a seed (or reads them), runs every method on every scene, and judges the
-motions: contacts, clearances [m], what start and goal leave of the requested clearance, goal errors
-[m], durations [s]. The outcome is plain data, which `drake-oa evaluate` writes as JSON and prints
-as a table. A seed gives the same scenes with the same version of this package.
+Each evaluation draws scenes from a seed (or reads them), runs every method on every scene, and
+computes metrics of the motions from ground truth: contacts, minimum and achievable clearance [m],
+goal error [m] and duration [s]. `drake-oa evaluate` writes the metrics as JSON and prints them as a
+table. A seed gives the same scenes with the same version of this package.
 
-What the three share:
+Modules that the three packages share:
 
-    cameras    where depth cameras stand that are not a shipped scenario's
-    results    calls carried out here, in processes or on a Dask cluster (joblib), with results on
-               disk by a digest of all that they follow from
+    cameras    poses of the depth cameras in evaluated scenes
+    results    function calls carried out in this process, in worker processes or on a Dask cluster
+               (joblib); results on disk, identified by a digest of call and source
 
 Read `panda/evaluation.py` first: an evaluation from its scenes to its results on disk.
 """

@@ -1,11 +1,13 @@
-"""Places of the depth cameras of studied scenes.
+"""Poses of the depth cameras in evaluated scenes.
 
-All are ASUS Xtions as the shipped scenarios have them: 640 x 480 pixels, 58 x 45 degrees, what is
-nearer than 0.8 m is not seen, 30 images a second that come 30 ms late, with the published noise.
+All cameras are the ASUS Xtions of the shipped scenarios: 640 x 480 pixels, a field of view of 58 x
+45 degrees, 30 images per second with a delay of 30 ms, and the published noise. Depths below 0.8 m
+are not measured.
 
-- `seen_from`: one or two cameras 2.1 m from the middle of the workspace, which see most of what
-  is near the arm (`drake_oa.runs.camera_placement`) and 0.6 m beside the table, to 3.5 m depth.
-- `with_two`: left and right of the way from the robot to what is to be done, see there.
+- `with_workspace_cameras`: one or two cameras 2.1 m from the center of the workspace. They observe
+  most of the space near the arm (`drake_oa.runs.camera_placement`), to a depth of 3.5 m and up to
+  0.6 m beside the table.
+- `with_task_cameras`: two cameras to the left and right of the task, 1.2 m from its middle.
 """
 
 from __future__ import annotations
@@ -35,70 +37,83 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 
-MIDDLE = np.array([0.4, 0.0, 0.3])
-"""Point that the cameras of `seen_from` look at [m]."""
-ONE = {"camera": (0.0, 35.0)}
-"""Name of a camera -> azimuth and elevation of its place [degrees]: in front of the robot."""
-TWO = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
-"""Names and places of a pair beside the robot, which misses 1 % of the space near the arm."""
-FAR, BESIDE = 3.5, 0.6
-"""Maximum depth, and distance from the table up to which obstacles count [m]."""
+WORKSPACE_CENTER = np.array([0.4, 0.0, 0.3])
+"""Position in the world that the cameras of `with_workspace_cameras` look at [m]."""
+ONE_CAMERA = {"camera": (0.0, 35.0)}
+"""Camera name -> azimuth and elevation of its position [degrees]: one camera facing the robot."""
+TWO_CAMERAS = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
+"""Camera name -> azimuth and elevation of its position [degrees]: a pair beside the robot, for
+which 1 % of the space near the arm is occluded."""
+MAX_DEPTH = 3.5
+"""Maximum depth used by perception [m]."""
+TABLE_MARGIN = 0.6
+"""Maximum horizontal distance between the table's edge and a perceived obstacle [m]."""
 _STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
-_SEEN_FROM = 2.1
-"""From a camera of `seen_from` to the middle [m]."""
-AWAY = 1.2
-"""Distance from a camera of `with_two` to the middle of the task [m]."""
-ASIDE = math.radians(60.0)
-"""From the way to the robot to that to a camera, seen from above [rad]."""
+"""Model file of the camera stand at the table."""
+_WORKSPACE_DISTANCE = 2.1
+"""Distance between a camera of `with_workspace_cameras` and `WORKSPACE_CENTER` [m]."""
+TASK_DISTANCE = 1.2
+"""Distance between a camera of `with_task_cameras` and the middle of the task [m]."""
+TASK_AZIMUTH = math.radians(60.0)
+"""Horizontal angle at the middle of the task between the robot's base and a camera [rad]."""
 ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
-"""Elevations of a camera over the middle, of which the first that fits is used [rad]."""
-APART = 0.15
-"""Minimum distance of a camera, and of its first 0.8 m of sight to the middle, to obstacles [m]."""
-_NEAREST = 0.8
+"""Camera elevations in order of preference, measured from the middle of the task [rad]."""
+MIN_DISTANCE = 0.15
+"""Minimum distance of obstacles to a camera and to the first 0.8 m of its optical axis [m]."""
+_MIN_DEPTH = 0.8
+"""Minimum depth that a camera measures [m]."""
 
 
-def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:
-    """Makes a camera (x right, y down, z forward) at a pose in the world."""
+def make_xtion_camera(name: str, X_WC: RigidTransform) -> CameraConfig:
+    """Returns an Xtion's configuration at pose X_WC in the world (x right, y down, z forward)."""
     camera = copy.deepcopy(load_scenario("tabletop_box").cameras[0])
     camera.name, camera.X_PB = name, Transform(X_WC)
     return camera
 
 
-def seen_from(scenario: Scenario, places: Mapping[str, tuple[float, float]]) -> Scenario:
-    """Returns the scenario, seen by cameras around the workspace, above the table and beside it.
+def with_workspace_cameras(
+    scenario: Scenario, places: Mapping[str, tuple[float, float]]
+) -> Scenario:
+    """Replaces the cameras of a scenario by cameras that look at the center of the workspace.
 
     Args:
-        scenario: seen by a depth camera.
-        places: name of each camera -> azimuth and elevation of its place, as `ONE` and `TWO`.
+        scenario: scenario with depth-camera perception.
+        places: camera name -> azimuth and elevation of its position [degrees], for example
+            `ONE_CAMERA` or `TWO_CAMERAS`.
+
+    Returns:
+        A copy of the scenario, whose perception also covers the space beside the table.
 
     Raises:
-        ValueError: if it is not seen by a depth camera.
+        ValueError: if the scenario's perception is not `DepthCamera`.
     """
     source = scenario.perception
     if not isinstance(source, DepthCamera):
-        raise ValueError("other places of cameras need a scenario that is seen by a depth camera")
+        raise ValueError("perception: must be !DepthCamera, for the cameras to be replaced")
     scenario = copy.deepcopy(scenario)
-    # The stand of the camera at the table would be an obstacle beside it.
+    # Remove the stand of the table's camera: beside the table it would be perceived as an obstacle.
     scenario.directives = [
         item
         for item in scenario.directives
         if item.add_directives is None or item.add_directives.file != _STAND
     ]
     scenario.cameras = [
-        xtion(name, camera_pose_around(MIDDLE, azimuth, elevation, _SEEN_FROM))
+        make_xtion_camera(
+            name, camera_pose_around(WORKSPACE_CENTER, azimuth, elevation, _WORKSPACE_DISTANCE)
+        )
         for name, (azimuth, elevation) in zip(places, np.radians([*places.values()]), strict=True)
     ]
     scenario.perception = replace(
         source,
         camera=DepthCamera.camera,
         cameras=list(places),
-        segmentation=replace(source.segmentation, far=FAR, table_margin=BESIDE),
+        segmentation=replace(source.segmentation, far=MAX_DEPTH, table_margin=TABLE_MARGIN),
     )
     return scenario
 
 
 def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> CollisionGeometries:
-    """Returns the solids of obstacles where they are at a time [s]."""
+    """Returns the collision geometries of obstacles at their positions at a time [s]."""
     placed = []
     for item in obstacles:
         X_WO = pose(item).GetAsMatrix4()
@@ -107,14 +122,14 @@ def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> Col
     return geometries_of(placed)
 
 
-def with_two(scenario: Scenario) -> Scenario:
-    """Returns the scenario, seen by two cameras.
+def with_task_cameras(scenario: Scenario) -> Scenario:
+    """Replaces perception and cameras of a scenario by two depth cameras beside its task.
 
-    They look at the middle between the task's start and goal from 1.2 m, left and right: seen from
-    above, by 60 degrees from the way to the robot's base, past which they look into what is open
-    towards it; over the middle by 35 degrees, or by 50, 65, 80 or 20 where there is something
-    within 0.15 m of the camera or of its first 0.8 m of sight, in which it sees nothing. All that
-    is seen and is not the robot is an obstacle, with a table or without.
+    Each camera is 1.2 m from the middle between the task's start and goal and looks at it. Seen
+    from above, the cameras are 60 degrees to the left and right of the direction to the robot's
+    base. The elevation is 35 degrees, or else the first of 50, 65, 80 and 20 degrees at which no
+    obstacle is within 0.15 m of the camera or of the first 0.8 m of its optical axis. Everything
+    perceived except the robot is an obstacle, with a table or without.
     """
     scenario = copy.deepcopy(scenario)
     task = scenario.task
@@ -123,22 +138,22 @@ def with_two(scenario: Scenario) -> Scenario:
     toward = math.atan2(base[1] - middle[1], base[0] - middle[0])
     objects = obstacle_geometries(scenario.obstacles)
     places = {
-        name: _place(middle, toward + side * ASIDE, objects)
+        name: _place(middle, toward + side * TASK_AZIMUTH, objects)
         for name, side in (("left", -1.0), ("right", 1.0))
     }
-    scenario.cameras = [xtion(name, X_WC) for name, X_WC in places.items()]
+    scenario.cameras = [make_xtion_camera(name, X_WC) for name, X_WC in places.items()]
     scenario.perception = DepthCamera(cameras=list(places), noise=CameraNoise())
     return scenario
 
 
 def _place(middle: FloatArray, heading: float, objects: CollisionGeometries) -> RigidTransform:
-    """Returns the pose of a camera that looks at the middle."""
+    """Returns the pose X_WC of a camera with a heading [rad] from the middle (3,) of the task."""
     X_WC = RigidTransform()
     for elevation in ELEVATIONS:
-        X_WC = camera_pose_around(middle, heading, elevation, AWAY)
-        along = np.linspace(0.0, _NEAREST, 9)[:, None]
+        X_WC = camera_pose_around(middle, heading, elevation, TASK_DISTANCE)
+        along = np.linspace(0.0, _MIN_DEPTH, 9)[:, None]
         sight = X_WC.translation() + along * X_WC.rotation().col(2)
-        if (least_distances(objects, sight, 0.0, APART, APART) >= APART).all():
+        if (least_distances(objects, sight, 0.0, MIN_DISTANCE, MIN_DISTANCE) >= MIN_DISTANCE).all():
             break
-    # If none fits, what stands in its way is seen from near, or not at all.
+    # If no elevation is free, the last one is used, and near obstacles may not be measured.
     return X_WC

@@ -1,14 +1,16 @@
-"""The paper's Tables I to III, computed and compared with the printed values.
+"""Tables I to III of Pairet et al. (RA-L 2019), reproduced beside the published values.
 
-- Table I (tab:nn_training): prediction errors of the chains that are shipped. What training
-  measured stands in the weights' metadata; nothing is computed here.
-- Table II (tab:results_unseen_metrics): 4 x 1,000 novel scenes. The print leaves open where the
-  obstacles are, what is integrated, when a motion ends and how its clearance is taken. Here
-  obstacles are where the released demo program has them, the action level is that of
-  `scenes.paper_method`, and the clearance is that to the obstacle's section in the P-plane.
-- Table III (tab:franka_metrics): three kinds of obstacles before the whole robot: the scenarios
-  `paper_box`, `paper_irregular` and `paper_clutter`, each with the noise of other seeds; a trial is
-  a run. Printed are eleven trials of a real Panda in all, as means.
+- Table I (tab:nn_training): prediction errors of the shipped regressor chains, which map an
+  obstacle's section and the requested clearance to the parameters of the coupling term. The errors
+  are read from the metadata of the weights, where training stored them.
+- Table II (tab:results_unseen_metrics): 4 x 1,000 novel scenes of a point and an ellipsoid. The
+  paper leaves open the obstacles' positions, the action level (equations of motion), the end of a
+  motion and the measurement of its clearance. Here positions are drawn as by the authors' demo
+  program, `scenes.paper_method` has the action level, and clearance is the distance to the
+  obstacle's section in the P-plane (plane through the motion and the obstacle's center).
+- Table III (tab:franka_metrics): the simulated robot before three kinds of obstacles, the scenarios
+  `paper_box`, `paper_irregular` and `paper_clutter`. A trial is a run with its own camera noise.
+  Published are means of eleven trials of a real Panda in total.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from drake_oa.inference.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
-"""Keys of the weights' metadata that the JSON repeats."""
+"""Keys that Table I's JSON copies from the metadata of the weights."""
 
 
 TABLE_ONE = {
@@ -41,43 +43,43 @@ TABLE_ONE = {
         "alpha": (1.6e-4, 1.7e-4),
     },
 }
-"""Table I of the paper (tab:nn_training): NMSE on the train and on the test rows."""
+"""Published Table I (tab:nn_training): chain -> target -> NMSE on train and on test rows."""
 
 
 def published_errors(chain: str, target: str) -> dict[str, float]:
-    """Returns the train and test errors of a network as Table I prints them."""
-    return dict(zip(("train_printed", "test_printed"), TABLE_ONE[chain][target], strict=True))
+    """Returns the published train and test NMSE of one network of Table I."""
+    return dict(zip(("train_published", "test_published"), TABLE_ONE[chain][target], strict=True))
 
 
 def error_table(
     title: str, networks: Mapping[str, Mapping[str, Any]], notes: Sequence[str] = ()
 ) -> TextTable:
-    """Tabulates the errors of a chain's networks beside the printed ones and the set's floor.
+    """Tabulates the NMSE of a chain's networks beside the published values.
 
     Args:
-        title: heading of the targets.
-        networks: target -> `train`, `test`, `rows`, and where they are known `published_errors` and
-            `floor`.
-        notes: lines below.
+        title: heading of the first column.
+        networks: target -> `train` and `test` NMSE and number of `rows`; optionally the
+            `published_errors`, and `floor`, the NMSE that no function of the inputs can beat.
+        notes: lines below the table.
     """
     columns = (
         Column("name", title),
-        Column("train", form="{:.3g}"),
-        Column("train_printed", "print", "{:.3g}"),
-        Column("test", form="{:.3g}"),
-        Column("test_printed", "print", "{:.3g}"),
-        Column("floor", form="{:.3g}"),
+        Column("train", "train NMSE", "{:.3g}"),
+        Column("train_published", "published", "{:.3g}"),
+        Column("test", "test NMSE", "{:.3g}"),
+        Column("test_published", "published", "{:.3g}"),
+        Column("floor", "lowest NMSE", "{:.3g}"),
         Column("rows", form="{:,d}"),
     )
     return TextTable(columns, [{"name": name, **row} for name, row in networks.items()], notes)
 
 
 def table_one_metrics() -> dict[str, Any]:
-    """Returns the content of the JSON: the chain of each shipped file, and a row a network.
+    """Returns the JSON of Table I: for each shipped weights file, the errors of its networks.
 
-    NMSE on the train and the test rows; of the chains on the released code's action level the
-    print beside them; the floor that no function of the inputs beats on that set.
-
+    A network has its NMSE on train and test rows and `floor`, the lowest NMSE that any function of
+    its inputs can reach. Chains trained on the released code's action level have the published
+    values as well.
     """
     chains = {}
     for file in SHIPPED:
@@ -85,7 +87,7 @@ def table_one_metrics() -> dict[str, Any]:
         networks = {}
         for target in TARGETS:
             network = {**metadata["nmse"][target], "rows": metadata["rows"][target]}
-            # The print is of the released code's action level.
+            # Published values are of the released code's action level.
             if file != SHIPPED[2]:
                 network |= published_errors(metadata["chain"], target)
             networks[target] = network
@@ -94,16 +96,16 @@ def table_one_metrics() -> dict[str, Any]:
 
 
 def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
-    """Tabulates `table_one_metrics`, a table a file."""
+    """Tabulates the result of `table_one_metrics`: one table for each weights file."""
     return [
         error_table(file, chain["networks"], [f"({chain['chain']}; {chain['action_level']})"])
         for file, chain in whole["chains"].items()
     ]
 
 
-_CELLS = ("clearance_mean", "clearance_min", "goal_error_mean", "goal_error_max", "collisions")
+_METRICS = ("clearance_mean", "clearance_min", "goal_error_mean", "goal_error_max", "collisions")
 TABLE_TWO: dict[float, dict[str, Any]] = {
-    baseline: dict(zip(_CELLS, cells, strict=True))
+    baseline: dict(zip(_METRICS, cells, strict=True))
     for baseline, *cells in (
         (0.5, 0.144, -5.01e-4, 4.41e-4, 0.017, 2),
         (1.0, 0.184, 0.060, 4.23e-4, 0.017, 0),
@@ -111,55 +113,65 @@ TABLE_TWO: dict[float, dict[str, Any]] = {
         (2.0, 0.202, 0.076, 6.49e-4, 0.027, 0),
     )
 }
-"""The print, by baseline."""
-LINES_HIT = 0.324
-"""Share of straight lines in collision there: 1,296 of 4,000."""
+"""Published Table II: baseline (distance from start to goal) [m] -> metrics; lengths in m."""
+LINE_COLLISION_RATE = 0.324
+"""Published fraction of Table II's scenes with the straight line in collision: 1,296 of 4,000."""
 
 
 def evaluate_novel(scenes: Scenes) -> Outcome:
-    """Runs the paper's method on scenes of the suite `demo`, and judges it in the P-plane."""
+    """Runs the paper's method on scenes of the suite `demo`; clearances are in the P-plane."""
     return evaluate("paper", run, scenes, [Setting()], sections)
 
 
-_MEAN, _LEAST, _FACTOR, _COLLISIONS = 0.01, 0.03, 2.0, 3
-"""Maximum difference of a figure that agrees with the print [m, m, -, -]."""
+_MEAN_TOLERANCE = 0.01
+"""Maximum difference from a published mean clearance [m]."""
+_MIN_TOLERANCE = 0.03
+"""Maximum difference from a published minimum clearance [m]."""
+_ERROR_FACTOR = 2.0
+"""Maximum ratio of a goal error to the published one, and of the published one to it."""
+_COLLISION_TOLERANCE = 3
+"""Maximum difference from a published number of collisions."""
 
 
-def agrees(found: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str, bool]:
-    """Finds the cells of a row that agree with the print; none of a row without scenes."""
-    if not found["scenes"]:
+def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str, bool]:
+    """Checks each metric of a row against its published value; False without scenes."""
+    if not metrics["scenes"]:
         return dict.fromkeys(published, False)
-    within = {"clearance_mean": _MEAN, "clearance_min": _LEAST, "collisions": _COLLISIONS}
-    # Of goal errors within a factor: of their logarithms.
+    tolerances = {
+        "clearance_mean": _MEAN_TOLERANCE,
+        "clearance_min": _MIN_TOLERANCE,
+        "collisions": _COLLISION_TOLERANCE,
+    }
+    # Goal errors may differ by a factor, hence their logarithms are compared.
     return {
-        key: abs(found[key] - value) <= within[key]
-        if key in within
-        else abs(np.log(found[key] / value)) <= np.log(_FACTOR)
+        key: abs(metrics[key] - value) <= tolerances[key]
+        if key in tolerances
+        else abs(np.log(metrics[key] / value)) <= np.log(_ERROR_FACTOR)
         for key, value in published.items()
     }
 
 
 def table_two_metrics(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, Any]:
-    """Returns the content of the JSON: a row for each baseline, lengths in m.
+    """Returns the JSON of Table II: metrics for each baseline, and their agreement with the paper.
 
     Args:
-        outcome: of `evaluate_novel`.
-        scenes: of the suite `demo`.
-        seed: of the scenes.
+        outcome: result of `evaluate_novel`.
+        scenes: scenes of the suite `demo`.
+        seed: seed of the scenes.
     """
-    rows, judged = [], outcome.of()
+    rows, results = [], outcome.of()
     for baseline, published in TABLE_TWO.items():
-        row = motion_statistics(judged.rows(judged.baseline == baseline))
+        row = motion_statistics(results.rows(results.baseline == baseline))
         rows.append({"baseline": baseline, **row, "agrees": agrees(row, published)})
     return {
         "table": "table2",
         "seed": seed,
         "versions": software_versions(),
-        "print": {
-            "lines_hit": LINES_HIT,
+        "published": {
+            "line_collision_rate": LINE_COLLISION_RATE,
             "by_baseline": [{"baseline": L, **row} for L, row in TABLE_TWO.items()],
         },
-        "lines_hit": float((line_distance(scenes) < 0.0).mean()),
+        "line_collision_rate": float((line_distance(scenes) < 0.0).mean()),
         "cells": sum(sum(row["agrees"].values()) for row in rows),
         "by_baseline": rows,
     }
@@ -167,34 +179,43 @@ def table_two_metrics(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, 
 
 _CELL_COLUMNS = (
     Column("collisions"),
-    Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
-    Column("clearance_min", "min [m]", "{:.4f}"),
-    Column("goal_error_mean", "goal error mean [mm]", "{:.2f}", 1e3),
-    Column("goal_error_max", "max [mm]", "{:.0f}", 1e3),
-    Column("off", "differs"),
+    Column("clearance_mean", "mean clearance [m]", "{:.3f}"),
+    Column("clearance_min", "min. clearance [m]", "{:.4f}"),
+    Column("goal_error_mean", "mean goal error [mm]", "{:.2f}", 1e3),
+    Column("goal_error_max", "max. goal error [mm]", "{:.0f}", 1e3),
+    Column("differing", "differing metrics"),
 )
+"""Columns of Table II after the row's name."""
 _NOTES = (
-    f"agree: mean clearances within {1e3 * _MEAN:g} mm, least ones within {1e3 * _LEAST:g} mm,",
-    f"collisions within {_COLLISIONS}, goal errors within a factor of {_FACTOR:g}.",
-    f"Of the print's straight lines {1e2 * LINES_HIT:.0f} % are in collision.",
+    f"Metrics agree if mean clearances differ by at most {1e3 * _MEAN_TOLERANCE:g} mm,",
+    f"minimum clearances by {1e3 * _MIN_TOLERANCE:g} mm, collisions by {_COLLISION_TOLERANCE}, and"
+    f" goal errors by a factor of {_ERROR_FACTOR:g}.",
+    f"Published fraction of straight lines in collision: {1e2 * LINE_COLLISION_RATE:.0f} %.",
 )
+"""Lines below Table II: tolerances of the agreement with the paper."""
 
 
 def table_two(whole: Mapping[str, Any]) -> TextTable:
-    """Tabulates `table_two_metrics` beside the print."""
+    """Tabulates the result of `table_two_metrics` beside the published values."""
     rows = []
     for row in whole["by_baseline"]:
-        off = [key.replace("_", " ") for key, same in row["agrees"].items() if not same]
+        differing = [key.replace("_", " ") for key, same in row["agrees"].items() if not same]
         title = f"goal at {row['baseline']:g} m"
-        rows.append({"name": title, "off": ", ".join(off) or "none", **row})
-        rows.append({"name": "  the paper prints", **TABLE_TWO[row["baseline"]]})
-    note = f"{whole['cells']} of 20 cells agree; {whole['lines_hit']:.0%} of the lines collide."
+        rows.append({"name": title, "differing": ", ".join(differing) or "none", **row})
+        rows.append({"name": "  published", **TABLE_TWO[row["baseline"]]})
+    rate = whole["line_collision_rate"]
+    note = f"{whole['cells']} of 20 metrics agree; {rate:.0%} of the straight lines collide."
     return TextTable((Column("name", "table2"), *_CELL_COLUMNS), rows, (*_NOTES, note))
 
 
-_PUBLISHED = ("clearance_printed", "goal_error_printed", "contacts_printed", "short_printed")
+_PUBLISHED_KEYS = (
+    "clearance_published",
+    "goal_error_published",
+    "contacts_published",
+    "shortfall_count_published",
+)
 TABLE_THREE: dict[tuple[str, str], dict[str, Any]] = {
-    (kind, method): dict(zip(_PUBLISHED, cells, strict=True))
+    (kind, method): dict(zip(_PUBLISHED_KEYS, cells, strict=True))
     for kind, method, *cells in (
         ("box", "nominal", None, None, 1, 1),
         ("box", "paper", 0.168, 9.58e-3, 0, 0),
@@ -204,32 +225,41 @@ TABLE_THREE: dict[tuple[str, str], dict[str, Any]] = {
         ("clutter", "paper", 0.172, 1.29e-2, 0, 0),
     )
 }
-"""Table III of the paper, by kind and method: clearance to the obstacle [m] and convergence to the
-goal [m], None for "fail"; obstacles that were touched, and passed nearer than 0.15 m."""
+"""Published Table III: (kind of obstacles, method) -> mean clearance [m], mean goal error [m] (None
+for "fail"), number of touched obstacles, and number of obstacles passed nearer than 0.15 m."""
 
 TRIAL_KINDS = ("box", "irregular", "clutter")
+"""Kinds of obstacles in Table III."""
 
 _TRIAL_COLUMNS = (
     Column("name", "scene, method"),
     Column("trials"),
-    Column("obstacles_touched", "touched"),
-    Column("clearance_mean", "clearance [m]", "{:.3f}"),
-    Column("clearance_printed", "print", "{:.3f}"),
-    Column("trials_short", "short"),
-    Column("goal_error_mean", "goal error [mm]", "{:.2f}", 1e3),
-    Column("goal_error_printed", "print", "{:.2f}", 1e3),
+    Column("obstacles_touched", "touched objects"),
+    Column("clearance_mean", "mean clearance [m]", "{:.3f}"),
+    Column("clearance_published", "published [m]", "{:.3f}"),
+    Column("shortfall_count", "trials with shortfall"),
+    Column("goal_error_mean", "mean goal error [mm]", "{:.2f}", 1e3),
+    Column("goal_error_published", "published [mm]", "{:.2f}", 1e3),
 )
+"""Columns of Table III."""
 
 
 def trial_text(name: str, seed: int) -> str:
-    """Returns a shipped scenario with the noise of a seed as text."""
+    """Returns the text of a shipped scenario with a seed, which determines the camera's noise."""
     return scenario_text(load_scenario(name, [f"seed={seed}"]))
 
 
 def trial_suites(
     methods: Sequence[str], trials: int, seed: int, perception: str, duration: float | None
 ) -> list[PandaSuite]:
-    """Makes a suite for each kind of obstacles: trials are of consecutive seeds of the noise.
+    """Returns the suite of each kind of obstacles in Table III.
+
+    Args:
+        methods: names of methods, from `panda.evaluation.METHODS`.
+        trials: number of trials of each kind.
+        seed: seed of the first trial; the next ones have consecutive seeds.
+        perception: one of `panda.scenes.PERCEPTIONS`.
+        duration: time limit of a run [s]; None: that of `simulate`.
 
     Raises:
         ValueError: for an unknown method.
@@ -252,11 +282,11 @@ def trial_suites(
 def trial_metrics(
     runs: Mapping[int, Mapping[str, Any]], published: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """The figures of one row, lengths in m; of a row that the paper has, the print beside them.
+    """Returns the metrics of one row of Table III, with the published values if there are any.
 
     Args:
         runs: trial -> result, see `run_and_evaluate`.
-        published: the paper's row.
+        published: the row of `TABLE_THREE`; None if the paper has no such row.
     """
     known = [run for run in runs.values() if run["tool_clearance_min"] is not None]
     clearance = [run["tool_clearance_min"] for run in known]
@@ -265,7 +295,7 @@ def trial_metrics(
     return {
         "trials": len(runs),
         "obstacles_touched": len(touched),
-        "trials_short": sum(
+        "shortfall_count": sum(
             run["tool_clearance_min"] < run["requested_clearance"] for run in known
         ),
         "clearance_mean": over(np.mean, clearance),
@@ -280,11 +310,13 @@ def trial_metrics(
 def trials_metrics(
     results: Sequence[PandaResults], metrics: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """{"suite", "rows": {kind: {method: figures}}, "kinds": {kind: figures}}.
+    """Returns the JSON of Table III.
+
+    Its keys: "suite"; "rows", kind -> method -> `trial_metrics`; "kinds", kind -> `panda_metrics`.
 
     Args:
-        results: of each kind.
-        metrics: of each, see `panda_metrics`.
+        results: results of each kind's suite.
+        metrics: `panda_metrics` of each kind's suite.
     """
     return {
         "suite": results[0].suite.name,
@@ -300,14 +332,14 @@ def trials_metrics(
 
 
 def table_three(whole: Mapping[str, Any]) -> TextTable:
-    """Tabulates `trials_metrics` beside the print."""
+    """Tabulates the result of `trials_metrics` beside the published values."""
     rows = [
         {"name": f"{kind}, {method}", **metrics}
         for kind, methods in whole["rows"].items()
         for method, metrics in methods.items()
     ]
     notes = (
-        "touched: obstacles and the table, in any trial; short: trials keeping less than is asked;",
-        "print: Table III of the paper, of a real Panda",
+        "Touched objects: obstacles and the table, in any trial. Trials with shortfall: minimum",
+        "clearance below the requested one. Published: Table III of the paper, of a real Panda.",
     )
     return TextTable(_TRIAL_COLUMNS, rows, notes)

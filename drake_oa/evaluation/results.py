@@ -1,9 +1,9 @@
-"""Results of evaluations: computed in parallel, stored one by one.
+"""Evaluation results that are computed in parallel and stored as one file each.
 
-- `carry_out`: calls carried out here, in processes, or on a Dask cluster.
-- `resumed`: the same with results on disk, each in a small file of its own, so that an evaluation
-  can resume. A file holds its content and a key: a digest of everything that the content follows
-  from, the package's own source and models among it. A file with another key is not taken.
+- `carry_out`: carries out calls in this process, in worker processes, or on a Dask cluster.
+- `resumed`: carries out calls that have no stored result, so that an interrupted evaluation can
+  resume. A file holds a result and its key: a digest of the call, the package's source and model
+  files, and the versions of libraries. A file with another key is ignored.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from drake_oa.common.console import progress_bar
 from drake_oa.common.files import import_extra, replace_json, source_digest
 
 CONNECT_TIMEOUT = 10.0
-"""Time within which a cluster must answer [s]."""
+"""Timeout of the connection to a Dask scheduler [s]."""
 
 
 def carry_out(
     calls: Sequence[Callable[[], Any]], workers: int | str = 1
 ) -> Iterator[tuple[int, Any]]:
-    """Carries out calls, and yields place and result as each is done.
+    """Carries out function calls in parallel and yields (index, result) in order of completion.
 
-    Exceptions pass through; what has not been started is then dropped.
+    An exception of a call is raised here, and calls that have not started are canceled.
 
     Args:
         calls: picklable functions without arguments.
-        workers: processes at once, 1: this process; or the address of a Dask scheduler.
+        workers: number of worker processes (1: this process), or the address of a Dask scheduler.
 
     Raises:
-        ValueError: if there is no such scheduler, or the package for it is missing.
+        ValueError: if the scheduler cannot be reached or the package `distributed` is missing.
     """
     if workers == 1 or len(calls) <= 1:
         yield from ((place, call()) for place, call in enumerate(calls))
@@ -54,24 +54,28 @@ def carry_out(
             stack.enter_context(parallel_config("dask", client=client))
         else:
             stack.enter_context(parallel_config("loky", n_jobs=workers))
-        # Long calls: handed out one by one.
+        # Calls are long, hence they are dispatched one by one.
         pool = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="all")
         yield from pool(delayed(_placed)(*item) for item in enumerate(calls))
 
 
 def _placed(place: int, call: Callable[[], Any]) -> tuple[int, Any]:
-    """Carries out a call in a worker, which leaves the interrupt of a terminal to its parent."""
+    """Carries out a call in a worker process and returns its index and result.
+
+    The worker ignores SIGINT, so that only the parent process handles an interrupt.
+    """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Many small matrices: more BLAS threads only wait for each other.
+    # With small matrices, additional BLAS threads would only wait for each other.
     with threadpool_limits(limits=1):
         return place, call()
 
 
 def _client(scheduler: str) -> Any:
+    """Connects to a Dask scheduler; raises ValueError if it cannot be reached."""
     distributed = import_extra("distributed", "cluster")
     try:
-        # First: a client that refuses an address hangs for a while when it is disposed of.
+        # Check the address first: a client with an invalid address blocks for a while at exit.
         distributed.comm.resolve_address(scheduler)
         return distributed.Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -79,60 +83,63 @@ def _client(scheduler: str) -> Any:
 
 
 _Place = TypeVar("_Place")
+"""Type of the keys that identify tasks."""
 
 
 class Task(NamedTuple):
-    """Call whose result is stored.
+    """Function call whose result is stored on disk.
 
     Attributes:
-        name: of the result in its folder.
-        call: returns plain data that depend on its arguments.
+        name: name of the result's file, without suffix.
+        call: function with its arguments; it returns JSON data that depend on these alone.
     """
 
     name: str
     call: partial[Any]
 
     def key(self) -> str:
-        """Computes a digest of call, `source_digest`, and versions of Drake and compilers."""
+        """Computes the SHA-256 of call, package source, and versions of Drake, Numba and SciPy."""
         versions = [version(name) for name in ("drake", "numba", "numpy", "scipy")]
         text = repr((source_digest(), versions, self.call.func.__name__, self.call.args))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def load(self, folder: Path) -> Any:
-        """Returns the stored result; None where there is none of the key, or it is unreadable."""
+        """Returns the stored result; None if no readable file in the folder has the task's key."""
         path = folder / f"{self.name}.json"
         if not path.exists():
             return None
         try:
-            found = json.loads(path.read_text())
-            return found["content"] if found["key"] == self.key() else None
+            stored = json.loads(path.read_text())
+            return stored["content"] if stored["key"] == self.key() else None
         except (OSError, ValueError, KeyError, TypeError) as error:
-            logging.getLogger("drake_oa").warning("%s is unreadable, repeated: %r", path, error)
+            logging.getLogger("drake_oa").warning(
+                "result %s is unreadable, computing it again: %r", path, error
+            )
             return None
 
 
 def resumed(
     tasks: Mapping[_Place, Task], folder: Path | None, workers: int | str = 1
 ) -> tuple[dict[_Place, Any], int]:
-    """Carries out tasks without a result on disk, and writes each result as soon as it is done.
+    """Carries out the tasks without a stored result, and stores each result on completion.
 
     Args:
-        tasks: place -> task.
-        folder: of the results; None: nothing is stored.
+        tasks: key -> task.
+        folder: folder of the results; None: results are not stored.
         workers: see `carry_out`.
 
     Returns:
-        Results in the order of the tasks, and the number of those that were on disk.
+        Key -> result in the order of the tasks, and the number of results that were on disk.
     """
-    found = {place: task.load(folder) if folder else None for place, task in tasks.items()}
-    todo = [place for place, content in found.items() if content is None]
-    known = len(tasks) - len(todo)
+    results = {place: task.load(folder) if folder else None for place, task in tasks.items()}
+    pending = [place for place, content in results.items() if content is None]
+    stored_count = len(tasks) - len(pending)
     with progress_bar(len(tasks)) as update:
-        done = carry_out([tasks[place].call for place in todo], workers)
-        for count, (number, content) in enumerate(done, known + 1):
-            task = tasks[todo[number]]
-            found[todo[number]] = content
+        completed = carry_out([tasks[place].call for place in pending], workers)
+        for count, (number, content) in enumerate(completed, stored_count + 1):
+            task = tasks[pending[number]]
+            results[pending[number]] = content
             update(f"{task.name} {count}/{len(tasks)}", count)
             if folder:
                 replace_json(folder / f"{task.name}.json", {"key": task.key(), "content": content})
-    return found, known
+    return results, stored_count

@@ -1,23 +1,28 @@
-"""Training of the networks that inference evaluates: `drake-oa train`.
+"""Training of the regressor chains that inference evaluates: `drake-oa train`.
 
-In: a recipe. Out: a .safetensors file with a network, the range that it was trained in, and where
-it comes from. Nothing here runs on the robot, and nothing that runs there imports it. Lengths are
-in baselines L (semi-axes lambda1', lambda2' along and across, clearance Delta), kappa in 1/L^2, psi
-in rad, alpha in 1/T; `paper` has meters and rad/s, on L = 1 m.
+In: a recipe. Out: a .safetensors file for each chain, with its networks, the range of its inputs,
+and its provenance. The package is not imported by systems that run on the robot. A regressor chain
+predicts the parameters kappa, psi and alpha of the paper's coupling term, each from the inputs and
+the parameters before it. The inputs are lambda1', lambda2' (semi-axes of the obstacle's section
+along and across the baseline) and the requested clearance Delta. Lengths are in baselines L, kappa
+in 1/L^2, psi in rad, and alpha in 1/T (T: demonstrated duration); in the recipe `paper` alpha is in
+rad/s and L = 1 m.
 
 Recipe `paper` (`PaperRecipe`): Table I of the paper.
 
-1. `lattice` rolls out the paper's lattice of 12.5 million motions on the action level of the
-   authors' released code (`released_law`); `paper` keeps those with a clearance of at least 1 cm
-   and estimates their noise.
-2. `paper` trains RC(lambda') and RC(lambda', Delta), and puts the scores beside the printed ones.
+1. `lattice` rolls out the paper's lattice of 12.5 million motions on the action level (equations of
+   motion) of the authors' released code (`released_law`); `paper` selects those with a clearance of
+   at least 1 cm.
+2. `paper` trains RC(lambda') and RC(lambda', Delta) and computes their errors, which `drake-oa
+   train` prints beside the published ones.
 
-Recipe `paper_running`: the same on the running system's action level (`lattice.running_paths`).
+Recipe `paper_running`: RC(lambda', Delta) on the running system's action level
+(`lattice.running_paths`).
 
-The chains' networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
-Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by
-`torch.func`, in float64, on the CPU: the same seed gives the same weights on the same machine.
+The networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
+Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by `torch.func`, in float64 on
+the CPU. The same seed gives the same weights on the same machine.
 
-Results: docs/results/learning.md; the choices, with measurements: docs/theory/inference.md.
-Read `paper` first.
+Results: docs/results/learning.md; choices with measurements: docs/theory/inference.md. Read `paper`
+first.
 """

@@ -1,7 +1,8 @@
-"""Roll-outs over a lattice of motions around one ellipse, on two action levels.
+"""Roll-outs of the paper's training set: a lattice of motions around one ellipse.
 
-From rest at (0, 0) to (1, 0) around an ellipse at (0.5, 0), as in the paper's training set (sec.
-V-A): on the action level of the released code (`released_law`), or the running system's.
+Motions go from rest at (0, 0) to (1, 0) around an ellipse at (0.5, 0), as in the paper's sec. V-A.
+The action level (equations of motion) is that of the authors' released code (`released_law`) or
+that of the running system.
 """
 
 from __future__ import annotations
@@ -31,23 +32,27 @@ from drake_oa.policy.rollout import Scene, roll_out_tool
 from drake_oa.training.released_law import STEPS, ReleasedMotions
 
 ActionLevelName = Literal["released", "running"]
+"""Action level of the authors' released code or of the running system."""
 
-_BATCH, _COARSE = 512, 20
-"""Number of motions rolled out together, and of steps between those that are measured first."""
+_BATCH = 512
+"""Number of motions that are rolled out at once."""
+_COARSE = 20
+"""Stride of the steps at which distances are measured first."""
 _CENTER = 0.5
-"""Place of the ellipse's center on the baseline [m]."""
+"""x coordinate of the ellipse's center on the baseline [m]."""
 _GOAL = np.array([1.0, 0.0, 0.0])
+"""Goal position of all motions [m]."""
 
 
 class PaperLattice(NamedTuple):
-    """A lattice of motions, by default that of the paper.
+    """Lattice of ellipses and coupling-term parameters, by default that of the paper.
 
     Attributes:
-        lambda1: semi-axes along the baseline [m].
-        lambda2: semi-axes across it [m].
-        kappa: [1/m^2].
-        psi: [rad].
-        alpha: [rad/s].
+        lambda1: semi-axes of the ellipse along the baseline [m].
+        lambda2: semi-axes of the ellipse across the baseline [m].
+        kappa: decay rates of the coupling term over the squared distance [1/m^2].
+        psi: widths of the coupling term over the heading [rad].
+        alpha: gains of the coupling term [rad/s].
     """
 
     lambda1: FloatArray = np.linspace(0.025, 0.25, 10)
@@ -63,13 +68,13 @@ def roll_out_lattice(
     """Rolls out every motion of a lattice.
 
     Args:
-        lattice: of A, B, C, D and E values; of alpha in 1/T on the running action level.
-        action_level: the law of motion.
+        lattice: lattice of A, B, C, D and E values; alpha is in 1/T on the running action level.
+        action_level: action level of the motions.
 
     Returns:
-        (A, B, C, D, E), as the lattice's axes go: the least distance to the ellipse at the steps
-        [m], 0 on contact; and the distance to the goal after the last step [m], inf on contact or
-        if the motion diverged.
+        Two arrays (A, B, C, D, E) in the order of the lattice's fields: the minimum distance to the
+        ellipse over all steps, 0 on contact [m]; and the distance to the goal after the last step,
+        inf on contact or for a diverged motion [m].
     """
     kappa, psi, alpha = (axis.ravel() for axis in np.meshgrid(*lattice[2:], indexing="ij"))
     parameters = np.column_stack([alpha, psi, kappa])
@@ -81,46 +86,46 @@ def roll_out_lattice(
             rows = slice(first, first + _BATCH)
             path = np.empty(0)
             for j, lambda2 in enumerate(lattice.lambda2):
-                # The motion depends on the shape by tau alone.
+                # On the released action level the motion depends on the ellipse only through tau.
                 if action_level == "released":
                     path = released_paths(parameters[rows], lattice.lambda1.min(), lambda2)
                 elif j == 0:
                     path = running_paths(parameters[rows])
-                missing = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
+                goal_error = np.linalg.norm(path[:, -1] - _GOAL, axis=1)
                 for i, lambda1 in enumerate(lattice.lambda1):
                     axes = (lambda1, lambda2, max(lambda1, lambda2))
                     distance = least[i, j, rows]
                     _least_distances(path, axes, distance)
-                    error[i, j, rows] = np.where(distance <= 0.0, np.inf, missing)
+                    error[i, j, rows] = np.where(distance <= 0.0, np.inf, goal_error)
     return least.reshape(counts), error.reshape(counts)
 
 
 @compiled
 def _least_distances(path: FloatArray, axes: Triple, least: FloatArray) -> None:
-    """Writes the least distances (N,) of paths (N, T, 3) to the ellipsoid [m], 0 on contact."""
+    """Sets `least` (N,) to distances of paths (N, T, 3) from the ellipsoid [m], 0 on contact."""
     for n in range(len(path)):
         least[n], last, distance = np.inf, triple(path[n], 0), 0.0
-        # Most motions are in contact: some steps are measured first.
+        # Most motions are in contact, which a coarse stride usually detects.
         for stride in (_COARSE, 1):
             for t in range(path.shape[1] - 1, -1, -stride):
                 p = triple(path[n], t)
-                # The distance changes by at most the way: what cannot be less is not computed.
-                way = norm(mixed(1.0, p, -1.0, last))
-                if least[n] > 0.0 and not way < distance - least[n]:
+                # The distance changes by at most the displacement; skip it if it cannot be less.
+                displacement = norm(mixed(1.0, p, -1.0, last))
+                if least[n] > 0.0 and not displacement < distance - least[n]:
                     last, distance = p, to_ellipsoid(p[0] - _CENTER, p[1], p[2], axes)
                     least[n] = max(min(least[n], distance), 0.0)
 
 
 def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> FloatArray:
-    """Rolls out motions about the middle of the baseline on the released code's action level.
+    """Rolls out motions around the ellipse on the released code's action level.
 
     Args:
         parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2].
-        lambda1: semi-axis of the ellipse along the baseline [m]; a motion inside ends there.
-        lambda2: semi-axis across it [m].
+        lambda1: semi-axis of the ellipse along the baseline [m]; motions end inside the ellipse.
+        lambda2: semi-axis of the ellipse across the baseline [m].
 
     Returns:
-        (N, 1001, 3) positions [m]; infinite at the end of a motion that ended or diverged.
+        (N, 1001, 3) positions [m]; the last one is infinite if the motion ended early or diverged.
     """
     count = len(parameters)
     center = np.tile((_CENTER, 0.0, 0.0), (count, 1))
@@ -132,10 +137,10 @@ def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> Fl
 
 
 def running_paths(parameters: FloatArray) -> FloatArray:
-    """Rolls out motions about the middle of the baseline on the running system's action level.
+    """Rolls out motions around the ellipse's center on the running system's action level.
 
-    Lengths are in baselines, and time in units of the demonstration's: the path depends on neither.
-    With four times as many steps a path that converges keeps 0.4 mm a meter more (median).
+    Lengths are in baselines L and times in demonstrated durations T, on which the path's shape does
+    not depend. With four times as many steps, the median clearance is 0.4 mm per meter larger.
 
     Args:
         parameters: (N, 3) alpha [1/T], psi [rad] and kappa [1/L^2].

@@ -1,6 +1,7 @@
 """Networks of the regressor chain in torch: layers, training by Levenberg-Marquardt, errors.
 
-Levenberg-Marquardt: damped Gauss-Newton steps, each with a lower loss than the one before.
+Levenberg-Marquardt takes damped Gauss-Newton steps; each accepted step has a lower loss than the
+previous one.
 """
 
 from __future__ import annotations
@@ -19,23 +20,31 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.inference.regressor import Network
 
 HIDDEN = (24, 24, 24)
-"""Widths of the tanh layers, as in the paper."""
+"""Widths of the hidden tanh layers, as in the paper."""
 TRAIN_SHARE = 0.7
-"""Fraction of the rows to train on, as in the paper."""
+"""Fraction of the rows used for training, as in the paper."""
 DECAY = 1e-8
-"""Weight of the squared parameters in the loss; small, since alpha needs large weights."""
-_DAMPING, _DECREASE, _INCREASE = 1e-3, 0.1, 10.0
-"""First damping, and factors on it after a step that lowers the loss and after a failed one."""
+"""Weight of the squared network parameters in the loss; small, as alpha needs large ones."""
+_DAMPING = 1e-3
+"""Initial damping of the Gauss-Newton steps."""
+_DECREASE = 0.1
+"""Factor on the damping after a step that lowers the loss."""
+_INCREASE = 10.0
+"""Factor on the damping after a step that does not lower the loss."""
 _DAMPING_RANGE = 1e-12, 1e10
-"""Range of the damping; beyond it no step lowers the loss."""
+"""Range of the damping; the fit ends if no step up to its maximum lowers the loss."""
 _BLOCK = 8192
-"""Number of rows that are differentiated at once."""
+"""Number of rows that are differentiated at once, which bounds the memory."""
 
 
 class Round(NamedTuple):
-    """A number of steps on the first rows.
+    """Training round with a limited number of iterations and rows.
 
-    Many steps on few rows find the minimum, few steps on many rows refine it.
+    Many iterations on few rows find the minimum; few iterations on many rows refine it.
+
+    Attributes:
+        iterations: maximum number of Levenberg-Marquardt steps.
+        rows: number of training rows, from the first one.
     """
 
     iterations: int
@@ -43,9 +52,9 @@ class Round(NamedTuple):
 
 
 def make_perceptron(n_inputs: int, rng: np.random.Generator) -> nn.Sequential:
-    """Makes tanh layers and a linear output in float64.
+    """Makes a network of tanh layers with a linear output in float64.
 
-    The variance of the first weights is 1 / n_in, that of the biases 1 / 4.
+    The variance of the initial weights is 1 / n_in, that of the initial biases 1 / 4.
     """
     layers: list[nn.Module] = []
     for n_in, n_out in pairwise([n_inputs, *HIDDEN, 1]):
@@ -61,7 +70,10 @@ def make_perceptron(n_inputs: int, rng: np.random.Generator) -> nn.Sequential:
 def normal_equations(
     network: nn.Module, x: Tensor, y: Tensor, weight: Tensor
 ) -> tuple[Tensor, Tensor, float]:
-    """Computes J^T W J (P, P), J^T W e (P,) and e^T W e of the errors e = y - network(x)."""
+    """Computes J^T W J (P, P), J^T W e (P,) and e^T W e for the errors e = y - network(x).
+
+    J is the Jacobian of the outputs with respect to the P network parameters.
+    """
     parameters = {name: value.detach() for name, value in network.named_parameters()}
     derivatives = vmap(
         grad_and_value(lambda values, row: functional_call(network, values, (row,))[0]),
@@ -86,12 +98,13 @@ def fit(
     """Fits a network by weighted least squares (Levenberg 1944, Marquardt 1963).
 
     Args:
-        network: maps rows (N, d) to (N, 1); its parameters are the start and receive the result.
+        network: module from rows (N, d) to (N, 1), whose parameters are the initial values and
+            receive the result.
         x: (N, d) inputs, about within [-1, 1].
         y: (N,) targets, about within [-1, 1].
-        weight: (N,) weights, not negative.
+        weight: (N,) nonnegative weights of the rows.
         iterations: maximum number of accepted steps.
-        on_step: receives the loss after each step.
+        on_step: callback with the loss after each accepted step.
     """
     best, damping = parameters_to_vector(network.parameters()).detach(), _DAMPING
     for _ in range(iterations):
@@ -124,18 +137,18 @@ def train_network(
     weight: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
 ) -> Network:
-    """Fits a network to rows.
+    """Fits a new network to rows of inputs and targets.
 
     Args:
-        x: (N, d) inputs, shuffled.
+        x: (N, d) inputs, in random order.
         y: (N,) targets.
-        seed: of the first weights.
-        rounds: of the fit, one after the other.
+        seed: seed of the initial weights.
+        rounds: rounds of the fit, in order.
         weight: (N,) weights of the rows.
-        bounds: (d + 1,) minima and maxima of inputs and target, for the scaling.
+        bounds: (d + 1,) minima and (d + 1,) maxima of inputs and target, for scaling to [-1, 1].
 
     Returns:
-        The network with the lowest loss found.
+        The fitted network, with its scaling.
     """
     low, high = bounds
     gain = 2.0 / np.where(high > low, high - low, 1.0)
@@ -153,5 +166,5 @@ def train_network(
 
 
 def nmse(y: FloatArray, prediction: FloatArray) -> float:
-    """Computes the mean squared error over the variance of y."""
+    """Computes the normalized mean squared error: the mean squared error over the variance of y."""
     return float(np.mean((y - prediction) ** 2) / np.var(y))

@@ -1,8 +1,8 @@
-"""The paper's recipe: its training set, and RC(lambda') and RC(lambda', Delta) trained on it.
+"""Training of the regressor chains RC(lambda') and RC(lambda', Delta) by the paper's recipe.
 
-The set, as recovered from the released network (sec. V-A): a lattice of ellipses in the middle of a
-1 m baseline, a lattice of parameters; a row for each motion of the released code's action level, or
-of the running system's, that keeps 1 cm.
+The training set (sec. V-A, recovered from the released network) is a lattice of ellipses in the
+middle of a 1 m baseline and of coupling-term parameters. It has a row for each motion with a
+clearance of at least 1 cm, on the action level of the released code or of the running system.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from drake_oa.training.networks import (
 from drake_oa.training.released_law import STEPS
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
-"""The two chains of Table I."""
+"""Names of the two chains of Table I: without and with the requested clearance Delta."""
 
 MIN_CLEARANCE = 0.01
-"""Minimum clearance of a row [m]."""
+"""Minimum clearance of a motion in the training set [m]."""
 
 NEAR_GOAL = 1.3
-"""Maximum distance to the goal at the end of a motion that is a row to learn [m]."""
+"""Maximum distance to the goal at the end of a motion that is used for training [m]."""
 
 SATURATED = 5e-4
-"""Difference to the start's own clearance up to which a clearance says no more than that [m]."""
+"""Difference between the clearances of start and motion up to which the start limits both [m]."""
 
 ACTION_LEVELS = {
     "released": ("released code: tau^2 on the spring, 1000 steps of 3 ms", "rad/s"),
     "running": ("the running system's: exact turns, 1000 steps", "1/T"),
 }
-"""Action level -> its description, and the unit of alpha."""
+"""Action level -> description for the metadata, and unit of alpha."""
 
 
 class PaperSet(NamedTuple):
-    """N motions that keep the minimum clearance.
+    """Training set: N motions with at least the minimum clearance.
 
     Attributes:
-        values: (N, 5) lambda1', lambda2', kappa, psi and alpha.
-        clearance: (N,) Delta [m].
-        goal_error: (N,) distance to the goal at the end [m].
-        rollouts: number of motions of the lattice.
+        values: (N, 5) lambda1' [m], lambda2' [m], kappa [1/m^2], psi [rad] and alpha.
+        clearance: (N,) minimum distance to the ellipse, the chain's input Delta [m].
+        goal_error: (N,) distance to the goal at the end of the motion [m].
+        rollouts: number of rolled-out motions of the lattice.
     """
 
     values: FloatArray
@@ -63,17 +63,17 @@ class PaperSet(NamedTuple):
 
 
 def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> PaperSet:
-    """Rolls out the lattice.
+    """Rolls out a lattice and selects the motions with at least the minimum clearance.
 
     Args:
-        lattice: motions to roll out.
-        action_level: law of motion; alpha is in its unit, see `ACTION_LEVELS`.
+        lattice: lattice of motions.
+        action_level: action level of the motions; the unit of alpha is in `ACTION_LEVELS`.
 
     Returns:
-        The rows, in the lattice's order.
+        The training set, in the lattice's order.
 
     Raises:
-        ValueError: if no motion keeps the minimum clearance.
+        ValueError: if no motion has the minimum clearance.
     """
     # Rows run over lambda', alpha, psi and kappa, the last the fastest.
     clearance, goal_error = (
@@ -81,15 +81,17 @@ def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> Pap
     )
     is_row = clearance >= MIN_CLEARANCE
     if not is_row.any():
-        raise ValueError("no motion of the lattice keeps the least clearance")
-    i, j, *place = np.nonzero(is_row)
-    index = (i, j, *place[::-1])
+        raise ValueError(f"no motion of the lattice has a clearance of {MIN_CLEARANCE} m or more")
+    i, j, *rest = np.nonzero(is_row)
+    index = (i, j, *rest[::-1])
     values = np.column_stack([axis[i] for axis, i in zip(lattice, index, strict=True)])
     return PaperSet(values, clearance[is_row], goal_error[is_row], is_row.size)
 
 
 def group_means(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Joins rows of equal inputs: weighted least squares on the means is the same.
+    """Averages the targets of rows with equal inputs.
+
+    Weighted least squares on the means, with the numbers of rows as weights, has the same solution.
 
     Args:
         columns: (N, d + 1) inputs and target.
@@ -103,13 +105,12 @@ def group_means(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class PaperRecipe(NamedTuple):
-    """Parameters of the paper's recipe.
+    """Parameters of a training recipe.
 
     Attributes:
-        lattice: motions to roll out.
-        rounds: rounds of kappa, psi and alpha of each chain to train; the rows of RC(lambda') are
-            distinct inputs.
-        action_level: law of motion.
+        lattice: lattice of motions to roll out.
+        rounds: chain -> rounds of training of its networks for kappa, psi and alpha.
+        action_level: action level of the motions.
     """
 
     lattice: PaperLattice
@@ -117,20 +118,24 @@ class PaperRecipe(NamedTuple):
     action_level: ActionLevelName = "released"
 
 
-_FEW, _REFINED = (Round(60, 5000),), (Round(60, 5000), Round(20, 40000))
+_SINGLE_ROUND = (Round(60, 5000),)
+"""Rounds of training without refinement on more rows."""
+_REFINED_ROUNDS = (Round(60, 5000), Round(20, 40000))
+"""Rounds of training with refinement on more rows."""
 _ROUNDS = {
-    CHAINS[0]: ((Round(60, 100),), _FEW, _REFINED),
-    CHAINS[1]: (_REFINED, _REFINED, (Round(300, 5000), Round(100, 40000))),
+    CHAINS[0]: ((Round(60, 100),), _SINGLE_ROUND, _REFINED_ROUNDS),
+    CHAINS[1]: (_REFINED_ROUNDS, _REFINED_ROUNDS, (Round(300, 5000), Round(100, 40000))),
 }
+"""Chain -> rounds of training of its networks for kappa, psi and alpha."""
 
 
 def paper_recipe(name: str, iterations: int | None = None) -> PaperRecipe:
-    """Returns a recipe with at most so many iterations a round.
+    """Returns a training recipe by name.
 
     Args:
-        name: "paper", both chains on the released code's action level, or "paper_running",
-            RC(lambda', Delta) for the running system, alpha per demonstrated duration.
-        iterations: maximum; None: no limit.
+        name: "paper" (both chains on the released code's action level) or "paper_running"
+            (RC(lambda', Delta) for the running system, alpha per demonstrated duration).
+        iterations: maximum number of iterations of each round; None: the recipe's.
     """
     rounds = {
         chain: [
@@ -152,24 +157,26 @@ FILES = {
     },
     "paper_running": {CHAINS[1]: "paper_chain_running.safetensors"},
 }
-"""Recipe -> weights file of each chain."""
+"""Recipe -> chain -> name of its weights file."""
 
 
 Errors = dict[str, dict[str, float]]
-"""Target -> NMSE on `train` and `test` rows, and the number of `rows`."""
+"""Errors of a chain: target -> NMSE on `train` and `test` rows, and number of `rows`."""
 
 
 def train_paper(
     recipe: PaperRecipe, seed: int
 ) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, Errors]]:
-    """Rolls out the set and trains the chains, each network on the true values before it.
+    """Rolls out the training set and trains the chains of a recipe.
+
+    Each network of a chain is trained on the true values of the parameters before it.
 
     Args:
-        recipe: parameters.
-        seed: of the split, of the rows drawn, and of the first weights.
+        recipe: parameters of the training.
+        seed: seed of the train/test split, of the order of rows, and of the initial weights.
 
     Returns:
-        The set, and by name the chains and the errors of their networks.
+        The training set, chain name -> chain, and chain name -> errors of its networks.
     """
     rows = build_paper_set(recipe.lattice, recipe.action_level)
     in_train = np.random.default_rng((seed, 0)).random(len(rows.values)) < TRAIN_SHARE
@@ -185,7 +192,7 @@ def train_paper(
         networks: dict[str, Network] = {}
         errors[name] = {}
         for t, target in enumerate(TARGETS):
-            # The reading by which Table I is reproduced.
+            # This selection of rows reproduces Table I; the paper does not state it.
             use = near & unsaturated if c == 1 and target == "alpha" else near
             columns = np.column_stack((inputs, rows.values[:, 2 : 3 + t]))
             train, test = columns[use & in_train], columns[use & ~in_train]

@@ -1,17 +1,17 @@
-"""The action level as the authors' released code integrates it, for tables and training.
+"""Action level (equations of motion) of the paper's released code, for its tables and training.
 
-It differs from the running system's (`drake_oa.policy`): the coupling terms push the true velocity,
-tau^2 multiplies the spring instead of scaling time, the forcing term is not scaled, and the step is
-semi-implicit Euler. With the coupling term C::
+Differences from the running system's action level (`drake_oa.policy`): the coupling term
+accelerates the unscaled velocity, tau^2 multiplies the spring instead of scaling time, the forcing
+term is not scaled, and integration is semi-implicit Euler. With the coupling term C::
 
     a = tau^2 alpha_x (beta_x (g - x) - v) + f + C
     v += h a,   x += h v
     C = alpha exp(-theta^2 / psi^2 - kappa d^2) n x v     (eq. 8)
     C = gamma theta exp(-beta theta) n x v                (eq. 7, Hoffmann's)
 
-theta is the angle from v to the way to the obstacle's center, d the length of that way, and n the
-normal of the plane of both. Where they span no plane, the last normal remains, at first z_L: a
-heading exactly at the center turns to the left.
+theta is the angle from v to the direction of the obstacle's center, d the distance of the center,
+and n the normal of the plane of both directions. If they span no plane, the previous normal is
+used, initially z_L, so that a motion straight at the center turns to the left.
 """
 
 from __future__ import annotations
@@ -37,35 +37,46 @@ from drake_oa.policy.coupling import (
     triple,
 )
 
-ALPHA_X, BETA_X, ALPHA_K, N_BASIS = 10.0, 2.5, 0.5, 35
-"""Constants of the released code."""
+ALPHA_X = 10.0
+"""Damping gain alpha_x of the spring in the released code [1/s]."""
+BETA_X = 2.5
+"""Stiffness ratio beta_x of the spring in the released code [1/s]."""
+ALPHA_K = 0.5
+"""Decay rate of the phase in the released code [1/s]."""
+N_BASIS = 35
+"""Number of basis functions of the forcing term in the released code."""
 
 _PARALLEL = 1e-9
-"""Sine of the angle below which two directions span no plane."""
+"""Sine of the angle between two directions below which they span no plane."""
 _STILL = 1e-5
-"""Speed below which no coupling term acts [m/s]."""
+"""Speed below which the coupling term is 0 [m/s]."""
 _MAX_SPEED = 1e4
-"""Speed at which a motion has diverged and ends [m/s]."""
+"""Speed above which a motion counts as diverged and ends [m/s]."""
 
 
 class Steps(NamedTuple):
-    """`number` steps of `length` seconds."""
+    """Time steps of a roll-out.
+
+    Attributes:
+        number: number of steps.
+        length: duration of a step [s].
+    """
 
     number: int
     length: float
 
 
 STEPS = Steps(1000, 0.003)
-"""Time steps of the training set."""
+"""Time steps of the motions in the paper's training set."""
 
 
 @cache
 def released_forcing(steps: Steps) -> FloatArray:
-    """Computes the forcing term of a straight demonstration over 1 m, (S,) [m/s^2].
+    """Computes the forcing term (S,) of a straight demonstration over 1 m [m/s^2].
 
-    The demonstration runs at constant speed over all steps. Its force is fitted by a
-    quadratic in the phase for each of the basis functions, which are Gaussians of the
-    mean and variance of the phase in equal parts of its range.
+    The demonstration has constant speed. Its forcing term is fitted, for each basis function, by a
+    quadratic polynomial of the phase. Basis functions are Gaussians with the mean and variance of
+    the phase in equal parts of its range.
     """
     k = (1.0 - ALPHA_K * steps.length) ** np.arange(steps.number)
     speed = 1.0 / ((steps.number - 1) * steps.length)
@@ -81,14 +92,15 @@ def released_forcing(steps: Steps) -> FloatArray:
 
 
 class ReleasedMotions:
-    """N motions from rest at the origin to (baseline, 0, 0), past an obstacle each.
+    """Roll-out of N motions from rest at the origin to (baseline, 0, 0), with one obstacle each.
 
     Attributes:
-        position, velocity: (N, 3) [m, m/s].
-        normal: (N, 3) unit normals n of the planes of motion and obstacle.
-        angle: (N,) angles theta [rad].
-        distance: (N,) distances d [m]; 0 where no coupling term acts.
-        is_over: (N,) whether the motion stays where it is.
+        position: (N, 3) positions [m].
+        velocity: (N, 3) velocities [m/s].
+        normal: (N, 3) unit normals n of the planes through velocity and obstacle's center.
+        angle: (N,) angles theta between velocity and direction of the obstacle's center [rad].
+        distance: (N,) distances d of the obstacle's center [m]; 0 if the coupling term is 0.
+        is_over: (N,) whether the motion has ended and stays at rest.
         number: number of completed steps.
     """
 
@@ -102,15 +114,15 @@ class ReleasedMotions:
         original: bool = False,
         end: Triple = (0.0, 0.0, 0.0),
     ) -> None:
-        """Stores the constants.
+        """Starts the motions at rest at the origin.
 
         Args:
-            baseline: (N,) [m].
+            baseline: (N,) distances from start to goal [m].
             center: (N, 3) centers of the obstacles [m].
-            tau: (N,) time scale.
-            steps: time steps; the forcing term ends with them.
-            original: whether the coupling terms are those of (eq. 7).
-            end: semi-axes of an ellipsoid about each center in which motions end [m].
+            tau: (N,) temporal scalings.
+            steps: time steps of the demonstration; afterwards the forcing term is 0.
+            original: whether the coupling term is Hoffmann's (eq. 7).
+            end: semi-axes of an ellipsoid around each center, inside which motions end [m].
         """
         goal, stiffness = baseline[:, None] * (1.0, 0.0, 0.0), ALPHA_X * tau**2
         self._constants = goal, center, stiffness, end, original, steps.length
@@ -121,11 +133,11 @@ class ReleasedMotions:
         self.is_over, self.number = np.zeros(len(tau), bool), 0
 
     def advance(self, parameters: FloatArray, count: int = 1) -> FloatArray:
-        """Completes steps.
+        """Integrates all motions over a number of steps.
 
         Args:
-            parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2], or gamma [1/s],
-                beta [1/rad] and a value without a meaning.
+            parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2]; for the original term
+                gamma [1/s], beta [1/rad] and an unused value.
             count: number of steps.
 
         Returns:
@@ -156,7 +168,10 @@ def _advance(
     parameters: FloatArray,
     forcing: FloatArray,
 ) -> None:
-    """Writes the positions (N, S + 1, 3) after each step; the first are those at the start."""
+    """Integrates N motions over S steps and writes positions (N, S + 1, 3) to `path`.
+
+    The first positions are read as the start; the arrays of `state` are updated.
+    """
     velocity, normal, angle, distance, is_over = state
     goal, center, stiffness, end, original, h = constants
     for n in range(len(path)):

@@ -1,4 +1,4 @@
-"""Tables I to III of the paper: figures, and the print beside them."""
+"""Tests of the paper's Tables I to III: metrics, and published values beside them."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ from drake_oa.inference.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 
 
-def test_the_shipped_chains_reach_the_print() -> None:
+def test_shipped_chains_reach_the_published_errors() -> None:
     whole = table_one_metrics()
     chains = whole["chains"]
     assert list(chains) == ["paper_chain", "paper_chain_unconstrained", "paper_chain_running"]
@@ -35,20 +35,20 @@ def test_the_shipped_chains_reach_the_print() -> None:
         for target in TARGETS:
             network = chains[file]["networks"][target]
             for part in ("train", "test"):
-                published = network[f"{part}_printed"]
-                # Within 2 % of the print, or better.
+                published = network[f"{part}_published"]
+                # Within 2 % of the published value, or better.
                 assert network[part] < 1.02 * published
                 assert network[part] == pytest.approx(published, rel=0.02) or target == "alpha"
-    assert "train_printed" not in chains["paper_chain_running"]["networks"]["kappa"]
+    assert "train_published" not in chains["paper_chain_running"]["networks"]["kappa"]
     tables = table_one(whole)
     assert [table.columns[0].heading for table in tables] == list(chains)
     kappa = ["kappa", "0.54", "0.539", "0.541", "0.543", "0.54", "1,218,714"]
     assert str(tables[1]).splitlines()[1].split() == kappa
-    assert "print" not in str(tables[2])
+    assert "published" not in str(tables[2])
 
 
 @pytest.mark.parametrize(
-    ("changes", "off"),
+    ("changes", "differing"),
     [
         ({}, set()),
         ({"clearance_mean": 0.195, "clearance_min": 0.02}, {"clearance_mean", "clearance_min"}),
@@ -57,12 +57,14 @@ def test_the_shipped_chains_reach_the_print() -> None:
         ({"scenes": 0}, set(TABLE_TWO[1.0])),
     ],
 )
-def test_a_cell_agrees_or_not(changes: dict[str, Any], off: set[str]) -> None:
-    found = agrees({"scenes": 5, **TABLE_TWO[1.0], **changes}, TABLE_TWO[1.0])
-    assert {key for key, same in found.items() if not same} == off
+def test_metrics_agree_within_their_tolerances(
+    changes: dict[str, Any], differing: set[str]
+) -> None:
+    metrics = agrees({"scenes": 5, **TABLE_TWO[1.0], **changes}, TABLE_TWO[1.0])
+    assert {key for key, same in metrics.items() if not same} == differing
 
 
-def test_the_method_comes_near_the_print() -> None:
+def test_paper_method_reproduces_table_two_approximately() -> None:
     scenes = draw_scenes("demo", 240, seed=1)
     whole = table_two_metrics(evaluate_novel(scenes), scenes, 1)
     for part, published in zip(whole["by_baseline"], TABLE_TWO.values(), strict=True):
@@ -71,11 +73,12 @@ def test_the_method_comes_near_the_print() -> None:
         assert part["clearance_mean"] == pytest.approx(published["clearance_mean"], abs=0.02)
         assert 0.3 < part["goal_error_mean"] / published["goal_error_mean"] < 4.0
     assert whole["cells"] >= 8
-    assert 0.1 < whole["lines_hit"] < 0.35
+    assert 0.1 < whole["line_collision_rate"] < 0.35
     assert f"{whole['cells']} of 20" in str(table_two(whole))
 
 
 def run(clearance: float | None, goal_error: float, *contacts: str) -> dict[str, Any]:
+    """Returns the result of a trial, as of `run_and_evaluate`."""
     return {
         "tool_clearance_min": clearance,
         "requested_clearance": 0.15,
@@ -85,36 +88,40 @@ def run(clearance: float | None, goal_error: float, *contacts: str) -> dict[str,
     }
 
 
-def test_a_row_is_taken_over_its_trials_and_has_the_print_beside_it() -> None:
+def test_trial_metrics_have_published_values_beside_them() -> None:
     runs = {
         0: run(0.16, 1e-3),
         1: run(0.14, 3e-3),
         2: run(-0.01, 0.5, "panda_hand - obstacle_box", "panda_link6 - obstacle_box"),
         3: run(None, 0.9),
     }
-    found = trial_metrics(runs, TABLE_THREE["box", "paper"])
-    assert (found["trials"], found["obstacles_touched"], found["trials_short"]) == (4, 1, 2)
-    assert found["clearance_mean"] == pytest.approx(0.29 / 3)
-    assert (found["clearance_min"], found["goal_error_max"]) == (-0.01, 0.5)
-    assert (found["clearance_printed"], found["goal_error_printed"]) == (0.168, 9.58e-3)
+    metrics = trial_metrics(runs, TABLE_THREE["box", "paper"])
+    assert (metrics["trials"], metrics["obstacles_touched"], metrics["shortfall_count"]) == (
+        4,
+        1,
+        2,
+    )
+    assert metrics["clearance_mean"] == pytest.approx(0.29 / 3)
+    assert (metrics["clearance_min"], metrics["goal_error_max"]) == (-0.01, 0.5)
+    assert (metrics["clearance_published"], metrics["goal_error_published"]) == (0.168, 9.58e-3)
     assert trial_metrics({0: run(None, 0.9)}, None)["clearance_mean"] is None
 
 
 @pytest.mark.parametrize("kind", TRIAL_KINDS)
-def test_a_trial_is_the_shipped_scenario_with_the_noise_of_its_seed(kind: str) -> None:
+def test_trial_is_the_shipped_scenario_with_its_seed(kind: str) -> None:
     text = trial_text(f"paper_{kind}", 7)
     assert text == scenario_text(load_scenario(f"paper_{kind}", ["seed=7"]))
-    # The method of the suites is what the scenario has.
+    # The scenario already has the inference of the method `paper`.
     assert scenario_text(with_method(parse_scenario(text), "paper")) == text
 
 
-def test_the_command_prints_the_table_and_writes_it(
+def test_command_prints_and_writes_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "table3.json"
-    given = ["--trials", "1", "--perception", "truth", "--method", "paper", "--duration", "0.02"]
-    assert main(["evaluate", "table3", *given, "--json", str(file), "--jobs", "1"]) == 0
-    told = capsys.readouterr().out
+    options = ["--trials", "1", "--perception", "truth", "--method", "paper", "--duration", "0.02"]
+    assert main(["evaluate", "table3", *options, "--json", str(file), "--jobs", "1"]) == 0
+    output = capsys.readouterr().out
     whole = json.loads(file.read_text())
     assert list(whole["rows"]) == list(TRIAL_KINDS)
-    assert str(table_three(whole)) in told
+    assert str(table_three(whole)) in output

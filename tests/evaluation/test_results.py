@@ -1,4 +1,4 @@
-"""Calls carried out in parallel; results on disk, taken when their key is right."""
+"""Tests of parallel calls and of stored results, which are reused if their key is equal."""
 
 import operator
 from functools import partial
@@ -12,13 +12,13 @@ _EXPECTED = {k: k**2 for k in range(5)}
 _FAILING = [partial(operator.truediv, 1, k) for k in (1, 0, 1)]
 
 
-def test_a_result_comes_back_by_its_key_only(tmp_path):
-    def found(call):
+def test_stored_result_is_reused_only_for_an_equal_call(tmp_path):
+    def run(call):
         return resumed({0: Task("one", call)}, tmp_path)
 
-    assert found(_POWERS[3]) == ({0: 9}, 0)
-    assert found(_POWERS[3]) == ({0: 9}, 1)
-    assert found(_POWERS[4]) == ({0: 16}, 0)
+    assert run(_POWERS[3]) == ({0: 9}, 0)
+    assert run(_POWERS[3]) == ({0: 9}, 1)
+    assert run(_POWERS[4]) == ({0: 16}, 0)
     assert [path.name for path in tmp_path.iterdir()] == ["one.json"]
 
 
@@ -27,12 +27,12 @@ def cluster():
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
-    ) as made:
-        yield made.scheduler_address
+    ) as dask:
+        yield dask.scheduler_address
 
 
 @pytest.mark.parametrize("workers", [1, 2, "cluster"])
-def test_every_call_comes_back_with_its_place(workers, request):
+def test_calls_return_index_and_result_in_any_order(workers, request):
     if workers == "cluster":
         workers = request.getfixturevalue(workers)
     assert dict(carry_out(_POWERS, workers)) == _EXPECTED
@@ -41,7 +41,7 @@ def test_every_call_comes_back_with_its_place(workers, request):
 
 
 @pytest.mark.parametrize("address", ["nothing://localhost:1"])
-def test_a_scheduler_that_is_not_there(address, monkeypatch):
+def test_unreachable_scheduler_is_an_error(address, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("drake_oa.evaluation.results.CONNECT_TIMEOUT", 0.2)
     with pytest.raises(ValueError, match=f"cannot reach a Dask scheduler at {address}: "):

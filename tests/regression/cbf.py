@@ -47,7 +47,7 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.motion import make_dmp
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.evaluation.panda import differential_ik, evaluation
-from drake_oa.evaluation.panda.differential_ik import ANGULAR_LIMIT, GAIN, SPEED_SHARE
+from drake_oa.evaluation.panda.differential_ik import ANGULAR_LIMIT, GAIN, SPEED_FACTOR
 from drake_oa.evaluation.panda.scenes import suite_kinds
 from drake_oa.geometry.shapes import Cylinder, Sphere, pose
 from drake_oa.policy.dmp import trajectory
@@ -280,7 +280,7 @@ class SafetyFilter(LeafSystem):
         self._filter, self._gain = CBF.from_config(self._config), GAIN / scenario.policy.period
         dmp = make_dmp(scenario)
         planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
-        speed = SPEED_SHARE * float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
+        speed = SPEED_FACTOR * float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
         self._limits, self._filtered = np.repeat([speed, ANGULAR_LIMIT], 3), jax.jit(self._solve)
         self._inputs = [
             self.DeclareVectorInputPort("position", plant.num_positions()),
@@ -376,7 +376,7 @@ def run_suite(
 
 def _row(kind: str, results: Sequence[dict[str, Any]]) -> str:
     outcomes = [result["outcome"] for result in results]
-    by_drp = [result["drp_outcome"] for result in results]
+    has_drp_rules = [result["drp_outcome"] for result in results]
     counts = [outcomes.count(name) for name in ("contact", "success", "stopped")]
     at_rest = sum(
         result["outcome"] != "contact"
@@ -384,7 +384,7 @@ def _row(kind: str, results: Sequence[dict[str, Any]]) -> str:
         and result["at_rest_error"] <= AT_GOAL
         for result in results
     )
-    counts += [at_rest, by_drp.count("contact"), by_drp.count("success")]
+    counts += [at_rest, has_drp_rules.count("contact"), has_drp_rules.count("success")]
     return f"| {kind} | {len(results)} | {' | '.join(map(str, counts))} |"
 
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from drake_oa.common.files import source_digest
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.evaluation.cameras import BESIDE, FAR, seen_from
+from drake_oa.evaluation.cameras import TABLE_MARGIN, MAX_DEPTH, with_workspace_cameras
 from drake_oa.evaluation.panda.scene_arm import base_scenario
 from drake_oa.evaluation.panda.scene_parts import bounding_ball
 from drake_oa.evaluation.panda.scenes import draw_panda_scene
@@ -50,7 +50,10 @@ from drake_oa.runs.report import motion_metrics
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
 
-CROPS = {"narrow": {"far": 2.5, "table_margin": 0.02}, "wide": {"far": FAR, "table_margin": BESIDE}}
+CROPS = {
+    "narrow": {"far": 2.5, "table_margin": 0.02},
+    "wide": {"far": MAX_DEPTH, "table_margin": TABLE_MARGIN},
+}
 _FALSE, _MISSED, _NEAR = 0.05, 0.03, 0.4
 """Distances from the description above [m]."""
 _COMPILED = 5
@@ -134,7 +137,7 @@ def compare(scenario: Scenario, crop: str, other: str) -> tuple[Comparison, str]
     both = Comparison(scenario, other)
     with (
         patch.object(depth_perception, "segment_views", both.segment_views),
-        patch.object(depth_perception, "fuse", both.update_tracks),
+        patch.object(depth_perception, "update_tracks", both.update_tracks),
     ):
         log = simulate(scenario)
     touched = motion_metrics(scenario, log).contacts
@@ -165,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             perception=table.perception,
         )
         if places:
-            scenario = seen_from(scenario, places)
+            scenario = with_workspace_cameras(scenario, places)
         both, end = compare(scenario, crop, other)
         for name, chain in zip((crop, other), both.chains, strict=True):
             frames, seconds, counts = total[name]

@@ -12,10 +12,10 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump
 
 from drake_oa.common.config import read_yaml
-from drake_oa.evaluation.cameras import ONE, seen_from
+from drake_oa.evaluation.cameras import ONE_CAMERA, with_workspace_cameras
 from drake_oa.evaluation.mbm.suite import mbm_suites
 from drake_oa.evaluation.panda.evaluation import Criteria, run_text
-from drake_oa.evaluation.panda.scene_arm import ELBOW_LIKE, LIKE, base_scenario
+from drake_oa.evaluation.panda.scene_arm import ELBOW_SCENARIO, DEFAULT_SCENARIO, base_scenario
 from drake_oa.evaluation.panda.scenes import MOVING_KINDS
 from drake_oa.evaluation.paper_tables import (
     TRIAL_KINDS,
@@ -38,7 +38,12 @@ ARCHIVE = Path(__file__).parents[3] / "shared/problems/motionbenchmaker_panda.ta
 """Problems of MotionBenchMaker, which are not part of this repository."""
 
 _SEEDS = range(3)
-_PANDA_SUITES = {"tabletop": LIKE, "clutter6": LIKE, "elbow": ELBOW_LIKE, "moving": LIKE}
+_PANDA_SUITES = {
+    "tabletop": DEFAULT_SCENARIO,
+    "clutter6": DEFAULT_SCENARIO,
+    "elbow": ELBOW_SCENARIO,
+    "moving": DEFAULT_SCENARIO,
+}
 """Suite -> shipped scenario with its camera, robot and parameters."""
 _PROBLEMS = 5
 """Problems of each set."""
@@ -123,7 +128,7 @@ def run_scene(suite: str, scene: Mapping[str, Any]) -> dict[str, Any]:
     data |= {"seed": scene["seed"], "obstacles": scene["obstacles"]}
     scenario = parse_scenario(yaml_dump(data))
     if suite in MOVING_KINDS:
-        scenario = seen_from(scenario, ONE)
+        scenario = with_workspace_cameras(scenario, ONE_CAMERA)
     return _checked(scenario_text(scenario), "verified", "depth")
 
 
@@ -145,11 +150,11 @@ def run_points(suite: str, method: str) -> dict[str, Any]:
     scenes = draw_scenes(suite, _POINT_SCENES, 0)
     of_method = load_methods([method])[method]
     judged = evaluate(method, of_method, scenes, SUITES[suite].settings).of()
-    success = ~judged.collided & ~judged.short
+    success = ~judged.collided & ~judged.is_short
     return {
         "success": success.tolist(),
         "collided": judged.collided.tolist(),
-        "clearance": judged.kept_clearance.round(_DIGITS).tolist(),
+        "clearance": judged.min_clearance.round(_DIGITS).tolist(),
         "path_ratio": judged.path_ratio.round(_DIGITS).tolist(),
     }
 

@@ -1,4 +1,4 @@
-"""Small networks: what is tested of training does not depend on their width."""
+"""Fixture that makes networks narrow, so that tests of training are fast."""
 
 import pytest
 
@@ -7,6 +7,7 @@ from drake_oa.training import networks
 
 @pytest.fixture(scope="package", autouse=True)
 def narrow_layers():
+    """Replaces the hidden layers of networks by two narrow ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(networks, "HIDDEN", (8, 8))
         yield

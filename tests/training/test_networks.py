@@ -1,4 +1,4 @@
-"""Networks of the chain: least squares, convergence and devices."""
+"""Tests of the networks of the regressor chain: least squares and convergence."""
 
 import itertools
 
@@ -14,7 +14,7 @@ from drake_oa.training.networks import (
 )
 
 
-def test_each_step_lowers_the_loss_and_the_fit_ends_where_none_does():
+def test_each_step_lowers_the_loss_and_the_fit_ends_at_the_minimum():
     network, losses = make_perceptron(2, np.random.default_rng(0)), []
     x = np.random.default_rng(2).uniform(-1.0, 1.0, (100, 2))
     rows = map(torch.from_numpy, (x, np.abs(x[:, 0]) - x[:, 1] ** 2, np.ones(100)))
@@ -29,7 +29,7 @@ def test_each_step_lowers_the_loss_and_the_fit_ends_where_none_does():
     assert len(losses) == 20
 
 
-def test_a_network_learns_its_rows():
+def test_network_learns_its_rows():
     x = np.random.default_rng(0).uniform(0.0, 5.0, (300, 2))
     y = np.exp(0.3 * x[:, 0]) + x[:, 1]
     columns = np.column_stack([x, y])

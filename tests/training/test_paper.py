@@ -1,4 +1,4 @@
-"""The paper's recipe on a small lattice: its set, and chains with errors and metadata."""
+"""Tests of the paper's recipe on a small lattice: training set, chains, errors, metadata."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ SMALL = PaperRecipe(
 )
 
 
-def test_both_chains_are_trained_and_recorded(tmp_path):
+def test_chains_are_trained_and_saved_with_metadata(tmp_path):
     rows, chains, errors = train_paper(SMALL, 3)
     assert 20 < len(rows.values) < rows.rollouts == 2 * 2 * 7**3
     assert rows.clearance.min() >= MIN_CLEARANCE
     for column, axis in enumerate(SMALL.lattice):
         assert np.isin(rows.values[:, column], axis).all()
-    # No motion has more clearance than the start.
+    # The clearance of a motion is at most that of its start.
     assert (rows.clearance <= 0.5 - rows.values[:, 0] + 1e-3).all()
     assert [len(chains[name].lower) for name in CHAINS] == [2, 3]
     for name in CHAINS:
@@ -41,16 +41,16 @@ def test_both_chains_are_trained_and_recorded(tmp_path):
     assert train_paper(SMALL, 3)[2] == errors
 
 
-def test_a_lattice_without_a_clear_motion_is_an_error():
-    none = SMALL.lattice._replace(alpha=FULL.alpha[:1])
+def test_lattice_without_a_collision_free_motion_is_an_error():
+    lattice = SMALL.lattice._replace(alpha=FULL.alpha[:1])
     with pytest.raises(ValueError, match="no motion of the lattice"):
-        build_paper_set(none, "released")
+        build_paper_set(lattice, "released")
 
 
 @pytest.mark.slow
-def test_the_whole_lattice_has_the_rows_of_the_released_network():
+def test_full_lattice_has_the_rows_of_the_released_network():
     rows = build_paper_set(FULL, "released")
     assert rows.rollouts == 12_500_000
     assert len(rows.values) == pytest.approx(1_249_134, abs=300)
-    # The range of its scaling, authors_rc.npz.
+    # Upper limit of the input scaling in authors_rc.npz.
     assert rows.clearance.max() == pytest.approx(0.474818, abs=2e-4)

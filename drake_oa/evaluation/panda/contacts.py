@@ -1,19 +1,20 @@
-"""Contacts of a finished run: closing speeds, and whether they could have been avoided.
+"""Contacts of a finished run: closing speeds, and whether the contacts were avoidable.
 
-A contact of a link with an object lasts until they have been apart for 0.1 s. Its speeds are those
-of the arm's contact point along the contact normal, positive into the object, at the logged
-velocities of one instant before: at the instant itself the impact has already changed them.
+A contact of a link with an object ends when they have been apart for 0.1 s. Its closing speed is
+the speed of the arm's contact point along the contact normal, positive into the object. It is
+computed from the logged velocities one instant earlier, before the impact has changed them.
 
-- Avoidable by physics: at least one of 500 bang motions from the logged joint state 0.2 s before
-  the contact stays clear of all true solids and of the arm itself until 1.5 s after it
-  (`true_world`: enclosing spheres, limits of position, velocity and acceleration). A motion has one
-  or two legs, each time-optimal to a random configuration. What is found is a proof, its lack none.
-- Avoidable by view: in the 0.2 s until the deadline an observation had arrived with the obstacle's
-  velocity within 20 % of the true one. The deadline is 0.1 s before the latest of those leads from
-  which there is such a motion.
+- Avoidable by physics: at least one of 500 joint motions from the logged joint state 0.2 s before
+  the contact is collision-free until 1.5 s after it. A motion has one or two legs, each
+  time-optimal to a random configuration within the limits of position, velocity and acceleration;
+  collisions are checked with the enclosing spheres of `true_world`. Such a motion is a proof; its
+  absence proves nothing.
+- Avoidable by view: such a motion exists from one of the `LEADS`, and in the 0.2 s until the
+  deadline an observation had arrived with the obstacle's velocity within 20 % of the true one. The
+  deadline is 0.1 s before the latest lead with such a motion.
 
-A contact that begins within 1 s of another one has the verdicts of the first of them: by then the
-arm is pressed.
+A contact that begins within 1 s of another one has the results of the first one, as the arm may
+then already be pressed by the obstacle.
 """
 
 from __future__ import annotations
@@ -32,55 +33,57 @@ from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
 
-MOTIONS = 500
-"""Number of bang motions from a state."""
-LEAD, LEADS = 0.2, (0.05, 0.1, 0.2, 0.3, 0.5)
-"""Times before a contact from which they are tried: for `avoidable_by_physics`, and all [s]."""
-AFTER = 1.5
-"""Time after a contact until which they are to stay clear [s]."""
+MOTION_COUNT = 500
+"""Number of joint motions that are sampled from one joint state."""
+LEAD = 0.2
+"""Time before a contact at which the motions of `avoidable_by_physics` start [s]."""
+LEADS = (0.05, 0.1, LEAD, 0.3, 0.5)
+"""Times before a contact at which sampled motions start [s]."""
+CLEAR_TIME = 1.5
+"""Time after a contact until which a sampled motion must be collision-free [s]."""
 WARNING = 0.1
-"""Time from the deadline for the obstacle's velocity to the latest escape [s]."""
-RECENT = 0.2
-"""Time before the deadline from which on a known velocity counts [s]."""
-KNOWN = 0.2
-"""Maximum error of a known velocity, as a share of the true one."""
+"""Time from the deadline of `avoidable_by_view` to the start of the latest avoiding motion [s]."""
+VELOCITY_AGE = 0.2
+"""Time before the deadline in which a correct velocity must have been observed [s]."""
+VELOCITY_TOLERANCE = 0.2
+"""Maximum error of a correct velocity, as a fraction of the true speed."""
 AT_REST = 0.02
-"""Speed of the joints below which the arm rests, and error of a velocity that counts as none
-[rad/s, m/s]."""
-_APART = 0.1
-"""Time apart after which a pair's next touch is another contact [s]."""
-_SAME_EVENT = 1.0
-"""Time after a contact within which others have its verdicts [s]."""
+"""Joint speed below which the arm is at rest [rad/s], and error of a correct velocity of a slow
+obstacle [m/s]."""
+_SEPARATION_TIME = 0.1
+"""Time without contact after which a new touch of the same pair is another contact [s]."""
+_EVENT_DURATION = 1.0
+"""Time after a contact in which further contacts have the same avoidability [s]."""
 
 
 def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list[dict[str, Any]]:
-    """Judges each contact of a run with an obstacle or the surroundings.
+    """Assesses each contact of a run with an obstacle or the environment.
 
     Args:
-        scenario: the scenario that was run, with a robot.
-        log: of the run.
-        world: the scenario's true world.
+        scenario: scenario of the run, with a robot.
+        log: log of the run.
+        world: arm and true collision geometries of the scenario.
 
     Returns:
-        Of each contact, in order of time: `time` of the first touch [s]; `link`; `obstacle`, the
-        model instance; `closing_speed` at the first touch and its maximum until they part,
+        For each contact, in order of time: `time` of the first touch [s]; `link`; `obstacle`, the
+        model instance; `closing_speed` at the first touch and its maximum during the contact,
         `closing_speed_max` [m/s]; `arm_at_rest`, all joints slower than 0.02 rad/s; `receding`,
-        closing speed not positive; `energy`, the whole robot's kinetic energy [J];
-        `avoidable_by_physics`; `avoidable_by_view`; and `parked_contact`, those of "start", "goal"
-        and "first_sight" (where the arm was when the obstacle was first observed, from then on)
-        at which anything touches an arm that stays there.
+        closing speed not positive; `energy`, kinetic energy of the robot [J];
+        `avoidable_by_physics`; `avoidable_by_view`; and `parked_contact`, the configurations at
+        which an arm at rest would be touched, out of "start", "goal" and "first_sight" (the
+        configuration at the first observation of the obstacle, from then on).
     """
     end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     trajectories = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
     evaluator = clearance_evaluator(scenario)
-    until, verdicts, events = -math.inf, dict[str, bool](), _touches(evaluator, log)
+    until, verdicts, events = -math.inf, dict[str, bool](), _find_contacts(evaluator, log)
     for event in events:
-        # The velocity of what is no obstacle is always known: zero.
+        # The environment is at rest, hence its velocity is known at all times.
         seen, known = 0.0, log.t
         if event["obstacle"] in trajectories:
-            seen, known = sightings(log, trajectories[event["obstacle"]])
-        if event["time"] > until + _SAME_EVENT:
-            verdicts = _verdicts(world, log, event["time"], known)
+            seen, known = observation_times(log, trajectories[event["obstacle"]])
+        if event["time"] > until + _EVENT_DURATION:
+            verdicts = _assess_avoidability(world, log, event["time"], known)
         until = max(until, event.pop("end"))
         parked = {"start": (log.q[0], 0.0), "goal": (q_goal, 0.0)}
         if seen < event["time"]:
@@ -94,15 +97,15 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
     return events
 
 
-def _touches(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, Any]]:
-    """Finds the contacts, their last instants, and all that the log alone tells of them."""
+def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, Any]]:
+    """Finds the contacts of a log, their last instants, closing speeds and kinetic energy."""
     events = list[dict[str, Any]]()
     current: dict[str, dict[str, Any]] = {}
     for row, time in enumerate(log.t.tolist()):
         v = log.v[max(row - 1, 0)]
         speeds, energy = evaluator.contact_speeds(log.q[row], v, log.q_world[row])
         for pair, speed in speeds.items():
-            if pair not in current or time > current[pair]["end"] + _APART:
+            if pair not in current or time > current[pair]["end"] + _SEPARATION_TIME:
                 link, obstacle = pair.split(" - ")
                 current[pair] = {
                     "time": time,
@@ -121,71 +124,76 @@ def _touches(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, An
 
 
 def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray) -> bool:
-    """Checks whether anything touches an arm that stays at q (nq,) at some of the times [s]."""
+    """Checks whether an object touches an arm at rest at q (nq,) at any of the times [s]."""
     return any(
         evaluator.contact_speeds(q, 0.0 * q, evaluator.positions_at(time))[0] for time in times
     )
 
 
-def _verdicts(world: TrueWorld, log: MotionLog, time: float, known: FloatArray) -> dict[str, bool]:
-    """Finds whether a contact was avoidable.
+def _assess_avoidability(
+    world: TrueWorld, log: MotionLog, time: float, known: FloatArray
+) -> dict[str, bool]:
+    """Checks whether a contact was avoidable by physics and by view, see the module's docstring.
 
     Args:
-        world: the scenario's true world.
-        log: of the run.
-        time: of the contact [s].
-        known: times at which the obstacle's velocity was observed right [s].
+        world: arm and true collision geometries of the scenario.
+        log: log of the run.
+        time: time of the contact [s].
+        known: times at which correct velocities of the obstacle were observed [s].
     """
-    index, found = world.arm.chain.q_index, {}
+    index, counts = world.arm.chain.q_index, {}
     for lead in LEADS:
         first = max(math.floor((time - lead) / STEP), 0)
         row = np.searchsorted(log.t, first * STEP - 1e-6)
-        steps = math.ceil((time + AFTER) / STEP) - first
-        found[lead] = escapes(world, log.q[row, index], log.v[row, index], first, steps)
-    latest = min((lead for lead, count in found.items() if count), default=math.inf)
+        steps = math.ceil((time + CLEAR_TIME) / STEP) - first
+        counts[lead] = count_escapes(world, log.q[row, index], log.v[row, index], first, steps)
+    latest = min((lead for lead, count in counts.items() if count), default=math.inf)
     age = time - latest - WARNING - known
     return {
-        "avoidable_by_physics": found[LEAD] > 0,
-        "avoidable_by_view": bool(((age >= 0.0) & (age <= RECENT)).any()),
+        "avoidable_by_physics": counts[LEAD] > 0,
+        "avoidable_by_view": bool(((age >= 0.0) & (age <= VELOCITY_AGE)).any()),
     }
 
 
-def escapes(
+def count_escapes(
     world: TrueWorld, q: FloatArray, v: FloatArray, first: int, steps: int, seed: int = 0
 ) -> int:
-    """Counts those of `MOTIONS` bang motions that stay clear; the first of them brakes.
+    """Counts the collision-free motions out of `MOTION_COUNT` random ones.
+
+    The first motion brakes. Half of the targets of the others are uniform within the joint limits,
+    half are near the configuration at which the arm would stop.
 
     Args:
-        world: the arm, its clearance and the solids.
+        world: the arm, its required clearance, and the collision geometries.
         q: (n,) joint positions at the start [rad].
-        v: (n,) joint velocities then [rad/s].
-        first: sample of the courses at the start.
-        steps: number of steps for which they are to stay clear.
-        seed: of the random targets, half of them anywhere, half about where the arm would stop.
+        v: (n,) joint velocities at the start [rad/s].
+        first: index of the sample of `world` at the start.
+        steps: number of steps for which a motion must be collision-free.
+        seed: seed of the random targets.
     """
-    random, chain, shape = np.random.default_rng(seed), world.arm.chain, (MOTIONS, 2, len(q))
+    random, chain, shape = np.random.default_rng(seed), world.arm.chain, (MOTION_COUNT, 2, len(q))
     stop = q + np.sign(v) * v**2 / (2.0 * world.acceleration)
-    # About half of the joints go away from there, by 0.2 to 1 rad.
+    # About half of the joints deviate from the stop, with standard deviations of 0.2 to 1 rad.
     about = stop + random.normal(size=shape) * random.choice([0.0, 0.0, 0.2, 0.5, 1.0], shape)
     anywhere = random.uniform(chain.lower, chain.upper, shape)
-    legs = np.where(random.random((MOTIONS, 2, 1)) < 0.5, anywhere, about)
+    legs = np.where(random.random((MOTION_COUNT, 2, 1)) < 0.5, anywhere, about)
     legs[0] = stop
     legs = np.clip(legs, chain.lower, chain.upper)
-    # A second leg from step 0 on is the only one.
-    switch = random.integers(0, steps, MOTIONS) * random.integers(0, 2, MOTIONS)
+    # For half of the motions the second leg begins at step 0, so that they have one leg.
+    switch = random.integers(0, steps, MOTION_COUNT) * random.integers(0, 2, MOTION_COUNT)
     motions = bang_motions(world, q, v, legs, switch, steps)
-    return int((clear_steps(world, motions, np.full(MOTIONS, first)) > steps).sum())
+    return int((clear_steps(world, motions, np.full(MOTION_COUNT, first)) > steps).sum())
 
 
-def sightings(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
-    """Computes when an obstacle was first observed, and when its velocity was observed right.
+def observation_times(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
+    """Computes at which times an obstacle and its correct velocity were observed.
 
-    An ellipsoid is of an obstacle if its center is in the ball around the obstacle's true shapes
-    at the stamp; its velocity is right within 20 % of the true one, or 0.02 m/s.
+    An ellipsoid belongs to the obstacle if its center is in the ball around the obstacle's true
+    shapes at the stamp. Its velocity is correct within 20 % of the true one, or 0.02 m/s.
 
     Returns:
-        Time at which the first observation arrived, inf without one, and times at which right
-        velocities arrived [s].
+        Arrival time of the first observation [s], inf without one, and arrival times of the
+        observations with a correct velocity [s].
     """
     seen, known = math.inf, []
     center, radius = bounding_ball(obstacle)
@@ -196,6 +204,8 @@ def sightings(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
         is_own = np.linalg.norm(observed.p_WO - center - offset, axis=1) <= radius
         error = np.linalg.norm(observed.v_WO[is_own] - velocity, axis=1)
         seen = min(seen, time) if is_own.any() else seen
-        if error.min(initial=np.inf) <= max(KNOWN * float(np.linalg.norm(velocity)), AT_REST):
+        if error.min(initial=np.inf) <= max(
+            VELOCITY_TOLERANCE * float(np.linalg.norm(velocity)), AT_REST
+        ):
             known.append(time)
     return seen, np.array(known)

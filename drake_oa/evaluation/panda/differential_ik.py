@@ -1,20 +1,21 @@
-"""Drake's differential inverse kinematics on the simulated station, along the nominal motion.
+"""Baseline: Drake's differential inverse kinematics on the station, along the nominal motion.
 
     goal -> dmp_integrator [-> orientation_integrator] -> commanded_joints
     commanded_joints -> differential_ik -> commanded_joints -> controller -> plant
 
-It is the layer `safety` of a diagram that perceives nothing (`drake_oa.diagrams.avoidance`).
-The program starts from the commanded positions. At each step of
-`DifferentialInverseKinematicsSystem` a quadratic program finds the joint velocity that brings the
-tool nearest to the asked pose, subject to joint velocity limits and, for every pair (robot link,
-thing) with padded distance phi = d - p below the influence distance, to
+The baseline replaces the layer `safety` of a diagram without perception
+(`drake_oa.diagrams.avoidance`); it knows the obstacles exactly. At each step of
+`DifferentialInverseKinematicsSystem` a quadratic program computes the joint velocity v, at the
+commanded positions, that moves the tool best toward the desired pose. It is subject to joint
+velocity limits and, for every pair (robot link, object) with padded distance phi = d - p below the
+influence distance, to
 
     phi + (dphi/dq) v dt >= s,
 
-so that a pair keeps s + p. The safety distance s is the smaller of what tool and arm keep, and
-the padding p is what a pair keeps besides. Between d = 0 and d = p the gradient of Drake 1.51
-has the wrong sign (RobotLocomotion/drake#25016), and the program would drive such a pair
-further in: with s > 0 this region lies s inside of what is kept.
+so that the minimum clearance of a pair is s + p. The safety distance s is the smaller of the
+minimum clearances of tool and arm, and the padding p is the remainder. Between d = 0 and d = p the
+gradient of Drake 1.51 has the wrong sign (RobotLocomotion/drake#25016), which would increase a
+penetration. Since s > 0, this region begins at a distance s below the minimum clearance.
 """
 
 from __future__ import annotations
@@ -55,49 +56,55 @@ from drake_oa.world.obstacles import obstacle_instances
 from drake_oa.world.world_model import add_world
 
 _EDGE_STEP = 0.1
-"""Step of the collision checker's checks of edges, which are not used here [rad]."""
+"""Step of the collision checker's edge checks, which the program does not use [rad]."""
 SELF_DISTANCE = 0.005
-"""Distance that links keep from one another [m]. Not 0, where the gradient's sign changes; links of
-the UR5 that cannot come apart are 13 mm from one another."""
+"""Minimum distance between links [m]. It is above 0, where the gradient's sign changes, and below
+the 13 mm between links of the UR5 that cannot move apart."""
 INFLUENCE = 0.2
-"""Pairs whose distance exceeds the safety distance by more than this are left out [m]."""
+"""Excess of a pair's distance over the safety distance above which the pair is ignored [m]."""
 HORIZON = 0.3
-"""dt of the collision constraint [s]: a link may use up the distance that is left to it within this
-time, and no faster. With the policy's step of 8 ms for it, the program was left without a solution
-in 8 of 9 scenes; with 0.3 s in 1."""
+"""Time dt of the collision constraint [s], in which a link may consume its clearance margin. With
+the policy's step of 8 ms the program was infeasible in 8 of 9 scenes; with 0.3 s in 1 of 9."""
 GAIN = 0.2
-"""Share of the pose error that the asked velocity makes up in a step."""
-SPEED_SHARE = 1.2
-"""Largest asked tool velocity along an axis, as a multiple of the planned motion's greatest
+"""Fraction of the pose error that the desired tool velocity corrects in one step."""
+SPEED_FACTOR = 1.2
+"""Maximum desired tool velocity along an axis, as a multiple of the nominal motion's maximum
 speed."""
 ANGULAR_LIMIT = 2.5
-"""Largest asked tool rate about an axis [rad/s]."""
+"""Maximum desired angular velocity of the tool about an axis [rad/s]."""
 WEIGHT = 100.0
-"""Weight of the tool's velocity error against the posture's."""
-KP, KD = 2500.0, 100.0
-"""Stiffness [1/s^2] and damping [1/s] of the joint controller."""
+"""Weight of the tool's velocity error relative to the posture's."""
+KP = 2500.0
+"""Stiffness of the joint controller [1/s^2]."""
+KD = 100.0
+"""Damping of the joint controller [1/s]."""
 
 
 ARM_DISTANCE = 0.02
-"""Maximum distance that links other than the tool keep from obstacles, and every link from the rest
-of the world [m]."""
+"""Largest minimum clearance of links other than the tool to obstacles, and of every link to the
+environment [m]."""
 METHOD = "DifferentialInverseKinematics"
-"""The log's `inference`."""
+"""Name of this method in the log's field `inference`."""
 
 
 def make_collision_checker(
-    scenario: Scenario, *, tool: float, links: float, world: float, own: float
+    scenario: Scenario,
+    *,
+    tool_padding: float,
+    link_padding: float,
+    world_padding: float,
+    self_padding: float,
 ) -> SceneGraphCollisionChecker:
-    """Makes the collision model of a scenario's world, the same as the station's.
+    """Makes a collision checker with paddings of a scenario's world, equal to the station's.
 
-    Links that no joint moves are left out: no velocity changes their distances.
+    Fixed links are left out, since no joint velocity changes their distances.
 
     Args:
-        scenario: with a robot.
-        tool: padding of the tool and obstacles [m].
-        links: padding of the other links and obstacles [m].
-        world: padding of the robot and the rest of the world [m].
-        own: padding of the links among each other [m].
+        scenario: scenario with a robot.
+        tool_padding: padding between tool and obstacles [m].
+        link_padding: padding between the other links and obstacles [m].
+        world_padding: padding between the robot and the environment [m].
+        self_padding: padding between links of the robot [m].
     """
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
@@ -109,13 +116,13 @@ def make_collision_checker(
         model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP
     )
     plant, of_tool = checker.plant(), tool_links(robot_of(scenario))
-    checker.SetPaddingAllRobotEnvironmentPairs(world)
-    checker.SetPaddingAllRobotRobotPairs(own)
+    checker.SetPaddingAllRobotEnvironmentPairs(world_padding)
+    checker.SetPaddingAllRobotRobotPairs(self_padding)
     for link in map(plant.get_body, plant.GetBodyIndices(instance)):
         if plant.IsAnchored(link):
             checker.SetCollisionFilteredWithAllBodies(link.index())
             continue
-        padding = tool if link.name() in of_tool else links
+        padding = tool_padding if link.name() in of_tool else link_padding
         for obstacle in obstacles:
             for index in plant.GetBodyIndices(obstacle):
                 checker.SetPaddingBetween(link.index(), index, padding)
@@ -125,17 +132,17 @@ def make_collision_checker(
 def make_differential_ik(
     scenario: Scenario, checker: SceneGraphCollisionChecker, safety: float
 ) -> DifferentialInverseKinematicsSystem:
-    """Makes the system with its program, which runs every `scenario.policy.period`.
+    """Makes Drake's differential IK system, to be evaluated every `scenario.policy.period`.
 
     Args:
-        scenario: with a robot.
-        checker: collision model with paddings.
-        safety: distance that every pair keeps besides its padding [m].
+        scenario: scenario with a robot.
+        checker: collision checker with paddings.
+        safety: safety distance s, added to the padding of every pair [m].
     """
     System, plant = DifferentialInverseKinematicsSystem, checker.plant()
     dmp = make_dmp(scenario)
     planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
-    speed = SPEED_SHARE * float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
+    speed = SPEED_FACTOR * float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
     active = DofMask.MakeFromModel(plant, plant.GetFrameByName(TOOL_FRAME).model_instance())
     cost, limits = System.LeastSquaresCost, System.JointVelocityLimitConstraint
     centering, collision = System.JointCenteringCost, System.CollisionConstraint
@@ -151,14 +158,14 @@ def make_differential_ik(
         collision_checker=checker,
         active_dof=active,
         time_step=HORIZON,
-        # The system asks for gain (X - X_now) / time_step; the step is the policy's.
+        # The system's velocity is K_VX (X - X_now) / time_step; its real step is the policy's.
         K_VX=GAIN * HORIZON / scenario.policy.period,
         Vd_TG_limit=SpatialVelocity(w=np.full(3, ANGULAR_LIMIT), v=np.full(3, speed)),
     )
 
 
 class CommandedJoints(LeafSystem):
-    """Joint motion that the program commands, and the program's inputs.
+    """Integrator of the commanded joint velocity, and source of the differential IK's inputs.
 
     .. pydrake_system::
 
@@ -178,38 +185,38 @@ class CommandedJoints(LeafSystem):
       - nominal_posture
 
     - joint_velocity: (n,) solution of the program [rad/s, m/s].
-    - desired_position: (3,) p_WE [m].
-    - desired_velocity: (3,) v_WE [m/s].
-    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Without it the
-      orientation is that of the robot's block.
+    - desired_position: (3,) tool position p_WE of the nominal motion [m].
+    - desired_velocity: (3,) tool velocity v_WE of the nominal motion [m/s].
+    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Not connected: the
+      orientation is `rpy_WE` of the scenario's robot.
     - desired_angular_velocity (optional): (3,) w_WE [rad/s].
-    - desired_posture (optional): (2m,) posture of the arm's m joints [rad, rad/s]; without it that
-      of the start.
-    - plant_state: state of the station's plant, of which the obstacles' positions are used.
+    - desired_posture (optional): (2m,) nominal posture of the arm's m joints [rad, rad/s]. Not
+      connected: the posture is that of the start.
+    - plant_state: state of the station's plant, from which the obstacles' positions are read.
     - desired_joint_state: (2m,) commanded positions [rad] and velocities [rad/s] of the arm.
-    - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame a moment
-      later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
-    - position: positions of the whole world, those of the robot as commanded [rad, m].
-    - nominal_posture: positions of the whole world, the robot in its posture [rad, m].
+    - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame at a time
+      look_ahead later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
+    - position: positions of the whole plant, with the robot at its commanded positions [rad, m].
+    - nominal_posture: positions of the whole plant, with the robot in its posture [rad, m].
 
-    The state is the commanded positions and velocities. Each period the velocity becomes the
-    solution, and the position advances by it at once.
+    The discrete state is the commanded positions q and velocities v. Each period h, v becomes the
+    solution of the program and q becomes q + h v.
     """
 
     def __init__(self, scenario: Scenario, plant: MultibodyPlant, q_start: FloatArray) -> None:
         """Declares the ports.
 
         Args:
-            scenario: with a robot.
-            plant: of the collision checker; its positions are those of the station's plant.
-            q_start: (n,) all positions of the robot at the start.
+            scenario: scenario with a robot.
+            plant: plant of the collision checker, with the same positions as the station's plant.
+            q_start: (n,) positions of the robot at the start, fingers included.
         """
         super().__init__()
         robot, self._q_start, n = robot_of(scenario), np.array(q_start), len(q_start)
         self._R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
-        # Making up the share g of an error at each step h, the command follows a steady motion
-        # h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so
-        # that it is half a step early there.
+        # Correcting the fraction g of an error at each step h, the command lags a steady motion by
+        # h (1 / g - 1) at the end of the step. The velocity is applied from the step's beginning,
+        # half a step early on average.
         self._period = scenario.policy.period
         self._look_ahead = self._period * (1.0 / GAIN - 0.5)
         self._plant, self._arm = plant, len(robot.q_seed)
@@ -225,19 +232,21 @@ class CommandedJoints(LeafSystem):
             "plant_state": plant.num_multibody_states(),
         }
         self._inputs = {name: self.DeclareVectorInputPort(name, sizes[name]) for name in sizes}
-        # Without feedthrough of the velocity, which the program computes from these outputs.
-        needed = {port.ticket() for name, port in self._inputs.items() if name != "joint_velocity"}
-        needed.add(self.xd_ticket())
+        # No feedthrough of the velocity, as the program computes it from these outputs.
+        prerequisites = {
+            port.ticket() for name, port in self._inputs.items() if name != "joint_velocity"
+        }
+        prerequisites.add(self.xd_ticket())
         self.DeclareDiscreteState(np.append(q_start, np.zeros(n)))
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, self._advance)
         for name, size, calc, tickets in (
             ("desired_joint_state", 2 * self._arm, self._calc_state, {self.xd_ticket()}),
-            ("position", plant.num_positions(), self._calc_position, needed),
-            ("nominal_posture", plant.num_positions(), self._calc_posture, needed),
+            ("position", plant.num_positions(), self._calc_position, prerequisites),
+            ("nominal_posture", plant.num_positions(), self._calc_posture, prerequisites),
         ):
             self.DeclareVectorOutputPort(name, size, calc, tickets)
         self.DeclareAbstractOutputPort(
-            "desired_cartesian_poses", lambda: Value(BusValue()), self._calc_poses, needed
+            "desired_cartesian_poses", lambda: Value(BusValue()), self._calc_poses, prerequisites
         )
 
     def _advance(self, context: Context, values: DiscreteValues) -> None:
@@ -274,7 +283,7 @@ class CommandedJoints(LeafSystem):
         self._set_positions(context, q_robot, output)
 
     def _set_positions(self, context: Context, q_robot: FloatArray, output: BasicVector) -> None:
-        """Sets an output to positions of the robot among the obstacles."""
+        """Sets an output to the plant's positions, with the robot's replaced by q_robot."""
         q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
         self._plant.SetPositionsInArray(self._robot, q_robot, q)
         output.set_value(q)
@@ -282,7 +291,7 @@ class CommandedJoints(LeafSystem):
 
 @contextlib.contextmanager
 def _without_solver_messages() -> Iterator[None]:
-    """Suppresses messages of Drake and OSQP on steps without solution or active constraint."""
+    """Suppresses messages of Drake and OSQP about infeasible steps and inactive constraints."""
     logger = logging.getLogger("drake")
     level, out = logger.level, os.dup(1)
     logger.setLevel(logging.ERROR)
@@ -292,7 +301,7 @@ def _without_solver_messages() -> Iterator[None]:
     try:
         yield
     finally:
-        # What is printed from C waits in a buffer of its own.
+        # C code buffers its output separately; flush it before stdout is restored.
         ctypes.CDLL(None).fflush(None)
         os.dup2(out, 1)
         os.close(out)
@@ -300,26 +309,27 @@ def _without_solver_messages() -> Iterator[None]:
 
 
 def simulate_differential_ik(scenario: Scenario, duration: float | None = None) -> MotionLog:
-    """Runs one motion of the peer until it has ended as one of `simulate` does.
+    """Simulates a motion with the differential IK baseline until it ends as in `simulate`.
 
-    Until the planned duration is over the tool is asked along the planned motion, and then to the
-    goal. Where the program has no solution the robot is held. The tool keeps the requested
-    clearance as far as start and goal have it, the other links `ARM_DISTANCE` at most.
+    The desired tool pose follows the nominal motion and then stays at the goal. While the program
+    is infeasible the robot is held. The tool's minimum clearance is the achievable clearance: the
+    requested one, limited by the clearances at start and goal. That of other links is at most
+    `ARM_DISTANCE`.
 
     Args:
-        scenario: with a robot; its perception and inference are not used.
+        scenario: scenario with a robot; its perception and inference are not used.
         duration: time limit [s]; None: `MAX_TIME_SCALING` demonstrated durations.
 
     Returns:
-        The log; `inference` is `METHOD`, and there are no observations.
+        The log, without observations; its `inference` is `METHOD`.
 
     Raises:
         ScenarioError: if the scenario has no robot, or its start or goal is out of reach.
-        MotionInterruptedError: if the simulation raised or was interrupted; it
-            carries the log until then, and the cause.
+        MotionInterruptedError: if the simulation raised an exception or was interrupted; it has
+            the log until then, and the cause.
     """
     robot = robot_of(scenario)
-    # No arm starts where it would have to keep more than it has.
+    # A minimum clearance above that of the start would make the first step infeasible.
     tool, arm = achievable_clearance_of(scenario), min(ARM_DISTANCE, scenario.task.clearance)
     safety = min(tool, arm)
     gains = replace(robot.gains, kp_position=KP, kd_position=KD, ki_position=0.0)
@@ -332,10 +342,10 @@ def simulate_differential_ik(scenario: Scenario, duration: float | None = None) 
             return
         checker = make_collision_checker(
             scenario,
-            tool=tool - safety,
-            links=arm - safety,
-            world=arm - safety,
-            own=SELF_DISTANCE - safety,
+            tool_padding=tool - safety,
+            link_padding=arm - safety,
+            world_padding=arm - safety,
+            self_padding=SELF_DISTANCE - safety,
         )
         signals.add("commanded_joints", CommandedJoints(scenario, checker.plant(), station.q_start))
         steady = ConstantVectorSource(np.zeros(len(robot.q_seed)))

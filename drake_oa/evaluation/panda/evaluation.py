@@ -1,29 +1,32 @@
-"""Methods on random scenes of the Panda: simulated and judged in parallel, stored one by one.
+"""Evaluation of methods on random scenes of the Panda, in parallel and with stored results.
 
 Methods:
 
-  nominal       the planned motion, blind to obstacles
-  paper            the paper's inference: a regressor chain at the obstacle's section by the
-                   P-plane, sides by cost rings, without a supervisor. The chain is the one
-                   trained for this action level, as the paper's own counts alpha in rad/s
-  verified         the project's: motions of the whole arm that roll-outs among the true shapes
-                   have checked, and a plan that the primitives imitate where none of them clears
-  differential_ik  Drake's differential inverse kinematics with collision constraints, which
-                   knows the obstacles exactly, on the same planned motion; its tool is asked
-                   for the same clearance, as far as start and goal have it
-  planner          a sampling-based planner that knows the obstacles and their courses exactly, to
-                   tell which scenes have a solution at all: see `planner`. It is not simulated
+  nominal          the nominal motion, which ignores obstacles
+  paper            the paper's method without a supervisor: a regressor chain evaluated at the
+                   obstacle's section with the P-plane (plane of motion and obstacle), and cost
+                   rings that select the passing side. The chain is `paper_chain_running`, trained
+                   for this system's action level, with alpha per demonstrated duration
+  verified         this project's method: whole-arm motions verified by roll-outs among the
+                   obstacles' collision geometry; if none is collision-free, a planned path that
+                   the movement primitives imitate
+  differential_ik  Drake's differential inverse kinematics with collision constraints along the
+                   nominal motion; it knows the obstacles exactly and has the achievable clearance
+                   as its tool's minimum clearance
+  planner          a sampling-based planner that knows the obstacles and their trajectories
+                   exactly and shows which scenes have a solution, see `planner`; not simulated
 
-Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
-been at rest for a second: each link, the hand and the fingers against obstacles, table and each
-other.
+SceneGraph checks contacts of links, hand and fingers with obstacles, table and each other at every
+logged instant (4 ms apart), until everything has been at rest for a second.
 
-A run is a `success` (no contact, and the tool point ends within 5 mm of the goal), a
-`contact` with the scene or with itself, or else `stopped`: it ended short of the goal without
-a contact. The reason of a stop is what ended the run, with "#" for its numbers; a run that raised
-an exception has that exception for a reason.
+Outcome of a run:
 
-Runs of DRPBench's levels are judged by its rules as well, see `drp_outcome`.
+  success   no contact, and the tool point ends within 5 mm of the goal
+  contact   a contact with the scene or of the robot with itself
+  stopped   any other end; the reason is the stop reason, with "#" in place of numbers, or the
+            exception that the run raised
+
+Runs of DRPBench's levels are also evaluated by its rules, see `drp_outcome`.
 """
 
 from __future__ import annotations
@@ -51,7 +54,7 @@ from drake_oa.evaluation.panda.scenes import (
     DRP,
     KINDS,
     draw_panda_scene,
-    seen_by,
+    with_perception,
 )
 from drake_oa.evaluation.panda.true_world import make_true_world
 from drake_oa.evaluation.results import Task, resumed
@@ -67,19 +70,21 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 PLANNER = "planner"
-"""The method that plans, needs OMPL, and is not simulated."""
+"""Name of the planner, a method that requires OMPL and is not simulated."""
 DIFFERENTIAL_IK = "differential_ik"
-WITHOUT: dict[str, dict[str, Any]] = {
+"""Name of the baseline that runs Drake's differential inverse kinematics."""
+ABLATIONS: dict[str, dict[str, Any]] = {
     "without_chain": {"chain": None},
     "without_search": {"generations": 0},
     "without_joint_path": {"configurations": 0, "last_configurations": 0},
 }
-"""Methods that are `verified` without one source of motions -> fields of its block."""
-METHODS = ("nominal", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *WITHOUT)
+"""Ablations of `verified` without one source of candidates -> changed fields of `inference`."""
+METHODS = ("nominal", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *ABLATIONS)
+"""Names of all methods."""
 TRUTH_ONLY = frozenset({DIFFERENTIAL_IK, PLANNER})
-"""Methods that know the obstacles exactly, whatever the perception."""
+"""Methods that know the obstacles exactly, regardless of the perception."""
 
-_UNKNOWN = (
+_UNKNOWN_KEYS = (
     "tool_clearance_min",
     "robot_clearance_min",
     "clearance_shortfall",
@@ -93,61 +98,63 @@ _UNKNOWN = (
     "contact_events",
     "claim_violations",
 )
-"""Keys of a result that are None where nothing is known; the last two without moving obstacles."""
+"""Keys of a result that are None if unknown; the last two also without moving obstacles."""
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
+"""Pattern of the numbers in a stop reason."""
 
 _logger = logging.getLogger("drake_oa")
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """Conditions of success of a run without a contact.
+    """Conditions of success of a run without a contact, and parameters of the planner.
 
     Attributes:
-        goal_error: largest distance from the goal [m].
-        orientation_error: largest angle from the goal's orientation [rad].
-        beyond_limits: how far a joint of the arm may have been beyond its limit [rad].
-        planner_asked: whether the planner's robot keeps what the task asks of the tool; else
-            `planner.CLEARANCE`.
-        planner_states: that the planner may look at.
-        by_drp: whether the rules of DRPBench judge a run as well.
+        goal_error: maximum distance of the tool from the goal [m].
+        orientation_error: maximum angle of the tool from the goal's orientation [rad].
+        beyond_limits: maximum excess of a joint over its limit during the run [rad].
+        keeps_request: whether the planner's minimum clearance is the requested clearance; else it
+            is `planner.CLEARANCE`.
+        planner_states: maximum number of states that the planner checks.
+        has_drp_rules: whether runs are also evaluated by the rules of DRPBench.
     """
 
     goal_error: float = AT_GOAL
     orientation_error: float = math.inf
     beyond_limits: float = math.inf
-    planner_asked: bool = False
+    keeps_request: bool = False
     planner_states: int = STATES
-    by_drp: bool = False
+    has_drp_rules: bool = False
 
-    def lacks(self, found: Mapping[str, Any]) -> str:
-        """Why a run without a contact is no success; "" if it is one."""
-        # NaN is no success.
-        if not found["goal_error"] <= self.goal_error:
-            return found["stop_reason"] or "short of the goal"
-        if not (found["orientation_error"] or 0.0) <= self.orientation_error:
-            return f"{math.degrees(found['orientation_error']):.1f} degrees from the goal"
-        if not (found["beyond_limits"] or 0.0) <= self.beyond_limits:
-            return f"a joint went {found['beyond_limits']:.4f} rad beyond its limit"
-        # A plan is not simulated, and tells nothing of it.
-        return "never at rest" if found["settled"] is False else ""
+    def failure_reason(self, result: Mapping[str, Any]) -> str:
+        """Returns why a run without a contact is not a success; "" for a success."""
+        # Written such that NaN is not a success.
+        if not result["goal_error"] <= self.goal_error:
+            return result["stop_reason"] or "ended away from the goal"
+        if not (result["orientation_error"] or 0.0) <= self.orientation_error:
+            return f"{math.degrees(result['orientation_error']):.1f} degrees from the goal"
+        if not (result["beyond_limits"] or 0.0) <= self.beyond_limits:
+            return f"a joint exceeded its limit by {result['beyond_limits']:.4f} rad"
+        # Of a plan `settled` is None, since it is not simulated.
+        return "did not come to rest" if result["settled"] is False else ""
 
 
 _CRITERIA = Criteria()
+"""Conditions of success in random scenes."""
 
 
 def with_method(scenario: Scenario, method: str) -> Scenario:
-    """Returns the scenario as a method runs it."""
+    """Returns a copy of a scenario whose inference and policy are those of a method."""
     scenario = copy.deepcopy(scenario)
     if method == "paper":
         scenario.inference = Paper()
         scenario.policy.fade = 0.0
     elif method == "verified" and not isinstance(scenario.inference, Verified):
         scenario.inference = Verified()
-    elif method in WITHOUT:
+    elif method in ABLATIONS:
         verified = with_method(scenario, "verified").inference
-        scenario.inference = replace(verified, **WITHOUT[method])
+        scenario.inference = replace(verified, **ABLATIONS[method])
     return scenario
 
 
@@ -158,89 +165,94 @@ def run_and_evaluate(
     duration: float | None = None,
     criteria: Criteria = _CRITERIA,
 ) -> dict[str, Any]:
-    """Runs a method on a scene.
+    """Runs a method on a scene and evaluates the run on ground truth.
 
-    The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
-    the stop reason with "#" for numbers), `failed` (whether it raised), and all of `motion_report`;
-    besides `beyond_limits` [rad], `wall_time` [s] and `real_time_factor` of the simulation, and by
-    the criteria `drp_outcome`; and where obstacles move `contact_events`, see there, and
-    `claim_violations`: the number of logged instants, and of those that violate each claim of
-    `claims`. Of `planner` see `run_planner`.
+    The result has `outcome` ("success", "contact" or "stopped"), `reason` (the stop reason of a run
+    without success, with "#" for numbers), `failed` (whether the run raised an exception), all keys
+    of `motion_report`, `beyond_limits` (maximum excess of a joint over its limit [rad]),
+    `decision_latencies` [s], and `wall_time` [s] and `real_time_factor` of the simulation. With the
+    rules of DRPBench it has `drp_outcome`. With moving obstacles it has `contact_events`, see
+    there, and `claim_violations`: the number of logged instants, and of those that violate each
+    claim of `claims`. For `planner` see `run_planner`.
 
     Args:
-        scenario: the scene.
+        scenario: scene, drawn with depth perception.
         method: one of `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of the run [s]; None: that of `simulate`.
         criteria: conditions of success.
     """
-    scenario = with_method(seen_by(scenario, perception), method)
-    failed, log, found = False, None, _without_motion(scenario)
+    scenario = with_method(with_perception(scenario, perception), method)
+    failed, log, result = False, None, _without_motion(scenario)
     try:
         if method == PLANNER:
-            requested = scenario.task.clearance if criteria.planner_asked else CLEARANCE
-            found |= run_planner(scenario, clearance=requested, states=criteria.planner_states)
+            requested = scenario.task.clearance if criteria.keeps_request else CLEARANCE
+            result |= run_planner(scenario, clearance=requested, states=criteria.planner_states)
         else:
             log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
         log, failed = error.log, True
-        _logger.info("the run was cut short", exc_info=True)
+        _logger.info("the run was interrupted by an exception", exc_info=True)
     except Exception as error:
-        # A scene that cannot be run is a result like any other, and ends no other scene.
-        _logger.info("the run could not start", exc_info=True)
-        failed, found["stop_reason"] = True, f"{type(error).__name__}: {error}".rstrip(": ")
+        # A scene that cannot be run is stored as a result, so that the other scenes are run.
+        _logger.info("the run did not start", exc_info=True)
+        failed, result["stop_reason"] = True, f"{type(error).__name__}: {error}".rstrip(": ")
     if log is not None:
-        found = _checked(scenario, log, criteria)
-    outcome, reason = "success", criteria.lacks(found)
-    if found["contacts"] or found["self_contacts"]:
-        outcome, reason = "contact", found["stop_reason"]
+        result = _evaluate_run(scenario, log, criteria)
+    outcome, reason = "success", criteria.failure_reason(result)
+    if result["contacts"] or result["self_contacts"]:
+        outcome, reason = "contact", result["stop_reason"]
     elif reason or failed:
-        outcome, reason = "stopped", reason or found["stop_reason"]
-    # Without its numbers equal reasons can be counted.
+        outcome, reason = "stopped", reason or result["stop_reason"]
+    # Without numbers, equal reasons can be counted.
     reason = _NUMBER.sub("#", reason or "").strip()
-    return {"outcome": outcome, "reason": reason, "failed": failed, **found}
+    return {"outcome": outcome, "reason": reason, "failed": failed, **result}
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
+    """Simulates a scenario with a method other than `planner`."""
     if method == DIFFERENTIAL_IK:
         return simulate_differential_ik(scenario, duration)
     return simulate(scenario, avoid_obstacles=method != "nominal", duration=duration)
 
 
-def _checked(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
-    found = _without_motion(scenario) | motion_report(scenario, log)
+def _evaluate_run(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
+    """Evaluates a logged run on ground truth; see `run_and_evaluate` for the result."""
+    result = _without_motion(scenario) | motion_report(scenario, log)
     arm = len(robot_of(scenario).q_seed)
     q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
-    found["beyond_limits"] = float(np.maximum(lower - q, q - upper).max(initial=0.0))
-    if criteria.by_drp:
-        found["drp_outcome"] = drp_outcome(scenario, log, found["contacts"])
+    result["beyond_limits"] = float(np.maximum(lower - q, q - upper).max(initial=0.0))
+    if criteria.has_drp_rules:
+        result["drp_outcome"] = drp_outcome(scenario, log, result["contacts"])
     if len(log.t) and last_change(scenario.obstacles) > 0.0:
         world = make_true_world(scenario)
         violated = run_violations(scenario, log, world)
         counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
-        found["contact_events"] = contact_events(scenario, log, world)
-        found["claim_violations"] = {"instants": len(log.t), **counts}
-    return found | {
-        # To a tenth of a millisecond: to be taken together over scenes.
+        result["contact_events"] = contact_events(scenario, log, world)
+        result["claim_violations"] = {"instants": len(log.t), **counts}
+    return result | {
+        # Rounded to 0.1 ms; statistics over all scenes are computed from these values.
         "decision_latencies": np.round(layer_latencies(log), 4).tolist(),
         "wall_time": log.wall_time,
         "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
     }
 
 
-_DRP_ERROR, _DRP_TURN = 0.05, math.radians(15.0)
-"""Maximum distance and angle of the tool from its goal by the rules of DRPBench [m, rad]."""
+_MAX_DRP_ERROR = 0.05
+"""Maximum distance of the tool from the goal by the rules of DRPBench [m]."""
+_MAX_DRP_TURN = math.radians(15.0)
+"""Maximum angle of the tool from the goal's orientation by the rules of DRPBench [rad]."""
 
 
 def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> str:
-    """Judges a run by the rules of DRPBench: until the end of its episode, and there.
+    """Evaluates a run by the rules of DRPBench: contacts until the end of the episode, pose there.
 
     Args:
-        scenario: what was run.
-        log: of the run; it may end before the episode does, at rest.
-        contacts: those of the whole run, by true geometry.
+        scenario: scenario of the run.
+        log: log of the run; it may end before the episode, at rest.
+        contacts: contacts of the whole run, by true geometry.
 
     Returns:
         "contact" with an obstacle or the table, "success", or "stopped".
@@ -252,13 +264,13 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
     (X_WE,) = make_robot_plant(robot_of(scenario)).tool_poses(q[-1:])
     error = math.dist(X_WE.translation(), scenario.task.goal)
     turn = X_WE.rotation().InvertAndCompose(end_rotations(scenario)[1]).ToAngleAxis().angle()
-    return "success" if error <= _DRP_ERROR and turn <= _DRP_TURN else "stopped"
+    return "success" if error <= _MAX_DRP_ERROR and turn <= _MAX_DRP_TURN else "stopped"
 
 
 def _without_motion(scenario: Scenario) -> dict[str, Any]:
-    """Returns the values of a result for a robot that stays at the start."""
+    """Returns the result of a run in which the robot does not move from the start."""
     return {
-        **dict.fromkeys(_UNKNOWN),
+        **dict.fromkeys(_UNKNOWN_KEYS),
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
@@ -270,22 +282,22 @@ def _without_motion(scenario: Scenario) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PandaSuite:
-    """Methods and the scenes that they run on.
+    """Set of methods and of the scenes on which they are evaluated.
 
     Attributes:
-        name: of the evaluation.
-        kind: of the scenes.
-        seed: of the scenes.
-        methods: some of `METHODS`.
+        name: name of the evaluation, for example "panda".
+        kind: kind of the scenes.
+        seed: seed of the scenes.
+        methods: names of methods, from `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of a run [s]; None: that of `simulate`.
-        stem: beginning of the names of the scenes' files.
-        drawings: number of a scene -> call that makes its scenario's text, which depends on the
-            positional arguments alone.
+        stem: prefix of the names of result files.
+        drawings: number of a scene -> function call that returns the text of its scenario; the
+            text depends on the positional arguments alone.
         criteria: conditions of success.
 
     Raises:
-        ValueError: for an unknown method.
+        ValueError: if a method is unknown.
     """
 
     name: str
@@ -302,15 +314,15 @@ class PandaSuite:
         check_choice("method", METHODS, *self.methods)
 
     def perception_of(self, method: str) -> str:
-        """Returns the perception of a method."""
+        """Returns the perception of a method, "truth" for methods that know the obstacles."""
         return "truth" if method in TRUTH_ONLY else self.perception
 
     def scene_name(self, scene: int) -> str:
-        """Returns the name of a scene's files."""
+        """Returns the name of a scene's result file, without suffix."""
         return f"{self.stem}-scene{scene:04d}"
 
     def run_name(self, scene: int, method: str) -> str:
-        """Returns the name of a run's files."""
+        """Returns the name of a run's result file, without suffix."""
         return f"{self.scene_name(scene)}-{method}-{self.perception_of(method)}"
 
 
@@ -322,18 +334,18 @@ def panda_suite(
     perception: str = "depth",
     duration: float | None = None,
 ) -> PandaSuite:
-    """Makes a suite of random scenes, of which scene i depends on kind and seed alone.
+    """Makes a suite of random scenes; scene i depends only on kind, seed and i.
 
     Args:
-        kind: one of `KINDS`.
+        kind: kind of scenes, from `scenes.KINDS`.
         scenes: number of scenes.
-        seed: of the scenes.
-        methods: some of `METHODS`.
+        seed: seed of the scenes.
+        methods: names of methods, from `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of a run [s]; None: that of `simulate`.
 
     Raises:
-        ValueError: for an unknown kind or method.
+        ValueError: if the kind or a method is unknown.
     """
     check_choice("kind of scenes", KINDS, kind)
     return PandaSuite(
@@ -345,18 +357,18 @@ def panda_suite(
         duration,
         f"{kind}-seed{seed}",
         {scene: partial(draw_text, seed, scene, kind) for scene in range(scenes)},
-        Criteria(by_drp=DRP in kind),
+        Criteria(has_drp_rules=DRP in kind),
     )
 
 
 class PandaResults(NamedTuple):
-    """Results of a suite.
+    """Results of all runs of a suite.
 
     Attributes:
-        suite: what is evaluated.
-        scenarios: scene -> the scenario's text, as it was drawn.
-        runs: method -> scene -> result, see `run_and_evaluate`.
-        resumed: number of results that were on disk.
+        suite: the evaluated suite.
+        scenarios: number of a scene -> text of the drawn scenario.
+        runs: method -> number of a scene -> result of `run_and_evaluate`.
+        resumed: number of results that were read from disk.
     """
 
     suite: PandaSuite
@@ -368,19 +380,19 @@ class PandaResults(NamedTuple):
 def evaluate_panda(
     suite: PandaSuite, *, workers: int | str = 1, folder: Path | None = None
 ) -> PandaResults:
-    """Draws the scenes and runs each method on each.
+    """Draws the scenes of a suite and runs each method on each scene.
 
-    A result on disk whose key is that of the scene, the method and the present source is
-    taken; all others are made, and written as soon as each is done.
+    A stored result is reused if scene, method and package source are the same. Every other run is
+    carried out, and its result is stored on completion.
 
     Args:
-        suite: what to evaluate.
-        workers: see `carry_out`.
-        folder: of the results; None: they are not stored.
+        suite: suite to evaluate.
+        workers: number of worker processes or Dask scheduler, see `carry_out`.
+        folder: folder of the results; None: results are not stored.
 
     Raises:
         ValueError: if the scheduler cannot be reached.
-        RuntimeError: if a scene cannot be drawn.
+        RuntimeError: if no scene is found within the maximum number of attempts.
     """
     drawings = {n: Task(suite.scene_name(n), draw) for n, draw in suite.drawings.items()}
     scenarios, _ = resumed(drawings, folder, workers)
@@ -393,19 +405,19 @@ def evaluate_panda(
         for scene, text in scenarios.items()
         for method in suite.methods
     }
-    found, known = resumed(tasks, folder, workers)
+    results, stored_count = resumed(tasks, folder, workers)
     runs: dict[str, dict[int, dict[str, Any]]] = {method: {} for method in suite.methods}
-    for (method, scene), result in found.items():
+    for (method, scene), result in results.items():
         runs[method][scene] = result
-    return PandaResults(suite, scenarios, runs, known)
+    return PandaResults(suite, scenarios, runs, stored_count)
 
 
 def draw_text(seed: int, scene: int, kind: str) -> str:
-    """Draws a scene as a scenario's text."""
+    """Draws a random scene and returns the text of its scenario."""
     return scenario_text(draw_panda_scene(seed, scene, kind=kind))
 
 
 def run_text(text: str, *arguments: Any) -> dict[str, Any]:
-    """Runs a scenario's text with further arguments of `run_and_evaluate`; returns the result."""
+    """Parses the text of a scenario and calls `run_and_evaluate` with it, without log output."""
     with quiet():
         return run_and_evaluate(parse_scenario(text), *arguments)

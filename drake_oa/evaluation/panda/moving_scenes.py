@@ -1,34 +1,35 @@
-"""Random scenes in which things move, on the table or in the air, while the robot does.
+"""Random scenes with obstacles that move while the robot moves, on the table or in the air.
 
-What moves goes level, the first of it is aimed at where a link will be on the nominal motion,
-and none to two things besides stand on the table. Motions and courses are drawn until
+Obstacles move horizontally. The trajectory of the first one passes the position of a link on the
+nominal motion, at the same time. Up to two further obstacles rest on the table. Motions and
+trajectories are drawn until
 
-- the first meets the nominal motion in time: some link of the robot, followed along the
-  straight line as it is planned, goes at least 5 mm into it while its course lasts;
-- nothing moves through the robot's base, above 0.6 m (its middle; in `moving_high` 1.0 m), or
-  nearer than 2 cm to another thing at any time (spheres round them);
-- what rests leaves the robot's start and goal free (5 cm of the whole robot), and what moves
-  leaves the start free at time 0;
-- each course ends within 15 s; the thing then rests.
+- the first obstacle hits the robot on the nominal motion: during its trajectory some link
+  penetrates it by at least 5 mm;
+- no obstacle passes through the robot's base, above 0.6 m (1.0 m in `moving_high`; height of its
+  center), or within 2 cm of another obstacle (distance of the enclosing balls);
+- the whole robot has at least 5 cm clearance to resting obstacles at start and goal, and to moving
+  obstacles at the start at time 0;
+- each trajectory ends within 15 s; the obstacle then rests.
 
-`moving`: one or two boxes, spheres and cylinders of 5 to 15 cm at 0.1 to 0.4 m/s, each along a
-straight course, aimed at a link and in the camera's view; they rest before and after. What moves
-leaves the start free for the first second, and the goal where it rests at last.
+`moving`: one or two boxes, spheres and cylinders of 5 to 15 cm at 0.1 to 0.4 m/s. Each moves along
+a straight line past a link, inside the camera's field of view, and rests before and after. The
+start is free of moving obstacles for the first second, and the goal after their trajectories.
 
-`moving_hard`: two to four of 5 to 30 cm, each of which does one to five of these, in a random
-order: it
+`moving_hard`: two to four obstacles of 5 to 30 cm. Each one has one to five of these maneuvers, in
+random order:
 
-- enters from outside the camera's image, and is on its way from the outset;
+- enters from outside the camera's image, moving from time 0;
 - changes its speed, within 0.1 to 0.8 m/s;
-- turns, by 30 to 120 degrees, on an arc of 20 to 50 cm radius, less on a short way;
-- stops for 0.5 to 2 s, and goes on;
-- comes back the way that it went.
+- turns by 30 to 120 degrees on an arc with a radius of 20 to 50 cm, less on a short path;
+- stops for 0.5 to 2 s and continues;
+- reverses along its path.
 
-`moving_high`: as `moving_hard`, and the middle of one of them at least passes above 0.6 m.
+`moving_high`: as `moving_hard`, and the center of at least one obstacle moves above 0.6 m.
 
-The courses of the others pass anywhere over the table. What a thing is and which of these it does
-is drawn once. Nothing else is asked. A thing may come at the arm where it cannot get away, press it
-to the table, or come to rest where the goal is: not every scene has a solution.
+The other obstacles pass anywhere above the table. Shapes and maneuvers are drawn once for a scene.
+No further condition is imposed: an obstacle may hit the arm where it cannot avoid it, press it
+against the table, or come to rest at the goal. Hence not every scene has a solution.
 """
 
 from __future__ import annotations
@@ -44,12 +45,12 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.evaluation.panda.scene_arm import Motion, scene_arm
 from drake_oa.evaluation.panda.scene_parts import (
     BASE_RADIUS,
-    FREE,
-    GAP,
+    MIN_END_CLEARANCE,
+    MIN_GAP,
+    MIN_PENETRATION,
     TABLE_X,
     TABLE_Y,
-    TOUCH,
-    DrawThings,
+    DrawObjects,
     bounding_ball,
     draw_obstacles,
     draw_shape,
@@ -60,215 +61,262 @@ from drake_oa.evaluation.panda.scene_parts import (
 )
 from drake_oa.scenario.obstacles import Obstacle
 
-MOST_RESTING = 2
-QUIET = 1.0
-"""Time for which moving obstacles leave the start free in `moving` [s]."""
-LONGEST = 15.0
-"""Time by which all courses have ended [s]."""
+MAX_RESTING = 2
+"""Maximum number of resting obstacles in a scene with moving ones."""
+START_FREE_TIME = 1.0
+"""Time from 0 in which the start is free of moving obstacles in `moving` [s]."""
+MAX_DURATION = 15.0
+"""Maximum end time of an obstacle's trajectory [s]."""
 
-_SIZE, _HARD_SIZE = (0.05, 0.15), (0.05, 0.30)
-"""Dimensions of a moving obstacle [m]."""
-_MOVING, _HARD_MOVING = (1, 2), (2, 4)
-"""Number of moving obstacles."""
-_SPEED, _HARD_SPEED = (0.1, 0.4), (0.1, 0.8)
-"""Speeds between begin, stops and end [m/s]."""
-_MET = (0.25, 0.75)
-"""Time at which an aimed obstacle meets the robot, as a share of the planned duration."""
-_BEFORE = (0.5, 2.5)
-"""Time for which an obstacle that does not enter moves before it meets the robot [s]."""
-_HIT = range(4, 7)
-"""Joints of the links that obstacles are aimed at: those that reach out."""
-_AIMED_ASIDE = 0.05
-"""Maximum distance of its course from a point of a link then, along each axis [m]."""
-_NEAR_TABLE = 0.05
-"""Height over its lowest place up to which an obstacle slides on the table [m]."""
-_OFF_TABLE = 2e-3
-"""Height of a sliding obstacle over the table [m], so that it does not rub."""
-_HIGHEST, HIGHEST = 0.6, 1.0
-"""Maximum height of the middle of an obstacle, and the same in `moving_high` [m]."""
-_SAMPLE = 0.05
-"""Time between samples of a course [s]."""
-_TRAJECTORIES = 60
-"""Courses tried for an obstacle among the same others."""
+_SIZES = (0.05, 0.15)
+"""Range of the dimensions of a moving obstacle in `moving` [m]."""
+_HARD_SIZES = (0.05, 0.30)
+"""Range of the dimensions of a moving obstacle in `moving_hard` and `moving_high` [m]."""
+_COUNTS = (1, 2)
+"""Range of the number of moving obstacles in `moving`."""
+_HARD_COUNTS = (2, 4)
+"""Range of the number of moving obstacles in `moving_hard` and `moving_high`."""
+_SPEEDS = (0.1, 0.4)
+"""Range of the speed of a moving obstacle in `moving` [m/s]."""
+_HARD_SPEEDS = (0.1, 0.8)
+"""Range of the speed of an obstacle with maneuvers, outside its stops [m/s]."""
+_MEETING_PHASES = (0.25, 0.75)
+"""Range of the time at which an obstacle passes its target point, as a fraction of the nominal
+motion's duration."""
+_APPROACH_TIMES = (0.5, 2.5)
+"""Range of the time from an obstacle's departure until it passes its target point [s]."""
+_TARGET_JOINTS = range(4, 7)
+"""Joints of the distal links, near which obstacles have their target points."""
+_MAX_OFFSET = 0.05
+"""Maximum offset of an obstacle's target point from a point of a link, along each axis [m]."""
+_SLIDING_HEIGHT = 0.05
+"""Height above its lowest position below which an obstacle is placed on the table [m]."""
+_TABLE_GAP = 2e-3
+"""Gap between the table and an obstacle that moves on it [m], to avoid contact."""
+_MAX_HEIGHT = 0.6
+"""Maximum height of a moving obstacle's center, except in `moving_high` [m]."""
+MAX_HIGH_HEIGHT = 1.0
+"""Maximum height of a moving obstacle's center in `moving_high` [m]."""
+_SAMPLE_TIME = 0.05
+"""Time between two samples of a trajectory [s]."""
+_ATTEMPTS = 60
+"""Maximum number of trajectories drawn for an obstacle, with all others unchanged."""
 
+# Maneuvers of an obstacle; random draws of scenes depend on the order of these numbers.
 ENTERS, CHANGES_SPEED, TURNS, STOPS, COMES_BACK = range(5)
-_CHANGE = 0.15
-"""Minimum change of the speed [m/s]."""
-_ACCELERATION = (1.0, 3.0)
-"""Acceleration along a course [m/s^2]."""
-_LEG = (0.4, 2.0)
-"""Duration at a speed [s]."""
-_WAY = (0.6, 1.6)
-"""Length at the last speed, and of an obstacle that enters at the first [m]."""
-_STOP = (0.5, 2.0)
-"""Duration of a stop [s]."""
-_TURN = (math.radians(30.0), math.radians(120.0))
-"""Angle of a turn [rad]."""
-_RADIUS = (0.2, 0.5)
-"""Radius of the arc of a turn [m]."""
-_FINE = 0.01
-"""Length between samples of a way [m]."""
+_MIN_SPEED_CHANGE = 0.15
+"""Minimum change of an obstacle's speed in the maneuver CHANGES_SPEED [m/s]."""
+_ACCELERATIONS = (1.0, 3.0)
+"""Range of an obstacle's acceleration along its path [m/s^2]."""
+_LEG_TIMES = (0.4, 2.0)
+"""Range of the time for which an obstacle moves at one speed [s]."""
+_LAST_LENGTHS = (0.6, 1.6)
+"""Range of an obstacle's path length at its last speed, and at its first speed if it enters [m]."""
+_STOP_TIMES = (0.5, 2.0)
+"""Range of the duration of an obstacle's stop [s]."""
+_TURN_ANGLES = (math.radians(30.0), math.radians(120.0))
+"""Range of the angle of an obstacle's turn [rad]."""
+_TURN_RADII = (0.2, 0.5)
+"""Range of the radius of an obstacle's turn [m]."""
+_SPACING = 0.01
+"""Path length between two samples of an obstacle's path [m]."""
 
 
-def moving_objects(random: Generator, *, hard: bool, highest: float = _HIGHEST) -> DrawThings:
-    """Prepares moving obstacles up to a height [m], and none to two at rest."""
-    fewest, most = _HARD_MOVING if hard else _MOVING
-    count, resting = random.integers(fewest, most + 1), int(random.integers(MOST_RESTING + 1))
-    smallest, largest = _HARD_SIZE if hard else _SIZE
+def moving_objects(
+    random: Generator, *, hard: bool, max_height: float = _MAX_HEIGHT
+) -> DrawObjects:
+    """Draws shapes and maneuvers of moving obstacles, and the number of resting ones.
+
+    Args:
+        random: source of random numbers.
+        hard: whether obstacles have maneuvers, as in `moving_hard`.
+        max_height: maximum height of an obstacle's center [m].
+
+    Returns:
+        A function that draws positions and trajectories of the obstacles for a nominal motion.
+    """
+    fewest, most = _HARD_COUNTS if hard else _COUNTS
+    count, resting = random.integers(fewest, most + 1), int(random.integers(MAX_RESTING + 1))
+    smallest, largest = _HARD_SIZES if hard else _SIZES
     objects = []
     for number in range(count):
         shape = draw_shape(random, smallest, largest, largest)
-        does = random.permutation(5)[: random.integers(1, 6)].tolist() if hard else []
-        objects.append((make_obstacle(random, "moving", number, [shape]), frozenset(does)))
+        maneuvers = random.permutation(5)[: random.integers(1, 6)].tolist() if hard else []
+        objects.append((make_obstacle(random, "moving", number, [shape]), frozenset(maneuvers)))
 
     def draw(motion: Motion) -> list[Obstacle] | None:
         standing = draw_obstacles(random, resting, first=len(objects))
         if standing is None or not ends_are_free(motion, standing):
             return None
         moved: list[Obstacle] = []
-        for object, does in objects:
-            for _ in range(_TRAJECTORIES):
-                placed = _on_trajectory(random, object, does, motion, highest, first=not moved)
-                if _trajectory_fits(placed, does, motion, [*moved, *standing], highest) and (
-                    moved or _is_met(placed, motion)
-                ):
+        for object, maneuvers in objects:
+            for _ in range(_ATTEMPTS):
+                placed = _draw_trajectory(
+                    random, object, maneuvers, motion, max_height, first=not moved
+                )
+                if _trajectory_fits(
+                    placed, maneuvers, motion, [*moved, *standing], max_height
+                ) and (moved or _hits_motion(placed, motion)):
                     moved.append(placed)
                     break
             else:
                 return None
-        low = max(placed.translation[2] for placed in moved) <= _HIGHEST < highest
+        low = max(placed.translation[2] for placed in moved) <= _MAX_HEIGHT < max_height
         return None if low else [*moved, *standing]
 
     return draw
 
 
-def _on_trajectory(
+def _draw_trajectory(
     random: Generator,
     object: Obstacle,
-    does: frozenset[int],
+    maneuvers: frozenset[int],
     motion: Motion,
-    highest: float,
+    max_height: float,
     *,
     first: bool,
 ) -> Obstacle:
-    """Draws a course of an obstacle.
+    """Draws a trajectory of an obstacle.
 
-    The first obstacle, and each one without maneuvers, passes a point of a link when that is there.
+    The first obstacle, and each one without maneuvers, passes the position of a link of the robot
+    on the nominal motion at the same time. Others pass a random point above the table.
     """
-    arm, row = scene_arm(), int(random.uniform(*_MET) * len(motion.t))
+    arm, row = scene_arm(), int(random.uniform(*_MEETING_PHASES) * len(motion.t))
     met = motion.t[row]
-    if first or not does:
-        point = random.choice(arm.centers(motion.q[row : row + 1], _HIT))
-        point = point + random.uniform(-_AIMED_ASIDE, _AIMED_ASIDE, 3)
+    if first or not maneuvers:
+        point = random.choice(arm.centers(motion.q[row : row + 1], _TARGET_JOINTS))
+        point = point + random.uniform(-_MAX_OFFSET, _MAX_OFFSET, 3)
     else:
-        point = np.array([random.uniform(*side) for side in (TABLE_X, TABLE_Y, (0.0, highest))])
-    t, along = _draw_speeds(random, does, *(_HARD_SPEED if does else _SPEED))
-    if ENTERS not in does:
-        t = t + round(max(met - random.uniform(*_BEFORE), 0.0), 2)
-    p = _draw_way(random, along, bends=TURNS in does)
+        point = np.array([random.uniform(*side) for side in (TABLE_X, TABLE_Y, (0.0, max_height))])
+    t, along = _draw_speeds(random, maneuvers, *(_HARD_SPEEDS if maneuvers else _SPEEDS))
+    if ENTERS not in maneuvers:
+        t = t + round(max(met - random.uniform(*_APPROACH_TIMES), 0.0), 2)
+    p = _draw_path(random, along, bends=TURNS in maneuvers)
     p += point[:2] - [np.interp(met, t, axis) for axis in p.T]
-    # Between two rows that are kept it goes straight on at the same speed.
-    velocity = np.diff(p, axis=0) / _SAMPLE
-    changed = np.linalg.norm(np.diff(velocity, axis=0), axis=1) > 1e-6
-    kept = np.concatenate([[True], changed, [True]])
-    lowest, begin = extent(object.shapes[0])[1] + _OFF_TABLE, np.round(p[0], 4)
-    z = point[2] if point[2] > lowest + _NEAR_TABLE else lowest
+    # Only samples with a change of velocity are waypoints: between them the velocity is constant.
+    velocity = np.diff(p, axis=0) / _SAMPLE_TIME
+    is_change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) > 1e-6
+    is_waypoint = np.concatenate([[True], is_change, [True]])
+    lowest, begin = extent(object.shapes[0])[1] + _TABLE_GAP, np.round(p[0], 4)
+    z = point[2] if point[2] > lowest + _SLIDING_HEIGHT else lowest
     trajectory = np.column_stack([np.round(t, 2), np.round(p - begin, 4), np.zeros(len(t))])
     return replace(
         object,
         translation=[*begin.tolist(), round(float(z), 4)],
-        waypoints=trajectory[kept].tolist(),
+        waypoints=trajectory[is_waypoint].tolist(),
     )
 
 
 def _draw_speeds(
-    random: Generator, does: frozenset[int], slowest: float, fastest: float
+    random: Generator, maneuvers: frozenset[int], slowest: float, fastest: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Draws (T,) times from 0 [s], `_SAMPLE` apart, and (T,) lengths along the way then [m]."""
+    """Draws the motion of an obstacle along its path.
+
+    Args:
+        random: source of random numbers.
+        maneuvers: maneuvers of the obstacle.
+        slowest: minimum speed [m/s].
+        fastest: maximum speed [m/s].
+
+    Returns:
+        (T,) times from 0, `_SAMPLE_TIME` apart [s], and (T,) path lengths at these times [m].
+    """
     speed, sense = random.uniform(slowest, fastest), 1.0
-    legs = [(speed, random.uniform(*_LEG))]
-    if ENTERS in does:
-        legs = [(speed, random.uniform(*_WAY) / speed)]
+    legs = [(speed, random.uniform(*_LEG_TIMES))]
+    if ENTERS in maneuvers:
+        legs = [(speed, random.uniform(*_LAST_LENGTHS) / speed)]
     for event in random.permutation([CHANGES_SPEED, STOPS, COMES_BACK]):
-        if event not in does:
+        if event not in maneuvers:
             continue
         if event == CHANGES_SPEED:
             span = fastest - slowest
-            step = random.uniform(_CHANGE, span - _CHANGE)
+            step = random.uniform(_MIN_SPEED_CHANGE, span - _MIN_SPEED_CHANGE)
             speed = slowest + (speed - slowest + step) % span
         elif event == STOPS:
-            legs.append((0.0, random.uniform(*_STOP)))
+            legs.append((0.0, random.uniform(*_STOP_TIMES)))
         else:
             sense = -sense
-        legs.append((sense * speed, random.uniform(*_LEG)))
-    legs[-1] = (sense * speed, random.uniform(*_WAY) / speed)
-    rate = random.uniform(*_ACCELERATION)
+        legs.append((sense * speed, random.uniform(*_LEG_TIMES)))
+    legs[-1] = (sense * speed, random.uniform(*_LAST_LENGTHS) / speed)
+    rate = random.uniform(*_ACCELERATIONS)
     t, v = [0.0], [0.0]
     for target, seconds in [*legs, (0.0, 0.0)]:
         t += [t[-1] + abs(target - v[-1]) / rate]
         t += [t[-1] + seconds]
         v += [target, target]
-    times = _SAMPLE * np.arange(math.ceil(t[-1] / _SAMPLE) + 1, dtype=float)
+    times = _SAMPLE_TIME * np.arange(math.ceil(t[-1] / _SAMPLE_TIME) + 1, dtype=float)
     speeds = np.interp(times, t, v)
-    steps = 0.5 * _SAMPLE * (speeds[1:] + speeds[:-1])
+    steps = 0.5 * _SAMPLE_TIME * (speeds[1:] + speeds[:-1])
     return times, np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _draw_way(random: Generator, along: FloatArray, *, bends: bool) -> FloatArray:
-    """Draws (T, 2) places, seen from above, at (T,) lengths along a way [m].
+def _draw_path(random: Generator, along: FloatArray, *, bends: bool) -> FloatArray:
+    """Draws a horizontal path, straight or with one turn.
 
-    The way is straight, or bends once between two lengths that are reached.
+    Args:
+        random: source of random numbers.
+        along: (T,) path lengths [m].
+        bends: whether the path has a turn, within the range of `along`.
+
+    Returns:
+        (T, 2) x and y coordinates at the path lengths [m].
     """
-    length = np.arange(along.min() - _FINE, along.max() + 2.0 * _FINE, _FINE)
+    length = np.arange(along.min() - _SPACING, along.max() + 2.0 * _SPACING, _SPACING)
     heading = np.full(len(length), random.uniform(-math.pi, math.pi))
     if bends:
-        turn = random.uniform(*_TURN) * random.choice([-1.0, 1.0])
-        arc = min(random.uniform(*_RADIUS) * abs(turn), np.ptp(along))
+        turn = random.uniform(*_TURN_ANGLES) * random.choice([-1.0, 1.0])
+        arc = min(random.uniform(*_TURN_RADII) * abs(turn), np.ptp(along))
         begin = random.uniform(along.min(), max(along.max() - arc, along.min()))
         heading += turn * np.clip((length - begin) / arc, 0.0, 1.0)
-    steps = _FINE * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    steps = _SPACING * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     places = np.cumsum(steps, axis=0)
     return np.stack([np.interp(along, length, axis) for axis in places.T], axis=1)
 
 
 def _trajectory_fits(
     object: Obstacle,
-    does: frozenset[int],
+    maneuvers: frozenset[int],
     motion: Motion,
     others: Sequence[Obstacle],
-    highest: float,
+    max_height: float,
 ) -> bool:
-    """Checks a course among others: its end, height, distances, visibility and the ends' room."""
+    """Checks the conditions on an obstacle's trajectory, given those of the other obstacles.
+
+    The conditions are those of the module's docstring: end time, height, distances to the robot's
+    base and to other obstacles, visibility, and clearance of the robot at start and goal.
+    """
     end = max(item.last_change for item in [object, *others])
-    if end > LONGEST or object.translation[2] > highest:
+    if end > MAX_DURATION or object.translation[2] > max_height:
         return False
-    t, arm = np.arange(0.0, end + _SAMPLE, _SAMPLE), scene_arm()
+    t, arm = np.arange(0.0, end + _SAMPLE_TIME, _SAMPLE_TIME), scene_arm()
     p, radius = _track(object, t)
     seen = view_margin(p)
     if np.hypot(p[:, 0], p[:, 1]).min() < radius + BASE_RADIUS:
         return False
-    if ENTERS in does and (seen[0] > -radius or seen.max() < 0.0):
+    if ENTERS in maneuvers and (seen[0] > -radius or seen.max() < 0.0):
         return False
-    if not does and seen.min() < 0.0:
+    if not maneuvers and seen.min() < 0.0:
         return False
     for other in others:
         p_other, other_radius = _track(other, t)
-        if np.linalg.norm(p - p_other, axis=1).min() < radius + other_radius + GAP:
+        if np.linalg.norm(p - p_other, axis=1).min() < radius + other_radius + MIN_GAP:
             return False
-    quiet = t[t <= (0.0 if does else QUIET)]
-    if arm.distances(motion.ends[:1], [object], quiet).min() < FREE:
+    start_times = t[t <= (0.0 if maneuvers else START_FREE_TIME)]
+    if arm.distances(motion.ends[:1], [object], start_times).min() < MIN_END_CLEARANCE:
         return False
-    return bool(does) or bool(arm.distances(motion.ends[1:], [object], end).min() >= FREE)
+    return bool(maneuvers) or bool(
+        arm.distances(motion.ends[1:], [object], end).min() >= MIN_END_CLEARANCE
+    )
 
 
 def _track(obstacle: Obstacle, t: FloatArray) -> tuple[FloatArray, float]:
-    """Computes (T, 3) centers at (T,) times, and the radius, of a ball around an obstacle [m]."""
+    """Computes centers (T, 3) at times (T,), and the radius, of a ball around an obstacle [m]."""
     center, radius = bounding_ball(obstacle)
     return np.array([center + obstacle.offset_at(time) for time in t]), radius
 
 
-def _is_met(object: Obstacle, motion: Motion) -> bool:
-    """Checks that an obstacle touches the robot on the planned motion while its course lasts."""
+def _hits_motion(object: Obstacle, motion: Motion) -> bool:
+    """Checks whether a moving obstacle hits the robot on the nominal motion."""
     rows = (motion.t >= object.waypoints[0][0]) & (motion.t <= object.waypoints[-1][0])
     found = scene_arm().distances(motion.q[rows], [object], motion.t[rows])
-    return bool(found.min(initial=np.inf) <= -TOUCH)
+    return bool(found.min(initial=np.inf) <= -MIN_PENETRATION)

@@ -1,20 +1,21 @@
-"""Planners that know all obstacles exactly, to find the scenes that have a solution at all.
+"""Planners that know all obstacles exactly, to determine which scenes have a solution.
 
-Obstacles at rest (`run_planner`): OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) in the joints
-of the arm, from the start's configuration to configurations with the tool, held as the task asks,
-at the goal, or to the task's joints there. On the way the tool may turn as it likes: the planner
-may do all that the methods may, and more. A state is valid where what moves of the robot keeps the
-clearance to every obstacle, its joint limits, and off the table and itself, by Drake's
-`SceneGraphCollisionChecker`. Needs the extra `baselines`: pip install 'drake_oa[baselines]'.
+Resting obstacles (`run_planner`): OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) in the joint
+space of the arm, from the start configuration to the task's goal joints or else to configurations
+with the tool at the goal pose. Between start and goal the tool's orientation is free, so that the
+planner may use every motion of the evaluated methods, and more. A state is valid if it is within
+the joint limits, the clearance of the moving links to every obstacle is at least the minimum
+clearance, and the robot touches neither environment nor itself (Drake's
+`SceneGraphCollisionChecker`). Requires the extra `baselines`: pip install 'drake_oa[baselines]'.
 
-Moving obstacles, whose courses are known: a tree of configurations at rest, each at a time, grows
-from the start by random motions (`find_motion`): the arm waits, and then goes to another
-configuration as fast as its joints can (`bang_motions`). From each node at which it could stay
-until all obstacles rest, RRT-Connect (`plan_path`) looks for a path among them to the goal. A
-motion that is found is within the limits of position, velocity and acceleration and, by enclosing
-spheres, clear: a proof. That none is found proves nothing.
+Moving obstacles with known trajectories (`find_motion`): a tree grows from the start at time 0;
+each node is a configuration at rest at a time. A random edge waits, and then moves to another
+configuration in minimum time (`bang_motions`). From each node at which the arm can stay until all
+obstacles are at rest, RRT-Connect (`plan_path`) searches a path among them to the goal. A resulting
+motion is a proof that the scene has a solution: it is within the limits of position, velocity and
+acceleration, and collision-free by enclosing spheres. Without a motion nothing is proven.
 
-The same scenario, seed and limits give the same plan: the limits count states, not seconds.
+The limits count states, not seconds: same scenario, seed and limits give the same plan.
 """
 
 from __future__ import annotations
@@ -47,103 +48,116 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 CLEARANCE = 0.025
-"""Clearance of the whole robot [m]: as near as the supervisor lets a link come to an obstacle."""
+"""Minimum clearance of the whole robot to resting obstacles [m], at which the supervisor stops."""
 STATES = 40_000
-"""Maximum number of states that are checked for one path."""
-_STEP = 0.03
-"""Distance between checked states [rad], all joints together."""
-_RANGE = 0.6
-"""Maximum step of the trees [rad]."""
-_GOALS = 12
-"""Number of random seeds for configurations at the goal."""
-_SPEED = 0.5
-"""Fraction of the joints' maximum speeds that a plan uses."""
-_FINE = 4
-"""Number of judged instants for each step of a plan."""
+"""Maximum number of states that are checked for one path among resting obstacles."""
+_CHECK_STEP = 0.03
+"""Joint-space distance between checked states of an edge [rad]."""
+_MAX_STEP = 0.6
+"""Maximum joint-space length of an edge of RRT-Connect's trees [rad]."""
+_GOAL_SEEDS = 12
+"""Number of random seeds of inverse kinematics for goal configurations."""
+_SPEED_FRACTION = 0.5
+"""Joint speed of a plan as a fraction of the maximum joint speed."""
+_SUBSTEPS = 4
+"""Number of evaluated configurations for each step of a plan."""
 
 MOVING_CLEARANCE = 0.005
-"""Clearance of the whole robot to all solids and itself among moving obstacles [m]."""
+"""Minimum clearance of the whole robot, among moving obstacles, to all objects and itself [m]."""
 MOVING_STATES = 3_000_000
-"""Maximum number of configurations that are checked: 10 to 25 s of processor time."""
+"""Maximum number of checked configurations among moving obstacles: 10 to 25 s of processor time."""
 _PATH_STATES = 20_000
-"""Maximum number of configurations that one search among resting obstacles checks."""
-_MOTIONS, _STEPS = 64, 150
-"""Number of motions that are tried at once, and of their steps: within them each comes to rest."""
-_MOVING_RANGE = 1.0
-"""Maximum way of a joint in one motion [rad]."""
-_WAIT = 50
-"""Maximum number of steps for which the arm waits before a motion."""
+"""Maximum number of configurations checked by one path search among resting obstacles."""
+_BATCH = 64
+"""Number of random motions that are checked at once."""
+_MOTION_STEPS = 150
+"""Number of steps of a random motion, within which the arm comes to rest."""
+_MAX_JOINT_MOTION = 1.0
+"""Maximum displacement of a joint in one random motion [rad]."""
+_MAX_WAIT = 50
+"""Maximum number of steps for which the arm waits before a random motion."""
 
 
 def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
-    """Returns positions (nq,) at the goal: several ones unless the task gives the joints."""
-    found = [q_goal]
+    """Returns configurations (nq,) at the goal: the task's goal joints, or several by inverse
+    kinematics, the given one first."""
+    solution = [q_goal]
     if scenario.task.q_goal is not None:
-        return found
+        return solution
     robot_plant, (_, R_WG) = make_robot_plant(robot_of(scenario)), end_rotations(scenario)
     chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_goal)
     X_WE = np.append(R_WG.matrix().ravel(), scenario.task.goal)
     near = q_goal[chain.q_index]
-    for joints in inverse_kinematics(chain, X_WE, near, seeds=_GOALS, seed=scenario.seed):
-        found.append(q_goal.copy())
-        found[-1][chain.q_index] = joints
-    return found
+    for joints in inverse_kinematics(chain, X_WE, near, seeds=_GOAL_SEEDS, seed=scenario.seed):
+        solution.append(q_goal.copy())
+        solution[-1][chain.q_index] = joints
+    return solution
 
 
 def run_planner(
     scenario: Scenario, *, clearance: float = CLEARANCE, states: int = STATES
 ) -> dict[str, Any]:
-    """Plans a scenario's motion and judges the plan.
+    """Plans a motion of a scenario and evaluates the plan on ground truth.
 
     Args:
-        scenario: with a robot.
-        clearance: minimum distance between the robot and obstacles at rest [m].
-        states: maximum number of checked states among obstacles at rest.
+        scenario: scenario with a robot.
+        clearance: minimum clearance between robot and resting obstacles [m].
+        states: maximum number of checked states among resting obstacles.
 
     Returns:
-        What `motion_report` gives of a run and `run_and_evaluate` keeps, as far as a plan has it; the
-        `stop_reason` says why there is none. `wall_time` is that of planning, `states` the number
-        of checked configurations.
+        Those keys of `run_and_evaluate` that a plan has. `stop_reason` is "goal" or the reason for
+        the missing plan, `wall_time` the time of planning [s], and `states` the number of checked
+        configurations.
 
     Raises:
-        ValueError: if obstacles rest and OMPL is not installed.
+        ValueError: if no obstacle moves and OMPL is not installed.
     """
     begin = perf_counter()
     if last_change(scenario.obstacles) > 0.0:
-        reason, found = _plan_among_moving(scenario)
+        reason, solution = _plan_among_moving(scenario)
     else:
-        reason, found = _plan_at_rest(scenario, clearance, states)
+        reason, solution = _plan_at_rest(scenario, clearance, states)
     return {
         "stop_reason": reason or "goal",
         "ended": MotionEnd.MISSED if reason else MotionEnd.GOAL,
         "wall_time": perf_counter() - begin,
-        **found,
+        **solution,
     }
 
 
 def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[str, dict[str, Any]]:
-    """Plans by RRT-Connect; returns why there is no plan, or "", and its figures."""
+    """Plans by RRT-Connect among resting obstacles.
+
+    Returns:
+        The reason for a missing plan ("" if there is a plan), and the plan's metrics.
+    """
     base, geometric, util = (
         import_extra(f"ompl.{name}", "baselines") for name in ("base", "geometric", "util")
     )
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(1 + scenario.seed)
-    checker = make_collision_checker(scenario, tool=clearance, links=clearance, world=0.0, own=0.0)
+    checker = make_collision_checker(
+        scenario,
+        tool_padding=clearance,
+        link_padding=clearance,
+        world_padding=0.0,
+        self_padding=0.0,
+    )
     of_robot, n = make_robot_plant(robot_of(scenario)).limits, len(robot_of(scenario).q_seed)
-    lower, upper, looked_at = of_robot.position_lower[:n], of_robot.position_upper[:n], 0
+    lower, upper, checked_count = of_robot.position_lower[:n], of_robot.position_upper[:n], 0
 
     def is_free(q: FloatArray) -> bool:
-        nonlocal looked_at
-        looked_at += 1
+        nonlocal checked_count
+        checked_count += 1
         return bool(checker.CheckConfigCollisionFree(q))
 
     q_start, q_goal = end_positions(scenario)
     goals = [q for q in goal_positions(scenario, q_goal) if is_free(q)]
     if not is_free(q_start):
-        return "the start is not free", {"states": looked_at}
+        return "start configuration in collision", {"states": checked_count}
     if not goals:
-        return "no configuration at the goal is free", {"states": looked_at}
-    last = looked_at + states
+        return "all goal configurations in collision", {"states": checked_count}
+    last = checked_count + states
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
     for joint in range(n):
         bounds.setLow(joint, float(lower[joint]))
@@ -162,40 +176,44 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
         return state
 
     setup.setStateValidityChecker(lambda state: is_free(positions(state)))
-    information.setStateValidityCheckingResolution(_STEP / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(_CHECK_STEP / space.getMaximumExtent())
     setup.setStartState(state_of(q_start))
     targets = base.GoalStates(information)
     for q in goals:
         targets.addState(state_of(q))
     setup.setGoal(targets)
     planner = geometric.RRTConnect(information)
-    planner.setRange(_RANGE)
+    planner.setRange(_MAX_STEP)
     setup.setPlanner(planner)
-    setup.solve(base.PlannerTerminationCondition(lambda: looked_at >= last))
+    setup.solve(base.PlannerTerminationCondition(lambda: checked_count >= last))
     if not setup.haveExactSolutionPath():
-        return f"no path found in {states} states", {"states": looked_at}
+        return f"no path found in {states} states", {"states": checked_count}
     setup.simplifySolution()
-    found = setup.getSolutionPath()
-    found.interpolate()
-    found.interpolate(_FINE * found.getStateCount())
-    path = np.array([positions(found.getState(row)) for row in range(found.getStateCount())])
+    solution = setup.getSolutionPath()
+    solution.interpolate()
+    solution.interpolate(_SUBSTEPS * solution.getStateCount())
+    path = np.array([positions(solution.getState(row)) for row in range(solution.getStateCount())])
     metrics = robot_metrics(scenario, path)
-    steps = np.abs(np.diff(path[:, :n], axis=0)) / (_SPEED * of_robot.velocity_limit[:n])
+    steps = np.abs(np.diff(path[:, :n], axis=0)) / (_SPEED_FRACTION * of_robot.velocity_limit[:n])
     return "", {
         "contacts": list(metrics.contacts),
         "self_contacts": list(metrics.self_contacts),
         "tool_clearance_min": min_clearance(metrics.tool_clearance),
         "robot_clearance_min": min_clearance(metrics.robot_clearance),
         "goal_error": math.dist(metrics.p_WE[-1], scenario.task.goal),
-        # Some joint always moves at its fraction of the maximum speed.
+        # In each step, one of the joints moves at `_SPEED_FRACTION` of its maximum speed.
         "duration": float(steps.max(axis=1).sum()),
         "path_length": path_length(metrics.p_WE),
-        "states": looked_at,
+        "states": checked_count,
     }
 
 
 def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
-    """Returns why there is no plan, or "", and its figures."""
+    """Plans among moving obstacles by `find_motion`.
+
+    Returns:
+        The reason for a missing plan ("" if there is a plan), and the plan's metrics.
+    """
     q_start, q_goal = end_positions(scenario)
     world = make_true_world(scenario, MOVING_CLEARANCE)
     chain, goals = world.arm.chain, np.array(goal_positions(scenario, q_goal))
@@ -210,7 +228,12 @@ def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
 
 
 class JointMotion(NamedTuple):
-    """Motion (T, n) of the arm, a row every `STEP`, then a path (M, n) among resting obstacles."""
+    """Planned motion of the arm among moving obstacles.
+
+    Attributes:
+        q: (T, n) joint positions, a row every `STEP`, until all obstacles are at rest [rad].
+        path: (M, n) corners of the subsequent path to the goal [rad].
+    """
 
     q: FloatArray
     path: FloatArray
@@ -219,16 +242,16 @@ class JointMotion(NamedTuple):
 def find_motion(
     world: TrueWorld, q_start: FloatArray, goals: FloatArray, seed: int
 ) -> tuple[JointMotion | None, int]:
-    """Searches a motion from rest at time 0 to rest at a goal.
+    """Searches a collision-free motion from rest at time 0 to rest at a goal configuration.
 
     Args:
-        world: the arm, its clearance and the solids.
-        q_start: (n,) positions at first [rad].
-        goals: (m, n) positions at the goal [rad].
-        seed: of the random motions.
+        world: the arm, its minimum clearance, and the collision geometries.
+        q_start: (n,) joint positions at time 0 [rad].
+        goals: (m, n) goal configurations [rad].
+        seed: seed of the random motions.
 
     Returns:
-        The motion, or None, and the number of configurations that were checked.
+        The motion, or None, and the number of checked configurations.
     """
     random, chain, checked = np.random.default_rng(seed), world.arm.chain, 0
     if not any(is_collision_free(world.arm, q) for q in goals):
@@ -244,18 +267,22 @@ def find_motion(
                 path = plan_path(world.arm, motion[-1], goals, most=_PATH_STATES, seed=seed)
                 if len(path):
                     return JointMotion(np.vstack([motion, stay[0, 1:]]), path), checked
-        # Of two nodes the later one: the tree is to outlast the courses.
-        pairs = random.integers(len(nodes), size=(_MOTIONS, 2)).tolist()
+        # The later one of two random nodes, so that the tree soon reaches the trajectories' end.
+        pairs = random.integers(len(nodes), size=(_BATCH, 2)).tolist()
         picked = [max((nodes[row] for row in pair), key=len) for pair in pairs]
         q = np.array([motion[-1] for motion in picked])
         way = random.uniform(chain.lower, chain.upper, q.shape) - q
-        way *= _MOVING_RANGE * random.random((_MOTIONS, 1)) / np.abs(way).max(axis=1, keepdims=True)
+        way *= (
+            _MAX_JOINT_MOTION * random.random((_BATCH, 1)) / np.abs(way).max(axis=1, keepdims=True)
+        )
         legs = np.clip(np.stack([q, q + way], axis=1), chain.lower, chain.upper)
-        switch = random.integers(0, _WAIT + 1, _MOTIONS)
-        motions = bang_motions(world, q, np.zeros_like(q), legs, switch, _STEPS)
+        switch = random.integers(0, _MAX_WAIT + 1, _BATCH)
+        motions = bang_motions(world, q, np.zeros_like(q), legs, switch, _MOTION_STEPS)
         counts = clear_steps(world, motions, np.array([len(motion) - 1 for motion in picked]))
-        checked += _MOTIONS + int(counts.sum())
+        checked += _BATCH + int(counts.sum())
         grown = zip(picked, motions, counts, strict=True)
-        new = [np.vstack([before, more[1:]]) for before, more, count in grown if count > _STEPS]
+        new = [
+            np.vstack([before, more[1:]]) for before, more, count in grown if count > _MOTION_STEPS
+        ]
         nodes = nodes + new
     return None, checked

@@ -1,8 +1,8 @@
-"""Arm of the random scenes: straight motions of its tool, and its distances to obstacles.
+"""Arm model of the random scenes: straight tool motions, and distances of links to obstacles.
 
-The arm is that of the planner: its joints and the spheres that enclose its links
-(`drake_oa.planning.collision_model`). Distances between true shapes are up to 4 mm larger, of the base
-2 cm.
+The model consists of the planner's joints and enclosing spheres of the links
+(`drake_oa.planning.collision_model`). Distances between true shapes are up to 4 mm larger than its
+distances, and up to 2 cm larger for the base.
 """
 
 from __future__ import annotations
@@ -37,42 +37,44 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
 
-LIKE = "tabletop_box"
-"""Name of the shipped scenario with the robot, camera and parameters of most scenes."""
-ELBOW_LIKE = "shelf_elbow"
-"""Name of the shipped scenario with the camera of elbow scenes, which looks higher."""
-_CELL = """\
+DEFAULT_SCENARIO = "tabletop_box"
+"""Name of the shipped scenario whose robot, camera and parameters most scenes have."""
+ELBOW_SCENARIO = "shelf_elbow"
+"""Name of the shipped scenario whose camera, with a smaller downward tilt, elbow scenes have."""
+_STATION_DIRECTIVES = """\
 directives:
 - add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
 - add_directives: {file: package://drake_oa/scenes/camera_xtion.dmd.yaml}
 """
+"""YAML of the station's directives: table and camera stand."""
 _STEPS = 60
-"""Steps of a straight motion."""
+"""Number of time steps of a straight motion."""
 _LIMIT_MARGIN = 0.03
-"""Minimum distance of a straight motion to the joint limits [rad]."""
+"""Minimum distance of a straight motion from the joint limits [rad]."""
 _MAX_ERROR = 1e-3
-"""Maximum pose error of a straight motion [m, rad]."""
+"""Maximum error of the tool pose along a straight motion [m, rad]."""
 
 
 @lru_cache(maxsize=4)
-def base_scenario(like: str = LIKE) -> Scenario:
-    """Loads a shipped scenario and removes all but table and camera from its world."""
+def base_scenario(like: str = DEFAULT_SCENARIO) -> Scenario:
+    """Loads a shipped scenario and removes everything but table and camera stand from its world."""
     scenario = load_scenario(like)
-    scenario.directives = parse_scenario(_CELL).directives
+    scenario.directives = parse_scenario(_STATION_DIRECTIVES).directives
     scenario.obstacles = []
     return scenario
 
 
 class Motion(NamedTuple):
-    """Planned motion of a scene.
+    """Nominal motion of a scene.
 
     Attributes:
-        start: (3,) tool point at the start [m].
-        goal: (3,) tool point at the goal [m].
+        start: (3,) tool position at the start [m].
+        goal: (3,) tool position at the goal [m].
         t: (T,) times [s].
-        q: (T, n) joints [rad].
-        ends: (3, n) joints at both ends of q, and those that a run at the goal begins with [rad].
-        rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
+        q: (T, n) joint positions [rad].
+        ends: (3, n) joint positions at start and end of `q`, and the scenario's goal configuration
+            by inverse kinematics [rad].
+        rpy_WE: roll, pitch and yaw of the tool [rad]; None: the tool points down.
     """
 
     start: FloatArray
@@ -84,15 +86,15 @@ class Motion(NamedTuple):
 
 
 class SceneArm:
-    """Arm of the random scenes, whose tool points down unless another orientation is given.
+    """Arm model of the random scenes; its tool points down by default.
 
     Attributes:
-        tool: (G,) whether each link is of the tool.
-        joint: (G,) index of the joint that moves each link; -1: fixed.
+        tool: (G,) whether each link belongs to the tool.
+        joint: (G,) index of the joint that moves each link; -1 for fixed links.
     """
 
     def __init__(self) -> None:
-        """Reads the arm of the default scenario."""
+        """Loads the robot of the default scenario."""
         robot = robot_of(base_scenario())
         robot_plant, q_home = make_robot_plant(robot), home_positions(robot)
         self._spheres = covered_arm(robot).arrays
@@ -104,7 +106,7 @@ class SceneArm:
         self.tool = self._spheres.of_tool[self._spheres.first[:-1]]
 
     def postures(self, p_WE: FloatArray) -> FloatArray:
-        """Computes (m, n) joints with the tool at a point (3,) [rad]."""
+        """Computes configurations (m, n) with the tool at position p_WE (3,) [rad]."""
         return inverse_kinematics(self._chain, np.append(self._R_WE, p_WE), self._q_home)
 
     def straight_motion(
@@ -114,14 +116,14 @@ class SceneArm:
         aside: FloatArray | None = None,
         rpy_WE: list[float] | None = None,
     ) -> Motion | None:
-        """Computes the motion along the straight minimum-jerk path of the tool.
+        """Computes the joint motion along a straight minimum-jerk tool path.
 
         Args:
-            start: (3,) tool point at the start [m].
-            goal: (3,) tool point at the goal [m].
-            aside: (n,) joints that the null space is led to in the middle and back [rad]; None:
-                it stays at the posture of the start.
-            rpy_WE: roll, pitch and yaw of the tool [rad]; None: it points down.
+            start: (3,) tool position at the start [m].
+            goal: (3,) tool position at the goal [m].
+            aside: (n,) nominal posture in the middle of the motion, tracked in the null space
+                [rad]; None: the nominal posture is that of the start.
+            rpy_WE: roll, pitch and yaw of the tool [rad]; None: the tool points down.
 
         Returns:
             The motion; None if the arm cannot follow the line or touches the table.
@@ -137,12 +139,12 @@ class SceneArm:
         except ScenarioError:
             return None
         q_start, s = q_ends[0], np.linspace(0.0, 1.0, _STEPS + 1)
-        led = np.sin(np.pi * s[:, None]) ** 2 * (0.0 if aside is None else aside - q_start)
+        offset = np.sin(np.pi * s[:, None]) ** 2 * (0.0 if aside is None else aside - q_start)
         paths = ToolPaths(
             s=s,
             p_WE=(start + minimum_jerk_share(s)[:, None] * (goal - start))[None],
             R_WE=np.tile(R_WE, (1, len(s), 1)),
-            posture=(q_start + led)[None],
+            posture=(q_start + offset)[None],
             seconds=task.duration,
         )
         off_table = np.where(self.joint < 0, -np.inf, 0.0)[:, None]
@@ -160,12 +162,12 @@ class SceneArm:
     def distances(
         self, q: FloatArray, obstacles: Iterable[Obstacle], t: ArrayLike = 0.0
     ) -> FloatArray:
-        """Computes (T, G, K) distances of G links to the K shapes of obstacles [m].
+        """Computes distances (T, G, K) of the arm's G links to the obstacles' K shapes [m].
 
         Args:
-            q: (T, n) joints [rad], or (1, n) for all times.
-            obstacles: at rest or moving.
-            t: T times [s], or one for all joints.
+            q: (T, n) joint positions [rad], or (1, n) for all times.
+            obstacles: resting or moving obstacles.
+            t: (T,) times [s], or one time for all joint positions.
         """
         placed = [obstacle_geometries(obstacles, time) for time in np.atleast_1d(t)]
         return np.stack(
@@ -183,13 +185,13 @@ class SceneArm:
         )
 
     def centers(self, q: FloatArray, joints: range) -> FloatArray:
-        """Computes centers (N, 3) of the spheres of some joints' links at joints (T, n) [m]."""
-        mine = np.isin(self._spheres.joint, joints)
-        p_WS = sphere_centers(self._chain, self._spheres, q)[:, mine]
+        """Computes sphere centers (N, 3) of the links that `joints` move, at q (T, n) [m]."""
+        is_selected = np.isin(self._spheres.joint, joints)
+        p_WS = sphere_centers(self._chain, self._spheres, q)[:, is_selected]
         return np.asarray(p_WS.reshape(-1, 3))
 
 
 @lru_cache(maxsize=1)
 def scene_arm() -> SceneArm:
-    """Returns the arm of the random scenes, made once a process."""
+    """Returns the arm model of the random scenes, constructed once per process."""
     return SceneArm()

@@ -1,37 +1,37 @@
-"""Random scenes for the whole Panda; each is a scenario.
+"""Random scenes of the Panda, each of which is a scenario.
 
-The motion is 0.5 to 1.0 m long, along a straight line that the arm can follow, tool down, within
-its joint limits. In all kinds but moving_hard the camera at the table, by whose image scenes are
-drawn whatever perceives them, has the obstacles' middles in view, and the whole robot keeps 5 cm to
-every obstacle at start and goal. The robot is the spheres that enclose its links (`scene_arm`). How
-many obstacles there are is drawn once; motions and obstacles are drawn until the conditions of the
-kind hold. Scene i of a seed depends on nothing else, and not on perception or method. Kinds:
+The nominal motion is a straight line of 0.5 to 1.0 m that the arm can follow within its joint
+limits with the tool down. In all kinds but moving_hard, moving_high and drp_LEVEL, obstacles'
+centers are in the view of the camera at the table, also if another source perceives them. At start
+and goal the whole robot has 5 cm clearance to every obstacle. The robot is represented by its
+enclosing spheres (`scene_arm`). The number of obstacles is drawn once; motions and obstacles are
+drawn until the conditions of the kind hold. Scene i of a seed does not depend on perception or
+method. Kinds:
 
-`tabletop`: 1 to 6 things on the table.
+`tabletop`: 1 to 6 objects on the table.
 
-- no two obstacles are nearer to each other than 2 cm (circles round them, seen from above),
-  and none stands on the robot's base;
-- the nominal motion is not clear: followed along the straight line, some link of the
-  robot goes at least 5 mm into an obstacle.
+- No two obstacles are within 2 cm of each other (horizontal circles around them), and none is at
+  the robot's base.
+- On the nominal motion some link of the robot penetrates an obstacle by at least 5 mm.
 
-`clutter6`: the same with exactly six things, three or more of them within 25 cm of the hand on the
-nominal motion.
+`clutter6`: as `tabletop` with exactly six objects, at least three of them within 25 cm of the hand
+on the nominal motion.
 
-`elbow`: the hand's way is free and the elbow's is not. One or two tall things stand, or hang as a
-shelf's board does, where the arm's middle links go, ahead of the base: a post, a board in the air,
-a box on a stand. On the straight motion in the posture of the start,
+`elbow`: the hand's path is free and the elbow's is blocked. One or two obstacles (a post, a board
+in the air, or a box on a stand) are in the path of the arm's middle links, in front of the base. On
+the straight motion with the nominal posture of the start,
 
-- hand and fingers keep 5 cm to everything, the wrist 3 cm, and
-- one of the links 2 to 5 goes at least 5 mm into something;
-- the camera, which looks less steeply down, has the middle of each in view;
-- another posture is free all along: with the elbow led aside in the null space, and the
-  tool on the same way, the whole robot keeps 2.5 cm.
+- the clearance of hand and fingers is at least 5 cm, that of the wrist at least 3 cm, and
+- one of the links 2 to 5 penetrates an obstacle by at least 5 mm;
+- the camera, which has a smaller downward tilt, has the center of each obstacle in view;
+- another posture is free: with the elbow moved aside in the null space and the same tool path, the
+  clearance of the whole robot is at least 2.5 cm.
 
-`moving`: 1 or 2 things cross the way, one of them into the planned motion; `moving_hard`: 2 to 4
-larger and faster things enter, change speed, turn, stop and come back; `moving_high`: the same, up
-to 1.0 m: see `moving_scenes`.
+`moving`: 1 or 2 objects cross the nominal motion, one of them hits it; `moving_hard`: 2 to 4 larger
+and faster objects enter the view, change speed, turn, stop and reverse; `moving_high`: the same at
+heights of up to 1.0 m; see `moving_scenes`.
 
-`drp_LEVEL`: boxes move or appear by the parameters of a level of DRPBench: see `drp_scenes`.
+`drp_LEVEL`: boxes move or appear by the parameters of a level of DRPBench, see `drp_scenes`.
 """
 
 from __future__ import annotations
@@ -46,13 +46,19 @@ from numpy.random import Generator
 from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.evaluation.cameras import ONE, TWO, seen_from
-from drake_oa.evaluation.panda.drp_scenes import LEVELS, SPEED_LEVELS, drp_things
-from drake_oa.evaluation.panda.moving_scenes import HIGHEST, moving_objects
-from drake_oa.evaluation.panda.scene_arm import ELBOW_LIKE, LIKE, Motion, base_scenario, scene_arm
+from drake_oa.evaluation.cameras import ONE_CAMERA, TWO_CAMERAS, with_workspace_cameras
+from drake_oa.evaluation.panda.drp_scenes import LEVELS, SPEED_LEVELS, drp_objects
+from drake_oa.evaluation.panda.moving_scenes import MAX_HIGH_HEIGHT, moving_objects
+from drake_oa.evaluation.panda.scene_arm import (
+    DEFAULT_SCENARIO,
+    ELBOW_SCENARIO,
+    Motion,
+    base_scenario,
+    scene_arm,
+)
 from drake_oa.evaluation.panda.scene_parts import (
-    TOUCH,
-    DrawThings,
+    MIN_PENETRATION,
+    DrawObjects,
     Shape,
     draw_motion,
     draw_obstacles,
@@ -65,15 +71,23 @@ from drake_oa.perception.config import GroundTruth
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 
-MOST_OBSTACLES = 6
-NEAR, NEAR_OBSTACLES = 0.25, 3
-"""Minimum number of obstacles in clutter nearer to the moving hand than this [m]."""
-_MOST_MOTIONS = 5000
+MAX_OBSTACLES = 6
+"""Maximum number of obstacles in `tabletop`, and their number in `clutter6`."""
+NEAR = 0.25
+"""Distance from the hand on the nominal motion below which an obstacle counts as near [m]."""
+NEAR_OBSTACLES = 3
+"""Minimum number of near obstacles in `clutter6`."""
+_MAX_MOTIONS = 5000
+"""Maximum number of motions drawn for a scene."""
 
 
-def table_objects(random: Generator, *, cluttered: bool) -> DrawThings:
-    """Prepares 1 to 6 obstacles on the table, or six in clutter."""
-    count = MOST_OBSTACLES if cluttered else int(random.integers(1, MOST_OBSTACLES + 1))
+def table_objects(random: Generator, *, cluttered: bool) -> DrawObjects:
+    """Draws the number of obstacles of `tabletop`, or uses six for `clutter6`.
+
+    Returns:
+        A function that draws the obstacles on the table for a nominal motion.
+    """
+    count = MAX_OBSTACLES if cluttered else int(random.integers(1, MAX_OBSTACLES + 1))
 
     def draw(motion: Motion) -> list[Obstacle] | None:
         obstacles = draw_obstacles(random, count)
@@ -84,7 +98,7 @@ def table_objects(random: Generator, *, cluttered: bool) -> DrawThings:
         near = sum(d[:, arm.tool].min() < NEAR for d in apart)
         is_scene = (
             (near >= NEAR_OBSTACLES or not cluttered)
-            and min(d.min() for d in apart) <= -TOUCH
+            and min(d.min() for d in apart) <= -MIN_PENETRATION
             and ends_are_free(motion, obstacles)
         )
         return obstacles if is_scene else None
@@ -92,30 +106,36 @@ def table_objects(random: Generator, *, cluttered: bool) -> DrawThings:
     return draw
 
 
-HAND_FREE = 0.05
-"""Minimum clearance of hand and fingers on the straight motion [m]."""
-SWUNG_FREE = 0.025
-"""Minimum clearance of the whole robot on the motion with its elbow aside [m]."""
-WRIST_FREE = 0.03
-"""Minimum clearance of links 6 and 7 [m]: the tool fixes their motion, whatever the elbow does."""
+HAND_CLEARANCE = 0.05
+"""Minimum clearance of hand and fingers on the nominal motion of `elbow` [m]."""
+SWUNG_CLEARANCE = 0.025
+"""Minimum clearance of the whole robot on the motion with the elbow moved aside [m]."""
+WRIST_CLEARANCE = 0.03
+"""Minimum clearance of links 6 and 7 on the nominal motion of `elbow` [m]; their motion is
+determined by the tool, not by the elbow."""
 MAX_ELBOW_OBJECTS = 2
+"""Maximum number of obstacles in `elbow`."""
 
-_ELBOW, _WRIST = range(1, 5), range(5, 7)
-"""Joints of the links of which one touches an obstacle, and of those that the tool fixes."""
+_ELBOW_JOINTS = range(1, 5)
+"""Joints of the links 2 to 5, one of which collides on the nominal motion of `elbow`."""
+_WRIST_JOINTS = range(5, 7)
+"""Joints of the links 6 and 7, whose motion the tool determines."""
 _HEIGHTS = (0.2, 0.9)
-"""Heights of obstacles [m]."""
-_OFF, _FROM_AXIS = 0.06, 0.2
-"""Minimum distances of a point of the elbow to the links kept free and to the base's axis [m]."""
-_AWAY = (0.0, 0.10)
-"""Distance of an obstacle from there, away from the links kept free [m]."""
-_ASIDE = 0.04
-"""Maximum distance of an obstacle from there, along each axis [m]."""
-_PLACES = 60
-"""Obstacles tried for the same motion."""
+"""Range of the heights of obstacles in `elbow` [m]."""
+_MIN_FREE_DISTANCE = 0.06
+"""Minimum distance of a blocked point of the elbow from all points that must remain free [m]."""
+_MIN_AXIS_DISTANCE = 0.2
+"""Minimum distance of a blocked point of the elbow from the base's axis [m]."""
+_AWAY_DISTANCES = (0.0, 0.10)
+"""Range of an obstacle's distance from a blocked point, away from points that remain free [m]."""
+_MAX_OFFSET = 0.04
+"""Maximum additional offset of an obstacle from a blocked point, along each axis [m]."""
+_ATTEMPTS = 60
+"""Number of obstacles drawn for one nominal motion in `elbow`."""
 
 
-def elbow_things(random: Generator) -> DrawThings:
-    """Prepares an obstacle in the elbow's way, and a second one where there is room."""
+def elbow_objects(random: Generator) -> DrawObjects:
+    """Returns a function that draws one or two obstacles in the elbow's path for a motion."""
 
     def draw(motion: Motion) -> list[Obstacle] | None:
         arm, start, goal = scene_arm(), motion.start, motion.goal
@@ -125,9 +145,9 @@ def elbow_things(random: Generator) -> DrawThings:
         if swung is None or not len(places):
             return None
         obstacles: list[Obstacle] = []
-        for _ in range(_PLACES):
+        for _ in range(_ATTEMPTS):
             object = _draw_elbow_object(random, places, len(obstacles))
-            if fits(object, obstacles, ELBOW_LIKE) and _is_in_elbow_way(
+            if fits(object, obstacles, ELBOW_SCENARIO) and _is_in_elbow_way(
                 object, motion, swung, first=not obstacles
             ):
                 obstacles.append(object)
@@ -139,27 +159,34 @@ def elbow_things(random: Generator) -> DrawThings:
 
 
 def _elbow_places(motion: Motion, swung: Motion) -> FloatArray:
-    """Computes where the elbow passes and nothing else of the robot.
+    """Computes points that the elbow passes and no other part of the robot.
+
+    Points must remain free if the robot occupies them at start or goal or on the motion with the
+    elbow moved aside, or if wrist or hand occupy them on the nominal motion.
 
     Returns:
-        (N, 2, 3) points of the elbow [m], and unit vectors to them from the nearest point that must
-        stay free: of the robot at both ends and on the other motion, and of wrist and hand.
+        (N, 2, 3) points of the elbow on the nominal motion [m], and unit vectors to them from the
+        nearest point that must remain free.
     """
     arm, whole = scene_arm(), range(len(motion.q[0]))
-    passed = arm.centers(motion.q[::2], _ELBOW)
+    passed = arm.centers(motion.q[::2], _ELBOW_JOINTS)
     free = [arm.centers(q, whole) for q in (motion.ends, swung.q[::2])]
-    tree = cKDTree(np.concatenate([*free, arm.centers(motion.q[::2], _WRIST)]))
+    tree = cKDTree(np.concatenate([*free, arm.centers(motion.q[::2], _WRIST_JOINTS)]))
     distance, nearest = tree.query(passed)
-    found = (distance > _OFF) & (passed[:, 0] > 0.0) & (passed[:, 2] > _HEIGHTS[0])
-    found &= np.hypot(passed[:, 0], passed[:, 1]) > _FROM_AXIS
-    away = (passed - tree.data[nearest])[found] / distance[found, None]
-    return np.stack([passed[found], away], axis=1)
+    is_place = (distance > _MIN_FREE_DISTANCE) & (passed[:, 0] > 0.0) & (passed[:, 2] > _HEIGHTS[0])
+    is_place &= np.hypot(passed[:, 0], passed[:, 1]) > _MIN_AXIS_DISTANCE
+    away = (passed - tree.data[nearest])[is_place] / distance[is_place, None]
+    return np.stack([passed[is_place], away], axis=1)
 
 
 def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Obstacle:
     """Draws a post, a board in the air or a box on a stand near one of the `_elbow_places`."""
     point, away = random.choice(places)
-    x, y, z = point + random.uniform(*_AWAY) * away + random.uniform(-_ASIDE, _ASIDE, 3)
+    x, y, z = (
+        point
+        + random.uniform(*_AWAY_DISTANCES) * away
+        + random.uniform(-_MAX_OFFSET, _MAX_OFFSET, 3)
+    )
     z = np.clip(z, *_HEIGHTS)
     edges = random.uniform(0.05, 0.12, 3).tolist()
     kind = ("post", "board", "stand")[random.integers(3)]
@@ -182,78 +209,80 @@ def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Ob
 
 
 def _is_in_elbow_way(object: Obstacle, motion: Motion, swung: Motion, *, first: bool) -> bool:
-    """Checks that an obstacle is in the elbow's way alone."""
+    """Checks the conditions of `elbow` on an obstacle; only the first one must touch the elbow."""
     arm = scene_arm()
     if not ends_are_free(motion, [object]):
         return False
     distance = arm.distances(motion.q, [object]).min(axis=2)
-    wrist = np.isin(arm.joint, _WRIST) & ~arm.tool
-    if first and distance[:, np.isin(arm.joint, _ELBOW)].min() > -TOUCH:
+    wrist = np.isin(arm.joint, _WRIST_JOINTS) & ~arm.tool
+    if first and distance[:, np.isin(arm.joint, _ELBOW_JOINTS)].min() > -MIN_PENETRATION:
         return False
-    if distance[:, arm.tool].min() < HAND_FREE or distance[:, wrist].min() < WRIST_FREE:
+    if distance[:, arm.tool].min() < HAND_CLEARANCE or distance[:, wrist].min() < WRIST_CLEARANCE:
         return False
-    return bool(arm.distances(swung.q, [object]).min() >= SWUNG_FREE)
+    return bool(arm.distances(swung.q, [object]).min() >= SWUNG_CLEARANCE)
 
 
 PERCEPTIONS = ("depth", "depth2", "truth")
-"""The depth camera of the scene, two cameras beside the robot, or SceneGraph."""
+"""Perception of a scene: its depth camera, two cameras beside the robot, or ground truth."""
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """Drawing of the scenes of a kind.
+    """Recipe of one kind of random scenes.
 
     Attributes:
-        objects: prepares the drawing of obstacles.
-        stream: its own random numbers.
-        like: the shipped scenario whose camera, robot and constants they have.
-        motion: draws the planned motion.
+        objects: function that prepares the drawing of obstacles.
+        stream: numbers that select the kind's stream of random numbers.
+        like: shipped scenario whose camera, robot and parameters the scenes have.
+        motion: function that draws the nominal motion.
     """
 
-    objects: Callable[[Generator], DrawThings]
+    objects: Callable[[Generator], DrawObjects]
     stream: tuple[int, ...]
-    like: str = LIKE
+    like: str = DEFAULT_SCENARIO
     motion: Callable[..., Motion | None] = draw_motion
 
 
-V = 0.8
-"""Speed of obstacles for which moving scenes claim passive motion safety [m/s]."""
+OBSTACLE_SPEED = 0.8
+"""Maximum obstacle speed for which passive motion safety is claimed in moving scenes [m/s]."""
 DRP = "drp"
-"""Suite of all levels of DRPBench."""
+"""Name of the suite of all levels of DRPBench."""
 _KINDS = {
     "tabletop": _Kind(partial(table_objects, cluttered=False), ()),
     "moving": _Kind(partial(moving_objects, hard=False), (1,)),
-    "elbow": _Kind(elbow_things, (2,), ELBOW_LIKE),
+    "elbow": _Kind(elbow_objects, (2,), ELBOW_SCENARIO),
     "clutter6": _Kind(partial(table_objects, cluttered=True), (3,)),
     "moving_hard": _Kind(partial(moving_objects, hard=True), (4,)),
-    "moving_high": _Kind(partial(moving_objects, hard=True, highest=HIGHEST), (5,)),
-    # Levels that differ in speed alone have the same random numbers, thus the same scenes.
+    "moving_high": _Kind(partial(moving_objects, hard=True, max_height=MAX_HIGH_HEIGHT), (5,)),
+    # Levels that differ only in speed have the same random numbers, hence the same scenes.
     **{
         f"{DRP}_{name}": _Kind(
-            partial(drp_things, level=level),
+            partial(drp_objects, level=level),
             (6, *name.partition("_at_")[0].encode()),
             motion=level.draw_motion,
         )
         for name, level in (LEVELS | SPEED_LEVELS).items()
     },
 }
+"""Kind of scenes -> recipe."""
 KINDS = tuple(_KINDS)
+"""Names of all kinds of scenes."""
 MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
-"""Kinds of scenes with moving obstacles."""
+"""Names of the kinds of scenes with moving obstacles."""
 
 
 def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
-    """Returns the kinds of scenes of suites, each once, with levels of DRPBench for `drp`.
+    """Returns the kinds of scenes in a list of suites, without duplicates.
 
     Args:
-        suites: kinds of scenes, or `drp`.
-        levels: names of levels; none: those that are its authors'.
+        suites: kinds of scenes, or `drp` for levels of DRPBench.
+        levels: names of levels; empty: all levels of DRPBench's authors.
 
     Raises:
-        ValueError: for levels without the suite `drp`.
+        ValueError: if there are levels and no suite `drp`.
     """
     if levels and DRP not in suites:
-        raise ValueError(f"--level needs --suite {DRP}, not {', '.join(suites)}")
+        raise ValueError(f"--level requires --suite {DRP}, not {', '.join(suites)}")
     of_drp = [f"{DRP}_{level}" for level in levels or LEVELS]
     kinds = [kind for suite in suites for kind in (of_drp if suite == DRP else [suite])]
     return list(dict.fromkeys(kinds))
@@ -269,41 +298,42 @@ def draw_panda_scene(
     """Draws a random scene.
 
     Args:
-        seed: of the evaluation, >= 0.
-        index: of the scene, >= 0.
-        kind: one of `KINDS`.
-        perception: "depth", one camera: among obstacles at rest that of the shipped scenarios,
-            among moving ones `cameras.ONE`; "depth2", the pair `cameras.TWO`; or "truth".
+        seed: seed of the evaluation, >= 0.
+        index: index of the scene, >= 0.
+        kind: kind of scenes, from `KINDS`.
+        perception: "depth", one camera: that of the shipped scenario with resting obstacles,
+            `cameras.ONE_CAMERA` with moving ones; "depth2", the pair `cameras.TWO_CAMERAS`; or
+            "truth", ground truth.
 
     Raises:
-        RuntimeError: if no scene was found.
+        RuntimeError: if no scene is found within the maximum number of motions.
     """
     of_kind = _KINDS[kind]
     scenario = copy.deepcopy(base_scenario(of_kind.like))
     if kind in MOVING_KINDS:
-        scenario.guard = replace(scenario.guard, obstacle_speed=V)
-        scenario = seen_from(scenario, ONE)
+        scenario.guard = replace(scenario.guard, obstacle_speed=OBSTACLE_SPEED)
+        scenario = with_workspace_cameras(scenario, ONE_CAMERA)
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
     scenario.seed = int(random.integers(2**31))
-    draw_things = of_kind.objects(random)
-    for _ in range(_MOST_MOTIONS):
+    draw_objects_for = of_kind.objects(random)
+    for _ in range(_MAX_MOTIONS):
         motion = of_kind.motion(random)
-        obstacles = None if motion is None else draw_things(motion)
+        obstacles = None if motion is None else draw_objects_for(motion)
         if motion is not None and obstacles is not None:
             break
     else:
-        raise RuntimeError(f"no {kind} scene found in {_MOST_MOTIONS} attempts")
+        raise RuntimeError(f"no {kind} scene found in {_MAX_MOTIONS} attempts")
     scenario.obstacles = obstacles
     scenario.task.start, scenario.task.goal = motion.start.tolist(), motion.goal.tolist()
     scenario.task.rpy_start = scenario.task.rpy_goal = motion.rpy_WE
     scenario.description = f"random {kind} scene {index} of seed {seed}"
-    return seen_by(scenario, perception)
+    return with_perception(scenario, perception)
 
 
-def seen_by(scenario: Scenario, perception: str) -> Scenario:
-    """Returns a scenario that was drawn with "depth", seen by one of `PERCEPTIONS`."""
+def with_perception(scenario: Scenario, perception: str) -> Scenario:
+    """Returns a copy of a scene, drawn with "depth", with one of `PERCEPTIONS`."""
     if perception == "depth2":
-        return seen_from(scenario, TWO)
+        return with_workspace_cameras(scenario, TWO_CAMERAS)
     scenario = copy.deepcopy(scenario)
     if perception == "truth":
         scenario.perception = GroundTruth()

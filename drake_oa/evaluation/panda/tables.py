@@ -1,4 +1,4 @@
-"""The figures of an evaluation on the Panda, and their table; meters and seconds."""
+"""Metrics and tables of an evaluation on the Panda; lengths in meters, times in seconds."""
 
 from __future__ import annotations
 
@@ -18,37 +18,39 @@ from drake_oa.runs.report import TOLERANCE, latency_statistics
 from drake_oa.scenario.loading import parse_scenario
 
 ALL = "all"
-"""Kind of the figures of several kinds together."""
+"""Name of the metrics over several kinds of scenes."""
 
 _COLUMNS = (
     Column("name", "method"),
     Column("contacts"),
-    Column("avoidable", "avoidable, by view"),
+    Column("avoidable", "avoidable by physics, by view"),
     Column("success_of", "success"),
-    Column("claims", "claims A, B"),
+    Column("claims", "violations of claims A, B"),
     Column("drp", "DRPBench contacts, success"),
-    Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
-    Column("duration_median", "duration [s]", "{:.1f}"),
+    Column("tool_clearance_min", "min. tool clearance [m]", "{:.3f}"),
+    Column("duration_median", "median duration [s]", "{:.1f}"),
 )
+"""Columns of the table, a row for each kind of scenes and method."""
 
 
-_NOTED = {"stop_reasons": "stopped", "contact_pairs": "contact", "sources": "motion of"}
-"""Counts of scenes that are listed below the table -> their heading."""
+_LISTED_COUNTS = {
+    "stop_reasons": "stopped",
+    "contact_pairs": "contact",
+    "sources": "executed motion from",
+}
+"""Keys of the counts of scenes below the table -> heading of their lines."""
 
 
 def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
-    """Returns the figures of a suite.
+    """Returns the metrics of a suite as JSON data.
 
-    They are {"suite", "seed", "kind", "perception", "jobs", "versions", "scenes_digest", "solved",
-    "methods"}; `methods` is {name: figures}, `scenes_digest` the SHA-256
-    of the scenes' seeds, tasks and obstacles, whatever perceives them.
-
-    `solved` is how many scenes the planner or another method solves, None where the planner has not
-    run; the methods' `success_rate_solved` is their share of successes in those.
+    Keys: "suite", "seed", "kind", "perception", "duration", "jobs", "versions", "scenes_digest"
+    (SHA-256 of the scenes' seeds, tasks and obstacles, independent of the perception), and those of
+    `methods_metrics`. Each method also has "perception" and "runs", the results scene by scene.
 
     Args:
-        results: of the runs.
-        workers: processes that shared the machine, as real-time factors show, or a cluster.
+        results: results of all runs of the suite.
+        workers: number of processes on the machine, which affects real-time factors, or a cluster.
     """
     suite, drawn = results.suite, map(parse_scenario, results.scenarios.values())
     scenes = [(scenario.seed, scenario.task, scenario.obstacles) for scenario in drawn]
@@ -72,10 +74,14 @@ def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, An
 
 
 def methods_metrics(runs: Mapping[str, Mapping[Any, Mapping[str, Any]]]) -> dict[str, Any]:
-    """Returns {"solved", "methods": {name: figures}}.
+    """Returns the metrics of several methods on the same scenes.
+
+    Keys: "solved", the number of scenes in which the planner or another method succeeds (None
+    without the planner), and "methods", method -> `run_metrics`. Each method also has
+    `success_rate_solved`, its number of successes over "solved".
 
     Args:
-        runs: method -> scene -> result.
+        runs: method -> scene -> result of `run_and_evaluate`.
     """
     methods = {name: run_metrics(list(of.values())) for name, of in runs.items()}
     solved = {
@@ -90,27 +96,27 @@ def methods_metrics(runs: Mapping[str, Mapping[Any, Mapping[str, Any]]]) -> dict
 def kinds_metrics(
     results: Sequence[PandaResults], metrics: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Returns the figures of one kind of scenes, or of several {"suite", "kinds": {...}}."""
+    """Returns the JSON of one kind of scenes, or {"suite", "kinds": {kind: metrics}} of several."""
     if len(metrics) == 1:
         return metrics[0]
     return {"suite": "panda", "kinds": {of["kind"]: of for of in metrics}}
 
 
 def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Figures of a method's runs; None where there is nothing to take them over.
+    """Returns the metrics of a method's runs; a statistic of no values is None.
 
-    Counts of scenes: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see
-    `evaluation`); `self_contacts`, the robot touched itself; `time_limits`, ended by the time
-    limit; `failed`, raised an exception; `clearance_shortfall`, the tool came more than 1 mm nearer
-    to resting obstacles than start and goal leave of the requested clearance;
-    `stop_reasons`, `contact_pairs` and `sources` (of the motions that `verified` executed): reason,
-    pair or source -> count. Of contacts: `avoidable_by_physics` and `avoidable_by_view` (see
-    `contact_events`). Of logged instants: `claim_A` and `claim_B`,
-    violations (see `claims`), None where no obstacle moves. For levels of DRPBench
-    `drp_contacts` and `drp_success`, by its rules.
+    Numbers of scenes: `scenes`; `contacts`, `success` and `stopped`, which sum to `scenes` (see
+    `evaluation`); `self_contacts`, contacts of the robot with itself; `time_limits`, runs ended by
+    the time limit; `failed`, runs that raised an exception; `shortfall_count`, runs in which the
+    tool's clearance to resting obstacles was more than 1 mm below the achievable clearance;
+    `stop_reasons`, `contact_pairs` and `sources` (of motions that `verified` executed): reason,
+    pair or source -> number. Numbers of contacts: `avoidable_by_physics` and `avoidable_by_view`
+    (see `contact_events`). Numbers of logged instants: `claim_A` and `claim_B`, violations (see
+    `claims`), None without moving obstacles. For levels of DRPBench `drp_contacts` and
+    `drp_success`, by its rules.
 
-    Others: `success_rate`; `duration_median` of the motions [s]; `decision_latency` of all decisions
-    (see `latency_statistics`), None where they take no time; `tool_clearance_min`,
+    Statistics: `success_rate`; `duration_median` of the motions [s]; `decision_latency` of all
+    decisions (see `latency_statistics`), None without a latency; `tool_clearance_min`,
     `robot_clearance_min` [m]; `goal_error_max` of the scenes that were not stopped [m];
     `real_time_factor`, the median.
     """
@@ -120,7 +126,7 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     by_drp = Counter(run.get("drp_outcome") for run in runs)
     drp = {"drp_contacts": by_drp["contact"], "drp_success": by_drp["success"]}
     reasons = Counter(run["reason"] for run in runs if run["outcome"] == "stopped")
-    # Each pair once in a scene, an obstacle's number left out.
+    # Each pair counts once per scene, without the number of the obstacle.
     pairs = Counter(
         pair
         for run in runs
@@ -145,10 +151,10 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             key: sum(event[key] for event in events)
             for key in ("avoidable_by_physics", "avoidable_by_view")
         },
-        "claim_A": over(sum, (found["A"] for found in claims)),
-        "claim_B": over(sum, (found["B"] for found in claims)),
+        "claim_A": over(sum, (counts["A"] for counts in claims)),
+        "claim_B": over(sum, (counts["B"] for counts in claims)),
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
-        "clearance_shortfall": sum((run["clearance_shortfall"] or 0.0) > TOLERANCE for run in runs),
+        "shortfall_count": sum((run["clearance_shortfall"] or 0.0) > TOLERANCE for run in runs),
         "duration_median": of(np.median, "duration"),
         "decision_latency": latency_statistics(
             [cost for run in runs for cost in run.get("decision_latencies", ())], np.inf
@@ -165,12 +171,12 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def panda_table(metrics: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Tabulates the figures of one or several kinds of scenes.
+    """Tabulates the metrics of one or several kinds of scenes, a row for each kind and method.
 
-    Below: reasons of stops, contacts, and sources of the executed motions.
+    Lines below the table list stop reasons, contacts, and sources of the executed motions.
 
     Args:
-        metrics: as `panda_metrics` gives them, of each kind.
+        metrics: `panda_metrics` of each kind.
     """
     several = len(metrics) > 1
     rows, lines = [], []
@@ -188,11 +194,12 @@ def panda_table(metrics: Sequence[Mapping[str, Any]]) -> TextTable:
             rows.append(row)
             if of["kind"] == ALL:
                 continue
-            for key, what in _NOTED.items():
+            for key, heading in _LISTED_COUNTS.items():
                 for reason, count in method[key].items():
-                    lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
+                    unit = f"scene{'s' * (count != 1)}"
+                    lines.append(f"{title}: {heading}, {count} {unit}: {reason}")
         if of.get("solved") is not None:
-            lines.append(f"{of['kind']}: scenes that a method solves: {of['solved']}")
+            lines.append(f"{of['kind']}: scenes solved by at least one method: {of['solved']}")
         if "scenes_digest" in of:
             lines.append(f"{of['kind']}: digest of the scenes: {of['scenes_digest'][:12]}")
     return TextTable(_COLUMNS, rows, lines)

@@ -1,12 +1,12 @@
-"""The true world of a finished run: the arm among all solids on their true courses.
+"""Ground-truth model of a run: the arm, and all collision geometry along its true trajectories.
 
-The solids are the collision geometry of all that is not the robot; the arm is the spheres that
-enclose its links (`drake_oa.robot.spheres`; they stick out by 3 mm, at the hand by 5 mm). A motion
-that is clear here is therefore clear, and one that is not may yet miss a solid by 5 mm. Links that
-no joint moves are left out. Courses are sampled every `STEP`: at 1 m/s an obstacle is up to 4 mm
-away from where it is at a time between two samples.
+The collision geometries are those of everything but the robot. The arm is represented by enclosing
+spheres of its links (`drake_oa.robot.spheres`), which protrude by up to 3 mm, at the hand by 5 mm.
+A motion that is collision-free by this model is therefore collision-free; one that is not may miss
+an object by 5 mm. Fixed links are left out. Trajectories are sampled every `STEP`: at 1 m/s an
+obstacle is up to 4 mm away from its position at the nearest sample.
 
-Nothing here, nor in the modules that judge by it, imports `drake_oa.safety`.
+The modules that evaluate runs on this model do not import `drake_oa.safety`.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 STEP = 0.008
-"""Time between two checked configurations, a multiple of the period of logs [s]."""
-_NEAR = 1e-3
-"""Excess up to which the clearance of a configuration is computed [m]."""
-_ACCELERATION = 10.0
-"""Acceleration limit of a joint for which the robot's model has none [rad/s^2]."""
+"""Time between two checked configurations [s], a multiple of the log's period."""
+_MAX_MARGIN = 1e-3
+"""Clearance margin of a configuration up to which margins are computed [m]."""
+_DEFAULT_ACCELERATION = 10.0
+"""Acceleration limit of a joint without a limit in the robot's model [rad/s^2]."""
 
 
 class TrueWorld(NamedTuple):
-    """Arm of n joints among K solids, of which T samples are known, the last one at rest.
+    """Arm of n joints, and K collision geometries at T samples `STEP` apart, at rest at the last.
 
     Attributes:
-        arm: the arm, its clearance, and the solids at the last sample.
-        ball: (T, K, 8) `CollisionGeometries.ball` at each.
-        X_WO: (T, K, 3, 4) `CollisionGeometries.X_WO` at each.
+        arm: the arm, its minimum clearance, and the collision geometries at the last sample.
+        ball: (T, K, 8) `CollisionGeometries.ball` at each sample.
+        X_WO: (T, K, 3, 4) `CollisionGeometries.X_WO` at each sample.
         acceleration: (n,) acceleration limits of the joints [rad/s^2].
     """
 
@@ -57,12 +57,11 @@ class TrueWorld(NamedTuple):
 
 
 def make_true_world(scenario: Scenario, clearance: float = 0.0) -> TrueWorld:
-    """Makes the true world of a scenario.
+    """Makes the ground-truth model of a scenario.
 
     Args:
-        scenario: with a robot.
-        clearance: minimum distance of all moving links to all solids, and of the links to each
-            other, below which a configuration is not clear [m].
+        scenario: scenario with a robot.
+        clearance: minimum clearance of all moving links to all objects, and between links [m].
 
     Raises:
         ScenarioError: if the robot cannot be covered with spheres.
@@ -79,30 +78,34 @@ def make_true_world(scenario: Scenario, clearance: float = 0.0) -> TrueWorld:
         ArmCollisionModel(chain, spheres, samples[-1], required, 0.0),
         np.array([sample.ball for sample in samples]),
         np.array([sample.X_WO for sample in samples]),
-        np.nan_to_num(plant.GetAccelerationUpperLimits()[chain.q_index], posinf=_ACCELERATION),
+        np.nan_to_num(
+            plant.GetAccelerationUpperLimits()[chain.q_index], posinf=_DEFAULT_ACCELERATION
+        ),
     )
 
 
 def bang_motions(
     world: TrueWorld, q: FloatArray, v: FloatArray, legs: FloatArray, switch: IntArray, steps: int
 ) -> FloatArray:
-    """Computes joint motions of two legs, each time-optimal for every joint on its own.
+    """Computes joint motions of two legs, each of which is time-optimal for each joint separately.
 
-    In each step of `STEP` the acceleration is constant. The velocity after the step is the
-    greatest from which the joint, braking at its limit a, still stops at the target:
-    v' = sign(e) min(v_max, sqrt(h^2 + 2 a |e|) - h), h = a STEP / 2, e the way to the target less
-    v STEP / 2, and |v' - v| <= a STEP.
+    In each step of duration `STEP` the acceleration is constant. The velocity v' after the step is
+    the largest one from which the joint can still stop at the target with its acceleration limit a:
+
+        v' = sign(e) min(v_max, sqrt(h^2 + 2 a |e|) - h),   |v' - v| <= a STEP,
+
+    with h = a STEP / 2, and e the distance to the target minus v STEP / 2.
 
     Args:
         world: the arm and its limits.
-        q: (n,) or (N, n) positions at first [rad].
-        v: (n,) or (N, n) velocities at first [rad/s].
-        legs: (N, 2, n) targets of both legs [rad].
+        q: (n,) or (N, n) initial positions [rad].
+        v: (n,) or (N, n) initial velocities [rad/s].
+        legs: (N, 2, n) target positions of both legs [rad].
         switch: (N,) step at which the second leg begins.
         steps: number of steps M.
 
     Returns:
-        (N, M + 1, n) positions [rad].
+        (N, M + 1, n) positions at the steps [rad].
     """
     motions = np.empty((len(legs), steps + 1, legs.shape[2]))
     half = 0.5 * STEP * world.acceleration
@@ -111,23 +114,24 @@ def bang_motions(
         target = np.where((k < switch)[:, None], legs[:, 0], legs[:, 1])
         error = target - q - 0.5 * STEP * v
         braking = np.sqrt(half**2 + 2.0 * world.acceleration * np.abs(error)) - half
-        wanted = np.sign(error) * np.minimum(world.arm.chain.speed, braking)
-        change = np.clip(wanted - v, -2.0 * half, 2.0 * half)
+        desired = np.sign(error) * np.minimum(world.arm.chain.speed, braking)
+        change = np.clip(desired - v, -2.0 * half, 2.0 * half)
         q, v = q + (v + 0.5 * change) * STEP, v + change
     return motions
 
 
 @compiled
 def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntArray:
-    """Counts the leading configurations of motions that are clear and within the joint limits.
+    """Counts the steps of joint motions before the first collision or violated joint limit.
 
     Args:
-        world: the arm, its clearance and the solids.
+        world: the arm, its minimum clearance, and the collision geometries.
         motions: (N, M, n) positions, a row every `STEP` [rad].
-        first: (N,) sample of the courses at which each begins; after the last one all rests.
+        first: (N,) index of the sample of `world` at which each motion begins; after the last
+            sample everything is at rest.
 
     Returns:
-        (N,) counts, M where all are.
+        (N,) number of valid configurations from the beginning; M if all are valid.
     """
     N, M, n = motions.shape
     arm, fixed, last = world.arm, world.arm.geometries, len(world.ball) - 1
@@ -146,7 +150,7 @@ def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntAr
             )
             now = ArmCollisionModel(arm.chain, arm.spheres, geometries, arm.required, 0.0)
             is_within = np.all(arm.chain.lower <= q) and np.all(q <= arm.chain.upper)
-            if not is_within or clearance_margin(now, q, _NEAR, X, center) < 0.0:
+            if not is_within or clearance_margin(now, q, _MAX_MARGIN, X, center) < 0.0:
                 counts[i] = k
                 break
     return counts

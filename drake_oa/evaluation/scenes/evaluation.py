@@ -1,11 +1,11 @@
-"""Runs methods on the same scenes, batch by batch, has them judged, and sums up the judgements.
+"""Evaluation of methods on the same synthetic scenes: runs, metrics and tables.
 
-Figures are what an evaluation's JSON holds; meters and seconds.
+Metrics are the JSON data of an evaluation, in meters and seconds.
 
-The paper's dead-zone figure: both coupling terms, as strong, on the same action level. For each
-gain gamma of the original term (eq. 7), gamma theta exp(-beta |theta|), the dead-zone free term
-(eq. 8) of the same peak, gamma / (beta e), and of the same area over the heading, gamma / beta^2 to
-each side; kappa = 0, as the original term knows no distance.
+The paper's dead-zone figure compares two coupling terms of equal strength on the same action level:
+the original term (eq. 7), gamma theta exp(-beta |theta|), at each gain gamma, and the dead-zone
+free term (eq. 8) with the same peak, gamma / (beta e), and the same area over the heading theta,
+gamma / beta^2 on each side. kappa is 0, as the original term does not depend on the distance.
 """
 
 from __future__ import annotations
@@ -25,18 +25,23 @@ from drake_oa.evaluation.scenes.paper_method import BETA, released_motions
 from drake_oa.evaluation.scenes.scenes import Scenes, Setting
 
 BATCH = 100
-"""Number of scenes that a method receives at once."""
+"""Maximum number of scenes in one call of a method."""
 
 
 class Outcome(NamedTuple):
-    """Judgements of one method, by the label of the setting, and its computing time [s]."""
+    """Results of one method.
 
-    judged: dict[str, GroundTruthResult]
+    Attributes:
+        results: label of a setting -> ground-truth results of all scenes.
+        seconds: computing time of the method in all settings [s].
+    """
+
+    results: dict[str, GroundTruthResult]
     seconds: float
 
     def of(self, *labels: str) -> GroundTruthResult:
-        """Returns the judgement in some settings, in all without any label."""
-        return GroundTruthResult.joined([self.judged[label] for label in labels or self.judged])
+        """Returns the joined results in the settings with given labels; without labels, in all."""
+        return GroundTruthResult.joined([self.results[label] for label in labels or self.results])
 
 
 def evaluate(
@@ -44,18 +49,18 @@ def evaluate(
     method: Method,
     scenes: Scenes,
     settings: Sequence[Setting],
-    judged_among: Callable[[Scenes], Scenes] = lambda scenes: scenes,
+    true_scenes: Callable[[Scenes], Scenes] = lambda scenes: scenes,
 ) -> Outcome:
-    """Runs a method on all scenes in each setting.
+    """Runs a method on all scenes in each setting and evaluates the motions on ground truth.
 
     Args:
-        name: of the method.
-        method: the method.
-        scenes: the scenes.
-        settings: the ways in which each is run.
-        judged_among: of the scenes of a batch, those that its motions are judged among.
+        name: name of the method, for the progress bar.
+        method: function that computes motions.
+        scenes: scenes of a suite.
+        settings: settings of the runs.
+        true_scenes: function from a batch of scenes to the scenes in which motions are evaluated.
     """
-    judged, seconds, done = {}, 0.0, 0
+    results, seconds, count = {}, 0.0, 0
     with progress_bar(len(settings) * len(scenes)) as update:
         for setting in settings:
             parts = []
@@ -64,15 +69,15 @@ def evaluate(
                 begin = perf_counter()
                 motions = method(some, setting)
                 seconds += perf_counter() - begin
-                parts.append(evaluate_motions(judged_among(some), motions))
-                done += len(some)
-                update(f"{name} {done}", done)
-            judged[setting.label] = GroundTruthResult.joined(parts)
-    return Outcome(judged, seconds)
+                parts.append(evaluate_motions(true_scenes(some), motions))
+                count += len(some)
+                update(f"{name} {count}", count)
+            results[setting.label] = GroundTruthResult.joined(parts)
+    return Outcome(results, seconds)
 
 
 def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float | None:
-    """Returns a statistic of the values that are not None; None if there are none."""
+    """Returns a statistic of the values that are not None; None without such values."""
     known = [value for value in values if value is not None]
     return float(statistic(known)) if known else None
 
@@ -80,13 +85,15 @@ def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float
 def evaluation_metrics(
     suite: str, seed: int | None, settings: Sequence[Setting], outcomes: Mapping[str, Outcome]
 ) -> dict[str, Any]:
-    """Returns {"suite", "seed", "versions", "methods": {name: figures}}; see `method_metrics`.
+    """Returns the JSON of an evaluation.
+
+    Its keys: "suite", "seed", "versions", and "methods", method -> `method_metrics`.
 
     Args:
-        suite: the suite's name.
-        seed: of the scenes; None for scenes without one.
-        settings: in which the scenes were run.
-        outcomes: name of a method -> its outcome.
+        suite: name of the suite.
+        seed: seed of the scenes; None for scenes without a seed.
+        settings: settings of the runs.
+        outcomes: method -> outcome of `evaluate`.
     """
     return {
         "suite": suite,
@@ -97,69 +104,72 @@ def evaluation_metrics(
 
 
 def method_metrics(outcome: Outcome, settings: Sequence[Setting]) -> dict[str, Any]:
-    """Returns the figures of one method.
+    """Returns the metrics of one method over the scenes of a suite.
 
-    `motion_statistics` over the suite's scenes; with several settings, over those that ask for
-    a clearance and scale the duration, and `settings` has each by its label. Besides:
-    `seconds` (computing time in all settings) and, for scenes of several baselines,
-    `by_baseline`.
+    Keys: those of `motion_statistics`, and `seconds`, the computing time in all settings. With
+    several settings, the statistics are over the settings with a requested clearance and scaled
+    duration, whose labels are in `covers`; `settings` has the statistics of each setting. With
+    several baselines, `by_baseline` has the statistics of each baseline.
     """
     main = [setting.label for setting in settings if setting.constrained and setting.scale_time]
-    judged = outcome.of(*main)
-    metrics = motion_statistics(judged) | {"seconds": outcome.seconds}
+    results = outcome.of(*main)
+    metrics = motion_statistics(results) | {"seconds": outcome.seconds}
     if len(settings) > 1:
         metrics["covers"] = main
         metrics["settings"] = {of.label: motion_statistics(outcome.of(of.label)) for of in settings}
-    baselines = np.unique(judged.baseline)
+    baselines = np.unique(results.baseline)
     if len(baselines) > 1:
         metrics["by_baseline"] = [
-            {"baseline": float(L), **motion_statistics(judged.rows(judged.baseline == L))}
+            {"baseline": float(L), **motion_statistics(results.rows(results.baseline == L))}
             for L in baselines
         ]
     return metrics
 
 
-def motion_statistics(judged: GroundTruthResult) -> dict[str, Any]:
-    """Returns the figures of a batch of motions; None where there is nothing to average.
+def motion_statistics(results: GroundTruthResult) -> dict[str, Any]:
+    """Returns statistics of a batch of motions; None for a statistic of no values.
 
-    Keys: `scenes`, `collisions`, `clearance_mean`, `clearance_mean_feasible` (over the scenes where
-    Delta itself is feasible), `clearance_min`, `clearance_max`, `clearance_shortfall` (more than 1 mm
-    short of min(Delta, distance of start, of goal)), `goal_error_mean`, `goal_error_max`,
+    Keys: `scenes`, `collisions`, `clearance_mean`, `clearance_mean_achievable` (mean over the
+        scenes
+    in which the requested clearance Delta is achievable), `clearance_min`, `clearance_max`,
+    `shortfall_count` (number of scenes with a clearance more than 1 mm below the achievable one,
+    min(Delta, distance of the start, distance of the goal)), `goal_error_mean`, `goal_error_max`,
     `path_ratio_mean`.
     """
-    known = np.isfinite(judged.min_clearance)
-    clearance = judged.min_clearance[known]
-    achievable_clearance = known & (judged.achievable_clearance >= judged.requested - 1e-12)
+    known = np.isfinite(results.min_clearance)
+    clearance = results.min_clearance[known]
+    is_achievable = known & (results.achievable_clearance >= results.requested - 1e-12)
     return {
-        "scenes": len(judged),
-        "collisions": int(judged.collided.sum()),
+        "scenes": len(results),
+        "collisions": int(results.collided.sum()),
         "clearance_mean": over(np.mean, clearance),
-        "clearance_mean_feasible": over(np.mean, judged.min_clearance[achievable_clearance]),
+        "clearance_mean_achievable": over(np.mean, results.min_clearance[is_achievable]),
         "clearance_min": over(np.min, clearance),
         "clearance_max": over(np.max, clearance),
-        "clearance_shortfall": int(judged.is_short.sum()),
-        "goal_error_mean": over(np.mean, judged.goal_error),
-        "goal_error_max": over(np.max, judged.goal_error),
-        "path_ratio_mean": over(np.mean, judged.path_ratio),
+        "shortfall_count": int(results.is_short.sum()),
+        "goal_error_mean": over(np.mean, results.goal_error),
+        "goal_error_max": over(np.max, results.goal_error),
+        "path_ratio_mean": over(np.mean, results.path_ratio),
     }
 
 
 _COLUMNS = (
     Column("collisions"),
-    Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
-    Column("clearance_mean_feasible", "where feasible [m]", "{:.3f}"),
-    Column("clearance_min", "min [m]", "{:.4f}"),
-    Column("clearance_shortfall", "short"),
-    Column("goal_error_max", "goal error max [mm]", "{:.3f}", 1e3),
-    Column("path_ratio_mean", "path ratio", "{:.3f}"),
+    Column("clearance_mean", "mean clearance [m]", "{:.3f}"),
+    Column("clearance_mean_achievable", "mean if achievable [m]", "{:.3f}"),
+    Column("clearance_min", "min. clearance [m]", "{:.4f}"),
+    Column("shortfall_count", "scenes with shortfall"),
+    Column("goal_error_max", "max. goal error [mm]", "{:.3f}", 1e3),
+    Column("path_ratio_mean", "mean path ratio", "{:.3f}"),
 )
+"""Columns of the metrics of synthetic scenes, after the row's name."""
 
 
 def evaluation_tables(metrics: Mapping[str, Any], notes: Sequence[str] = ()) -> list[TextTable]:
-    """Tabulates all methods side by side; then each setting, or each baseline.
+    """Tabulates the metrics of all methods, then those of each setting or baseline of a method.
 
     Args:
-        metrics: as `evaluation_metrics` makes them.
+        metrics: result of `evaluation_metrics`.
         notes: lines below the first table.
     """
     methods: Mapping[str, Any] = metrics["methods"]
@@ -176,18 +186,23 @@ def evaluation_tables(metrics: Mapping[str, Any], notes: Sequence[str] = ()) -> 
 
 
 GAMMAS = (10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Gains of the original coupling term in the dead-zone figure [1/s]."""
 
 
 def matched_term(gamma: float) -> tuple[float, float]:
-    """Returns alpha [rad/s] and psi [rad] of the same peak and area as the original term."""
+    """Returns alpha [rad/s] and psi [rad] with the peak and area of the original term at gamma.
+
+    alpha = gamma / (beta e),   psi = 2 e / (beta sqrt(pi)).
+    """
     return gamma / (BETA * math.e), 2.0 * math.e / (BETA * math.sqrt(math.pi))
 
 
 def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
-    """Runs both terms on all scenes at each gain, with the duration not scaled.
+    """Runs both coupling terms on all scenes at each gain of `GAMMAS`, with tau = 1.
 
     Returns:
-        A row for each gain: clearances [m] in the first scene, head-on, and scenes that touch.
+        A row for each gain: minimum clearances in the first scene, which is head-on [m], and
+        numbers of scenes with a collision.
     """
     setting = Setting(constrained=False, scale_time=False)
     rows = []
@@ -207,10 +222,10 @@ def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
 
 
 def term_table(metrics: Sequence[dict[str, float]]) -> TextTable:
-    """Tabulates the rows of `compare_terms`."""
+    """Tabulates the result of `compare_terms`."""
     columns = (
-        Column("gamma", "terms alone", "gamma = {:g}"),
-        Column("original_head_on", "head-on: original [mm]", "{:.1f}", 1e3),
+        Column("gamma", "coupling terms", "gamma = {:g}"),
+        Column("original_head_on", "clearance head-on: original [mm]", "{:.1f}", 1e3),
         Column("dead_zone_free_head_on", "dead-zone free [mm]", "{:.1f}", 1e3),
         Column("original_collisions", "collisions: original"),
         Column("dead_zone_free_collisions", "dead-zone free"),

@@ -1,8 +1,8 @@
-"""Judges motions by float64 geometry of its own, whatever kernel chose them.
+"""Evaluation of motions on ground truth in float64, independent of the methods' kernels.
 
-A motion is the cubic Hermite interpolant of its positions and velocities, sampled densely, and
-more densely around the sample nearest to an obstacle. Only the exact distance to an ellipsoid is
-shared with the rest (`drake_oa.geometry.ellipsoid`).
+A motion is interpolated from its positions and velocities by cubic Hermite splines and sampled
+densely, with refinement around the sample nearest to the obstacle. Only the exact distance to an
+ellipsoid (`drake_oa.geometry.ellipsoid`) is shared with the methods.
 """
 
 from __future__ import annotations
@@ -17,24 +17,27 @@ from drake_oa.evaluation.scenes.scenes import Batch, Motions, Scenes, obstacle_d
 from drake_oa.geometry.ellipsoid import signed_distance
 
 SUBSTEPS = 4
-"""Samples judged in each interval of a motion."""
-_REFINEMENTS, _REFINED = 3, 33
-"""Number of times that the neighborhood of the nearest sample is sampled again, and how often."""
+"""Number of distance samples in each interval of a motion."""
+_REFINEMENTS = 3
+"""Number of refinements around the sample nearest to the obstacle."""
+_REFINEMENT_SAMPLES = 33
+"""Number of distance samples of one refinement."""
 
 SLACK = 1e-3
-"""By how much a clearance may be short before it counts as short [m]."""
+"""Maximum clearance shortfall that is not counted [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruthResult(Batch):
-    """Measures of N motions.
+    """Ground-truth metrics of N motions.
 
     Attributes:
-        min_clearance: (N,) minimum signed distance to the obstacle over the whole motion,
-            negative inside [m].
-        achievable_clearance: (N,) min(Delta, distance of the start, distance of the goal) [m].
-        goal_error: (N,) distance to the goal at the end [m].
-        path_ratio: (N,) length of the path over that of the planned one, the baseline.
+        min_clearance: (N,) minimum signed distance to the obstacle during the motion, negative
+            inside it [m].
+        achievable_clearance: (N,) minimum of Delta and the obstacle's distances from start and
+            goal [m].
+        goal_error: (N,) distance to the goal at the end of the motion [m].
+        path_ratio: (N,) path length over the length of the nominal path, the baseline.
         baseline: (N,) distance from start to goal [m].
         requested: (N,) requested clearance Delta [m].
     """
@@ -51,27 +54,27 @@ class GroundTruthResult(Batch):
 
     @property
     def collided(self) -> BoolArray:
-        """(N,) whether an obstacle was touched."""
+        """Mask (N,) of the motions that touch the obstacle."""
         return self.min_clearance <= 0.0
 
     @property
     def is_short(self) -> BoolArray:
-        """(N,) whether the clearance is more than `SLACK` short of the feasible one."""
+        """Mask (N,) of the motions with a clearance more than `SLACK` below the achievable one."""
         return self.min_clearance < self.achievable_clearance - SLACK
 
 
 def evaluate_motions(scenes: Scenes, motions: Motions) -> GroundTruthResult:
-    """Judges one motion a scene.
+    """Computes ground-truth metrics of one motion per scene.
 
     Args:
         scenes: N scenes.
         motions: N motions.
     """
-    least, length = np.transpose([_measured(scenes, motions, n) for n in range(len(scenes))])
+    clearance, length = np.transpose([_measure(scenes, motions, n) for n in range(len(scenes))])
     goal = scenes.goal
     ends = [obstacle_distance(scenes, end) for end in (0.0 * goal, goal)]
     return GroundTruthResult(
-        min_clearance=least,
+        min_clearance=clearance,
         achievable_clearance=np.min([scenes.clearance, *ends], axis=0),
         goal_error=np.linalg.norm(motions.path[:, -1] - goal, axis=1),
         path_ratio=length / scenes.baseline,
@@ -80,8 +83,8 @@ def evaluate_motions(scenes: Scenes, motions: Motions) -> GroundTruthResult:
     )
 
 
-def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]:
-    """Returns the minimum signed distance to the obstacle and the length of one path [m]."""
+def _measure(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]:
+    """Computes the minimum signed distance to the obstacle and the length of one path [m]."""
     steps = motions.path.shape[1]
     knots = np.linspace(0.0, motions.duration[row], steps)
     curve = CubicHermiteSpline(knots, motions.path[row], motions.velocity[row])
@@ -91,7 +94,8 @@ def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]
     sampled = signed_distance(points, *body)
     for _ in range(_REFINEMENTS):
         nearest = int(np.argmin(sampled))
-        t = np.linspace(t[max(nearest - 1, 0)], t[min(nearest + 1, len(t) - 1)], _REFINED)
+        ends = t[max(nearest - 1, 0)], t[min(nearest + 1, len(t) - 1)]
+        t = np.linspace(*ends, _REFINEMENT_SAMPLES)
         sampled = signed_distance(curve(t), *body)
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     return float(sampled.min()), float(length)

@@ -1,13 +1,13 @@
-"""The methods that can be compared, by name: functions of scenes and a setting.
+"""Methods for synthetic scenes by name: functions of scenes and a setting.
 
-`verified` is the project's own: a search among roll-outs.
+`verified`: this project's method for a point, a search among roll-outs.
 
-`movement_primitives`: the package of that name, with its own obstacle term. Its `DMP` (10 weights a
-dimension, steps of 0.01 s, its compiled Runge-Kutta: all its defaults) imitates the straight
-minimum-jerk demonstration and is driven with its `CouplingTermObstacleAvoidance3D` at the published
-gains (gamma 1000, beta 20/pi). That term takes the position of a point obstacle: here the
-obstacle's center. It knows neither the obstacle's size nor a clearance, and the setting of an
-evaluation does not change it. Needs the extra `baselines`: pip install 'drake_oa[baselines]'.
+`movement_primitives`: the package of that name. Its `DMP`, with default parameters (10 weights per
+dimension, steps of 0.01 s, compiled Runge-Kutta integration), imitates the straight minimum-jerk
+demonstration. It is executed with the package's `CouplingTermObstacleAvoidance3D` at the published
+gains (gamma 1000, beta 20/pi). That term depends only on the position of a point obstacle, here the
+obstacle's center: neither on the obstacle's size, nor on a clearance, nor on the setting. Requires
+the extra `baselines`: pip install 'drake_oa[baselines]'.
 """
 
 from __future__ import annotations
@@ -35,28 +35,32 @@ from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 
 Method = Callable[[Scenes, Setting], Motions]
+"""Function that computes a motion for each scene in a setting."""
 
 SAMPLES = 500
-"""Intervals in which the motions are handed over."""
-LEAST_CLEARANCE = 0.01
-"""Clearance where none is requested: the minimum in the paper's training set [m]."""
+"""Number of intervals of the motions of `run_verified`."""
+MIN_CLEARANCE = 0.01
+"""Clearance of `verified` if none is requested, the minimum in the paper's training set [m]."""
 PARAMETERS = Verified(candidates=64, generations=60, refinement_generations=6, slack=2e-4)
+"""Search parameters of `verified` in synthetic scenes."""
 POLICY = Policy(period=DURATION / 500)
+"""Policy of `verified` in synthetic scenes, with 500 steps per demonstrated duration."""
 DMP = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=DURATION))
+"""Movement primitive of the straight minimum-jerk demonstration."""
 
 
 def run_verified(scenes: Scenes, setting: Setting) -> Motions:
-    """Decides once for each scene, from rest, and follows the motion that was verified.
+    """Searches one motion per scene among roll-outs from rest.
 
     Args:
         scenes: N scenes.
-        setting: without `constrained`, `LEAST_CLEARANCE` is kept; without `scale_time`
-            tau is 1.
+        setting: if not `constrained`, the requested clearance is `MIN_CLEARANCE`; if not
+            `scale_time`, tau is 1.
 
     Returns:
-        The motions, from rest until they have arrived.
+        The motions, from rest until arrival at the goal.
     """
-    clearance = scenes.clearance if setting.constrained else np.full(len(scenes), LEAST_CLEARANCE)
+    clearance = scenes.clearance if setting.constrained else np.full(len(scenes), MIN_CLEARANCE)
     duration = np.empty(len(scenes))
     path, velocity = np.empty((2, len(scenes), SAMPLES + 1, 3))
     still = np.zeros((1, 3))
@@ -67,13 +71,13 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
         at_rest = still[0], still[0], scenes.goal[row], np.eye(3)
         scene = Scene(*at_rest, baseline, seen, clearance[one])
         search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
-        found = search.run()
-        length = float(found.length[0]) / baseline
+        result = search.run()
+        length = float(result.length[0]) / baseline
         tau = max(1.0, length) if setting.scale_time else 1.0
-        tool = search.tool_paths(found.params[:1])
-        taken = int(tool.steps[0]) + 1
-        s = tool.ds * np.arange(taken)
-        spline = CubicHermiteSpline(s, tool.path[0, :taken], tool.velocity[0, :taken])
+        tool = search.tool_paths(result.params[:1])
+        count = int(tool.steps[0]) + 1
+        s = tool.ds * np.arange(count)
+        spline = CubicHermiteSpline(s, tool.path[0, :count], tool.velocity[0, :count])
         at = np.linspace(0.0, s[-1], SAMPLES + 1)
         path[row], velocity[row] = spline(at), spline(at, 1) / (DURATION * tau)
         duration[row] = DURATION * tau * s[-1]
@@ -81,11 +85,11 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
 
 
 STEP = 0.01
-"""The package's default step [s]."""
+"""Default time step of the package movement_primitives [s]."""
 
 
 def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes the package's motion in N scenes; the setting does not change it.
+    """Computes the motions of the package movement_primitives; they do not depend on the setting.
 
     Raises:
         ValueError: if the package is not installed.
@@ -112,14 +116,14 @@ METHODS: dict[str, Method] = {
     "original": run_original,
     "movement_primitives": run_movement_primitives,
 }
-"""Methods by name."""
+"""Name of a method -> function that computes its motions."""
 
 
 def load_methods(names: Sequence[str]) -> dict[str, Method]:
-    """Returns the methods by name.
+    """Returns the methods with the given names.
 
     Raises:
-        ValueError: for an unknown name, or one whose package is not installed.
+        ValueError: if a name is unknown, or the package of a method is not installed.
     """
     check_choice("method", METHODS, *names)
     if "movement_primitives" in names:

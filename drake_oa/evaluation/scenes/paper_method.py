@@ -1,21 +1,22 @@
-"""The methods `paper` and `original`: the paper's action level, as print and released code tell.
+"""Methods `paper` and `original` on the action level of the paper and its released code.
 
-The action level is that of `drake_oa.training.released_law`, with the avoidance term about each
-obstacle's center. Print and released code leave open how tau is computed and when a motion ends;
-the reading here agrees best with the paper's Table II: tau counts the way through the center plus
-twice the greatest semi-axis and Delta, and a motion goes on from T on until it is within 0.4 mm of
-the goal, to 2 T at most.
+The action level (equations of motion) is that of `drake_oa.training.released_law`, with the
+coupling term about each obstacle's center. Paper and released code leave open how the temporal
+scaling tau is computed and when a motion ends. The interpretation that agrees best with the paper's
+Table II: tau is the length of the path through the obstacle's center, plus twice its largest
+semi-axis and Delta, over the baseline. A motion continues after the duration T until it is within
+0.4 mm of the goal, until 2 T at most.
 
-`paper`: (eq. 8) with the regressor chain's parameters at lambda' and Delta, asked again
-in each step. lambda' are the principal semi-axes of the obstacle's section by the P-plane of
-(p_obs - p, v); lambda1' is the one within 45 degrees of the baseline, as in the training set and
-the released code. (Taken along the way to the center instead, the two would change places whenever
-an obstacle is passed.) Where way and velocity span no plane, the last plane stands in, at first
-the horizontal one, as in the released code. The route is not guided: the paper's synthetic
-experiments have neither table nor workspace. Alpha and kappa below 0 count as 0.
+`paper`: coupling term (eq. 8) with the parameters of the regressor chain at lambda' and Delta,
+evaluated in each step. lambda' are the principal semi-axes of the obstacle's section with the
+P-plane spanned by (p_obs - p, v). lambda1' is the one within 45 degrees of the baseline, as in the
+training set and the released code. (With the one along p_obs - p, both would be exchanged whenever
+an obstacle is passed.) If p_obs - p and v span no plane, the previous P-plane is used, initially
+the horizontal one, as in the released code. Passing sides are not selected, as the paper's
+synthetic experiments have neither table nor workspace. Negative alpha and kappa are replaced by 0.
 
-`original`: Hoffmann's term (eq. 7) at its published gains. Nothing regulates it, and
-it knows neither the obstacle's size nor the clearance asked for.
+`original`: Hoffmann's coupling term (eq. 7) at its published gains. It depends neither on the
+obstacle's size nor on the requested clearance.
 """
 
 from __future__ import annotations
@@ -34,68 +35,73 @@ from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.inference.regressor import ChainWeights, load_chain, plane_axes
 from drake_oa.training.released_law import STEPS, ReleasedMotions, Steps
 
-GAMMA, BETA = 1000.0, 20.0 / math.pi
-"""Hoffmann's published gains [1/s] and [1/rad]."""
+GAMMA = 1000.0
+"""Gain gamma of Hoffmann's coupling term, as published [1/s]."""
+BETA = 20.0 / math.pi
+"""Decay rate beta of Hoffmann's coupling term, as published [1/rad]."""
 
 _PARALLEL = 1e-9
-"""Sine of the angle below which two directions span no plane."""
-_SAME = 1e-9
-"""Change of a plane's unit normal from which on the chain is evaluated again."""
-_ENDLESS = 1e3
-"""Half the length of a cylinder [m]."""
+"""Sine of the angle between two directions below which they span no plane."""
+_MAX_NORMAL_CHANGE = 1e-9
+"""Change of the P-plane's unit normal up to which the chain is not evaluated again."""
+_HALF_LENGTH = 1e3
+"""Half length of the cylinder that replaces an obstacle [m]."""
 
 ARRIVED = 4e-4
-"""Distance to the goal at which a motion ends from T on [m]."""
+"""Distance to the goal below which a motion ends after the duration T [m]."""
 LONGEST = 2
-"""Maximum duration of a motion, in T."""
+"""Maximum duration of a motion, as a multiple of T."""
 
 SHIPPED = ("paper_chain", "paper_chain_unconstrained", "paper_chain_running")
-"""Weights trained by the paper's recipe: with Delta, without it, and on the running system's action
-level."""
+"""Names of the weights files trained by the paper's recipe: with input Delta, without it, and with
+Delta for the running system's action level."""
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:
-    """Runs the paper's method with the chains that the paper's recipe trained.
+    """Computes the motions of the paper's method with the shipped chains.
 
     Args:
         scenes: N scenes.
         setting: whether the chain has the input Delta, and whether tau scales the spring.
 
     Raises:
-        FileNotFoundError: if the weights are missing.
+        FileNotFoundError: if a weights file is missing.
     """
     chain = paper_chain(SHIPPED[0] if setting.constrained else SHIPPED[1])
     return released_motions(scenes, setting, np.zeros(3), chain=chain)
 
 
 def run_original(scenes: Scenes, setting: Setting) -> Motions:
-    """Runs Hoffmann's term in N scenes; the setting decides only whether tau scales the spring."""
+    """Computes motions with Hoffmann's coupling term; of the setting, only `scale_time` is used."""
     return released_motions(scenes, setting, np.array((GAMMA, BETA, 0.0)), original=True)
 
 
 @cache
 def paper_chain(name: str) -> ChainWeights:
-    """Loads one of the chains `SHIPPED`.
+    """Loads a shipped regressor chain by its name in `SHIPPED`.
 
     Raises:
-        FileNotFoundError: if the weights are missing.
-        ValueError: if the file is none of `save_chain`.
+        FileNotFoundError: if the weights file is missing.
+        ValueError: if the file was not written by `save_chain`.
     """
     return load_chain(package_file(f"package://drake_oa/weights/{name}.safetensors"))
 
 
 def time_scale(scenes: Scenes) -> FloatArray:
-    """Computes (N,) tau: the way through the center, past the greatest semi-axis and Delta."""
+    """Computes the temporal scalings tau (N,).
+
+    tau = (|center| + |goal - center| + 2 (largest semi-axis + Delta)) / baseline.
+    """
     to_O, to_goal = scenes.center, scenes.goal - scenes.center
     way = np.linalg.norm(to_O, axis=1) + np.linalg.norm(to_goal, axis=1)
     return (way + 2.0 * (scenes.semi_axes.max(axis=1) + scenes.clearance)) / scenes.baseline
 
 
 def sections(scenes: Scenes) -> Scenes:
-    """Returns the scenes with cylinders over the obstacles' sections in the obstacles' place.
+    """Replaces each obstacle by a long cylinder over its section with the initial P-plane.
 
-    The planes are those in which the motion sets out, through the baseline and a center; of a
-    center on the baseline the horizontal one. In them the distance to a cylinder is that to the
+    The initial P-plane contains the baseline and the obstacle's center; for a center on the
+    baseline it is horizontal. In this plane the distance to the cylinder is the distance to the
     section.
     """
     out = scenes.center * (0.0, 1.0, 1.0)
@@ -105,11 +111,11 @@ def sections(scenes: Scenes) -> Scenes:
     semi_axes, axes = plane_section(scenes.R, scenes.semi_axes, e1, out)
     first, second = np.moveaxis(axes, 1, 0)
     R = np.stack([first, second, np.cross(first, second)], axis=2)
-    semi_axes = np.column_stack([semi_axes, np.full(len(out), _ENDLESS)])
+    semi_axes = np.column_stack([semi_axes, np.full(len(out), _HALF_LENGTH)])
     return replace(scenes, R=R, semi_axes=semi_axes)
 
 
-# Small matrices: more threads only wait for each other.
+# With small matrices, additional BLAS threads would only wait for each other.
 @threadpool_limits.wrap(limits=1)
 def released_motions(
     scenes: Scenes,
@@ -120,37 +126,37 @@ def released_motions(
     chain: ChainWeights | None = None,
     steps: Steps = STEPS,
 ) -> Motions:
-    """Rolls out all scenes together; motions that have ended stay at rest.
+    """Rolls out motions in all scenes at once; motions that have ended stay at rest.
 
     Args:
         scenes: N scenes.
-        setting: of it, only whether tau scales the spring.
+        setting: setting, of which only `scale_time` is used: whether tau scales the spring.
         parameters: (3,) alpha [rad/s], psi [rad] and kappa [1/m^2]; for the original term
-            gamma [1/s], beta [1/rad] and a value without a meaning.
-        original: whether the term is that of (eq. 7).
-        chain: gives the parameters in every step; None: they are constant.
-        steps: time steps.
+            gamma [1/s], beta [1/rad] and an unused value.
+        original: whether the coupling term is Hoffmann's (eq. 7).
+        chain: regressor chain that is evaluated in each step; None: parameters are constant.
+        steps: number and length of the time steps.
     """
     tau = time_scale(scenes) if setting.scale_time else np.ones(len(scenes))
     motions = ReleasedMotions(scenes.baseline, scenes.center, tau, steps=steps, original=original)
-    seen = np.zeros_like(scenes.center)
+    previous = np.zeros_like(scenes.center)
     parameters = np.tile(parameters, (len(scenes), 1))
     path, velocity = [motions.position], [motions.velocity]
     while motions.number < LONGEST * steps.number and not motions.is_over.all():
         if chain is not None:
-            turned = np.abs(motions.normal - seen).max(axis=1) > _SAME
-            n = np.flatnonzero(turned & (motions.distance > 0.0))
-            seen[n] = normal = motions.normal[n]
+            has_turned = np.abs(motions.normal - previous).max(axis=1) > _MAX_NORMAL_CHANGE
+            n = np.flatnonzero(has_turned & (motions.distance > 0.0))
+            previous[n] = normal = motions.normal[n]
             to_O = scenes.center[n] - path[-1][n]
-            # lambda1' is the one within 45 degrees of the baseline.
+            # lambda1' is the semi-axis within 45 degrees of the baseline.
             plane = np.moveaxis(plane_axes(np.array((1.0, 0.0, 0.0)), to_O, normal), 1, 0)
             axes, _ = plane_section(scenes.R[n], scenes.semi_axes[n], *plane)
             inputs = np.column_stack([axes, scenes.clearance[n]])[:, : len(chain.lower)]
             parameters[n] = np.maximum(chain.evaluate(inputs), (0.0, -np.inf, 0.0))
         motions.advance(parameters)
         if motions.number >= steps.number:
-            missing = np.linalg.norm(motions.position - scenes.goal, axis=1)
-            motions.is_over |= missing <= ARRIVED
+            error = np.linalg.norm(motions.position - scenes.goal, axis=1)
+            motions.is_over |= error <= ARRIVED
         path.append(motions.position)
         velocity.append(motions.velocity)
     duration = np.full(len(scenes), motions.number * steps.length)

@@ -1,8 +1,8 @@
-"""Many obstacle-avoidance scenes as one struct of arrays.
+"""Synthetic obstacle-avoidance scenes and motions as structs of arrays.
 
-Each is in the local frame L of its motion, which is the world frame: the start at rest
-in the origin, the goal at (baseline, 0, 0), z up. The demonstration is a straight
-minimum-jerk motion of `DURATION`. The tool is a point: obstacles are dilated already.
+World and local frame L of a motion are the same: the motion starts at rest in the origin, the goal
+is at (baseline, 0, 0), and z points up. The demonstration is a straight minimum-jerk motion of
+`DURATION`. The tool is a point, as obstacles are already dilated.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 
 DURATION = 3.0
-"""Demonstrated duration T [s]."""
+"""Duration T of the demonstrated motion [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch(Frozen):
-    """Arrays with a row for each of N items."""
+    """Struct of arrays with one row per item, for N items."""
 
     def rows(self, index: ArrayLike | slice) -> Self:
-        """Returns some of the items, by indices, a mask or a slice."""
-        chosen = index if isinstance(index, slice) else np.asarray(index)
-        return type(self)(*(getattr(self, item.name)[chosen] for item in fields(self)))
+        """Returns the items at an index array, mask or slice."""
+        selection = index if isinstance(index, slice) else np.asarray(index)
+        return type(self)(*(getattr(self, item.name)[selection] for item in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Returns several batches as one."""
+        """Concatenates several batches."""
         columns = ([getattr(part, item.name) for part in parts] for item in fields(cls))
         return cls(*(np.concatenate(column) for column in columns))
 
 
 @dataclass(frozen=True, eq=False)
 class Scenes(Batch):
-    """N scenes of an ellipsoid at rest each.
+    """Batch of N scenes, each with one resting ellipsoid.
 
     Attributes:
         baseline: (N,) distance from start to goal [m].
-        center: (N, 3) centers [m].
-        semi_axes: (N, 3) semi-axes [m].
-        R: (N, 3, 3) rotations; the columns are the principal axes.
+        center: (N, 3) centers of the ellipsoids [m].
+        semi_axes: (N, 3) semi-axes of the ellipsoids [m].
+        R: (N, 3, 3) rotations, whose columns are the principal axes.
         clearance: (N,) requested clearance Delta [m].
     """
 
@@ -60,7 +60,7 @@ class Scenes(Batch):
 
     @property
     def goal(self) -> FloatArray:
-        """(N, 3) goals [m]."""
+        """Goal positions (N, 3) [m]."""
         return self.baseline[:, None] * (1.0, 0.0, 0.0)
 
 
@@ -72,14 +72,14 @@ def make_scenes(
     R: FloatArray | None = None,
     clearance: float = 0.15,
 ) -> Scenes:
-    """Makes scenes of one baseline [m] and clearance [m].
+    """Makes N scenes with the same baseline and requested clearance.
 
     Args:
-        baseline: [m].
-        center: (N, 3) [m].
-        semi_axes: (N, 3) [m].
-        R: (N, 3, 3); None: axis-aligned.
-        clearance: Delta [m].
+        baseline: distance from start to goal [m].
+        center: (N, 3) centers of the ellipsoids [m].
+        semi_axes: (N, 3) semi-axes of the ellipsoids [m].
+        R: (N, 3, 3) rotations of the ellipsoids; None: axis-aligned.
+        clearance: requested clearance Delta [m].
     """
     center = np.array(center, dtype=float)
     count = len(center)
@@ -93,21 +93,21 @@ def make_scenes(
 
 
 def obstacle_distance(scenes: Scenes, points: FloatArray) -> FloatArray:
-    """Computes signed distances (N,) of a point (N, 3) in each scene to its obstacle [m]."""
+    """Computes signed distances (N,) of one point per scene (N, 3) to the obstacle [m]."""
     return signed_distance(points, scenes.center, scenes.R, scenes.semi_axes)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Variant of a method in the paper's experiments.
+    """Setting of a method in the paper's experiments.
 
     Attributes:
         label: name in the paper's notation.
-        constrained: RC(lambda', Delta), else RC(lambda'), which asks for no clearance:
-            that of the scenes is then 0.
-        scale_time: tau = length of the avoiding path over that of the planned one, else
-            tau = 1.
-        clearance: Delta requested in every scene [m]; None: that of the scenes.
+        constrained: whether the regressor chain is RC(lambda', Delta); else it is RC(lambda'),
+            without a requested clearance.
+        scale_time: whether the temporal scaling tau is the avoiding path's length over the nominal
+            path's length; else tau = 1.
+        clearance: requested clearance Delta in every scene [m]; None: that of the scenes.
     """
 
     label: str = "RC(lambda',Delta)"
@@ -116,19 +116,19 @@ class Setting:
     clearance: float | None = None
 
     def of(self, scenes: Scenes) -> Scenes:
-        """Returns the scenes with the requested clearance."""
+        """Returns the scenes with the requested clearance of this setting."""
         if self.clearance is None:
             return scenes
         return replace(scenes, clearance=np.full(len(scenes), self.clearance))
 
 
 class Motions(NamedTuple):
-    """N motions at S + 1 equally spaced instants from t = 0 to their duration.
+    """Batch of N motions, sampled at S + 1 equally spaced instants from t = 0 to their duration.
 
     Attributes:
         path: (N, S + 1, 3) positions [m].
-        velocity: (N, S + 1, 3) velocities dp/dt at those instants [m/s].
-        duration: (N,) tau T, the end of the scaled duration [s].
+        velocity: (N, S + 1, 3) velocities [m/s].
+        duration: (N,) durations of the sampled motions [s].
     """
 
     path: FloatArray

@@ -1,12 +1,12 @@
-"""The suites: which scenes are sampled, and in which settings methods run on them.
+"""Suites of synthetic scenes: the distribution of scenes, and the settings in which methods run.
 
-Lengths in meters. "The paper's box": the obstacle anywhere along x between start and
-goal so that its extent along x leaves 5 cm to both, its center's y and z within 0.4 m of
-the baseline, semi-axes of 2.5-25 cm (along x 20 cm at most at the 0.5 m baseline); see the
-paper's section on novel scenarios. Scene i has the baseline BASELINES[i mod 4], so that
-any number of scenes is spread evenly.
+Lengths are in meters. The paper's box (section on novel scenarios) is the set of obstacles whose
+extent along x is at least 5 cm from start and goal, whose center has y and z within 0.4 m, and
+whose semi-axes are 2.5 to 25 cm (along x at most 20 cm at the 0.5 m baseline). Scene i has the
+baseline BASELINES[i mod 4], so that scenes are evenly distributed over the baselines.
 
-Seeded by `numpy.random.default_rng`: the same name, count and seed give the same scenes.
+Random numbers are those of `numpy.random.default_rng`: the same name, count and seed give the same
+scenes.
 """
 
 from __future__ import annotations
@@ -26,37 +26,40 @@ from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.evaluation.scenes.scenes import Scenes, Setting, make_scenes, obstacle_distance
 
 _THIRDS = 28
-"""Number of times that a segment is cut to two thirds around its nearest point."""
+"""Number of steps of the ternary search for the nearest point of a line."""
 
 Draw = Callable[[Generator, int], Scenes]
+"""Function that draws a number of scenes."""
 
 
-def accepted(rng: Generator, count: int, draw: Draw, keep: Callable[[Scenes], BoolArray]) -> Scenes:
-    """`count` scenes that `keep` accepts, from batches that `draw` proposes."""
+def draw_accepted(
+    rng: Generator, count: int, draw: Draw, accept: Callable[[Scenes], BoolArray]
+) -> Scenes:
+    """Draws batches of scenes until `count` of them are accepted (rejection sampling)."""
     parts: list[Scenes] = []
-    found, batch = 0, max(256, 2 * count)
-    while found < count:
+    total, batch = 0, max(256, 2 * count)
+    while total < count:
         proposed = draw(rng, batch)
-        kept = proposed.rows(keep(proposed))
-        parts.append(kept)
-        found += len(kept)
-        # What is missing at the rate seen so far, and a little more; never an endless batch.
-        rate = max(len(kept) / batch, 1e-3)
-        batch = int(np.clip(1.1 * (count - found) / rate, 256, 200_000))
+        valid = proposed.rows(accept(proposed))
+        parts.append(valid)
+        total += len(valid)
+        # The remaining number at the last acceptance rate, plus 10 %, in batches of limited size.
+        rate = max(len(valid) / batch, 1e-3)
+        batch = int(np.clip(1.1 * (count - total) / rate, 256, 200_000))
     return Scenes.joined(parts).rows(slice(count))
 
 
 def random_rotations(rng: Generator, count: int) -> FloatArray:
-    """Draws rotations (count, 3, 3), uniform over all."""
+    """Draws rotation matrices (count, 3, 3) with uniform distribution."""
     w, x, y, z = rng.standard_normal((4, count))
     return Rotation.from_quat(np.column_stack([x, y, z, w])).as_matrix()
 
 
 def line_distance(scenes: Scenes) -> FloatArray:
-    """Computes signed distances (N,) of the lines from start to goal to the obstacles [m]."""
+    """Computes signed distances (N,) from the line between start and goal to the obstacle [m]."""
     low, high = np.zeros((2, len(scenes), 1))
     high += 1.0
-    # Along a line the distance to a convex body is convex.
+    # The distance to a convex body is convex along a line, hence ternary search converges.
     for _ in range(_THIRDS):
         third = (high - low) / 3.0
         nearer = obstacle_distance(scenes, (low + third) * scenes.goal) < obstacle_distance(
@@ -68,25 +71,30 @@ def line_distance(scenes: Scenes) -> FloatArray:
 
 
 BASELINES = (0.5, 1.0, 1.5, 2.0)
+"""Distances from start to goal in the suites of random scenes [m]."""
 CLEARANCE = 0.15
-"""Delta of the suites that do not vary it."""
+"""Requested clearance Delta of the suites that do not vary it [m]."""
 FAMILIAR_CLEARANCES = (0.05, 0.10, 0.15, 0.20, 0.25)
+"""Requested clearances Delta of the suite `familiar` [m]."""
 MARGIN = 0.05
+"""Minimum distance along x of an obstacle from start and goal [m]."""
 POINT_RADIUS = 0.025
-"""Radius of the dead-zone figure's point obstacle: the smallest that was trained."""
+"""Radius of the point obstacle in the dead-zone figure, the smallest of the training set [m]."""
 
-_ASIDE = 0.4
+_MAX_OFFSET = 0.4
+"""Maximum absolute y and z coordinate of an obstacle's center [m]."""
 _SEMI_AXES = (0.025, 0.25)
+"""Range of an obstacle's semi-axes [m]."""
 
 
 @dataclass(frozen=True)
 class Suite:
-    """A family of scenes.
+    """Suite of synthetic scenes.
 
     Attributes:
-        sample: (generator, count) -> scenes.
-        count: how many by default.
-        settings: how each scene is run.
+        sample: function that draws a number of scenes.
+        count: default number of scenes.
+        settings: settings in which each scene is run.
     """
 
     sample: Draw
@@ -98,12 +106,12 @@ def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
     """Draws the scenes of a suite.
 
     Args:
-        name: of the suite.
-        count: how many; None: the suite's default.
-        seed: of the generator.
+        name: name of the suite.
+        count: number of scenes; None: the suite's default.
+        seed: seed of the random generator.
 
     Raises:
-        ValueError: for an unknown name, and for `familiar` a count that is not a square.
+        ValueError: if the name is unknown, or the count for `familiar` is not a square.
     """
     check_choice("suite", SUITES, name)
     suite = SUITES[name]
@@ -112,16 +120,16 @@ def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
 
 
 def _familiar(_: Generator, count: int) -> Scenes:
-    """Ellipses of the training set: a lattice of semi-axes, midway on a 1 m baseline.
+    """Returns the ellipses of the training set, in the middle of a 1 m baseline.
 
-    Semi-axes (lambda1', lambda2') on k x k points of linspace(0.025, 0.25, k); the third
-    is the second, so that every plane through the baseline shows the same ellipse.
+    The semi-axes (lambda1', lambda2') are a k x k lattice of linspace(0.025, 0.25, k). The third
+    semi-axis equals the second one, so that every plane through the baseline has the same section.
     """
     k = math.isqrt(count)
     if k * k != count or k < 2:
         raise ValueError(
-            f"familiar has a k x k lattice of ellipses: the number of scenes must be a square "
-            f"of at least 4, not {count}"
+            f"--scenes: must be a square of at least 4 for the k x k ellipses of familiar, "
+            f"not {count}"
         )
     lattice = np.linspace(*_SEMI_AXES, k)
     first, second = (grid.ravel() for grid in np.meshgrid(lattice, lattice, indexing="ij"))
@@ -136,10 +144,16 @@ def _boxed(
     posed: bool = False,
     own_extent: bool = True,
 ) -> Scenes:
-    """Proposals in the paper's box; NaN centers where the obstacle is too long for it.
+    """Draws scenes of the paper's box; centers of obstacles that are too long for it are NaN.
 
-    Without `own_extent` the margin is that of the longest obstacle, whatever the obstacle's own
-    extent, as in the released demo program: at the 0.5 m baseline all are midway.
+    Args:
+        rng: random generator.
+        count: number of scenes.
+        baseline: distance from start to goal [m].
+        posed: whether orientations are random; else obstacles are axis-aligned.
+        own_extent: whether the distance from start and goal is measured from the obstacle's own
+            extent; else from that of the longest obstacle, as in the authors' demo program, so
+            that at the 0.5 m baseline all obstacles are in the middle.
     """
     a = rng.uniform(*_SEMI_AXES, (count, 3))
     longest = 0.5 * baseline - MARGIN
@@ -150,17 +164,18 @@ def _boxed(
     if not own_extent:
         extent = np.full(count, min(longest, _SEMI_AXES[1]))
     room = baseline - 2.0 * (MARGIN + extent)
-    center = rng.uniform(-_ASIDE, _ASIDE, (count, 3))
+    center = rng.uniform(-_MAX_OFFSET, _MAX_OFFSET, (count, 3))
     center[:, 0] = MARGIN + extent + rng.random(count) * room
-    # 1e-12: the longest one has no room but that of rounding.
+    # 1e-12: the room of the longest obstacle is 0 up to rounding.
     center[room < -1e-12] = np.nan
     return make_scenes(baseline, center, a, R=R, clearance=CLEARANCE)
 
 
 def _single(rng: Generator, count: int, limit: float, **box: Any) -> Scenes:
-    """Draws scenes of the paper's box whose straight line comes nearer than a limit.
+    """Draws scenes of the paper's box with the straight line within a distance of the obstacle.
 
-    They are spread over the baselines; box: see `_boxed`.
+    Scenes are evenly distributed over the baselines; `limit`: distance [m]; `box`: further
+    arguments of `_boxed`.
     """
     parts, places = [], []
     for k, baseline in enumerate(BASELINES):
@@ -168,18 +183,18 @@ def _single(rng: Generator, count: int, limit: float, **box: Any) -> Scenes:
         if len(rows):
             draw = partial(_boxed, baseline=baseline, **box)
             parts.append(
-                accepted(rng, len(rows), draw, lambda scenes: line_distance(scenes) < limit)
+                draw_accepted(rng, len(rows), draw, lambda scenes: line_distance(scenes) < limit)
             )
             places.append(rows)
     return Scenes.joined(parts).rows(np.argsort(np.concatenate(places)))
 
 
 def _dead_zone(_: Generator, count: int) -> Scenes:
-    """A point obstacle midway on a 1 m baseline, on it and then beside it.
+    """Returns scenes of a point obstacle at the middle of a 1 m baseline, on it and beside it.
 
-    The point has the size of the smallest obstacle trained (a sphere of 2.5 cm), as it
-    has one in the paper's figure. It is exactly on the line in the first scene, and off it by
-    10 um to 10 cm in equal ratios in the others; 5 cm are asked for.
+    The obstacle is a sphere of 2.5 cm, the smallest one in the training set. In the first scene it
+    is exactly on the line; in the others its offset is 10 um to 10 cm in equal ratios. The
+    requested clearance is 5 cm.
     """
     center = np.tile((0.5, 0.0, 0.0), (count, 1))
     center[1:, 1] = np.geomspace(1e-5, 0.1, count - 1)
@@ -187,9 +202,9 @@ def _dead_zone(_: Generator, count: int) -> Scenes:
 
 
 def _familiar_settings() -> tuple[Setting, ...]:
-    """Returns the paper's 12 settings: six models, with the duration scaled and not.
+    """Returns the paper's 12 settings: six models, each with scaled and unscaled duration.
 
-    RC(lambda') asks for no clearance: its scenes have Delta = 0.
+    For RC(lambda'), which has no requested clearance, Delta is 0.
     """
     models = {f"RC(lambda',{delta:g})": delta for delta in FAMILIAR_CLEARANCES}
     return tuple(
@@ -204,7 +219,7 @@ SUITES: dict[str, Suite] = {
     "hit": Suite(partial(_single, limit=0.0, posed=True), 1000),
     "familiar": Suite(_familiar, 100, _familiar_settings()),
     "dead-zone": Suite(_dead_zone, 41),
-    # Of Table II: obstacles are 5 cm from both ends to the extent of the longest one.
+    # Scenes of Table II: the margin of 5 cm is measured from the extent of the longest obstacle.
     "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000),
 }
-"""Name of a suite -> the suite; `drake-oa evaluate --help` describes the first two."""
+"""Name of a suite -> suite; `drake-oa evaluate --help` describes the first two."""

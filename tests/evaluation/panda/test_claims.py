@@ -1,4 +1,4 @@
-"""Claims of passive motion safety, on motions made by hand."""
+"""Tests of the claims of passive motion safety, on scripted motions."""
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ _RISING = "[[0, 0, 0, 0], [5, 0, 0, 0.15]]"
 
 
 def _world(at, waypoints=_RISING):
+    """Returns the ground-truth model of a scene with a ball at a position [m]."""
     ball = "{name: ball, shapes: [!Sphere {radius: 0.05}], translation: "
     ball += f"{[round(float(value), 4) for value in at]}"
     ball += f", waypoints: {waypoints}}}" if waypoints else "}"
@@ -31,37 +32,37 @@ def _world(at, waypoints=_RISING):
 
 @pytest.fixture(scope="module")
 def ahead():
-    """A function of a way [m]: the place that far ahead of the hand as joint 1 turns."""
+    """Function from a distance [m] to the position ahead of the hand while joint 1 turns."""
     world = _world([2.0, 0.0, 0.5])
     centers = sphere_centers(world.arm.chain, world.arm.spheres, _Q[None])[0]
     hand = centers[np.argmax(np.hypot(*centers[:, :2].T))]
     along = np.array([-hand[1], hand[0], 0.0]) / np.hypot(*hand[:2])
-    return lambda way: hand + way * along
+    return lambda distance: hand + distance * along
 
 
 def _turning(rate, count=30):
-    """Joint 1 turns, the hand 0.5 to 0.6 m from its axis."""
+    """Returns times and positions of joint 1 turning, the hand 0.5 to 0.6 m from its axis."""
     q = np.tile(_Q, (count, 1))
     q[:, 0] += rate * _DT * np.arange(count)
     return 1.0 + _DT * np.arange(count), q
 
 
 @pytest.mark.parametrize(
-    ("side", "away", "age", "violated"),
+    ("side", "gap", "age", "violated"),
     [
         (1.0, 0.10, 0.2, True),
         (1.0, 0.10, 0.0, False),
         (-1.0, 0.10, 0.2, False),
         (1.0, 0.60, 0.2, False),
     ],
-    ids=["near, approached", "seen just now", "left behind", "far"],
+    ids=["near, approached", "observed just now", "receding", "far"],
 )
-def test_a_point_that_can_be_reached_does_not_approach(ahead, side, away, age, violated):
-    world, (t, q) = _world(ahead(side * (0.15 + away))), _turning(1.0)
-    found = claim_violations(world, t, q, t - age)
-    assert found["A"].any() == violated
-    assert not found["A"][-1]
-    assert not found["B"].any()
+def test_claim_a_forbids_approach_within_reach(ahead, side, gap, age, violated):
+    world, (t, q) = _world(ahead(side * (0.15 + gap))), _turning(1.0)
+    violations = claim_violations(world, t, q, t - age)
+    assert violations["A"].any() == violated
+    assert not violations["A"][-1]
+    assert not violations["B"].any()
 
 
 @pytest.mark.parametrize(
@@ -75,9 +76,9 @@ def test_a_point_that_can_be_reached_does_not_approach(ahead, side, away, age, v
         (1.0, "[[0.7, 0, 0, 0], [3, 0, 0, 1.0]]", False),
         (1.0, "[[0, 0, 0, 0], [3, 0, 0, 0.04]]", False),
     ],
-    ids=["moves", "resting arm", "never moves", "has come to rest", "moves later", "creeps"],
+    ids=["moves", "resting arm", "never moves", "at rest by then", "moves later", "too slow"],
 )
-def test_a_resting_arm_and_obstacles_at_rest_violate_nothing(ahead, rate, waypoints, violated):
+def test_claim_a_holds_for_a_resting_arm_or_resting_obstacles(ahead, rate, waypoints, violated):
     world, (t, q) = _world(ahead(0.25), waypoints), _turning(rate)
     assert claim_violations(world, t, q, t - 0.5)["A"].any() == violated
 
@@ -86,7 +87,7 @@ _NO_DEPTH_AHEAD = np.where(np.arange(120)[:, None] < 52, 0.0, np.inf)
 
 
 def _overhead(value):
-    """A camera 2.5 m over the base that looks down, its upper rows to +y, and its depth."""
+    """Returns the view of a camera 2.5 m above the base, upper rows toward +y, of one depth [m]."""
     X_WC = np.diag([1.0, -1.0, -1.0, 1.0])
     X_WC[:3, 3] = [0.3, 0.0, 2.5]
     image = np.full((120, 120), value, dtype=np.float32)
@@ -94,7 +95,7 @@ def _overhead(value):
 
 
 @pytest.mark.parametrize(
-    ("rate", "sights", "violated"),
+    ("rate", "views", "violated"),
     [
         (1.5, [np.inf], False),
         (1.5, [0.0], True),
@@ -104,34 +105,34 @@ def _overhead(value):
         (1.5, [_NO_DEPTH_AHEAD], True),
         (1.5, [_NO_DEPTH_AHEAD[::-1]], False),
     ],
-    ids=["free", "no depth", "other camera", "behind something", "slow", "ahead", "left behind"],
+    ids=["free", "no depth", "second camera", "occluded", "slow", "ahead", "behind"],
 )
-def test_the_arm_is_slow_toward_where_sight_is_lacking(rate, sights, violated):
+def test_claim_b_limits_the_speed_toward_unobserved_space(rate, views, violated):
     world, (t, q) = _world([2.0, 0.0, 0.5]), _turning(rate)
     requested = []
 
     def images(time):
         requested.append(time)
-        return [_overhead(value) for value in sights]
+        return [_overhead(value) for value in views]
 
-    found = claim_violations(world, t, q, np.zeros(len(t)), images)
-    assert found["B"].any() == violated
-    assert not found["A"].any()
-    # A slow arm asks for no image, and a fast one once for each stamp.
+    violations = claim_violations(world, t, q, np.zeros(len(t)), images)
+    assert violations["B"].any() == violated
+    assert not violations["A"].any()
+    # Images are requested only for a fast arm, once per stamp.
     assert requested == ([] if rate < 0.5 else [0.0])
 
 
-def test_without_an_observation_sight_is_lacking():
+def test_all_space_is_unobserved_before_the_first_observation():
     world, (t, q) = _world([2.0, 0.0, 0.5]), _turning(1.5)
-    found = claim_violations(world, t, q, np.full(len(t), -np.inf))
-    assert found["B"][:-1].all()
+    violations = claim_violations(world, t, q, np.full(len(t), -np.inf))
+    assert violations["B"][:-1].all()
     assert not claim_violations(world, t, q, t)["B"].any()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", range(20))
-def test_no_motion_violates_a_claim_in_hard_scenes_from_ground_truth(index):
+def test_verified_satisfies_the_claims_in_moving_hard_from_ground_truth(index):
     scene = draw_panda_scene(0, index, kind="moving_hard")
-    found = run_and_evaluate(scene, "verified", "truth")["claim_violations"]
-    assert found["instants"] > 1000
-    assert found["A"] == found["B"] == 0
+    violations = run_and_evaluate(scene, "verified", "truth")["claim_violations"]
+    assert violations["instants"] > 1000
+    assert violations["A"] == violations["B"] == 0

@@ -1,4 +1,4 @@
-"""Contacts of runs: speeds, escapes, and when the obstacle was known."""
+"""Tests of contact events: closing speeds, avoidability, and observation times of obstacles."""
 
 import json
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drake_oa.common.messages import EllipsoidSet
-from drake_oa.evaluation.panda.contacts import contact_events, sightings
+from drake_oa.evaluation.panda.contacts import contact_events, observation_times
 from drake_oa.evaluation.panda.evaluation import Criteria, run_and_evaluate
 from drake_oa.evaluation.panda.scenes import draw_panda_scene
 from drake_oa.evaluation.panda.true_world import make_true_world
@@ -32,6 +32,7 @@ KEYS = [
 
 
 def _scenario(waypoints, radius=0.1, at=(0.5, -1.5, 0.5)):
+    """Returns a scenario with ground-truth perception and one moving ball."""
     ball = f"{{name: ball, shapes: [!Sphere {{radius: {radius}}}], translation: {list(at)}"
     return load_scenario(
         "tabletop_box",
@@ -44,7 +45,7 @@ def _scenario(waypoints, radius=0.1, at=(0.5, -1.5, 0.5)):
 
 
 def _log(scenario, q, v, frames=()):
-    """A log of a robot at q (T, nq), an instant every 4 ms."""
+    """Returns the log of a robot at q (T, nq) and v (T, nq), an instant every 4 ms."""
     from drake_oa.runs.metrics import clearance_evaluator
 
     evaluator, t = clearance_evaluator(scenario), 0.004 * np.arange(len(q))
@@ -67,15 +68,15 @@ def _log(scenario, q, v, frames=()):
 
 @pytest.fixture(scope="module")
 def struck():
-    """An arm at rest at the start that a ball of 1 m/s touches and then leaves."""
+    """Scenario and positions of an arm at rest that a ball touches at 1 m/s and then leaves."""
     p_WE = load_scenario("tabletop_box").task.start
-    way = [[0, 0, 0, 0], [0.75, 0, 0.75, 0], [1.5, 0, 0, 0]]
-    scenario = _scenario(way, at=[p_WE[0], p_WE[1] - 0.8, p_WE[2]])
+    waypoints = [[0, 0, 0, 0], [0.75, 0, 0.75, 0], [1.5, 0, 0, 0]]
+    scenario = _scenario(waypoints, at=[p_WE[0], p_WE[1] - 0.8, p_WE[2]])
     q = np.tile(end_positions(scenario)[0], (500, 1))
     return scenario, q
 
 
-def test_a_resting_arm_that_is_struck(struck):
+def test_contact_with_a_resting_arm(struck):
     scenario, q = struck
     log = _log(scenario, q, 0.0 * q)
     events = contact_events(scenario, log, make_true_world(scenario))
@@ -87,21 +88,21 @@ def test_a_resting_arm_that_is_struck(struck):
         assert event["arm_at_rest"]
         assert event["receding"]
         assert event["avoidable_by_physics"]
-        # Nothing was ever observed.
+        # The log has no observation.
         assert not event["avoidable_by_view"]
         assert event["parked_contact"] == ["start"]
     assert 0.3 < events[0]["time"] < 0.9
     assert json.loads(json.dumps(events)) == events
 
 
-def test_closing_speed_is_of_the_arm_along_the_normal(struck):
+def test_closing_speed_is_the_speed_of_the_arm_along_the_normal(struck):
     scenario, q = struck
     world, speeds = make_true_world(scenario), {}
     for rate in (-0.2, 0.2):
         v = 0.0 * q
         v[:, 0] = rate
         speeds[rate] = contact_events(scenario, _log(scenario, q, v), world)[0]
-    # The hand is pushed along +y, as a positive rate of joint 1 moves it.
+    # The ball pushes the hand along +y, the direction of a positive rate of joint 1.
     assert speeds[0.2]["receding"]
     assert not speeds[-0.2]["receding"]
     assert 0.02 < speeds[-0.2]["closing_speed"] < 0.2
@@ -113,13 +114,13 @@ def test_closing_speed_is_of_the_arm_along_the_normal(struck):
 @pytest.mark.parametrize(
     ("late", "wrong_after", "is_known"), [(0.0, 9.0, True), (0.0, 0.15, False), (9.0, 9.0, False)]
 )
-def test_an_obstacle_observed_right_just_before_the_deadline_was_avoidable_by_view(
+def test_contact_is_avoidable_by_view_if_the_velocity_is_correct_at_the_deadline(
     struck, late, wrong_after, is_known
 ):
     scenario, q = struck
     (ball,) = scenario.obstacles
     frames = [
-        _seen(ball, stamp, [0.0, 1.0 if stamp < wrong_after else 0.0, 0.0])
+        _observation(ball, stamp, [0.0, 1.0 if stamp < wrong_after else 0.0, 0.0])
         for stamp in (0.0, 0.1, 0.2, 0.3, 0.4)
         if stamp >= late
     ]
@@ -129,7 +130,8 @@ def test_an_obstacle_observed_right_just_before_the_deadline_was_avoidable_by_vi
     assert event["parked_contact"] == ["start", *["first_sight"] * bool(frames)]
 
 
-def _seen(obstacle, stamp, velocity):
+def _observation(obstacle, stamp, velocity):
+    """Returns an observation of an obstacle at its true position with a velocity [m/s]."""
     center = np.array(obstacle.translation) + obstacle.offset_at(stamp)
     return EllipsoidSet(
         stamp=stamp,
@@ -144,21 +146,21 @@ def _seen(obstacle, stamp, velocity):
 @pytest.mark.parametrize(
     ("error", "aside", "is_known"), [(0.19, 0.0, True), (-0.21, 0.0, False), (0.0, 0.15, False)]
 )
-def test_a_velocity_is_right_within_a_fifth(struck, error, aside, is_known):
+def test_velocity_is_correct_within_20_percent(struck, error, aside, is_known):
     scenario, q = struck
     (ball,) = scenario.obstacles
-    wrong = _seen(ball, 0.1, [0.0, -1.0, 0.0])
-    right = _seen(ball, 0.3, [0.0, 1.0 + error, 0.0])
+    wrong = _observation(ball, 0.1, [0.0, -1.0, 0.0])
+    right = _observation(ball, 0.3, [0.0, 1.0 + error, 0.0])
     right = replace(right, p_WO=right.p_WO + [aside, 0.0, 0.0])
-    seen, known = sightings(_log(scenario, q[:2], 0.0 * q[:2], [wrong, right]), ball)
+    seen, known = observation_times(_log(scenario, q[:2], 0.0 * q[:2], [wrong, right]), ball)
     assert seen == pytest.approx(0.15)
     assert known == pytest.approx([0.35] if is_known else [])
 
 
-def test_a_blind_run_is_judged_end_to_end():
+def test_contacts_of_a_nominal_run_are_evaluated_end_to_end():
     scenario = draw_panda_scene(0, 0, kind="moving_hard", perception="truth")
-    touched = run_and_evaluate(scenario, "nominal", "truth", criteria=Criteria(by_drp=True))
-    # By the rules of DRPBench, too.
+    touched = run_and_evaluate(scenario, "nominal", "truth", criteria=Criteria(has_drp_rules=True))
+    # Also by the rules of DRPBench.
     assert touched["outcome"] == touched["drp_outcome"] == "contact"
     events = touched["contact_events"]
     pairs = {f"{event['link']} - {event['obstacle']}" for event in events}
@@ -166,7 +168,7 @@ def test_a_blind_run_is_judged_end_to_end():
     assert [event["time"] for event in events] == sorted(event["time"] for event in events)
     assert events[0]["avoidable_by_physics"]
     assert not events[0]["avoidable_by_view"]
-    # It observes nothing, and is faster than 0.25 m/s.
+    # Without observations, the arm is faster than 0.25 m/s.
     claims = touched["claim_violations"]
     assert 0 < claims["B"] < claims["instants"]
     assert claims["A"] == 0

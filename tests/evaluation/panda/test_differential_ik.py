@@ -1,4 +1,4 @@
-"""The peer: differential inverse kinematics with collision constraints on the Panda."""
+"""Tests of the baseline of differential inverse kinematics with collision constraints."""
 
 import numpy as np
 import pytest
@@ -22,14 +22,15 @@ _ACROSS = [
 
 
 def scene(*overrides: str) -> Scenario:
+    """Returns a scenario with the robot, and nothing else unless overrides add it."""
     return load_scenario("tabletop_box", [*_BARE, *overrides])
 
 
-def test_follows_the_planned_motion_where_nothing_stands_and_the_same_twice() -> None:
+def test_follows_the_nominal_motion_without_obstacles_and_repeats_exactly() -> None:
     scenario = scene(
         "task.duration=1.5", "task.start=[0.45,-0.15,0.3]", "task.goal=[0.45,0.15,0.3]"
     )
-    log, again = simulate_differential_ik(scenario), simulate_differential_ik(scenario)
+    log, repeated = simulate_differential_ik(scenario), simulate_differential_ik(scenario)
     assert log.stop_reason == "goal"
     assert log.inference == METHOD
     assert log.duration == pytest.approx(1.5, abs=0.1)
@@ -37,8 +38,8 @@ def test_follows_the_planned_motion_where_nothing_stands_and_the_same_twice() ->
     assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 6e-4
     assert log.event == ()
     assert not log.saturated.any()
-    np.testing.assert_array_equal(log.q, again.q)
-    np.testing.assert_array_equal(log.torque, again.torque)
+    np.testing.assert_array_equal(log.q, repeated.q)
+    np.testing.assert_array_equal(log.torque, repeated.torque)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +49,7 @@ def test_follows_the_planned_motion_where_nothing_stands_and_the_same_twice() ->
         "translation: [0.62, 0.3, 0.3], waypoints: [[0, 0, 0, 0], [0.5, 0, -0.3, 0]]",
     ],
 )
-def test_goes_round_a_ball_beside_the_line(trajectory: str) -> None:
+def test_avoids_a_ball_beside_the_line(trajectory: str) -> None:
     ball = f"{{name: ball, shapes: [!Sphere {{radius: 0.05}}], {trajectory}}}"
     scenario = scene(*_ACROSS, f"obstacles=[{ball}]")
     log = simulate_differential_ik(scenario)
@@ -57,16 +58,16 @@ def test_goes_round_a_ball_beside_the_line(trajectory: str) -> None:
     assert log.stop_reason == "goal"
 
 
-def test_turns_the_tool_and_leads_the_posture_to_the_joints_of_the_goal() -> None:
-    given = scene(
+def test_tracks_orientation_and_posture_to_the_goal_joints() -> None:
+    scenario = scene(
         "task.duration=1.5",
         "task.q_start=[0.0,-0.785,0.0,-2.356,0.0,1.571,0.785]",
         "task.q_goal=[0.3,-0.6,0.2,-2.2,0.1,1.8,1.2]",
     )
-    follow_joints(given)
-    log = simulate_differential_ik(given)
+    follow_joints(scenario)
+    log = simulate_differential_ik(scenario)
     assert log.stop_reason == "goal"
     assert np.linalg.norm(log.orientation_error, axis=1).max() < 0.04
     assert np.linalg.norm(log.orientation_error[-1]) < 2e-3
-    assert given.task.q_goal is not None
-    np.testing.assert_allclose(log.q[-1, :7], given.task.q_goal, atol=0.1)
+    assert scenario.task.q_goal is not None
+    np.testing.assert_allclose(log.q[-1, :7], scenario.task.q_goal, atol=0.1)

@@ -1,4 +1,4 @@
-"""Levels of DRPBench, and its rules."""
+"""Tests of the levels of DRPBench and of its rules."""
 
 import math
 from dataclasses import replace
@@ -16,11 +16,11 @@ from drake_oa.scenario.end_poses import end_positions
 def test_levels_are_kinds_of_scenes():
     assert len(suite_kinds(["drp"], [])) == len(LEVELS) == 11
     assert suite_kinds(["elbow", "drp"], ["sudden1"]) == ["elbow", "drp_sudden1"]
-    with pytest.raises(ValueError, match="--level needs --suite drp"):
+    with pytest.raises(ValueError, match="--level requires --suite drp"):
         suite_kinds(["elbow"], ["sudden1"])
 
 
-def test_the_rules_judge_the_end_of_the_episode():
+def test_drp_outcome_is_determined_at_the_end_of_the_episode():
     scenario = replace(draw_panda_scene(0, 0, kind="drp_floating1"), obstacles=[])
     log = simulate(scenario, avoid_obstacles=False, duration=0.02)
     q_start, q_goal = end_positions(scenario)

@@ -1,4 +1,4 @@
-"""Scenes of the Panda: judged one by one, evaluated in parallel, stored and resumed."""
+"""Tests of evaluations on the Panda: outcomes, metrics, parallel runs, stored results."""
 
 import json
 from dataclasses import replace
@@ -19,12 +19,13 @@ _SUITE = panda_suite("tabletop", 2, 0, ("nominal", "verified"), "truth", 0.05)
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
-    """An evaluation in this process, and its folder."""
+    """Results of an evaluation in this process, and their folder."""
     folder = tmp_path_factory.mktemp("results")
     return evaluate_panda(_SUITE, folder=folder), folder
 
 
-def _same(one, other, methods=_SUITE.methods):
+def _assert_equal(one, other, methods=_SUITE.methods):
+    """Checks that results are equal except for wall times."""
     assert one.scenarios == other.scenarios
     for method in methods:
         assert list(one.runs[method]) == list(other.runs[method]) == [0, 1]
@@ -33,7 +34,7 @@ def _same(one, other, methods=_SUITE.methods):
             assert one.runs[method][scene] | clock == other.runs[method][scene] | clock
 
 
-def test_each_run_is_on_disk(stored):
+def test_each_result_is_stored(stored):
     results, folder = stored
     for scene in (0, 1):
         assert (folder / f"{_SUITE.scene_name(scene)}.json").is_file()
@@ -43,19 +44,19 @@ def test_each_run_is_on_disk(stored):
             assert on_disk["content"] == results.runs[method][scene]
 
 
-def test_an_evaluation_resumes_and_repeats_what_is_damaged(stored, caplog):
+def test_evaluation_resumes_and_repeats_unreadable_results(stored, caplog):
     results, folder = stored
     damaged = folder / f"{_SUITE.run_name(1, 'nominal')}.json"
     damaged.write_text(damaged.read_text()[:40])
-    again = evaluate_panda(_SUITE, folder=folder)
-    assert again.resumed == 3
+    resumed = evaluate_panda(_SUITE, folder=folder)
+    assert resumed.resumed == 3
     assert "is unreadable" in caplog.text
-    _same(results, again)
+    _assert_equal(results, resumed)
 
 
 @pytest.mark.slow
-def test_processes_and_a_dask_cluster_give_the_same(stored, tmp_path):
-    _same(stored[0], evaluate_panda(_SUITE, workers=2))
+def test_worker_processes_and_dask_cluster_give_equal_results(stored, tmp_path):
+    _assert_equal(stored[0], evaluate_panda(_SUITE, workers=2))
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
@@ -65,7 +66,7 @@ def test_processes_and_a_dask_cluster_give_the_same(stored, tmp_path):
             workers=cluster.scheduler_address,
             folder=tmp_path,
         )
-    _same(stored[0], spread, ("verified",))
+    _assert_equal(stored[0], spread, ("verified",))
     assert len(list(tmp_path.glob("*.json"))) == 4
 
 
@@ -76,13 +77,14 @@ def test_processes_and_a_dask_cluster_give_the_same(stored, tmp_path):
         ({"methods": ("mine",)}, "unknown method 'mine'"),
     ],
 )
-def test_bad_settings_are_refused(changes, message):
+def test_invalid_settings_are_rejected(changes, message):
     settings = {"kind": "tabletop", "scenes": 1, "seed": 0, "methods": ("verified",), **changes}
     with pytest.raises(ValueError, match=message):
         panda_suite(**settings)
 
 
 def _run(outcome, reason="", contacts=(), clearance=0.1, **more):
+    """Returns the result of a run, as of `run_and_evaluate`."""
     return {
         "outcome": outcome,
         "reason": reason,
@@ -105,7 +107,7 @@ def _run(outcome, reason="", contacts=(), clearance=0.1, **more):
 
 
 @pytest.mark.parametrize("solved", [("verified", "planner"), ("verified",), ("planner",)])
-def test_success_is_a_fraction_of_the_scenes_that_any_method_solves(solved):
+def test_success_rate_is_relative_to_solved_scenes(solved):
     suite = panda_suite("tabletop", 3, 0, ("verified", "planner"), "truth")
     yes, no = _run("success"), _run("stopped", "held")
     runs = {method: {0: yes if method in solved else no, 1: no, 2: no} for method in suite.methods}
@@ -114,14 +116,14 @@ def test_success_is_a_fraction_of_the_scenes_that_any_method_solves(solved):
     assert metrics["solved"] == 1
     for method, found in metrics["methods"].items():
         assert found["success_rate_solved"] == (method in solved)
-    assert "scenes that a method solves: 1" in str(panda_table([metrics]))
+    assert "scenes solved by at least one method: 1" in str(panda_table([metrics]))
     # Unknown without the planner.
     del results.runs["planner"]
     metrics = panda_metrics(results)
     assert metrics["solved"] is metrics["methods"]["verified"]["success_rate_solved"] is None
 
 
-def test_figures_count_outcomes_reasons_pairs_and_claims():
+def test_metrics_count_outcomes_reasons_pairs_and_claims():
     contacts = ["hand - obstacle_box1", "hand - obstacle_box12", "link6 - table"]
     events = [{"avoidable_by_physics": True, "avoidable_by_view": view} for view in (True, False)]
     claims = {"instants": 100, "A": 3, "B": 7}
@@ -147,7 +149,7 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
         "claim_A": 3,
         "claim_B": 14,
         "time_limits": 1,
-        "clearance_shortfall": 1,
+        "shortfall_count": 1,
         "sources": {"search": 1},
         "goal_error_max": 2e-3,
         "robot_clearance_min": -0.01,
@@ -157,7 +159,7 @@ def test_figures_count_outcomes_reasons_pairs_and_claims():
     assert run_metrics([_run("success")])["claim_A"] is None
 
 
-def test_a_scene_that_cannot_be_run_is_a_result():
+def test_exception_of_a_run_is_stored_as_a_result():
     scenario = load_scenario("tabletop_box", ["task.goal=[2.0, 0.0, 0.3]"])
     result = run_and_evaluate(scenario, "nominal", "truth")
     assert result["failed"]

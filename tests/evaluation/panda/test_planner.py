@@ -1,4 +1,4 @@
-"""The planners: a plan keeps the clearance and touches nothing; the lack of one has a reason."""
+"""Tests of the planners: clearance and contacts of plans, and reasons for missing plans."""
 
 from importlib.util import find_spec
 from itertools import pairwise
@@ -27,44 +27,47 @@ _LINE = ["task.start=[0.45,-0.3,0.3]", "task.goal=[0.45,0.3,0.3]"]
 
 
 def _scene(size: list[float], at: list[float]) -> Scenario:
+    """Returns a scenario with one resting box."""
     listed = f"obstacles=[{{name: box, shapes: [!Box {{size: {size}}}], translation: {at}}}]"
     bare = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
     return load_scenario("tabletop_box", [*bare, *_LINE, listed])
 
 
 @needs_ompl
-def test_goes_round_a_post_with_the_clearance_and_the_same_twice():
+def test_plan_around_a_post_has_the_clearance_and_repeats_exactly():
     scenario = _scene([0.1, 0.1, 0.5], [0.45, 0.0, 0.25])
-    found, again = run_planner(scenario), run_planner(scenario)
-    assert found["stop_reason"] == "goal"
-    assert found["contacts"] == []
-    assert found["robot_clearance_min"] > 0.8 * CLEARANCE
-    assert found["goal_error"] < 1e-3
-    assert found | {"wall_time": None} == again | {"wall_time": None}
+    result, repeated = run_planner(scenario), run_planner(scenario)
+    assert result["stop_reason"] == "goal"
+    assert result["contacts"] == []
+    assert result["robot_clearance_min"] > 0.8 * CLEARANCE
+    assert result["goal_error"] < 1e-3
+    assert result | {"wall_time": None} == repeated | {"wall_time": None}
 
 
 @needs_ompl
-def test_a_goal_inside_a_box_has_no_plan():
+def test_goal_inside_a_box_has_no_plan():
     scenario = _scene([0.3, 0.3, 0.3], [0.45, 0.3, 0.3])
     result = run_and_evaluate(scenario, "planner", "truth")
     assert (result["outcome"], result["failed"]) == ("stopped", False)
-    assert result["reason"] == "no configuration at the goal is free"
+    assert result["reason"] == "all goal configurations in collision"
 
 
 @needs_ompl
-def test_states_are_limited():
-    found = run_planner(_scene([2.0, 0.02, 4.0], [1.3, 0.0, 0.0]), states=300)
-    assert found["stop_reason"] == "no path found in 300 states"
-    assert found["states"] < 600
+def test_number_of_states_is_limited():
+    result = run_planner(_scene([2.0, 0.02, 4.0], [1.3, 0.0, 0.0]), states=300)
+    assert result["stop_reason"] == "no path found in 300 states"
+    assert result["states"] < 600
 
 
-def _scenario(at, waypoints):
+def _moving_scene(at, waypoints):
+    """Returns a scenario with one moving ball."""
     ball = f"shapes: [!Sphere {{radius: 0.1}}], translation: {at}, waypoints: {waypoints}"
     bare = ["cameras=[]", "perception=!GroundTruth {}"]
     return load_scenario("tabletop_box", [*bare, f"obstacles=[{{name: ball, {ball}}}]"])
 
 
-def _found(scenario, seed=0):
+def _search(scenario, seed=0):
+    """Returns the result of `find_motion`, joint indices, and goal configurations."""
     world, (q_start, q_goal) = make_true_world(scenario, MOVING_CLEARANCE), end_positions(scenario)
     index = world.arm.chain.q_index
     goals = np.array(goal_positions(scenario, q_goal))[:, index]
@@ -72,41 +75,42 @@ def _found(scenario, seed=0):
 
 
 def _check(scenario, motion, index, goals):
+    """Checks that a motion is collision-free and ends at a goal configuration."""
     evaluator, (q_start, _) = clearance_evaluator(scenario), end_positions(scenario)
     corners = [np.linspace(*ends, 50) for ends in pairwise(motion.path)]
     q = np.vstack([motion.q, *corners])
     path = np.tile(q_start, (len(q), 1))
     path[:, index] = q
-    found = evaluator.metrics(
+    result = evaluator.metrics(
         path, np.array([evaluator.positions_at(STEP * k) for k in range(len(q))])
     )
-    assert found.contacts == found.self_contacts == ()
-    assert found.robot_clearance.min() >= MOVING_CLEARANCE
+    assert result.contacts == result.self_contacts == ()
+    assert result.robot_clearance.min() >= MOVING_CLEARANCE
     assert np.abs(goals - q[-1]).max(axis=1).min() < 1e-9
 
 
-def test_motions_in_random_scenes_touch_nothing():
+def test_motion_in_a_random_scene_is_collision_free():
     scenario = draw_panda_scene(0, 3, kind="moving_hard", perception="truth")
-    (motion, states), index, goals = _found(scenario)
+    (motion, states), index, goals = _search(scenario)
     assert states < 100_000
     _check(scenario, motion, index, goals)
 
 
-def test_an_arm_that_cannot_stay_at_the_start_leaves_it():
+def test_arm_leaves_a_start_that_an_obstacle_will_occupy():
     p_WE = load_scenario("tabletop_box").task.start
-    way = [[0, 0, 0, 0], [1.5, 0, 1.2, 0], [2.0, 0, 1.2, 0], [3.5, 0, 0, 0]]
-    scenario = _scenario([p_WE[0], p_WE[1] - 1.2, p_WE[2]], way)
-    (motion, states), index, goals = _found(scenario, 1)
+    waypoints = [[0, 0, 0, 0], [1.5, 0, 1.2, 0], [2.0, 0, 1.2, 0], [3.5, 0, 0, 0]]
+    scenario = _moving_scene([p_WE[0], p_WE[1] - 1.2, p_WE[2]], waypoints)
+    (motion, states), index, goals = _search(scenario, 1)
     assert np.abs(motion.q - motion.q[0]).max() > 0.1
     _check(scenario, motion, index, goals)
-    (again, same), *_ = _found(scenario, 1)
+    (repeated, same), *_ = _search(scenario, 1)
     assert same == states
-    assert np.array_equal(again.q, motion.q)
+    assert np.array_equal(repeated.q, motion.q)
 
 
-def test_a_goal_that_an_obstacle_takes_has_no_motion():
+def test_goal_occupied_by_an_obstacle_has_no_motion():
     goal = load_scenario("tabletop_box").task.goal
-    way = [[0, 0, 0, 0], [1, 0, 1, 0]]
-    scenario = _scenario([goal[0], goal[1] - 1.0, goal[2]], way)
+    waypoints = [[0, 0, 0, 0], [1, 0, 1, 0]]
+    scenario = _moving_scene([goal[0], goal[1] - 1.0, goal[2]], waypoints)
     result = run_and_evaluate(scenario, "planner", "truth")
     assert (result["outcome"], result["reason"]) == ("stopped", "no motion found")

@@ -1,4 +1,4 @@
-"""Random scenes: the same of a kind, seed and index, and as their description says."""
+"""Tests of random scenes: reproducibility by kind, seed and index, and their conditions."""
 
 import hashlib
 import json
@@ -9,7 +9,7 @@ import pytest
 
 from drake_oa.evaluation.panda.scene_arm import scene_arm
 from drake_oa.evaluation.panda.scene_parts import (
-    FREE,
+    MIN_END_CLEARANCE,
     footprint_radius,
 )
 from drake_oa.evaluation.panda.scenes import KINDS, draw_panda_scene
@@ -27,7 +27,7 @@ drp_moving_goal_blocked3 cce50f59 drp_moving_goal_blocked4 5f2585f3
 drp_floating1_at_0.18 0ba1c672 drp_floating1_at_0.5 04de2ffc drp_floating1_at_1.0 430fe95f
 drp_floating1_at_1.6 73851d67
 """
-"""Kind and digest of its first scene of seed 0, which no change of the source may alter."""
+"""Kinds, each with the digest of its first scene of seed 0; source changes must preserve it."""
 
 
 @pytest.fixture(scope="module")
@@ -35,31 +35,31 @@ def scenes():
     return {kind: draw_panda_scene(0, 0, kind=kind) for kind in KINDS}
 
 
-def test_scenes_are_those_of_earlier_versions(scenes):
-    found = []
+def test_scenes_have_the_stored_digests(scenes):
+    digests = []
     for kind, scene in scenes.items():
         objects = [[o.name, o.translation, o.rpy, o.present, o.waypoints] for o in scene.obstacles]
         content = [scene.seed, scene.task.start, scene.task.goal, objects]
-        found += [kind, hashlib.sha256(json.dumps(content).encode()).hexdigest()[:8]]
+        digests += [kind, hashlib.sha256(json.dumps(content).encode()).hexdigest()[:8]]
         text = scenario_text(scene)
         assert scenario_text(parse_scenario(text)) == text
-    assert found == DIGESTS.split()
+    assert digests == DIGESTS.split()
 
 
 @pytest.mark.parametrize(
     "kind", ["moving", "moving_hard", "drp_sudden3", "drp_floating1", "drp_moving_goal_blocked4"]
 )
-def test_cameras_of_moving_scenes_see_most_of_the_space_near_the_arm(scenes, kind):
+def test_cameras_of_moving_scenes_observe_most_space_near_the_arm(scenes, kind):
     two = draw_panda_scene(0, 0, kind=kind, perception="depth2")
-    # The goals of DRPBench's levels are in places that one camera sees less well.
+    # At the goals of DRPBench's levels, more space is occluded from one camera.
     by_one = 0.2 if kind.startswith("drp") else 0.15
-    for scene, most in ((scenes[kind], by_one), (two, 0.01)):
-        assert unseen_near(scene) < most
-        # Nothing stands in their sight.
+    for scene, max_share in ((scenes[kind], by_one), (two, 0.01)):
+        assert unseen_near(scene) < max_share
+        # The only model is the table, which occludes nothing above it.
         assert len(scene.directives) == 1
 
 
-def test_perception_changes_nothing_else():
+def test_perception_does_not_change_the_scene():
     one, two, truth = (draw_panda_scene(1, 0, perception=p) for p in ("depth", "depth2", "truth"))
     assert isinstance(truth.perception, GroundTruth)
     assert two.perception.names == ("left", "right")
@@ -69,20 +69,20 @@ def test_perception_changes_nothing_else():
 
 
 @pytest.mark.parametrize("kind", ["tabletop", "clutter6", "elbow"])
-def test_the_ends_are_free_and_the_planned_motion_is_not_clear(scenes, kind):
+def test_ends_are_free_and_nominal_motion_collides(scenes, kind):
     scenario = scenes[kind]
     start, goal = scenario.task.start, scenario.task.goal
     assert 0.5 <= math.dist(start, goal) <= 1.0
     motion = scene_arm().straight_motion(np.array(start), np.array(goal))
     assert motion is not None
-    # Judged by the metrics of a run, in a world of their own.
+    # Metrics of a run, computed with SceneGraph.
     fingers = np.full((len(motion.q), 2), scenario.robot.finger_opening)
     metrics = robot_metrics(scenario, np.c_[motion.q, fingers])
     np.testing.assert_allclose(metrics.p_WE[[0, -1]], [start, goal], atol=1e-3)
-    assert metrics.robot_clearance[[0, -1]].min() >= FREE
+    assert metrics.robot_clearance[[0, -1]].min() >= MIN_END_CLEARANCE
     assert metrics.robot_clearance.min() <= -5e-3
     assert all("obstacle" in contact for contact in metrics.contacts)
-    # In `elbow`, of tool and wrist nothing touches.
+    # In `elbow`, tool and wrist are collision-free.
     touched = {contact.partition(" - ")[0] for contact in metrics.contacts}
     assert kind != "elbow" or touched <= {f"panda_link{number}" for number in range(2, 6)}
     assert kind != "elbow" or metrics.tool_clearance.min() >= 0.05

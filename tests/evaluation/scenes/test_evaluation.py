@@ -1,4 +1,4 @@
-"""Batches, failures, figures and tables of an evaluation, on a method with a known result."""
+"""Tests of metrics and tables of an evaluation, on a method with a known result."""
 
 from collections.abc import Callable
 
@@ -25,20 +25,21 @@ Method = Callable[[Scenes, Setting], Motions]
 NOVEL = SUITES["novel"].settings
 
 
-def test_figures_and_tables_are_of_each_baseline(
+def test_metrics_and_tables_are_of_each_baseline(
     straight: Method, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluation, "BATCH", 15)
     outcome = evaluate("straight", straight, draw_scenes("novel", 40), NOVEL)
     metrics = evaluation_metrics("novel", 0, NOVEL, {"straight": outcome})
-    found = metrics["methods"]["straight"]
-    assert found["scenes"] == 40
-    assert [row["scenes"] for row in found["by_baseline"]] == [10, 10, 10, 10]
+    statistics = metrics["methods"]["straight"]
+    assert statistics["scenes"] == 40
+    assert [row["scenes"] for row in statistics["by_baseline"]] == [10, 10, 10, 10]
     lines = "\n".join(map(str, evaluation_tables(metrics))).splitlines()
     assert sum(line.startswith("goal at") for line in lines) == 4
 
 
-def judgement(**changes: float) -> GroundTruthResult:
+def result(**changes: float) -> GroundTruthResult:
+    """Returns the ground-truth result of one motion with the requested clearance, changed."""
     values = {
         "min_clearance": 0.15,
         "achievable_clearance": 0.15,
@@ -52,23 +53,23 @@ def judgement(**changes: float) -> GroundTruthResult:
     )
 
 
-def test_figures_count_what_they_say() -> None:
+def test_motion_statistics_of_known_results() -> None:
     parts = [
-        judgement(),
-        judgement(min_clearance=0.1495),
-        judgement(min_clearance=0.1485),
-        judgement(min_clearance=0.06, achievable_clearance=0.06, goal_error=0.002),
-        judgement(min_clearance=0.0, path_ratio=1.5),
-        judgement(min_clearance=-0.02),
-        judgement(min_clearance=np.inf),
+        result(),
+        result(min_clearance=0.1495),
+        result(min_clearance=0.1485),
+        result(min_clearance=0.06, achievable_clearance=0.06, goal_error=0.002),
+        result(min_clearance=0.0, path_ratio=1.5),
+        result(min_clearance=-0.02),
+        result(min_clearance=np.inf),
     ]
     expected = {
         "scenes": 7,
         "collisions": 2,
-        "clearance_shortfall": 3,
+        "shortfall_count": 3,
         "clearance_min": -0.02,
         "clearance_mean": 0.488 / 6,
-        "clearance_mean_feasible": 0.428 / 5,
+        "clearance_mean_achievable": 0.428 / 5,
         "goal_error_max": 0.002,
         "path_ratio_mean": 7.5 / 7,
     }
@@ -77,7 +78,7 @@ def test_figures_count_what_they_say() -> None:
 
 
 @pytest.mark.parametrize("gamma", [1.0, 1000.0])
-def test_matched_terms_have_one_peak_and_one_area(gamma: float) -> None:
+def test_matched_terms_have_equal_peak_and_area(gamma: float) -> None:
     alpha, psi = matched_term(gamma)
     theta = np.linspace(0.0, 6.0, 600_001)
     original = original_rate(theta, gamma, BETA)
@@ -86,11 +87,13 @@ def test_matched_terms_have_one_peak_and_one_area(gamma: float) -> None:
     assert original.sum() == pytest.approx(free.sum(), rel=1e-4)
 
 
-def test_head_on_only_the_dead_zone_free_term_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_dead_zone_free_term_avoids_a_head_on_obstacle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(evaluation, "GAMMAS", (30.0, 1000.0))
     rows = compare_terms(draw_scenes("dead-zone", 9))
     for row in rows:
-        # Straight through the middle of the sphere of 2.5 cm.
+        # Straight through the center of the sphere of 2.5 cm.
         assert row["original_head_on"] == pytest.approx(-0.025, abs=1e-6)
         assert row["dead_zone_free_head_on"] > row["original_head_on"] + 0.01
     assert rows[1]["dead_zone_free_head_on"] > 0.03

@@ -1,4 +1,4 @@
-"""The judge against dense sampling with a distance and an interpolation of other making."""
+"""Tests of the ground-truth metrics against dense sampling of spheres' distances."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from drake_oa.evaluation.scenes.suites import random_rotations
 Array = NDArray[np.float64]
 
 
-def test_clearance_and_length_are_those_of_dense_sampling() -> None:
+def test_clearance_and_length_equal_those_of_dense_sampling() -> None:
     rng = np.random.default_rng(0)
     center = rng.uniform((0.0, -0.3, -0.3), (1.0, 0.3, 0.3), (6, 3))
     radius, R = rng.uniform(0.02, 0.2, 6), random_rotations(rng, 6)
@@ -24,26 +24,26 @@ def test_clearance_and_length_are_those_of_dense_sampling() -> None:
         rng.uniform(2.0, 4.0, 6),
     )
     speed = 25.0 / duration[:, None, None] * np.gradient(path, axis=1)
-    judged = evaluate_motions(scenes, Motions(path, speed, duration))
+    results = evaluate_motions(scenes, Motions(path, speed, duration))
     for n in range(6):
         t = np.linspace(0.0, duration[n], 100_001)
         p = CubicHermiteSpline(t[::4000], path[n], speed[n])(t)
         distance = np.linalg.norm(p - center[n], axis=1) - radius[n]
-        assert judged.min_clearance[n] == pytest.approx(distance.min(), abs=1e-6)
+        assert results.min_clearance[n] == pytest.approx(distance.min(), abs=1e-6)
         length = np.linalg.norm(np.diff(p, axis=0), axis=1).sum()
-        assert judged.path_ratio[n] == pytest.approx(length, rel=1e-2)
+        assert results.path_ratio[n] == pytest.approx(length, rel=1e-2)
 
 
 def uniform_motion(steps: int, start: Array, end: Array, duration: float = 2.0) -> Motions:
-    """One straight motion of constant velocity."""
+    """Returns a straight motion at constant velocity."""
     s = np.linspace(0.0, 1.0, steps + 1)[:, None]
     velocity = np.tile((end - start) / duration, (1, steps + 1, 1))
     return Motions((start + s * (end - start))[None], velocity, np.array([duration]))
 
 
-def test_the_feasible_clearance_is_bounded_by_the_ends() -> None:
+def test_achievable_clearance_is_limited_by_the_ends() -> None:
     scenes = make_scenes(1.0, np.array([[1.0, 0.15, 0.0]]), np.full((1, 3), 0.1))
-    judged = evaluate_motions(scenes, uniform_motion(50, np.zeros(3), np.array([1.0, 0.0, 0.0])))
-    assert judged.achievable_clearance[0] == pytest.approx(0.05)
-    assert judged.min_clearance[0] == pytest.approx(0.05)
-    assert not judged.is_short[0]
+    results = evaluate_motions(scenes, uniform_motion(50, np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    assert results.achievable_clearance[0] == pytest.approx(0.05)
+    assert results.min_clearance[0] == pytest.approx(0.05)
+    assert not results.is_short[0]

@@ -1,4 +1,4 @@
-"""Methods by name: the project's own, and the package movement_primitives."""
+"""Tests of the methods `verified` and `movement_primitives` in synthetic scenes."""
 
 import sys
 
@@ -7,7 +7,7 @@ import pytest
 
 from drake_oa.evaluation.scenes.ground_truth import evaluate_motions
 from drake_oa.evaluation.scenes.methods import (
-    LEAST_CLEARANCE,
+    MIN_CLEARANCE,
     PARAMETERS,
     STEP,
     Setting,
@@ -20,15 +20,15 @@ from drake_oa.evaluation.scenes.suites import draw_scenes
 
 
 @pytest.mark.parametrize("suite", ["novel", "hit"])
-def test_it_keeps_the_feasible_clearance_and_arrives(suite: str) -> None:
+def test_verified_has_the_achievable_clearance_and_arrives(suite: str) -> None:
     scenes = draw_scenes(suite, 12, 5)
-    verdict = evaluate_motions(scenes, run_verified(scenes, Setting()))
-    assert not verdict.collided.any()
-    assert not verdict.is_short.any()
-    assert verdict.goal_error.max() <= 1e-3
+    result = evaluate_motions(scenes, run_verified(scenes, Setting()))
+    assert not result.collided.any()
+    assert not result.is_short.any()
+    assert result.goal_error.max() <= 1e-3
 
 
-def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
+def test_duration_is_scaled_by_the_path_length_if_set() -> None:
     scenes = draw_scenes("hit", 4, 0)
     scaled, unscaled = (
         run_verified(scenes, Setting()),
@@ -39,13 +39,13 @@ def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
     np.testing.assert_allclose(ratio, evaluate_motions(scenes, scaled).path_ratio, rtol=1e-3)
 
 
-def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
+def test_verified_is_collision_free_without_a_requested_clearance() -> None:
     scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.1, 0.1, 0.1]], clearance=0.0)
-    verdict = evaluate_motions(scenes, run_verified(scenes, Setting(constrained=False)))
-    assert verdict.min_clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
+    result = evaluate_motions(scenes, run_verified(scenes, Setting(constrained=False)))
+    assert result.min_clearance[0] >= MIN_CLEARANCE - PARAMETERS.slack
 
 
-def test_the_package_reaches_the_goal_and_turns_aside() -> None:
+def test_movement_primitives_reaches_the_goal_and_avoids() -> None:
     pytest.importorskip("movement_primitives.dmp")
     scenes = make_scenes(1.0, [[0.5, 0.02, 0.0], [0.5, 5.0, 0.0]], np.full((2, 3), 0.05))
     motions = run_movement_primitives(scenes, Setting())
@@ -55,7 +55,7 @@ def test_the_package_reaches_the_goal_and_turns_aside() -> None:
     assert np.abs(motions.path[1, :, 1]).max() < 0.02
 
 
-def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "movement_primitives.dmp", None)
     with pytest.raises(ValueError, match=r"pip install 'drake_oa\[baselines\]'"):
         load_methods(["movement_primitives"])

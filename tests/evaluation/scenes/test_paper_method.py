@@ -1,4 +1,4 @@
-"""The paper's method and Hoffmann's term: action level, chain at the section, temporal scaling."""
+"""Tests of the methods `paper` and `original`: action level, chain, temporal scaling."""
 
 import math
 
@@ -26,7 +26,7 @@ DEMO = Steps(500, 0.005)
 """Time steps of the released demonstration program."""
 
 
-def test_the_forcing_term_is_the_released_one(reference):
+def test_forcing_term_equals_that_of_the_released_code(reference):
     data = np.load(reference("authors_action_level.npz"))
     expected = data["forcing"][:, :, 0] / data["baseline"][:, None]
     fitted = np.broadcast_to(released_forcing(DEMO), expected.shape)
@@ -34,11 +34,11 @@ def test_the_forcing_term_is_the_released_one(reference):
 
 
 @pytest.mark.parametrize("name", ["trajectory", "trajectory_original_term"])
-def test_released_trajectories_are_reproduced(reference, name, monkeypatch):
+def test_trajectories_of_the_released_code_are_reproduced(reference, name, monkeypatch):
     data = np.load(reference("authors_action_level.npz"))
     monkeypatch.setattr(paper_method, "time_scale", lambda scenes: tau)
     for row in range(len(data["tau"])):
-        # Each has its forcing term and tau as the authors' code computed them.
+        # Forcing term and tau are those computed by the authors' code.
         i, tau = slice(row, row + 1), data["tau"][row : row + 1]
         forcing = data["forcing"][row, :, 0] / data["baseline"][row]
         monkeypatch.setattr(released_law, "released_forcing", lambda steps, f=forcing: f)
@@ -58,7 +58,7 @@ def test_tau_of_one_obstacle():
 
 
 @pytest.mark.parametrize("constrained", [True, False])
-def test_the_shipped_chains_are_used_until_arrival(constrained):
+def test_paper_method_ends_on_arrival_or_at_the_time_limit(constrained):
     assert len(paper_chain(SHIPPED[0] if constrained else SHIPPED[1]).lower) == 2 + constrained
     scenes, number = draw_scenes("novel", 40, seed=0), STEPS.number
     motions = run(scenes, Setting(constrained=constrained))
@@ -72,9 +72,9 @@ def test_the_shipped_chains_are_used_until_arrival(constrained):
     assert (error[~has_arrived, number:] > ARRIVED).all()
 
 
-def test_hoffmanns_term_does_not_turn_head_on():
+def test_original_term_does_not_avoid_a_head_on_obstacle():
     scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
     motions = run_original(scenes, Setting())
-    # Beyond the goal it turns round, and sees the obstacle ahead again.
+    # After the duration the motion may reverse, with the obstacle ahead again.
     assert np.abs(motions.path[0, : STEPS.number, 1:]).max() < 1e-9
     assert evaluate_motions(scenes, motions).collided[0]

@@ -1,4 +1,4 @@
-"""What each suite's scenes hold, checked by other means than sampling used."""
+"""Tests sample the distributions sample scenes in the synthetic suites."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from drake_oa.evaluation.scenes.suites import (
 
 
 @pytest.mark.parametrize("name", SUITES)
-def test_the_seed_decides_and_starts_are_free(name: str) -> None:
+def test_scenes_depend_on_the_seed_and_starts_are_free(name: str) -> None:
     one, same, other = (draw_scenes(name, 64, seed=seed) for seed in (5, 5, 6))
     assert len(one) == 64
     assert (obstacle_distance(one, np.zeros((64, 3))) > 0.0).all()
@@ -41,14 +41,14 @@ def test_obstacles_are_in_the_papers_box(name: str) -> None:
         assert (baseline == L).sum() == 50
 
 
-def test_the_distance_of_a_line_is_that_of_dense_sampling() -> None:
+def test_line_distance_equals_that_of_dense_sampling() -> None:
     scenes = draw_scenes("hit", 20)
     points = np.linspace(0.0, 1.0, 2001)[:, None, None] * scenes.goal
-    sampled = np.min([obstacle_distance(scenes, of) for of in points], axis=0)
+    sampled = np.min([obstacle_distance(scenes, sample) for sample in points], axis=0)
     np.testing.assert_allclose(line_distance(scenes), sampled, atol=1e-3)
 
 
-def test_familiar_cases_are_six_models_scaled_and_not() -> None:
+def test_familiar_has_six_models_with_and_without_scaling() -> None:
     scenes, settings = draw_scenes("familiar", 9), SUITES["familiar"].settings
     assert len({setting.label for setting in settings}) == 12
     requested = {setting.of(scenes).clearance[0] for setting in settings if setting.constrained}
@@ -57,12 +57,12 @@ def test_familiar_cases_are_six_models_scaled_and_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("arguments", "message"),
     [
         (("nowhere",), "unknown suite 'nowhere'; valid: novel, hit"),
         (("familiar", 10), "square"),
     ],
 )
-def test_bad_requests_are_refused(arguments: tuple, named: str) -> None:
-    with pytest.raises(ValueError, match=named):
+def test_invalid_arguments_are_rejected(arguments: tuple, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         draw_scenes(*arguments)
