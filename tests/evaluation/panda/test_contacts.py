@@ -12,7 +12,7 @@ from drake_oa.evaluation.panda.evaluation import Criteria, run_and_evaluate
 from drake_oa.evaluation.panda.scenes import draw_panda_scene
 from drake_oa.evaluation.panda.true_world import make_true_world
 from drake_oa.runs.motion_log import pack_ellipsoids
-from drake_oa.runs.simulation import log_of
+from drake_oa.runs.simulation import make_log
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
 
@@ -51,7 +51,7 @@ def _log(scenario, q, v, frames=()):
     evaluator, t = clearance_evaluator(scenario), 0.004 * np.arange(len(q))
     world = np.array([evaluator.positions_at(time) for time in t])
     observed = {"observation_time": np.array([frame.stamp + 0.05 for frame in frames])}
-    return log_of(
+    return make_log(
         scenario,
         t,
         {"robot_state": np.hstack([q, v])},
