@@ -1,7 +1,7 @@
-"""The scenario: all parameters of a run, in one typed YAML file.
+"""Scenario: all parameters of a run, which are read from one typed YAML file.
 
-In: the text of a file, with overrides "field.subfield=value". Out: a `Scenario`, whose blocks are
-the configurations of the layers. Each field has a default, a unit and a range, checked when the
+Input: the text of a file, with overrides "field.subfield=value". Output: a `Scenario`, whose blocks
+are the configurations of the layers. Each field has a default, a unit and a range, checked when the
 file is read. An error names the field and its valid values.
 
     task           start, goal, demonstrations, requested clearance   `task.Task`
@@ -13,10 +13,11 @@ file is read. An error names the field and its valid values.
     cameras, directives                                               defined by Drake
     obstacles, faults                                                 `obstacles`, `faults`
 
-Values that follow from several blocks are computed here, too: configurations and tool
+The package also computes values that follow from several blocks: configurations and tool
 orientations at start and goal (`end_poses`), movement primitives of demonstrations
-(`demonstration`), periods and margins of a perception block (`sources`). Only `diagrams`, `world`,
-`runs` and the packages above them import a scenario. A layer is built from its block alone.
+(`demonstration`), and periods and margins of a perception block (`sources`). Only `diagrams`,
+`world`, `runs` and the packages above them import a scenario. A layer is built from its block
+alone.
 
 Read `scenario` first, then `loading`.
 """

@@ -1,4 +1,6 @@
-"""Reading and averaging of a scenario's demonstrated motions, as movement primitives."""
+"""Functions that read the demonstrated motions of a scenario and average them into movement
+primitives.
+"""
 
 from __future__ import annotations
 
@@ -26,31 +28,33 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import MAX_DURATION, Task
 
 MAX_SAMPLES = 1_000_000
-"""Maximum number of samples in a file; a longer CSV is rejected before it is read completely."""
+"""Maximum number of samples in a demonstration file; a longer CSV file is rejected before it is
+read completely."""
 _NPZ_FORMAT = (
     "it must be an .npz with `path` (T, 3), optionally `t` (T,), and optionally the "
     "orientations R_WE as `quaternion` (T, 4), w first, or `R` (T, 3, 3)"
 )
-"""Required content of an .npz file, for error messages."""
+"""Required arrays of an .npz demonstration file, as text of error messages."""
 _QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
-"""CSV columns of the orientation quaternion."""
+"""Names of the CSV columns that hold the quaternion of the tool's orientation, w first."""
 _HEADER = "x,y,z in any order, optionally with t, and optionally with qw,qx,qy,qz"
-"""Valid column names of a CSV file, for error messages."""
+"""Valid column names of a CSV demonstration file, as text of error messages."""
 _CSV_FORMAT = (
     f"it must be a CSV whose first line names its columns, {_HEADER}, and every other line has a "
     "number for each of them"
 )
-"""Required content of a CSV file, for error messages."""
+"""Required content of a CSV demonstration file, as text of error messages."""
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """One demonstrated motion.
+    """One demonstrated motion of the tool, as read from a file.
 
     Attributes:
         path: (T, 3) positions of the tool point in the world [m].
         t: (T,) times of the samples [s].
-        orientations: (T, 3, 3) R_WE; None if the file has no orientations.
+        orientations: (T, 3, 3) rotation matrices R_WE of the tool frame E in the world; None if the
+            file has no orientations.
     """
 
     path: FloatArray
@@ -65,7 +69,7 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
         file: .npz with `path` (T, 3), optionally `t` (T,), and optionally `quaternion` (T, 4), w
             first, of any sign and length, or `R` (T, 3, 3); or .csv whose header names columns of
             t, x, y, z, qw, qx, qy, qz. May be a package:// URL.
-        duration: duration of a motion whose file has no times [s].
+        duration: duration that is assigned to the motion if the file has no times [s].
 
     Raises:
         ValueError: if the file cannot be read or imitated; the message names the sample and the
@@ -108,10 +112,11 @@ def read_demonstrations(task: Task) -> list[Demonstration]:
 
 
 def demonstrated_path(scenario: Scenario) -> Dmp:
-    """Fits the movement primitive of the demonstrated positions, averaged over the files.
+    """Fits a position movement primitive to the demonstrated tool paths of a scenario, averaged
+    over its files.
 
     Raises:
-        ScenarioError: naming the files, if they cannot be imitated.
+        ScenarioError: naming the files, if a movement primitive cannot be fitted to them.
     """
     demonstrations, policy = read_demonstrations(scenario.task), scenario.policy
     with field_errors(_file_field(scenario.task), ValueError):
@@ -124,10 +129,12 @@ def demonstrated_path(scenario: Scenario) -> Dmp:
 
 
 def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
-    """Fits the movement primitive of the demonstrated orientations; None without orientations.
+    """Fits an orientation movement primitive to the demonstrated tool orientations of a scenario.
+
+    The orientations are averaged over the files. The result is None if no file has orientations.
 
     Raises:
-        ScenarioError: naming the files, if they cannot be imitated.
+        ScenarioError: naming the files, if a movement primitive cannot be fitted to them.
     """
     demonstrations, policy = read_demonstrations(scenario.task), scenario.policy
     samples = [
@@ -141,18 +148,22 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:
-    """Returns the policy constants shared by the position and orientation primitives, by name."""
+    """Returns the constants that the position and orientation primitives share, by
+    parameter name.
+    """
     names = ("n_basis", "alpha_x", "beta_x", "alpha_k")
     return {name: getattr(policy, name) for name in names}
 
 
 def _file_field(task: Task) -> str:
-    """Returns the field name and the file names, for error messages."""
+    """Returns the field `task.demonstration` with its file names, as the beginning of error
+    messages.
+    """
     return f"task.demonstration: {', '.join(map(repr, task.demonstration))}"
 
 
 def _read_archive(path: Path) -> dict[str, FloatArray]:
-    """Reads the arrays of an .npz demonstration, by name; other arrays are ignored."""
+    """Reads the known arrays of an .npz demonstration by name, and ignores other arrays."""
     arrays = read_arrays(path)
     if "path" not in arrays:
         raise ValueError("it has no `path`")
@@ -160,7 +171,7 @@ def _read_archive(path: Path) -> dict[str, FloatArray]:
 
 
 def _read_csv(path: Path) -> dict[str, FloatArray]:
-    """Reads a CSV demonstration into the arrays of the .npz format, by name."""
+    """Reads a CSV demonstration into the same named arrays as those of an .npz demonstration."""
     with path.open(encoding="utf-8-sig") as file:
         header = file.readline(1000).strip()
         names = [name.strip() for name in header.split(",")]
@@ -181,14 +192,14 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
 
 
 def _check_arrays(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
-    """Checks the arrays of a file and returns the demonstration.
+    """Checks the arrays of a demonstration file and returns them as a demonstration.
 
     Args:
-        arrays: arrays by name, in the .npz format.
-        duration: duration of a motion without times [s].
+        arrays: arrays by name, as in an .npz demonstration.
+        duration: duration that is assigned to a motion without times [s].
 
     Raises:
-        ValueError: if the arrays cannot be imitated.
+        ValueError: if a movement primitive cannot be fitted to the arrays.
     """
     path = arrays["path"]
     if path.ndim != 2 or path.shape[1] != 3:

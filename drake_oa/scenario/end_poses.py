@@ -1,4 +1,7 @@
-"""Configurations and tool poses at start and goal, and the tool orientation in between."""
+"""Functions for the configurations of the arm and the poses of its tool at start and goal.
+
+The module also computes the tool's orientation between start and goal.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +28,20 @@ from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 _MAX_ANGLE_STEP = math.radians(10.0)
-"""Maximum mean angle between neighboring sampled tool orientations of a motion [rad]."""
+"""Maximum mean angle between neighboring tool orientations that `ToolOrientation.samples` returns
+[rad]."""
 _MIN_SAMPLES = 5
-"""Minimum number of sampled tool orientations of a motion."""
+"""Minimum number of tool orientations that `ToolOrientation.samples` returns."""
 
 
 @dc.dataclass(frozen=True, eq=False)
 class ToolOrientation:
-    """Orientation of the tool frame E along the motion.
+    """Orientation of the tool frame E along a motion, from start to goal.
 
     Attributes:
         primitive: movement primitive of the orientation.
-        R_WS: (3, 3) R_WE at the start.
-        R_WG: (3, 3) R_WE at the goal.
+        R_WS: (3, 3) orientation R_WE of the tool frame at the start.
+        R_WG: (3, 3) orientation R_WE of the tool frame at the goal.
     """
 
     primitive: OrientationDmp
@@ -45,11 +49,15 @@ class ToolOrientation:
     R_WG: FloatArray
 
     def along(self, s: FloatArray) -> FloatArray:
-        """Returns the orientations R_WE (T, 3, 3) at normalized times s (T,)."""
+        """Returns the orientations R_WE (T, 3, 3) of the tool frame at normalized times s (T,),
+        which are 0 at the start and 1 at the end of the motion.
+        """
         return orientation_along(self.primitive, self.R_WS, self.R_WG, s)
 
     def samples(self) -> FloatArray:
-        """Samples the orientations R_WE (N, 3, 3) from start to goal, evenly spaced in angle."""
+        """Samples orientations R_WE (N, 3, 3) of the tool frame from start to goal, approximately
+        evenly spaced in angle.
+        """
         R = self.along(np.linspace(0.0, 1.0, 201))
         # The trace of the relative rotation gives the angle between neighboring samples.
         cosine = 0.5 * (np.einsum("tij,tij->t", R[1:], R[:-1]) - 1.0)
@@ -60,13 +68,17 @@ class ToolOrientation:
 
 
 def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
-    """Returns the tool orientation along the motion; None if it is constant, or without a robot.
+    """Returns the orientation of the tool along the motion of a scenario.
+
+    The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing field is
+    replaced by the demonstrated orientation, or by `robot.rpy_WE` if no demonstration has
+    orientations.
 
     The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing one is
     that of the demonstration, or `robot.rpy_WE` if the demonstration has no orientations.
 
     Raises:
-        ScenarioError: naming the inconsistent field.
+        ScenarioError: naming the inconsistent field of the task.
     """
     task, robot = scenario.task, scenario.robot
     requested = {"rpy_start": task.rpy_start, "rpy_goal": task.rpy_goal}
@@ -93,10 +105,11 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
 
 
 def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
-    """Returns the orientations R_WE of the tool frame at start and goal.
+    """Returns the orientations R_WE of the tool frame at start and goal of a scenario's motion.
 
     Raises:
-        ScenarioError: if the scenario has no robot, or as in `tool_orientation`.
+        ScenarioError: if the scenario has no robot, or if its orientations are inconsistent, see
+            `tool_orientation`.
     """
     orientation = tool_orientation(scenario)
     if orientation is None:
@@ -109,10 +122,11 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
 
 
 def robots_along_motion(scenario: Scenario) -> list[Robot]:
-    """Returns one copy of the robot per sampled tool orientation of the motion, start first.
+    """Returns copies of the robot's configuration block, one per sampled tool orientation of the
+    motion.
 
-    The orientation of each copy is its `rpy_WE`. The list is empty without a robot, and has one
-    item for a constant orientation.
+    Each copy has one of the orientations as `rpy_WE`, in the order from start to goal. The list is
+    empty without a robot, and has one item if the orientation is constant.
     """
     robot = scenario.robot
     if robot is None:
@@ -130,16 +144,17 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
 
 
 _POSE_TOLERANCE = 1e-3
-"""Maximum element-wise difference between a given pose and that of the given configuration [m, 1].
-"""
+"""Maximum difference of each element between the pose given by `task` and the tool pose at the
+given configuration, position in meters and rotation matrix [m, -]."""
 _ENDS = ("start", "goal")
-"""Ends of the motion, as in the field names `q_start` and `q_goal`."""
+"""Names of the two ends of a motion, as in the field names `q_start` and `q_goal`."""
 
 
 def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
-    """Returns the given configurations (nq,) by end, "start" or "goal" [rad, m].
+    """Returns the configurations (nq,) of the robot that the task gives for the ends of the motion
+    [rad, m].
 
-    Only `task.q_start` and `task.q_goal` that are not null are included.
+    The keys are "start" for `task.q_start` and "goal" for `task.q_goal`; a null field has no entry.
 
     Raises:
         ScenarioError: for a wrong number of joints, or a joint outside its limits.
@@ -170,14 +185,17 @@ def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
 
 
 def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
-    """Sets position and orientation at start and goal from `task.q_start` and `task.q_goal`.
+    """Sets the task's tool position and orientation at start and goal to the poses that follow from
+    `task.q_start` and `task.q_goal`.
 
     Args:
         scenario: scenario, modified in place.
-        stated: names of task fields that remain unchanged; `end_positions` checks them.
+        stated: names of task fields that remain unchanged; `end_positions` checks that they agree
+            with the configurations.
 
     Raises:
-        ScenarioError: as in `joint_ends`, and if the scenario has no robot.
+        ScenarioError: for a wrong number of joints, a joint outside its limits, or a scenario
+            without a robot.
     """
     task = scenario.task
     if task.q_start is None and task.q_goal is None:
@@ -194,28 +212,35 @@ def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
 
 
 def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> FloatArray:
-    """Computes nominal postures (T, n) at normalized times s (T,) [rad].
+    """Computes nominal postures (T, n), which the arm tracks in its null space, at normalized times
+    s (T,) [rad].
 
-    q(s) = q_start + m(s) (q_goal - q_start), with the minimum-jerk profile m from 0 to 1.
+    q(s) = q_start + m(s) (q_goal - q_start), where m is the minimum-jerk profile from 0 to 1 and s
+    is 0 at the start and 1 at the end of the motion.
     """
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)
 
 
 def start_positions(scenario: Scenario) -> FloatArray:
-    """Returns the configuration (nq,) at the start [rad, m]; raises as `end_positions` does."""
+    """Returns the configuration (nq,) of the robot at the start of the motion [rad, m].
+
+    Raises:
+        ScenarioError: for a start or goal that is out of reach, see `end_positions`.
+    """
     return end_positions(scenario)[0]
 
 
 def end_positions(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Computes the configurations (nq,) at the start and at the last goal [rad, m].
+    """Computes the configurations (nq,) of the robot at the start and at the last goal of the
+    motion [rad, m].
 
-    They are `task.q_start` and `task.q_goal` if given, otherwise solutions of the inverse
-    kinematics. All goals of `task.goal_moves` are checked, too.
+    The configurations are `task.q_start` and `task.q_goal` if given, otherwise solutions of the
+    inverse kinematics. All goals of `task.goal_moves` are checked, too.
 
     Raises:
-        ScenarioError: naming the start, goal or move of the goal that is out of reach, or that
-            contradicts `task.q_start` or `task.q_goal`.
+        ScenarioError: naming the start or goal, or the entry of `task.goal_moves`, that is out of
+            reach or contradicts `task.q_start` or `task.q_goal`.
     """
     robot_plant = make_robot_plant(robot_of(scenario))
     R_WS, R_WG = end_rotations(scenario)

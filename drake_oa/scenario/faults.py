@@ -1,4 +1,6 @@
-"""Faults injected into a simulation: the blocks of a scenario's field `faults`."""
+"""Configuration blocks of the faults that a simulation injects: the entries of a scenario's field
+`faults`.
+"""
 
 from typing import Annotated
 
@@ -8,59 +10,63 @@ from pydantic.dataclasses import dataclass
 from drake_oa.common.config import BLOCK, Vector3
 
 _Time = Annotated[float, Field(ge=0.0, le=1e6)]
-"""Type of a simulated time [s]."""
+"""Type of a simulated time in a fault block [s]."""
 _Duration = Annotated[float, Field(gt=0.0, le=1e6)]
-"""Type of a duration [s]."""
+"""Type of the duration of a fault [s]."""
 
 
 @dataclass(config=BLOCK)
 class CameraDropout:
-    """Fault of a camera: no new images; the driver repeats the last image."""
+    """Fault block of a camera that delivers no new images; its driver repeats the last image."""
 
     start: _Time = 1.0
-    """Time at which the images stop [s]. Raising it makes the fault later."""
+    """Simulated time at which the camera stops delivering new images [s]."""
     duration: _Duration = 0.5
-    """Time without new images [s]. Raising it makes the fault longer."""
+    """Time for which the camera delivers no new images [s]."""
     camera: str = ""
-    """Name of the camera; empty: all cameras in use."""
+    """Name of the camera with the fault; empty: all cameras in use."""
 
 
 @dataclass(config=BLOCK)
 class TorqueSaturation:
-    """Fault of the actuators: reduced effort limits, unknown to the controller."""
+    """Fault block of actuators with reduced effort limits, which the controller does not know."""
 
     start: _Time = 1.0
-    """Time at which the limits drop [s]. Raising it makes the fault later."""
+    """Simulated time at which the effort limits drop [s]."""
     duration: _Duration = 1.0
-    """Time with reduced limits [s]. Raising it makes the fault longer."""
+    """Time for which the effort limits are reduced [s]."""
     scale: float = Field(default=0.4, ge=0.0, le=1.0)
-    """Remaining fraction of the effort limits [1]. Raising it makes the fault milder."""
+    """Fraction of the effort limits that remains during the fault [-]. Raising it makes the fault
+    milder."""
 
 
 @dataclass(config=BLOCK)
 class ModelError:
-    """Fault of the controller: inertial parameters that differ from the simulated robot's."""
+    """Fault block of a controller whose inertial parameters differ from those of the simulated
+    robot.
+    """
 
     inertias: str = "package://drake_oa/panda/uniform_density.yaml"
-    """File of inertial parameters (see `drake_oa.robot.inertias`): a package:// URL or a path. The
-    default is that of a Panda with links of uniform density."""
+    """File of the controller's inertial parameters, as a package:// URL or a path; see
+    `drake_oa.robot.inertias` for its format. The default file describes a Panda with links of
+    uniform density."""
 
 
 @dataclass(config=BLOCK)
 class Push:
-    """Fault of the environment: constant external wrench on a robot link for a limited time."""
+    """Fault block of a constant external wrench that acts on a robot link for a limited time."""
 
     start: _Time = 1.0
-    """Time at which the wrench begins [s]. Raising it makes the fault later."""
+    """Simulated time at which the wrench begins to act [s]."""
     duration: _Duration = 0.2
-    """Duration of the wrench [s]. Raising it makes the fault longer."""
+    """Time for which the wrench acts [s]. Raising it pushes the arm farther from its path."""
     force: Vector3 = Field(default=[0.0, 20.0, 0.0])
-    """Force at the origin of the link, in the world [N]. Raising it makes the push stronger."""
+    """Force of the wrench at the origin of the link's frame, in world axes [N]."""
     torque: Vector3 = Field(default=[0.0, 0.0, 0.0])
-    """Torque on the link, in the world [N m]. Raising it makes the push stronger."""
+    """Torque of the wrench on the link, in world axes [N m]."""
     body: str = ""
-    """Name of the link; empty: the robot's `hand_link`."""
+    """Name of the link on which the wrench acts; empty: the robot's `hand_link`."""
 
 
 Fault = CameraDropout | TorqueSaturation | ModelError | Push
-"""Union of the fault blocks."""
+"""Union type of the configuration blocks that are valid in the field `faults` of a scenario."""

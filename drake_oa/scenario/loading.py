@@ -1,7 +1,8 @@
-"""Reading of scenarios from YAML files, and writing of scenarios as YAML text.
+"""Functions that read scenarios from YAML files, check them, and write them as YAML text.
 
-The text is read as plain data, overrides are merged into the data, and pydantic checks every field
-while it builds the `Scenario`. Checks across several blocks follow.
+The text of a scenario is read as plain data, overrides are merged into the data, and pydantic
+checks every field while it builds the `Scenario`. Afterwards, fields of several blocks are checked
+for consistency.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,10 +31,11 @@ from drake_oa.scenario.task import goal_problems
 
 
 def scenario_path(name_or_file: str) -> Path:
-    """Finds the file of a scenario by shipped name or by path.
+    """Finds the file of a scenario by the name of a shipped scenario or by path.
 
     Raises:
-        ScenarioError: if no such scenario exists; lists the shipped names.
+        ScenarioError: if the argument is neither a shipped name nor a file; lists the shipped
+            names.
     """
     shipped = shipped_scenarios()
     if name_or_file in shipped:
@@ -49,12 +51,12 @@ def scenario_path(name_or_file: str) -> Path:
 
 
 def load_scenario(name_or_file: str, overrides: Sequence[str] = ()) -> Scenario:
-    """Reads a scenario and applies overrides.
+    """Reads a scenario from its file, and applies overrides to its fields.
 
     Args:
-        name_or_file: a shipped name (see `shipped_scenarios`) or a path.
-        overrides: texts "a.b=c": the YAML value c replaces field b of block a.
-            A value with a tag ("perception=!GroundTruth {}") replaces the block.
+        name_or_file: name of a shipped scenario (see `shipped_scenarios`), or path of a file.
+        overrides: texts "a.b=c": the YAML value c replaces field b of block a. A value with a tag
+            ("perception=!GroundTruth {}") replaces the whole block.
 
     Raises:
         ScenarioError: naming each wrong field and its valid values.
@@ -69,7 +71,7 @@ def load_scenario(name_or_file: str, overrides: Sequence[str] = ()) -> Scenario:
 
 
 def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[str]:
-    """Returns one line for each wrong field of a scenario, without building its diagram.
+    """Returns one error line for each wrong field of a scenario, without building its diagram.
 
     Raises:
         ScenarioError: for a file that does not exist.
@@ -85,10 +87,11 @@ def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[
 def parse_scenario(
     text: str, overrides: Sequence[str] = (), *, folder: Path | None = None
 ) -> Scenario:
-    """Builds a `Scenario` from YAML text and overrides; see `load_scenario`.
+    """Builds a `Scenario` from YAML text and overrides, which have the form described in
+    `load_scenario`.
 
-    Relative file names in the text are relative to `folder` (None: the current directory),
-    those in overrides to the current directory.
+    Relative file names in the text are relative to `folder` (None: the current directory). Relative
+    file names in overrides are relative to the current directory.
 
     Raises:
         ScenarioError: listing every wrong field.
@@ -125,7 +128,7 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def _robot_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields an error line if a scenario without a robot has a perception that requires one."""
+    """Yields an error line if a scenario has no robot, but a perception block that requires one."""
     if scenario.robot is None and not isinstance(scenario.perception, GivenEllipsoids):
         yield (
             "robot: null (a free point) requires 'perception: !GivenEllipsoids'; "
@@ -134,7 +137,9 @@ def _robot_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _fault_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields one error line for each fault of a component that the scenario does not have."""
+    """Yields one error line for each fault that affects a robot or camera missing in the
+    scenario.
+    """
     source = scenario.perception
     for row, fault in enumerate(scenario.faults):
         name = f"faults[{row}]: !{type(fault).__name__}"
@@ -155,10 +160,11 @@ def _fault_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
-    """Makes relative file names in the data absolute; those of model directives become URLs.
+    """Converts relative file names in the plain data of a scenario to absolute paths, and those of
+    model directives to URLs.
 
-    URLs and other values remain unchanged. A single file in `task.demonstration` becomes a list of
-    one file, and an empty text an empty list.
+    URLs and other values remain unchanged. In `task.demonstration`, a single file becomes a list of
+    one file, and an empty text becomes an empty list.
     """
     for name, field in (
         ("perception", "folder"),
@@ -187,14 +193,16 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
 
 
 def _absolute(file: Any, base: Path) -> Any:
-    """Returns a relative file name as absolute path in `base`; URLs and other values unchanged."""
+    """Returns a relative file name as an absolute path below the folder `base`, and returns URLs
+    and other values unchanged.
+    """
     if isinstance(file, str) and file and "://" not in file:
         return str(base.absolute() / Path(file).expanduser())
     return file
 
 
 def scenario_text(scenario: Scenario) -> str:
-    """Returns a scenario as YAML text with all defaults, as it is written into a log.
+    """Returns a scenario as YAML text that includes all defaults, for example for a log file.
 
     `parse_scenario` builds the same scenario from the text.
     """

@@ -1,4 +1,6 @@
-"""Obstacles of a scenario: primitive shapes at rest, moving, appearing or vanishing."""
+"""Configuration block of an obstacle of primitive shapes, which may be at rest, move, appear or
+vanish.
+"""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,19 +15,23 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 OBSTACLE_PREFIX = "obstacle"
-"""Prefix of the names of model instances that are obstacles."""
+"""Prefix of a model instance's name, by which the model instance is recognized as an obstacle."""
 
 
 _MAX_OFFSET = 10.0
-"""Maximum offset of a waypoint along each axis [m]."""
+"""Maximum absolute offset of a waypoint from the obstacle's position, along each axis of the world
+[m]."""
 ABSENT_HEIGHT = 50.0
-"""Height by which an absent obstacle is raised, outside the view of all cameras [m]."""
+"""Height by which an absent obstacle is raised, so that no camera sees it [m]."""
 _ROUNDING = 1e-9
-"""Rounding error of a time [s]."""
+"""Tolerance for rounding errors of the simulated time at which an obstacle appears or vanishes [s].
+"""
 
 
 def _check_trajectory(waypoints: list[list[float]]) -> list[list[float]]:
-    """Checks that waypoints (t, x, y, z) are in order of time and near the obstacle."""
+    """Checks that waypoints (t, x, y, z) are ordered by time and within `_MAX_OFFSET` of the
+    obstacle's position.
+    """
     before = -math.inf
     for row, (time, *offset) in enumerate(waypoints):
         if time <= before:
@@ -37,7 +43,9 @@ def _check_trajectory(waypoints: list[list[float]]) -> list[list[float]]:
 
 
 def _check_presence(present: list[float]) -> list[float]:
-    """Checks that an obstacle vanishes later than it appears."""
+    """Checks that the time at which an obstacle vanishes is later than the time at which it
+    appears.
+    """
     if present != sorted(set(present)):
         raise ValueError(f"the obstacle must vanish later than it appears, not at {present}")
     return present
@@ -45,53 +53,62 @@ def _check_presence(present: list[float]) -> list[float]:
 
 @dataclass(config=BLOCK)
 class Obstacle:
-    """Obstacle of one or several primitive shapes."""
+    """Configuration block of one obstacle, which consists of one or several primitive shapes."""
 
     name: str = Field(min_length=1)
     """Unique name of the obstacle; the model instance is named "obstacle_<name>"."""
     shapes: list[Annotated[Box | Cylinder | Sphere, Tagged()]] = Field(min_length=1)
-    """Shapes in the frame of the obstacle."""
+    """Primitive shapes of the obstacle, with poses in the obstacle's frame."""
     translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
-    """Position of the obstacle in the world [m]. Raising it moves the obstacle along the axis."""
+    """Position of the obstacle's frame in the world [m]."""
     rpy: Angles = Field(default=[0.0, 0.0, 0.0])
-    """Roll, pitch and yaw of the obstacle in the world [rad]."""
+    """Roll, pitch and yaw of the obstacle's frame in the world [rad]."""
     color: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0)]], length(4)] = Field(
         default=[0.76, 0.53, 0.31, 1.0]
     )
-    """Red, green, blue and opacity [1]. Raising one makes the obstacle brighter or more opaque."""
+    """Red, green, blue and opacity of the obstacle in images and viewers [-]."""
     waypoints: Annotated[
         list[Annotated[list[float], length(4)]],
         AfterValidator(_check_trajectory),
     ] = Field(default_factory=list)
-    """Motion of the obstacle: rows t, x, y, z [s, m], the offset from `translation` in the world at
-    time t, interpolated linearly; at rest before the first and after the last row. Empty: the
-    obstacle does not move."""
+    """Motion of the obstacle as rows t, x, y, z [s, m]: at time t, the obstacle is displaced from
+    `translation` by x, y, z in the world. The displacement is interpolated linearly between rows,
+    and constant before the first and after the last row. Empty: the obstacle does not move."""
     present: Annotated[
         list[Annotated[float, Field(ge=0.0)]],
         Field(max_length=2),
         AfterValidator(_check_presence),
     ] = Field(default_factory=list)
-    """Time at which the obstacle appears, or times at which it appears and vanishes [s]; empty:
-    always present. Raising a time makes the change later."""
+    """Time at which the obstacle appears, or two times at which it appears and vanishes [s]. Empty:
+    the obstacle is always present."""
     stiffness: float | None = Field(default=None, gt=0.0, le=1e12)
-    """Stiffness of the surface in a point contact [N/m]; null: Drake's default, a hard surface.
-    Raising it makes contacts harder."""
+    """Stiffness of the obstacle's surface in point contacts [N/m]; null: Drake's default, a hard
+    surface. Raising it reduces the penetration in contacts."""
 
     @property
     def is_driven(self) -> bool:
-        """Whether the obstacle moves, appears or vanishes, and thus has prismatic joints."""
+        """Whether the obstacle moves, appears or vanishes; such an obstacle has prismatic
+        joints.
+        """
         return bool(self.waypoints or self.present)
 
     @property
     def last_change(self) -> float:
-        """Time of the last waypoint, appearance or disappearance [s]; 0 for a static obstacle."""
+        """Time of the obstacle's last waypoint, appearance or disappearance [s]; 0 for an obstacle
+        that never changes.
+        """
         return max([0.0, *(waypoint[0] for waypoint in self.waypoints), *self.present])
 
     def offset_at(self, time: float) -> FloatArray:
-        """Returns the offset (3,) from `translation` at a time [s], in the world [m].
+        """Returns the displacement (3,) of the obstacle from `translation` at a simulated time, in
+        the world [m].
 
-        The offset is interpolated linearly between waypoints, constant before the first and after
-        the last, and `ABSENT_HEIGHT` higher while the obstacle is absent.
+        The displacement is interpolated linearly between waypoints, and constant before the first
+        and after the last waypoint. While the obstacle is absent, `ABSENT_HEIGHT` is added to its z
+        coordinate.
+
+        Args:
+            time: simulated time [s].
         """
         times, *axes = np.array(self.waypoints or [[0.0] * 4], dtype=float).T
         offset = np.array([np.interp(time, times, axis) for axis in axes])
@@ -102,12 +119,16 @@ class Obstacle:
 
 
 def last_change(obstacles: Iterable[Obstacle]) -> float:
-    """Returns the time of the last change of all obstacles [s]; 0 if all are static."""
+    """Returns the time at which the last of several obstacles stops moving, appearing or vanishing
+    [s].
+
+    The result is 0 if no obstacle changes.
+    """
     return max((obstacle.last_change for obstacle in obstacles), default=0.0)
 
 
 def obstacle_problems(obstacles: Sequence[Obstacle]) -> Iterator[str]:
-    """Yields one error line for each obstacle with the name of an earlier one."""
+    """Yields one error line for each obstacle that has the same name as an earlier obstacle."""
     names = [obstacle.name for obstacle in obstacles]
     for row, name in enumerate(names):
         if name in names[:row]:

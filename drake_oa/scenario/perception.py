@@ -1,4 +1,6 @@
-"""Block of given ellipsoids, and checks of a scenario's cameras and perception block."""
+"""Configuration block of given ellipsoids, and checks of a scenario's fields `cameras` and
+`perception`.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import Annotated
@@ -11,33 +13,37 @@ from drake_oa.common.config import BLOCK, Angles, Vector3, length
 from drake_oa.perception.config import CameraSource, LcmCamera
 
 _MAX_PIXELS = 4096
-"""Maximum number of columns or rows of a simulated image."""
+"""Maximum width and height of a simulated image [pixel]."""
 
 
 @dataclass(config=BLOCK)
 class EllipsoidConfig:
-    """Given ellipsoid that contains an obstacle, already dilated by the tool."""
+    """Configuration block of a given ellipsoid, which contains an obstacle and is already dilated
+    by the tool.
+    """
 
     center: Vector3 = Field(default=[0.0, 0.0, 0.0])
-    """Center in the world [m]. Raising it moves the ellipsoid along the axis."""
+    """Position of the ellipsoid's center in the world [m]."""
     semi_axes: Annotated[list[Annotated[float, Field(gt=0.0)]], length(3)] = Field(
         default=[0.1, 0.1, 0.1]
     )
-    """Lengths of the semi-axes [m]. Raising one makes the ellipsoid larger."""
+    """Lengths of the ellipsoid's three semi-axes [m]. Raising one makes the ellipsoid larger."""
     rpy: Angles = Field(default=[0.0, 0.0, 0.0])
-    """Roll, pitch and yaw of the ellipsoid in the world [rad]."""
+    """Roll, pitch and yaw of the ellipsoid's semi-axes in the world [rad]."""
 
 
 @dataclass(config=BLOCK)
 class GivenEllipsoids:
-    """Perception block of given obstacle ellipsoids, without sensing."""
+    """Perception block that gives the ellipsoids of the obstacles directly, without sensing."""
 
     ellipsoids: list[EllipsoidConfig] = Field(default_factory=list)
-    """Ellipsoids, one per obstacle."""
+    """Ellipsoids of the obstacles, one per obstacle."""
 
 
 def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each wrong camera and each wrong reference to a camera."""
+    """Yields one error line for each wrong camera configuration, and for each wrong camera name in
+    the perception block.
+    """
     names = [camera.name for camera in cameras]
     for row, camera in enumerate(cameras):
         if camera.name in names[:row]:
@@ -53,7 +59,9 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
 
 
 def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each used camera that is missing, repeated or not synchronized."""
+    """Yields one error line for each camera of a perception block that is missing, repeated or not
+    synchronized with the first camera.
+    """
     names = perception.cameras
     if names and perception.camera != CameraSource.camera:
         yield (

@@ -1,4 +1,4 @@
-"""Configuration block of all parameters of a run, composed of the blocks of the layers.
+"""Configuration block of a complete run, composed of the blocks of all layers.
 
 `drake_oa.scenario.loading` reads a scenario from a YAML file.
 """
@@ -32,66 +32,77 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
 
 Layer = Literal["perception", "descriptor", "decision", "motion"]
-"""Name of a layer that a viewer can display."""
+"""Type of the name of a layer, whose intermediate results a viewer can display."""
 LAYERS = typing.get_args(Layer)
-"""Layers of a viewer, as folders of its scene tree: clouds and cameras; ellipsoids and their
-sections; cost rings and selected sides; planned and executed path."""
+"""Names of the layers whose results a viewer can display, in the order of the diagram.
+
+The viewer draws point clouds and cameras for "perception", ellipsoids and their sections for
+"descriptor", cost rings (costs of passing an obstacle on each side) and selected sides for
+"decision", and the planned and executed path for "motion"."""
 
 
 @dataclass(config=BLOCK)
 class View:
-    """Initial settings of a viewer; its user can change them."""
+    """Configuration block of a viewer's initial settings, which its user can change."""
 
     show: list[Layer] | None = None
-    """Names of the displayed layers; null: decision and motion, and the descriptor for !Paper."""
+    """Names of the layers that are displayed at first; null: decision and motion, and also the
+    descriptor for `inference: !Paper`."""
 
 
 @dataclass(config=BLOCK)
 class Scenario:
-    """Parameters of a run. Each field has a default."""
+    """Configuration block of all parameters of a run. Each field has a default."""
 
     description: str = ""
-    """One-line description, listed by `drake-oa scenarios`."""
+    """One-line description of the scenario, listed by `drake-oa scenarios`."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
-    """Seed of the camera noise [1]. Runs with the same seed give the same trajectory."""
+    """Seed of the random noise of the simulated cameras [-]. Runs with the same seed give the same
+    trajectory."""
     plant_step: float = Field(default=0.002, ge=1e-5, le=0.01)
-    """Time step of the simulated plant and the controller [s]. Raising it makes the simulation
+    """Time step of the simulated plant and of the controller [s]. Raising it makes the simulation
     faster and less accurate."""
     task: Task = Field(default_factory=Task)
-    """Nominal motion: start, goal, duration, demonstrations, and requested clearance."""
+    """Nominal motion: start, goal, duration and demonstrations; also the requested clearance."""
     policy: Policy = Field(default_factory=Policy)
-    """Constants of the dynamic movement primitive."""
+    """Constants of the dynamic movement primitive and of its coupling terms."""
     robot: Robot | None = Field(default_factory=Robot)
-    """Robot model, tool and gains; null: a free point executes the motion."""
+    """Model, tool and controller gains of the robot; null: no robot, and a free point executes the
+    motion."""
     directives: list[Annotated[ModelDirective, DrakeStruct()]] = Field(default_factory=list)
-    """Models in the world in addition to the robot, as Drake model directives. Model instances
-    whose name starts with "obstacle" are obstacles."""
+    """Drake model directives, which add models to the world in addition to the robot. A model
+    instance whose name starts with "obstacle" is an obstacle."""
     obstacles: list[Obstacle] = Field(default_factory=list)
-    """Obstacles of primitive shapes."""
+    """Obstacles that consist of primitive shapes."""
     cameras: list[Annotated[CameraConfig, DrakeStruct()]] = Field(default_factory=list)
-    """Drake's camera configurations, with unique names."""
+    """Drake's configurations of the depth cameras, with unique names."""
     perception: Annotated[
         DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera,
         Tagged(),
     ] = Field(default_factory=GroundTruth)
-    """Source of the obstacles."""
+    """Source from which the obstacles are observed, for example !DepthCamera or !GroundTruth."""
     inference: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
-    """Source of the coupling parameters."""
+    """Method that selects the parameters of the coupling terms: !Verified by roll-outs of candidate
+    motions, or !Paper as in Pairet et al., RA-L 2019."""
     guard: GuardParameters = Field(default_factory=GuardParameters)
-    """Maneuvers away from moving obstacles, contact reaction, and monitors."""
+    """Parameters of the maneuvers away from moving obstacles, of the reaction to contacts, and of
+    the monitors that slow down or stop the arm."""
     compute_latency: LatencyModel | None = Field(default_factory=LatencyModel)
-    """Simulated compute latency of decisions; null: decisions are active immediately."""
+    """Model of the time that the computation of a decision lasts, which the simulation adds as a
+    delay; null: each decision is active immediately."""
     table_height: float | None = 0.0
-    """Height of the support plane, the table, in the world [m]; null: no table. Raising it raises
-    the table."""
+    """Height of the table, the plane that supports the obstacles, in the world [m]; null: no table.
+    """
     view: View = Field(default_factory=View)
-    """Initial settings of a viewer."""
+    """Initial settings of a viewer, which its user can change."""
     faults: list[Annotated[Fault, Tagged()]] = Field(default_factory=list)
-    """Faults injected into the simulation."""
+    """Faults that the simulation injects, for example a camera without new images."""
 
 
 def allow_perception(block: type) -> None:
-    """Registers a dataclass as a valid block of `perception`, with its class name as the tag."""
+    """Registers a dataclass as a valid configuration block of the field `perception`; its class
+    name becomes its YAML tag.
+    """
     field = next(item for item in dc.fields(Scenario) if item.name == "perception")
     union, tagged = typing.get_args(field.type)
     field.type = Annotated[union | block, tagged]
@@ -99,10 +110,10 @@ def allow_perception(block: type) -> None:
 
 
 def robot_of(scenario: Scenario) -> Robot:
-    """Returns the robot of a scenario that must have one.
+    """Returns the robot block of a scenario, which must not be null.
 
     Raises:
-        ScenarioError: if it has none.
+        ScenarioError: if the scenario has no robot.
     """
     if scenario.robot is None:
         raise ScenarioError("robot: must be set for this command; the scenario has null")

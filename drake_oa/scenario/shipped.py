@@ -1,28 +1,33 @@
-"""Shipped scenarios: their files, descriptions and required Python packages."""
+"""Functions that list the scenario files of this package, with their descriptions and required
+Python packages.
+"""
 
 from pathlib import Path
 
 from drake_oa.common.files import installed_package, package_folder
 
 _SUFFIX = ".scenario.yaml"
-"""File name suffix of scenarios."""
+"""Suffix of the file names of scenarios."""
 
 
 def shipped_scenarios() -> dict[str, Path]:
-    """Returns the files of the scenarios that come with the package, by name."""
+    """Returns the scenario files that are part of this package, by scenario name."""
     folder = package_folder("drake_oa.diagrams")
     return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
 
 
 def description(path: Path) -> str:
-    """Reads the field `description` of a scenario file, without building the scenario."""
+    """Reads the text of the field `description` from a scenario file, without building the
+    scenario.
+    """
     return _text(path, "description")
 
 
 def missing_package(path: Path) -> str:
-    """Returns the Python package of the robot model if it is not installed, otherwise "".
+    """Returns the name of the Python package that contains a scenario's robot model, if this
+    package is not installed; otherwise "".
 
-    The scenario file is read without building the scenario.
+    The function reads the scenario file without building the scenario.
     """
     url = _text(path, "robot", "model")
     name = url.removeprefix("package://").partition("/")[0]
@@ -32,7 +37,13 @@ def missing_package(path: Path) -> str:
 
 
 def _text(path: Path, *fields: str) -> str:
-    """Reads a text from nested fields of a YAML file; "" if it is missing or no scalar."""
+    """Reads the text of a nested field from a YAML file; returns "" if the field is missing or not
+    a scalar.
+
+    Args:
+        path: YAML file.
+        fields: names of the field and its enclosing blocks, outermost block first.
+    """
     # Not at the top, so that `drake-oa --help` starts faster: it reads no file.
     import yaml
 

@@ -1,4 +1,6 @@
-"""Values derived from a scenario's perception block: periods, margins, given ellipsoids."""
+"""Functions that compute values from a scenario's perception block, such as periods, margins and
+seeds.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +16,38 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 _SURFACE_GAP = 0.01
-"""Maximum penetration of a link into a surface between its ground-truth points [m]."""
+"""Maximum depth to which a robot link can penetrate a surface between two of its ground-truth
+points [m]."""
 
 
 _GIVEN_PERIOD = 1.0 / 15.0
-"""Time between observations of given ellipsoids [s]."""
+"""Time between two observations of the ellipsoids in a `!GivenEllipsoids` block [s]."""
 _SEED_INCREMENT = 0x9E3779B97F4A7C15
-"""Difference between the noise seeds of two cameras: 2^64 over the golden ratio, so that the seeds
-are uncorrelated."""
+"""Difference between the noise seeds of two successive cameras [-]. The value is 2^64 divided by
+the golden ratio, so that the seeds are uncorrelated."""
 
 
 def noise_seed(scenario: Scenario, camera: str) -> int:
-    """Returns the noise seed of a camera; the first camera has the seed of the scenario."""
+    """Returns the seed of a camera's noise; the first camera has the seed of the scenario."""
     source = scenario.perception
     row = source.names.index(camera) if isinstance(source, CameraSource) else 0
     return (scenario.seed + row * _SEED_INCREMENT) % 2**63
 
 
 def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfig]:
-    """Returns the configurations of the cameras used by perception, in the order of `source`."""
+    """Returns the configurations of the cameras that a perception block uses, in the order of its
+    camera names.
+    """
     named = {config.name: config for config in scenario.cameras}
     return [named[name] for name in source.names]
 
 
 def with_simulated_cameras(scenario: Scenario) -> Scenario:
-    """Returns the scenario with `!DepthCamera` instead of `!LcmCamera`, otherwise unchanged."""
+    """Returns a copy of a scenario in which `!DepthCamera` replaces `!LcmCamera`, so that its
+    cameras are simulated.
+
+    A scenario without `!LcmCamera` is returned unchanged.
+    """
     source = scenario.perception
     if not isinstance(source, LcmCamera):
         return scenario
@@ -47,7 +56,9 @@ def with_simulated_cameras(scenario: Scenario) -> Scenario:
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
-    """Returns the ellipsoids of a `!GivenEllipsoids` block, with an infinite stamp: never stale."""
+    """Converts a `!GivenEllipsoids` block to a set of ellipsoids whose time stamp is infinite, so
+    that they never count as stale.
+    """
     items = source.ellipsoids
     return EllipsoidSet(
         stamp=np.inf,
@@ -62,12 +73,12 @@ def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
 
 
 def table_plane(scenario: Scenario) -> TablePlane | None:
-    """Returns the configured table plane in the world; None if the scenario has no table."""
+    """Returns the table plane of a scenario in the world, or None if the scenario has no table."""
     return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
 
 
 def perception_period(scenario: Scenario) -> float:
-    """Returns the time between two observations of the obstacles [s]."""
+    """Returns the time between two observations of the obstacles in a scenario [s]."""
     source = scenario.perception
     if isinstance(source, CameraSource):
         return 1.0 / camera_configs(scenario, source)[0].fps
@@ -77,7 +88,9 @@ def perception_period(scenario: Scenario) -> float:
 
 
 def padding(source: object) -> float:
-    """Returns the padding of observed points: maximum distance of the surface outside them [m]."""
+    """Returns the padding of a perception block: the maximum distance by which a surface lies
+    outside its observed points [m].
+    """
     if isinstance(source, (CameraSource, RecordedClouds)):
         return 0.5 * source.segmentation.voxel
     return _SURFACE_GAP

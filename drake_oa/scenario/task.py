@@ -1,4 +1,6 @@
-"""Task block of a scenario, and positions of a goal that moves during the motion."""
+"""Configuration block of a scenario's task, and functions for a goal that moves during the
+motion.
+"""
 
 import math
 from collections.abc import Iterator
@@ -13,62 +15,69 @@ from drake_oa.common.config import BLOCK, Angles, Vector3, length
 from drake_oa.common.messages import FloatArray
 
 MAX_DURATION = 600.0
-"""Maximum duration of a demonstrated motion [s]."""
+"""Maximum duration of a demonstrated or nominal motion [s]."""
 
 
 @dataclass(config=BLOCK)
 class Task:
-    """Block of the nominal motion, which is planned without knowledge of the obstacles."""
+    """Configuration block of the nominal motion, which does not depend on the obstacles, and of the
+    requested clearance.
+    """
 
     start: Vector3 = Field(default=[0.45, -0.45, 0.3])
-    """Start of the tool point in the world [m]. Raising it moves the start along the axis."""
+    """Position of the tool point at the start, in the world [m]."""
     goal: Vector3 = Field(default=[0.45, 0.45, 0.3])
-    """Goal of the tool point in the world [m]. Raising it moves the goal along the axis."""
+    """Position of the tool point at the goal, in the world [m]."""
     goal_moves: list[Annotated[list[float], length(4)]] = Field(default_factory=list)
-    """Moves of the goal during the motion: rows t, x, y, z [s, m]; from time t on, the goal is at
-    this position in the world."""
+    """Moves of the goal during the motion, as rows t, x, y, z [s, m]: from time t on, the goal is
+    at position x, y, z in the world."""
     duration: float = Field(default=5.0, gt=0.0, le=MAX_DURATION)
-    """Duration T of the nominal motion [s]; the avoiding motion lasts tau T, with temporal scaling
-    tau. Ignored if the demonstration has times. Raising it makes the motion slower."""
+    """Duration T of the nominal motion [s]. The avoiding motion lasts tau T, where the temporal
+    scaling tau is the factor by which it is slower. This field is ignored if the demonstration has
+    times. Raising it makes the motion slower."""
     clearance: float = Field(default=0.15, gt=0.0, le=2.0)
-    """Requested clearance Delta between the tool and the obstacles [m]. Raising it makes the detour
-    around obstacles wider."""
+    """Requested clearance Delta: minimum distance that is requested between the tool and the
+    obstacles [m]. Raising it makes the detour around obstacles wider."""
     turn_limit: float | None = Field(default=None, ge=0.0, le=math.pi)
-    """Maximum rotation of the tool in a maneuver away from an obstacle [rad]; null: no limit.
-    Raising it allows more maneuvers."""
+    """Maximum rotation of the tool during a maneuver that evades a moving obstacle [rad]; null: no
+    limit. Raising it allows more maneuvers."""
     rpy_start: Angles | None = None
-    """Roll, pitch and yaw of the tool frame E in the world at the start [rad]; null: those of the
-    demonstration, or `robot.rpy_WE`."""
+    """Roll, pitch and yaw of the tool frame E in the world at the start [rad]; null: the
+    demonstrated orientation, or `robot.rpy_WE` without demonstrated orientations."""
     rpy_goal: Angles | None = None
-    """Roll, pitch and yaw of the tool frame E in the world at the goal [rad]; null: those of the
-    demonstration, or `robot.rpy_WE`."""
+    """Roll, pitch and yaw of the tool frame E in the world at the goal [rad]; null: the
+    demonstrated orientation, or `robot.rpy_WE` without demonstrated orientations."""
     q_start: list[float] | None = None
-    """Configuration of the arm at the start, as many joints as in `robot.q_seed` [rad]; null: a
-    solution of the inverse kinematics close to `robot.q_seed`. Missing fields `start` and
-    `rpy_start` follow from it; given ones must agree with it."""
+    """Configuration of the arm at the start, with as many joints as `robot.q_seed` [rad]; null: a
+    solution of the inverse kinematics close to `robot.q_seed`. If `start` or `rpy_start` is
+    missing, it is computed from this configuration; otherwise it must agree with it."""
     q_goal: list[float] | None = None
-    """Configuration of the arm at the goal [rad]; null: a solution of the inverse kinematics.
-    Missing fields `goal` and `rpy_goal` follow from it; given ones must agree with it. The nominal
-    posture changes from `q_start` to `q_goal` along the motion."""
+    """Configuration of the arm at the goal, with as many joints as `robot.q_seed` [rad]; null: a
+    solution of the inverse kinematics. If `goal` or `rpy_goal` is missing, it is computed from this
+    configuration; otherwise it must agree with it. The nominal posture, tracked in the null space,
+    changes from `q_start` to `q_goal` along the motion."""
     demonstration: list[str] = Field(default_factory=list)
-    """Demonstrations to reproduce: a file, or a list of files with repetitions of one motion, which
-    are averaged; relative to the scenario file, or package:// URLs. Empty: a minimum-jerk motion on
-    a straight line with a rotation about a fixed axis.
+    """Demonstrations that the nominal motion reproduces: a file, or a list of files with
+    repetitions of one motion, which are averaged. Files are package:// URLs or relative to the
+    scenario file. Empty: a minimum-jerk motion on a straight line, with a rotation about a fixed
+    axis.
 
-    A .npz file has the array `path` (T, 3) [m], for uneven sampling `t` (T,) [s], and for a turning
-    tool the orientations R_WE as `quaternion` (T, 4), w first, or `R` (T, 3, 3). A .csv file names
-    its columns in the first line: x, y, z, for uneven sampling t, and for a turning tool
-    qw, qx, qy, qz."""
+    A .npz file has the array `path` (T, 3) [m], and for uneven sampling also the times `t` (T,)
+    [s]. If the tool turns, it has the orientations R_WE as `quaternion` (T, 4), w first, or as `R`
+    (T, 3, 3). The first line of a .csv file names its columns: x, y, z, for uneven sampling also t,
+    and if the tool turns also qw, qx, qy, qz."""
 
 
 _MIN_MOVE_INTERVAL = 1e-6
-"""Minimum time between two moves of the goal [s]."""
+"""Minimum time between two successive moves of the goal [s]."""
 _MIN_TRAVEL = 1e-3
-"""Minimum distance between start and goal [m]."""
+"""Minimum distance between the start and each goal position [m]."""
 
 
 def goal_problems(task: Task) -> Iterator[str]:
-    """Yields one error line for each goal too close to the start or out of temporal order."""
+    """Yields one error line for each goal that is too close to the start, and for each move of the
+    goal that is not later than the previous one.
+    """
     if math.dist(task.start, task.goal) < _MIN_TRAVEL:
         yield f"task.goal: {task.goal} is the start; they must be at least 1 mm apart"
     before = 0.0
@@ -83,19 +92,24 @@ def goal_problems(task: Task) -> Iterator[str]:
 
 
 def goal_steps(task: Task) -> FloatArray:
-    """Returns rows (N, 4) t, x, y, z: position of the goal from time t on; t = 0 first [s, m]."""
+    """Returns the goal positions of a task as rows (N, 4) t, x, y, z in the world [s, m].
+
+    The goal is at x, y, z from time t on. The first row has t = 0.
+    """
     return np.array([[0.0, *task.goal], *task.goal_moves], dtype=float)
 
 
 def goal_at(task: Task, time: float) -> FloatArray:
-    """Returns the goal position (3,) at a time [s] in the world [m]."""
+    """Returns the position (3,) of a task's goal at a simulated time [s], in the world [m]."""
     steps = goal_steps(task)
     row = int(np.searchsorted(steps[:, 0], time, side="right")) - 1
     return np.array(steps[max(row, 0), 1:])
 
 
 def goal_trajectory(task: Task) -> PiecewisePolynomial:
-    """Returns the goal position (3,) as a piecewise constant trajectory in the world [m]."""
+    """Returns the position (3,) of a task's goal as a piecewise constant trajectory over simulated
+    time, in the world [m].
+    """
     steps = goal_steps(task)
     # Drake's last sample only ends the trajectory: it is repeated 1 s later.
     steps = np.vstack([steps, steps[-1] + [1.0, 0.0, 0.0, 0.0]])
@@ -103,5 +117,7 @@ def goal_trajectory(task: Task) -> PiecewisePolynomial:
 
 
 def last_move_time(task: Task) -> float:
-    """Returns the time of the last move of the goal [s]; 0 for a goal at rest."""
+    """Returns the simulated time at which a task's goal moves last [s]; 0 if the goal never
+    moves.
+    """
     return float(task.goal_moves[-1][0]) if task.goal_moves else 0.0
