@@ -1,7 +1,7 @@
-"""Depth cameras of a scenario, and the scene graph that they render.
+"""Depth cameras of a scenario, and the separate scene graph in which their images are rendered.
 
-The cameras have a separate scene graph, with the positions of the simulated plant. In the scene
-graph of the plant, every step of the plant would also update the poses of the rendered geometry.
+The positions of the simulated plant set the poses in this scene graph. In the scene graph of the
+plant, every step of the plant would also update the poses of the rendered geometry.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from drake_oa.world.world_model import add_world
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics and output ports of a depth camera of the station.
+    """Intrinsics and output ports of one depth camera of the simulated station.
 
     Attributes:
         intrinsics: intrinsics of the depth image.
-        depth_image: port of ImageDepth32F [m], with the camera's noise.
-        pose: port of RigidTransform X_WC.
+        depth_image: output port with the depth image, an ImageDepth32F with noise [m].
+        pose: output port with the camera pose X_WC, a RigidTransform.
         delay: time from the capture to the output of an image [s]; 0: no delay.
-        image_time: port (1,) of the capture time of the image [s].
-        plant_state: port (n,) of the plant's state at the capture time.
+        image_time: output port (1,) with the capture time of the image [s].
+        plant_state: output port (n,) with the state [q, v] of the plant at the capture time.
     """
 
     intrinsics: CameraInfo
@@ -62,7 +62,8 @@ class Camera:
 
 
 class TimedCamera(LeafSystem):
-    """Base class of depth cameras that also output the time and the plant state of each image.
+    """Base class of depth cameras that also output the capture time of each image, and the plant
+    state at that time.
 
     .. pydrake_system::
 
@@ -75,20 +76,21 @@ class TimedCamera(LeafSystem):
       - image_time
       - plant_state
 
-    - plant_state (input): (num_states,) present state of the plant.
-    - depth_image: (H, W) depths [m].
+    - plant_state (input): (num_states,) present state [q, v] of the plant.
+    - depth_image: (H, W) depths along the optical axis [m].
     - camera_pose: X_WC at the capture time of the image.
     - image_time: (1,) capture time of the image [s].
-    - plant_state (output): (num_states,) state of the plant at the capture time.
+    - plant_state (output): (num_states,) state [q, v] of the plant at the capture time.
     """
 
     def __init__(self, intrinsics: CameraInfo, num_states: int, initial_state: object) -> None:
-        """Declares the ports.
+        """Declares the input port, the abstract state and the output ports of the camera.
 
         Args:
-            intrinsics: intrinsics of the images.
+            intrinsics: intrinsics of the depth images.
             num_states: size n of the plant's state.
-            initial_state: initial abstract state of the camera.
+            initial_state: value of the abstract state before the first event, of a type that the
+                derived class defines.
         """
         super().__init__()
         self._intrinsics = intrinsics
@@ -123,42 +125,56 @@ class TimedCamera(LeafSystem):
         )
 
     def release(self) -> None:
-        """Releases resources outside the diagram; the next image acquires them again."""
+        """Releases resources outside the diagram, such as a render engine; the next image acquires
+        them again.
+        """
         raise NotImplementedError
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the present output image (H, W), or one depth for all pixels [m]."""
+        """Returns the depth image (H, W) that the camera outputs at the time of a Context, or one
+        depth for all pixels [m].
+        """
         raise NotImplementedError
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the camera pose X_WC of the present output image."""
+        """Returns the pose X_WC of the camera for the image that it outputs at the time of a
+        Context.
+        """
         raise NotImplementedError
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
-        """Returns capture time [s] and plant state (n,) of the present output image."""
+        """Returns the capture time [s] of the image that the camera outputs at the time of a
+        Context, and the plant state (n,) at the capture time.
+        """
         raise NotImplementedError
 
     def camera(self, delay: float = 0.0) -> Camera:
-        """Returns intrinsics and output ports, for images with a given delay [s]."""
+        """Returns the intrinsics and output ports of this camera.
+
+        Args:
+            delay: time from the capture to the output of an image [s].
+        """
         names = ("depth_image", "camera_pose", "image_time", "plant_state")
         image, pose, time, state = map(self.GetOutputPort, names)
         return Camera(self._intrinsics, image, pose, delay, time, state)
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        """Outputs the depth image."""
+        """Sets the output port `depth_image` to the present depth image."""
         image: Any = output.get_mutable_value()
         image.mutable_data[:, :, 0] = self.image(context)
 
 
 def depth_intrinsics(config: CameraConfig) -> CameraInfo:
-    """Returns the intrinsics of the depth image of a camera configuration of Drake."""
+    """Returns the intrinsics of the depth image that a camera configuration of Drake describes."""
     return config.MakeCameras()[1].core().intrinsics()
 
 
 def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig) -> RgbdSensor:
-    """Adds a camera configuration of Drake with a separate scene graph, without a simulated plant.
+    """Adds the camera of a Drake configuration to a builder, with a separate scene graph and
+    without a simulated plant.
 
-    Exports the input port "state": the state [q, v] of a scenario's plant.
+    Exports the input port "state", the state [q, v] of the scenario's plant, at which the camera
+    renders.
 
     Raises:
         ScenarioError: if Drake rejects the camera, for example because of an unknown base frame.
@@ -192,14 +208,14 @@ def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig
 
 
 def add_mesh_normals(scene_graph: SceneGraph, source: SourceId) -> None:
-    """Adds face normals to visible meshes whose OBJ file has no normals.
+    """Replaces visible meshes whose OBJ file has no normals by converted meshes that have normals.
 
-    Drake's renderers reject a mesh without normals. The changed mesh has no material or texture:
-    its color is that of the model file.
+    Drake's renderers reject a mesh without normals. A converted mesh has no material or texture: it
+    has the color that the model file states.
 
     Args:
         scene_graph: scene graph with all geometry, without a renderer.
-        source: owner of the geometry.
+        source: source ID under which the geometry is registered.
 
     Raises:
         ValueError: for a file that cannot be read as a mesh.

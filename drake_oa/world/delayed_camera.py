@@ -1,7 +1,7 @@
-"""Depth camera with delayed images, which are rendered in the background during the delay.
+"""Depth camera with delayed images, which are rendered in a background thread during the delay.
 
-Rendering and noise run in one thread parallel to the simulation. Drake's render engines work only
-in the thread that created them, so that this thread creates, uses and destroys all engines.
+Rendering and noise run in one thread, parallel to the simulation. Drake's render engines work only
+in the thread that created them. Therefore this thread creates, uses and destroys all engines.
 """
 
 from __future__ import annotations
@@ -34,20 +34,22 @@ from drake_oa.world.cameras import TimedCamera, add_camera
 from drake_oa.world.faults import is_active
 
 _T = TypeVar("_T")
-"""Type of a result computed in the render thread."""
+"""Type of a result that is computed in the render thread."""
 
 Noise = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
-"""Function that returns the measured image for a true image [m] and its time [s]."""
+"""Type of a function that returns the measured depth image for a true depth image [m] and its
+capture time [s]."""
 _CACHE_SIZE = 4
-"""Number of rendered images in the cache of a camera."""
+"""Number of recently rendered images that a camera stores in its cache."""
 
 
 class Rendered(NamedTuple):
-    """Rendered depth image and the pose of its camera.
+    """Rendered depth image, and the pose of the camera that rendered it.
 
     Attributes:
-        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing.
-        X_WC: pose of the camera.
+        depth: (H, W) depths along the optical axis [m]; 0 is too near, inf is too far, NaN is
+            missing.
+        X_WC: pose of the camera in the world.
     """
 
     depth: NDArray[np.float32]
@@ -55,7 +57,9 @@ class Rendered(NamedTuple):
 
 
 class _CameraWorld:
-    """Diagram that renders the scenario's world at given plant states."""
+    """Diagram with a copy of a scenario's world, which renders depth images at given plant
+    states.
+    """
 
     def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
         builder = DiagramBuilder()
@@ -70,7 +74,7 @@ class _CameraWorld:
         self._number = 0
 
     def render(self, state: FloatArray) -> Rendered:
-        """Renders the depth image at a plant state [q, v]."""
+        """Renders the depth image of the camera at a plant state [q, v]."""
         context = self._simulator.get_mutable_context()
         self._diagram.get_input_port().FixValue(context, state)
         if self._number == 0:
@@ -84,21 +88,21 @@ class _CameraWorld:
 
 
 class BackgroundCamera:
-    """Camera of a scenario whose images are rendered in the background thread.
+    """Camera of a scenario whose images are rendered in a background thread.
 
     An image is a function of the requested state and time. Early, repeated or missing requests
-    therefore change the wall time only, not the images.
+    therefore change only the wall time of a run, not the images.
     """
 
     def __init__(
         self, scenario: Scenario, config: CameraConfig, noise: Noise | None = None
     ) -> None:
-        """Builds the rendered world in the background thread.
+        """Builds the rendered copy of the world in the background thread.
 
         Args:
             scenario: scenario with a robot.
             config: configuration of the camera.
-            noise: noise of the images; None: ideal images.
+            noise: function that adds noise to the images; None: ideal images.
 
         Raises:
             ScenarioError: if Drake rejects the camera.
@@ -111,33 +115,41 @@ class BackgroundCamera:
         weakref.finalize(self, _end_world, self._name).atexit = False
 
     def _world(self) -> _CameraWorld:
-        """Returns the rendered world of this thread; builds it again after a release."""
+        """Returns the camera's rendered copy of the world in the calling thread; builds a new copy
+        after a release.
+        """
         worlds: dict[str, _CameraWorld] = vars(_worlds)
         if self._name not in worlds:
             worlds[self._name] = _CameraWorld(self._scenario, self._config)
         return worlds[self._name]
 
     def release(self) -> None:
-        """Destroys the render engine and the cached images; the next request builds it again.
+        """Destroys the camera's render engine and cached images; the next request builds the engine
+        again.
 
-        Python never collects a diagram with Python systems, which would hold the engine forever.
+        Python never collects a diagram that has Python systems. Without this call, the diagram
+        would never release the engine.
         """
         _end_world(self._name)
         self._images.clear()
 
     def request(self, state: FloatArray, time: float) -> Future[Rendered]:
-        """Requests an image of the scenario; the future holds it once it is rendered.
+        """Requests an image, and starts its rendering in the background thread unless it is in the
+        cache.
 
         Args:
             state: (n,) state [q, v] of the scenario's plant.
             time: capture time of the image, on which its noise depends [s].
+
+        Returns:
+            Future of the rendered image.
         """
         key = (np.ascontiguousarray(state).tobytes(), float(time))
         if key not in self._images:
             noise, requested = self._noise, np.array(state)
 
             def measure() -> Rendered:
-                """Renders the image and adds its noise."""
+                """Renders the requested image and adds noise to it."""
                 image = self._world().render(requested)
                 return image._replace(depth=noise(image.depth, time)) if noise else image
 
@@ -148,18 +160,20 @@ class BackgroundCamera:
 
 
 _numbers = itertools.count()
-"""Numbers of the background cameras of this process, which name their worlds."""
+"""Counter of the background cameras in this process, used to give each camera's rendered world a
+name."""
 _render_thread = ThreadPoolExecutor(1, "render")
-"""Thread that creates, uses and destroys all rendered worlds."""
+"""Thread that creates, uses and destroys the rendered worlds of all cameras."""
 _worlds = threading.local()
-"""Rendered worlds by camera name, local to the render thread so that they are destroyed in it."""
+"""Rendered worlds by camera name. The storage is local to the render thread, so that worlds are
+destroyed in this thread."""
 
 
 def _submit(call: Callable[[], _T]) -> Future[_T]:
-    """Calls a function in the render thread."""
+    """Calls a function in the render thread, and returns the future of its result."""
 
     def run() -> _T:
-        """Calls the function without garbage collection."""
+        """Calls the submitted function while garbage collection is disabled."""
         # A garbage collection here would destroy render engines of other threads in this thread.
         collects = gc.isenabled()
         gc.disable()
@@ -173,7 +187,7 @@ def _submit(call: Callable[[], _T]) -> Future[_T]:
 
 
 def _end_world(name: str) -> None:
-    """Destroys a rendered world, if it exists."""
+    """Destroys the rendered world of a camera in the render thread, if this world exists."""
     # At the end of the interpreter the thread no longer exists.
     with suppress(RuntimeError):
         _submit(lambda: vars(_worlds).pop(name, None))
@@ -181,11 +195,11 @@ def _end_world(name: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Captures(Frozen):
-    """Times and plant states of the last two captured images, older one first.
+    """Times and plant states of the last two images that a camera captured, older image first.
 
     Attributes:
-        stamp: capture times [s], at most two.
-        state: plant states (n,) at these times.
+        stamp: capture times [s], two at most.
+        state: plant states (n,) at the capture times.
     """
 
     stamp: tuple[float, ...] = ()
@@ -207,8 +221,8 @@ class DelayedCamera(TimedCamera):
       - plant_state
 
     - plant_state (in): (n,) state [q, v] of the simulated plant, moving obstacles included.
-    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf too far. With noise,
-      all pixels without a measurement are NaN.
+    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf is too far. With
+      noise, all pixels without a measurement are NaN.
     - camera_pose: RigidTransform X_WC of the camera at the capture time.
     - image_time: (1,) capture time of the image [s].
     - plant_state (out): (n,) state of the plant at the capture time.
@@ -232,15 +246,16 @@ class DelayedCamera(TimedCamera):
         delay: float,
         dropouts: Sequence[CameraDropout] = (),
     ) -> None:
-        """Declares ports, state and events.
+        """Declares the ports, state and events of the camera.
 
         Args:
-            camera: camera that renders the images.
-            intrinsics: intrinsics of the images.
+            camera: background camera that renders the images.
+            intrinsics: intrinsics of the depth images.
             num_states: size n of the plant's state.
             period: time between two captures [s].
-            delay: time from the capture to the output of an image [s]; 0: present images.
-            dropouts: intervals without captures.
+            delay: time from the capture to the output of an image [s]; 0: each output image shows
+                the present state.
+            dropouts: faults during which the camera captures no images.
 
         Raises:
             ValueError: unless 0 <= delay < period.
@@ -254,24 +269,30 @@ class DelayedCamera(TimedCamera):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._capture)
 
     def release(self) -> None:
-        """Releases the render engine, see `BackgroundCamera.release`."""
+        """Releases the camera's render engine, which the next image creates again; see
+        `BackgroundCamera.release`.
+        """
         self._camera.release()
 
     def is_ready(self, context: Context) -> bool:
-        """Checks whether the present output image is rendered, so that evaluations do not wait."""
+        """Checks whether the image that the camera outputs now is rendered, so that evaluating the
+        port `depth_image` does not wait.
+        """
         return self._rendering(context).done()
 
     def _read(self, context: Context) -> _Captures:
-        """Returns the captures in the abstract state."""
+        """Returns the last captures, which are stored in the abstract state of a Context."""
         captures: _Captures = context.get_abstract_state(self._state_index).get_value()
         return captures
 
     def _is_dropped_out(self, context: Context) -> bool:
-        """Checks whether a dropout is active."""
+        """Checks whether a dropout of the camera is active at the time of a Context."""
         return any(is_active(fault, context) for fault in self._dropouts)
 
     def _capture(self, context: Context, state: State) -> None:
-        """Stores time and state of a new image and starts its rendering, except in a dropout."""
+        """Stores the time and plant state of a new image and starts its rendering, except during a
+        dropout.
+        """
         if self._is_dropped_out(context):
             return
         before = self._read(context)
@@ -281,7 +302,11 @@ class DelayedCamera(TimedCamera):
         state.get_mutable_abstract_state(self._state_index).set_value(after)
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
-        """Returns capture time [s] and plant state of the present output image; -inf: no image."""
+        """Returns the capture time [s] of the image that the camera outputs now, and the plant
+        state (n,) at the capture time.
+
+        The time is -inf if there is no image because of a dropout.
+        """
         captures, now = self._read(context), context.get_time()
         is_out = self._is_dropped_out(context)
         if not captures.stamp or (self._delay == 0.0 and not is_out):
@@ -291,15 +316,19 @@ class DelayedCamera(TimedCamera):
         return captures.stamp[row], captures.state[row]
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the present output image, once it is rendered [m]; NaN: no image."""
+        """Returns the depth image that the camera outputs now, after waiting for its rendering [m];
+        NaN without an image.
+        """
         has_come = self.capture_state(context)[0] >= 0.0
         return self._rendering(context).result().depth if has_come else np.nan
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the camera pose X_WC at the capture time."""
+        """Returns the camera pose X_WC at the capture time of the image that the camera outputs
+        now.
+        """
         return self._rendering(context).result().X_WC
 
     def _rendering(self, context: Context) -> Future[Rendered]:
-        """Requests the present output image."""
+        """Requests the image that the camera outputs now, and returns its future."""
         time, state = self.capture_state(context)
         return self._camera.request(state, max(time, 0.0))

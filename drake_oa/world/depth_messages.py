@@ -1,4 +1,4 @@
-"""Packing, unpacking and receiving of depth images as LCM messages.
+"""Functions and a class that pack, unpack and receive depth images as LCM messages.
 
 Drake's `LcmImageArrayToImages` copies only a part of an uncompressed image (Drake 1.51: half of a
 16-bit, a quarter of a 32-bit image). This module unpacks images completely.
@@ -19,29 +19,31 @@ from pydrake.lcm import DrakeLcm
 from drake_oa.common.config import field_errors
 
 CHANNEL = "DRAKE_RGBD_CAMERA_IMAGES_{}"
-"""LCM channel of the images of a camera, by its name."""
+"""Format string of the name of the LCM channel on which a camera's images are sent; the argument is
+the camera name."""
 
 _MILLIMETER = 1e-3
-"""Unit of 16-bit depths in messages [m]."""
+"""Unit of 16-bit depths in LCM image messages [m]."""
 _MICROSECOND = 1e-6
-"""Unit of times in messages [s]."""
+"""Unit of time stamps in LCM image messages [s]."""
 _FAR = 65535
-"""16-bit depth of pixels that are too far [mm]."""
+"""16-bit depth value of pixels that are too far for the camera [mm]."""
 _TYPES: dict[int, np.dtype[Any]] = {
     lcmt_image.CHANNEL_TYPE_UINT16: np.dtype(np.uint16),
     lcmt_image.CHANNEL_TYPE_FLOAT32: np.dtype(np.float32),
 }
-"""Types of depths in messages, by LCM channel type."""
+"""NumPy types of the depth values in LCM image messages, by LCM channel type."""
 
 
 def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_image_array:
-    """Packs a depth image as a message in millimeters, compressed by zlib.
+    """Packs a depth image into an LCM message with 16-bit depths in millimeters, compressed by
+    zlib.
 
     Args:
-        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing. In the
-            message, too near and missing pixels are 0.
-        camera: name of the camera's frame.
-        utime: capture time by the wall clock [us].
+        depth: (H, W) depths along the optical axis [m]; 0 is too near, inf is too far, NaN is
+            missing. In the message, pixels that are too near or missing are 0.
+        camera: name of the camera's frame in the message header.
+        utime: capture time of the image by the wall clock [us].
     """
     near = np.nan_to_num(depth, nan=0.0, posinf=_FAR * _MILLIMETER)
     values = np.clip(np.rint(near / _MILLIMETER), 0, _FAR).astype("<u2")
@@ -62,11 +64,11 @@ def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_i
 
 
 class Frame(NamedTuple):
-    """Received depth image of a camera.
+    """Depth image that was received from a camera.
 
     Attributes:
-        depth: (H, W) along the optical axis [m]; inf is too far, NaN missing.
-        stamp: capture time by the wall clock [s].
+        depth: (H, W) depths along the optical axis [m]; inf is too far, NaN is missing or too near.
+        stamp: capture time of the image by the wall clock [s].
     """
 
     depth: NDArray[np.float32]
@@ -74,7 +76,10 @@ class Frame(NamedTuple):
 
 
 def unpack_depth(message: lcmt_image_array) -> Frame:
-    """Unpacks the depth image of a message, zlib or uncompressed, 16U [mm] or 32F [m].
+    """Unpacks the depth image of an LCM message.
+
+    The image may be uncompressed or compressed by zlib, with 16-bit integers [mm] or 32-bit floats
+    [m].
 
     Raises:
         ValueError: if the message does not hold exactly one valid depth image.
@@ -103,11 +108,11 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
 
 
 _buses: weakref.WeakValueDictionary[str, DrakeLcm] = weakref.WeakValueDictionary()
-"""Open LCM buses of this process, by URL."""
+"""Open LCM buses of this process, by URL; a bus is closed when no receiver uses it."""
 
 
 def lcm_bus(url: str) -> DrakeLcm:
-    """Returns the LCM bus of a URL, shared by all cameras of this process.
+    """Returns the LCM bus of a URL, which all cameras of this process share.
 
     Raises:
         RuntimeError: from Drake, for a URL that cannot be opened.
@@ -119,21 +124,21 @@ def lcm_bus(url: str) -> DrakeLcm:
 
 
 class LcmFrames:
-    """Receiver of a camera's depth images on an LCM channel.
+    """Receiver of the depth images that a camera sends on an LCM channel.
 
     Attributes:
-        name: channel and URL, for messages to the user.
+        name: name of the channel with the bus URL, used in messages to the user.
     """
 
     def __init__(self, url: str, camera: str) -> None:
-        """Subscribes to the camera's channel.
+        """Subscribes to the LCM channel of a camera.
 
         Args:
             url: URL of the LCM bus.
-            camera: name of the camera, which is the end of the channel's name.
+            camera: name of the camera, at the end of the channel name.
 
         Raises:
-            ScenarioError: for a URL that cannot be opened.
+            ScenarioError: for a URL that cannot be opened as an LCM bus.
         """
         self._url, self._channel = url, CHANNEL.format(camera)
         self.name = f"LCM channel {self._channel} at {url}"
@@ -143,10 +148,12 @@ class LcmFrames:
         self.open()
 
     def open(self) -> None:
-        """Subscribes to the channel, unless the receiver is open.
+        """Subscribes to the camera's channel, unless the receiver is already open.
+
+        Images that were received before are discarded.
 
         Raises:
-            ScenarioError: for a URL that cannot be opened.
+            ScenarioError: for a URL that cannot be opened as an LCM bus.
         """
         if self._bus is not None:
             return
@@ -158,10 +165,11 @@ class LcmFrames:
         self._received.clear()
 
     def latest(self) -> Frame | None:
-        """Returns the newest image received since the last call; None without a new image.
+        """Returns the newest image that was received since the last call of this method; None if
+        there is no new image.
 
         Raises:
-            ValueError: for a message that cannot be read.
+            ValueError: for a message that is not a valid depth image.
         """
         self._receive()
         if not self._received:
@@ -173,11 +181,11 @@ class LcmFrames:
         return unpack_depth(message)
 
     def close(self) -> None:
-        """Releases the bus and discards the last image."""
+        """Releases the LCM bus and discards the last received image."""
         self._bus = None
         self._received.clear()
 
     def _receive(self) -> None:
-        """Handles all pending messages of the bus."""
+        """Handles all pending messages of the LCM bus, so that the newest image is stored."""
         while self._bus is not None and self._bus.HandleSubscriptions(0):
             pass

@@ -1,6 +1,6 @@
 """Noise model of structured-light depth cameras (Kinect, Xtion), applied to true depth images.
 
-Sources of the model and its values:
+The model and its parameter values are from these sources:
 
 - C. V. Nguyen, S. Izadi, D. Lovell, "Modeling Kinect sensor noise for improved 3D
   reconstruction and tracking", 3DIMPVT 2012: axial and lateral deviation.
@@ -24,51 +24,60 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 _AXIAL_OFFSET = 0.0012
-"""Standard deviation of the depth at `_AXIAL_DEPTH` and normal incidence (Nguyen et al.) [m]."""
+"""Standard deviation of the measured depth at the depth `_AXIAL_DEPTH` and normal incidence (Nguyen
+et al.) [m]."""
 _AXIAL_GROWTH = 0.0019
-"""Quadratic growth of the depth's standard deviation with the depth (Nguyen et al.) [1/m]."""
+"""Coefficient of (z - `_AXIAL_DEPTH`)^2 in the standard deviation of the measured depth z (Nguyen
+et al.) [1/m]."""
 _AXIAL_DEPTH = 0.4
-"""Depth at which the depth noise is smallest (Nguyen et al.) [m]."""
+"""Depth at which the standard deviation of the measured depth is smallest (Nguyen et al.) [m]."""
 _AXIAL_ANGLE = 0.0001
-"""Growth of the depth's standard deviation with the angle of incidence (Nguyen et al.) [m^1.5]."""
+"""Coefficient of the angle of incidence in the standard deviation of the measured depth, see
+`add_depth_noise` (Nguyen et al.) [m^1.5]."""
 _LATERAL = 0.8
-"""Standard deviation of the position of a depth edge in the image (Nguyen et al., at normal
-incidence; its growth with the angle, below 0.1 up to 65 deg, is neglected) [pixel]. It is applied
-at edges only; on a plane the axial deviation includes it."""
+"""Standard deviation of the image position of a depth edge at normal incidence (Nguyen et al.)
+[pixel]. The growth of this deviation with the angle of incidence, below 0.1 up to 65 deg, is
+neglected. The deviation is applied at edges only; on a plane, the axial deviation includes it."""
 _BASELINE = 0.075
-"""Distance from the camera to the projector on its right (Khoshelham and Oude Elberink) [m]."""
+"""Distance from the camera to the light projector on its right (Khoshelham and Oude Elberink) [m].
+"""
 _SUBPIXELS = 8.0
-"""Disparity steps per pixel (Khoshelham and Oude Elberink) [1/pixel]. A step changes the depth by
-z^2 / (8 f baseline), 2.9 mm at 1 m with f = 577 pixels."""
+"""Number of disparity steps per pixel (Khoshelham and Oude Elberink) [1/pixel]. One step changes
+the depth z by z^2 / (8 f baseline), which is 2.9 mm at 1 m with a focal length f of 577 pixels."""
 _UNIT = 0.001
-"""Resolution of the depth values of the driver (OpenNI) [m]."""
+"""Resolution of the depth values that the camera's driver outputs (OpenNI) [m]."""
 _NEAR = 0.5
-"""Depth below which pixels are missing: minimum depth in the real scans [m]."""
+"""Depth below which the camera measures no pixels; minimum depth in the scans of real_scans.md [m].
+"""
 _FAR = 5.0
-"""Depth above which pixels are missing (Khoshelham and Oude Elberink) [m]."""
+"""Depth above which the camera measures no pixels (Khoshelham and Oude Elberink) [m]."""
 _GRAZING_START = math.radians(70.0)
-"""Angle of incidence above which some pixels are missing [rad]."""
+"""Angle of incidence, from the surface normal, above which some pixels are missing [rad]."""
 _GRAZING_END = math.radians(80.0)
-"""Angle of incidence above which all pixels are missing (upper limit of Nguyen et al.) [rad]."""
+"""Angle of incidence, from the surface normal, above which all pixels are missing (upper limit of
+the measurements of Nguyen et al.) [rad]."""
 _EDGE_JUMP = 0.02
-"""Minimum relative depth difference of neighboring pixels at an edge; that of a plane at 85 deg
-[1]."""
+"""Minimum relative difference of inverse depth at which two neighboring pixels form a depth edge;
+that of a plane at an angle of incidence of 85 deg [-]."""
 _EDGE_DROPOUT = 0.2
-"""Fraction of edge pixels that are missing, in patches, as in the real scans [1]."""
+"""Fraction of the pixels at depth edges that are missing, in patches; value from the scans of
+real_scans.md [-]."""
 _FLYING = 0.1
-"""Fraction of edge pixels with a depth between both surfaces, as in the real scans [1]."""
+"""Fraction of the pixels at depth edges whose depth is between both surfaces; value from the scans
+of real_scans.md [-]."""
 _SMOOTH = 3, 5
-"""Correlation lengths of the depth noise along columns and rows [pixel]. The residuals of the real
-scans, after subtraction of their mean over 21 x 21 pixels, are correlated along a row by 0.72 at
-one pixel, 0.38 at four and 0.08 at eight; along a column by 0.57 at one, 0.12 at three and -0.02 at
-four."""
+"""Widths of the filter that correlates the depth noise, along columns and along rows [pixel]. The
+values reproduce the scans of real_scans.md. There, residuals after subtraction of their mean over
+21 x 21 pixels are correlated along a row by 0.72 at one pixel, 0.38 at four and 0.08 at eight.
+Along a column, the correlation is 0.57 at one pixel, 0.12 at three and -0.02 at four."""
 _PATCH = 4
-"""Side of the square patches with common edge displacement and common missing pixels [pixel]."""
+"""Side length of square patches whose pixels are displaced together at depth edges, or are missing
+together [pixel]."""
 _BAND = 2
-"""Maximum displacement of an edge along each axis [pixel]."""
+"""Maximum displacement of a depth edge along each image axis [pixel]."""
 
 _Image = NDArray[np.float32]
-"""Type of an image (H, W)."""
+"""Type of an image (H, W) of 32-bit floats."""
 
 
 def add_depth_noise(
@@ -78,25 +87,25 @@ def add_depth_noise(
     K: Iterable[float],
     seed: int = 0,
 ) -> _Image:
-    """Returns the depth image that a structured-light camera would measure.
+    """Returns the depth image that a structured-light camera would measure, for a true depth image.
 
-    The standard deviation of the depth z at angle of incidence theta (measured up to 80 deg) is
+    The standard deviation of the depth z at the angle of incidence theta (measured up to 80 deg) is
 
         _AXIAL_OFFSET + _AXIAL_GROWTH (z - _AXIAL_DEPTH)^2
         + _AXIAL_ANGLE / sqrt(z) (theta / (pi/2 - theta))^2
 
-    The noise depends on the arguments only: the same seed, time and image have the same noise;
-    different times have independent noise.
+    The noise depends only on the arguments: the same seed, time and image give the same noise, and
+    different times give independent noise.
 
     Args:
-        depth: (H, W) true depth along the optical axis [m]; 0 is too near, inf too far,
-            NaN missing.
-        time: time of the image, rounded to microseconds [s].
-        K: (4,) fx, fy, cx, cy [pixel].
-        seed: seed of the noise, an integer >= 0.
+        depth: (H, W) true depths along the optical axis [m]; 0 is too near, inf is too far, NaN is
+            missing.
+        time: capture time of the image, rounded to microseconds [s].
+        K: (4,) focal lengths fx, fy and principal point cx, cy of the camera [pixel].
+        seed: seed of the random noise, an integer >= 0.
 
     Returns:
-        (H, W) measured depth [m]; NaN is missing.
+        (H, W) measured depths along the optical axis [m]; NaN is missing.
     """
     rng = np.random.default_rng([seed, max(round(1e6 * time), 0)])
     fx, fy, cx, cy = map(float, K)
@@ -152,15 +161,16 @@ def add_depth_noise(
 
 
 def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
-    """Computes the slope of an image along an axis, and its largest jump to a neighbor.
+    """Computes the slope of an image along one of its axes, and the largest jump of each pixel to a
+    neighbor.
 
     Args:
         w: (H, W) image.
-        axis: axis of the image.
+        axis: image axis along which neighbors are compared: 0 along columns, 1 along rows.
 
     Returns:
         (H, W) smaller of the differences to both neighbors, signed along the axis; (H, W)
-        difference from each pixel to the more different neighbor.
+        difference to the neighbor that differs more from the pixel.
     """
     change = np.diff(w, axis=axis)
     before, after = (
@@ -173,12 +183,12 @@ def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
 
 
 def _patches(draw: Any, shape: tuple[int, ...], size: int) -> _Image:
-    """Draws random numbers (H, W) that are constant in square patches.
+    """Draws an image (H, W) of random numbers that are constant within square patches.
 
     Args:
-        draw: function that draws numbers of a given shape and type.
+        draw: function that draws random numbers of a given shape and type.
         shape: shape (H, W) of the image.
-        size: side of the patches [pixel].
+        size: side length of the patches [pixel].
     """
     count = [side // size + 1 for side in shape]
     drawn = draw(count, dtype=np.float32).repeat(size, axis=0).repeat(size, axis=1)

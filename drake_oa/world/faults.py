@@ -1,8 +1,9 @@
-"""Systems of the scenario's faults: weak actuators, and external pushes.
+"""Systems that simulate the faults of a scenario: weak actuators, and external pushes of the robot.
 
     faults: [!CameraDropout {start: 1.0, duration: 0.5}, !TorqueSaturation {start: 2.0}]
 
-A fault is active for start <= t < start + duration. `DelayedCamera` simulates `CameraDropout`.
+A fault is active for start <= t < start + duration. The fault `CameraDropout` is simulated by
+`DelayedCamera`.
 """
 
 from __future__ import annotations
@@ -20,16 +21,17 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 
 _TIME_TOLERANCE = 1e-6
-"""Rounding error of a time [s]."""
+"""Tolerance for rounding errors of the simulated time, used to compare it with the start of a fault
+[s]."""
 
 
 def is_active(fault: CameraDropout | Push | TorqueSaturation, context: Context) -> bool:
-    """Checks whether a fault is active at the time of a Context."""
+    """Checks whether a fault is active at the simulated time of a Context."""
     return 0.0 <= context.get_time() + _TIME_TOLERANCE - fault.start < fault.duration
 
 
 class ExternalPush(LeafSystem):
-    """System that applies the wrenches of pushes to bodies of a plant.
+    """System that outputs the external wrenches of pushes, for the robot links of a plant.
 
     .. pydrake_system::
 
@@ -38,16 +40,16 @@ class ExternalPush(LeafSystem):
       output_ports:
       - spatial_forces
 
-    - spatial_forces: abstract list of one `ExternallyAppliedSpatialForce` per push, at the origin
-      of the body, in the world frame [N, N m]; zero before and after the push. For the port
-      `applied_spatial_force` of a `MultibodyPlant`.
+    - spatial_forces: abstract list of one `ExternallyAppliedSpatialForce` per push, in the world
+      frame [N, N m]. It acts at the origin of the link, and is zero before and after the push. The
+      port is connected to the input port `applied_spatial_force` of a `MultibodyPlant`.
     """
 
     def __init__(self, pushes: Sequence[tuple[Push, BodyIndex]]) -> None:
-        """Declares the port.
+        """Declares the output port `spatial_forces`.
 
         Args:
-            pushes: pushes, each with the index of its body.
+            pushes: push faults, each with the index of the body on which it acts.
         """
         super().__init__()
         self._pushes = tuple(pushes)
@@ -59,7 +61,7 @@ class ExternalPush(LeafSystem):
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        """Outputs the wrenches of all pushes."""
+        """Sets the output port `spatial_forces` to the wrenches of all pushes."""
         forces = []
         for push, body in self._pushes:
             scale = float(is_active(push, context))
@@ -74,7 +76,7 @@ class ExternalPush(LeafSystem):
 
 
 class WeakActuators(LeafSystem):
-    """System that limits the actuation to reduced effort limits while a fault is active.
+    """System that clips the actuation of a plant to reduced effort limits while a fault is active.
 
     .. pydrake_system::
 
@@ -85,15 +87,16 @@ class WeakActuators(LeafSystem):
       - actuation
 
     - actuation (in): (n,) efforts commanded by the controller [N m, N].
-    - actuation (out): (n,) efforts of the actuators [N m, N]: clipped to `scale` times the effort
-      limits while a `TorqueSaturation` is active, otherwise the commanded efforts.
+    - actuation (out): (n,) efforts of the actuators [N m, N]. While a `TorqueSaturation` is active,
+      the commanded efforts are clipped to `scale` times the effort limits. Otherwise the output is
+      equal to the commanded efforts.
     """
 
     def __init__(self, faults: Sequence[TorqueSaturation], effort_limits: FloatArray) -> None:
-        """Declares the ports.
+        """Declares the input and output ports `actuation`.
 
         Args:
-            faults: times and remaining fractions of the effort limits.
+            faults: times at which the effort limits are reduced, and the remaining fractions.
             effort_limits: (n,) effort limits of the actuators, in the plant's order [N m, N].
         """
         super().__init__()
@@ -107,7 +110,7 @@ class WeakActuators(LeafSystem):
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        """Outputs the limited efforts."""
+        """Sets the output port `actuation` to the clipped efforts."""
         scales = [fault.scale for fault in self._faults if is_active(fault, context)]
         limit = min(scales, default=np.inf) * self._limits
         output.SetFromVector(np.clip(self._requested.Eval(context), -limit, limit))

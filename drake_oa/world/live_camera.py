@@ -1,6 +1,8 @@
-"""Depth cameras outside the simulation: images of a device or another process, as received.
+"""Depth cameras outside the simulation: images from a device or another process, as they are
+received.
 
-Images are stamped by the wall clock. `LiveCamera` converts the stamps to times of its Context.
+The sender stamps images by the wall clock. `LiveCamera` converts these stamps to times of its
+Context.
 """
 
 from __future__ import annotations
@@ -26,25 +28,27 @@ from drake_oa.world.cameras import TimedCamera
 from drake_oa.world.depth_messages import Frame, LcmFrames
 
 _STATE_HISTORY = 0.5
-"""Minimum duration of the history of plant states, by the wall clock [s]."""
+"""Minimum duration of the history of plant states, which is used to find the state at the capture
+time of an image, by the wall clock [s]."""
 _MAX_AHEAD = 0.01
-"""Maximum time by which the stamp of an image may be ahead of the wall clock [s]."""
+"""Maximum time by which the time stamp of a valid image may be ahead of the wall clock [s]."""
 _POLL_PERIOD = 0.005
-"""Time between two checks for a new image [s]."""
+"""Simulated time between two checks whether a new image was received [s]."""
 _WAIT_PERIOD = 0.002
-"""Time between two checks for the first image [s]."""
+"""Wall time between two checks for the first image, while the camera waits for it [s]."""
 
 
 @dataclass(frozen=True)
 class ExternalInputs:
-    """Plant state and clocks of cameras outside the simulation.
+    """Inputs of cameras outside the simulation: the measured plant state, and functions of the
+    clocks.
 
     Attributes:
-        plant_state: port of the measured plant state [q, v]; None: the simulated state.
-        to_simulated: function from a recent time of the wall clock to simulated time [s]; None: the
-            camera estimates the offset of the clocks, see `LiveCamera`.
+        plant_state: output port of the measured plant state [q, v]; None: the simulated state.
+        to_simulated: function that converts a recent time of the wall clock to simulated time [s];
+            None: the camera estimates the offset between the clocks, see `LiveCamera`.
         clock: function that returns the time of the wall clock [s].
-        wait: function called repeatedly while the camera waits for its first image.
+        wait: function that the camera calls repeatedly while it waits for its first image.
     """
 
     plant_state: OutputPort | None = None
@@ -54,12 +58,13 @@ class ExternalInputs:
 
 
 class _Instant(NamedTuple):
-    """Plant state at one instant of both clocks.
+    """Plant state at one instant, with the times of the wall clock and of the Context at that
+    instant.
 
     Attributes:
         wall: time of the wall clock [s].
         time: time of the Context [s].
-        plant_state: (n,) state [q, v].
+        plant_state: (n,) state [q, v] of the plant.
     """
 
     wall: float
@@ -69,15 +74,15 @@ class _Instant(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _LiveState(Frozen):
-    """Last valid image, and recent plant states: the abstract state of a `LiveCamera`.
+    """Abstract state of a `LiveCamera`: the last valid image, and recent plant states.
 
     Attributes:
-        depth: (H, W) depths [m]; None before the first image.
-        stamp: capture time by the wall clock [s].
-        time: capture time by the clock of the Context [s].
-        plant_state: (n,) plant state at the capture time.
-        note: reason for the rejection of the last received image; empty if it is valid.
-        history: recent plant states, oldest first.
+        depth: (H, W) depths of the last valid image [m]; None before the first image.
+        stamp: capture time of this image by the wall clock [s].
+        time: capture time of this image by the clock of the Context [s].
+        plant_state: (n,) plant state at the capture time of this image.
+        note: reason why the last received image was rejected; empty if this image is valid.
+        history: recent plant states with their times, oldest first.
     """
 
     depth: NDArray[np.float32] | None = None
@@ -89,7 +94,7 @@ class _LiveState(Frozen):
 
 
 class LiveCamera(TimedCamera):
-    """System that outputs the images of a depth camera at a fixed pose outside the simulation.
+    """System that outputs the images of a depth camera outside the simulation, whose pose is fixed.
 
     .. pydrake_system::
 
@@ -102,17 +107,13 @@ class LiveCamera(TimedCamera):
       - image_time
       - plant_state
 
-    - plant_state (in): (n,) present state [q, v] of the plant, measured or simulated.
-    - depth_image: ImageDepth32F along the optical axis [m]; inf is too far, NaN missing; all NaN
-      before the first image.
-    - camera_pose: RigidTransform X_WC, constant.
-    - image_time: (1,) capture time of the image by the clock of the Context [s]; -inf before the
-      first image. It never decreases, and is never later than the reception of the image.
-    - plant_state (out): (n,) state at the capture time, interpolated between recent states.
+    At initialization, or at an earlier evaluation of a port, the camera subscribes to the images
+    and waits for the first one. Every 5 ms it stores the newest image in the Context. An invalid
+    image is rejected; the first and the last rejection of a series are logged.
 
-    At initialization, or at an earlier evaluation, the camera opens its source and waits for the
-    first image. Every 5 ms it stores the newest image in the Context. An invalid image is rejected;
-    the first and last rejection of a series are logged.
+    Without `ExternalInputs.to_simulated`, the capture time is the image's wall-clock stamp plus the
+    largest recent difference between the Context's time and the wall clock. The largest difference
+    is used because a simulator at real time may lag for some time, while the camera continues.
 
     Without `ExternalInputs.to_simulated`, the capture time is the wall clock's stamp plus the
     largest recent difference between the Context's time and the wall clock. The largest one counts
@@ -130,16 +131,17 @@ class LiveCamera(TimedCamera):
         max_age: float = 0.2,
         external: ExternalInputs | None = None,
     ) -> None:
-        """Declares ports, state and events.
+        """Declares the ports, state and events of the camera.
 
         Args:
-            source: receiver of the images.
+            source: receiver of the depth images.
             intrinsics: intrinsics of the camera; images of another size are rejected.
-            X_WC: pose of the camera.
+            X_WC: constant pose of the camera.
             num_states: size n of the plant's state.
             wait: maximum time to wait for the first image [s]; 0: no waiting.
             max_age: maximum age of a valid image at its reception, by the wall clock [s].
-            external: clocks; None: `ExternalInputs()`. Its `plant_state` is not used here.
+            external: functions of the clocks; None: those of `ExternalInputs()`. The camera does
+                not use the field `plant_state`.
         """
         super().__init__(intrinsics, num_states, _LiveState())
         external = external or ExternalInputs()
@@ -151,14 +153,16 @@ class LiveCamera(TimedCamera):
         self.DeclarePeriodicUnrestrictedUpdateEvent(_POLL_PERIOD, _POLL_PERIOD, self._poll)
 
     def release(self) -> None:
-        """Closes the source; the next initialization opens it again."""
+        """Closes the receiver of the images; the next initialization opens it again."""
         self._source.close()
         self._initial = None
 
     def _read(self, context: Context) -> _LiveState:
-        """Returns the state of the Context; before its initialization, the initial state.
+        """Returns the camera's state in a Context, or the initial state if the Context is not
+        initialized.
 
-        All events of an initialization read the Context from before it.
+        The initial state is stored in the camera, because all events of one initialization read the
+        Context as it was before the initialization.
         """
         latest: _LiveState = context.get_abstract_state(self._state_index).get_value()
         if not latest.history:
@@ -166,12 +170,19 @@ class LiveCamera(TimedCamera):
         return latest
 
     def _initialize(self, context: Context, state: State) -> None:
-        """Stores the first image."""
+        """Stores the first image in the state of the Context, at the initialization of the
+        simulation.
+        """
         self._source.open()
         state.get_mutable_abstract_state(self._state_index).set_value(self._read(context))
 
     def _wait_for_first(self, context: Context, latest: _LiveState) -> _LiveState:
-        """Opens the source and waits for the first image."""
+        """Opens the receiver, waits for the first image, and returns the camera's state with this
+        image.
+
+        Raises:
+            ScenarioError: if no image is received within the maximum time to wait.
+        """
         self._source.open()
         started = time.monotonic()
         # The time of the Context is constant while the camera waits: earlier states are discarded.
@@ -188,7 +199,7 @@ class LiveCamera(TimedCamera):
         return latest
 
     def _poll(self, context: Context, state: State) -> None:
-        """Stores the newest image."""
+        """Stores the newest received image in the state of the Context."""
         latest = self._check_source(context, self._read(context))
         state.get_mutable_abstract_state(self._state_index).set_value(latest)
         self._initial = None
@@ -196,15 +207,17 @@ class LiveCamera(TimedCamera):
     def _check_source(
         self, context: Context, latest: _LiveState, last_check: float | None = None
     ) -> _LiveState:
-        """Returns the state after a check for a new image.
+        """Checks for a new image, and returns the camera's state after this check.
 
-        The bus may hold an image that was received after the last check but before this one. Such
-        an image is ignored if it is too old, not rejected, as its age is no fault of the camera.
+        The LCM bus may hold an image that was received after the last check but before this one.
+        Such an image is ignored, not rejected, if it is too old, because the camera does not cause
+        its age.
 
         Args:
             context: present Context.
-            latest: state before the check.
-            last_check: time of the last check by the wall clock [s]; None: from the history.
+            latest: state of the camera before the check.
+            last_check: time of the last check by the wall clock [s]; None: the last time in the
+                history of `latest`.
         """
         frame, note = None, latest.note
         try:
@@ -240,7 +253,13 @@ class LiveCamera(TimedCamera):
         )
 
     def _rejection_reason(self, frame: Frame, now: float) -> str:
-        """Returns the reason to reject an image; empty if it is valid."""
+        """Returns the reason to reject a received image as text; the text is empty if the image is
+        valid.
+
+        Args:
+            frame: received image.
+            now: present time of the wall clock [s].
+        """
         width, height = self._intrinsics.width(), self._intrinsics.height()
         rows, columns = frame.depth.shape
         if (columns, rows) != (width, height):
@@ -255,18 +274,19 @@ class LiveCamera(TimedCamera):
         return ""
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the newest image [m]; NaN before the first."""
+        """Returns the depths (H, W) of the newest image [m]; NaN before the first image."""
         depth = self._read(context).depth
         return np.nan if depth is None else depth
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the constant camera pose X_WC."""
+        """Returns the constant pose X_WC of the camera."""
         return self._X_WC
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
-        """Returns capture time [s] and plant state of the newest image.
+        """Returns the capture time [s] of the newest image, and the plant state (n,) at the capture
+        time.
 
-        Before the first image, the time is -inf and the state is the present one.
+        Before the first image, the time is -inf, and the state is the present state of the plant.
         """
         latest = self._read(context)
         present = latest.history[-1].plant_state
@@ -274,17 +294,22 @@ class LiveCamera(TimedCamera):
 
 
 def _state_at(history: tuple[_Instant, ...], stamp: float) -> FloatArray:
-    """Interpolates the plant state (n,) at a time of the wall clock [s]; constant at the ends."""
+    """Interpolates the plant state (n,) at a time of the wall clock from a history of states.
+
+    Args:
+        history: plant states with their times, oldest first.
+        stamp: time of the wall clock [s]; outside the history, the first or last state is returned.
+    """
     walls = [instant.wall for instant in history]
     states = np.transpose([instant.plant_state for instant in history])
     return np.array([np.interp(stamp, walls, values) for values in states])
 
 
 def fixed_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
-    """Returns the pose X_WC of the depth image of a camera at a fixed pose.
+    """Returns the pose X_WC of the depth image of a camera whose pose in the world must be fixed.
 
     Args:
-        plant: finalized plant of the world.
+        plant: finalized plant of the world, which contains the camera's base frame.
         config: configuration of the camera.
 
     Raises:

@@ -1,9 +1,13 @@
-"""Obstacles of primitive shapes: welded to the world, or moved along a trajectory.
+"""Functions that add obstacles of primitive shapes to a plant, and the system that moves an
+obstacle along its trajectory.
 
-A moving obstacle has three prismatic joints along the world's axes. The force of each joint moves
-the obstacle to its trajectory within one step of the plant. It pushes objects in its way, and
-contact forces of one step are its only deviation. An absent obstacle is `ABSENT_HEIGHT` above its
-position; it appears and vanishes in one step, without intermediate positions.
+An obstacle is welded to the world unless it moves, appears or vanishes. A moving obstacle has three
+prismatic joints along the world's axes. The force of each joint moves the obstacle to its
+trajectory within one step of the plant. The obstacle pushes objects in its way; it deviates from
+its trajectory only by the effect of contact forces during one step.
+
+An absent obstacle is `ABSENT_HEIGHT` above its position. It appears and vanishes within one step,
+without intermediate positions.
 """
 
 from __future__ import annotations
@@ -32,15 +36,16 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 def add_prismatic_joints(
     plant: MultibodyPlant, body: RigidBody, X_WO: RigidTransform, offset: Sequence[float]
 ) -> None:
-    """Joins an obstacle to the world by actuated prismatic joints along the world's axes.
+    """Connects an obstacle to the world by actuated prismatic joints along the world's axes.
 
-    Gravity is disabled for the obstacle. The positions of its model instance are its offset (3,).
+    Gravity is disabled for the obstacle. The positions of its model instance are the obstacle's
+    offset (3,) [m].
 
     Args:
         plant: plant, not finalized.
-        body: body of the obstacle, the only one of its model instance.
-        X_WO: pose of the obstacle at zero offset.
-        offset: (3,) initial offset [m].
+        body: body of the obstacle, which is the only body of its model instance.
+        X_WO: pose of the obstacle in the world at zero offset.
+        offset: (3,) initial offset of the obstacle in the world [m].
     """
     instance = body.model_instance()
     place = FixedOffsetFrame(
@@ -68,18 +73,19 @@ def add_prismatic_joints(
 
 
 _FRICTION = 0.7
-"""Friction coefficient of obstacles [1]."""
+"""Friction coefficient of the surfaces of obstacles [-]."""
 
 
 def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceIndex:
-    """Adds an obstacle as model instance `obstacle_<name>`: welded, or with prismatic joints.
+    """Adds an obstacle to a plant as the model instance `obstacle_<name>`, either welded to the
+    world or with prismatic joints.
 
     Args:
         plant: plant registered with a scene graph, not finalized.
-        obstacle: shapes, pose and motion.
+        obstacle: configuration of the obstacle: shapes, pose and motion.
 
     Raises:
-        ScenarioError: if a model instance of that name exists.
+        ScenarioError: if a model instance with this name exists.
     """
     name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
     if plant.HasModelInstanceNamed(name):
@@ -108,7 +114,9 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
 
 
 def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
-    """Returns the model instances of a plant that are obstacles."""
+    """Returns the model instances of a plant that are obstacles, which have names with the prefix
+    `OBSTACLE_PREFIX`.
+    """
     return tuple(
         instance
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
@@ -117,7 +125,8 @@ def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
 
 
 class ObstacleMover(LeafSystem):
-    """System that moves an obstacle along its waypoints, and far up while it is absent.
+    """System that moves an obstacle along its waypoints, and raises it by `ABSENT_HEIGHT` while it
+    is absent.
 
     .. pydrake_system::
 
@@ -128,15 +137,15 @@ class ObstacleMover(LeafSystem):
       - force
 
     - obstacle_state: (6,) offset and velocity of the obstacle in the world [m, m/s].
-    - force: (3,) forces of the prismatic joints [N], with which the obstacle is on its trajectory
-      after the next step h of the plant: f = m ((x(t + h) - x) / h - v) / h.
+    - force: (3,) forces of the prismatic joints [N], which bring the obstacle to its trajectory
+      x(t) at the end of the plant's next step h: f = m ((x(t + h) - x) / h - v) / h.
     """
 
     def __init__(self, obstacle: Obstacle, *, mass: float, step: float) -> None:
-        """Declares the ports.
+        """Declares the input port `obstacle_state` and the output port `force`.
 
         Args:
-            obstacle: moving obstacle.
+            obstacle: configuration of the moving obstacle.
             mass: mass of the obstacle [kg].
             step: time step of the plant [s].
         """
@@ -146,7 +155,7 @@ class ObstacleMover(LeafSystem):
         self.DeclareVectorOutputPort("force", 3, self._calc_force)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        """Outputs the forces of the prismatic joints."""
+        """Sets the output port `force` to the forces of the prismatic joints."""
         # One step of the plant is v+ = v + step f / m, then x+ = x + step v+.
         x, step = self._state.Eval(context), self._step
         target = self._obstacle.offset_at(context.get_time() + step)

@@ -1,8 +1,9 @@
-"""Simulated station of a scenario: plant, scene graph and cameras.
+"""Functions that add the simulated station of a scenario to a diagram: plant, scene graph and
+cameras.
 
-`make_station` adds the arm on its base, the table, the obstacles, and the depth cameras.
-`make_robot_plant` of `drake_oa.robot` builds the robot alone, for the controller and the self
-filter.
+`make_station` adds the arm on its base, the table, the obstacles, and the depth cameras. In
+contrast, `make_robot_plant` of `drake_oa.robot` builds the robot alone, for the controller and the
+self filter.
 """
 
 from __future__ import annotations
@@ -46,18 +47,18 @@ def add_cameras(
     plant: MultibodyPlant,
     external: ExternalInputs | None = None,
 ) -> dict[str, Camera]:
-    """Adds the cameras of a scenario, by name.
+    """Adds the cameras of a scenario to a builder, and returns them by name.
 
     Args:
-        builder: builder to which the systems are added: delayed_<name> for simulated cameras; for
-            `!LcmCamera`, live_<name> without any rendering.
+        builder: builder to which the systems are added. A simulated camera is named delayed_<name>.
+            A camera of `!LcmCamera`, which does not render, is named live_<name>.
         scenario: scenario with cameras.
-        plant: finalized simulated plant in the builder.
-        external: plant state and clocks of cameras outside the simulation; None:
+        plant: finalized simulated plant, which is a system of the builder.
+        external: plant state and clocks of cameras outside the simulation; None: those of
             `ExternalInputs()`.
 
     Raises:
-        ScenarioError: naming the wrong camera.
+        ScenarioError: naming the camera whose configuration is invalid.
     """
     if isinstance(scenario.perception, LcmCamera):
         source, external = scenario.perception, external or ExternalInputs()
@@ -74,7 +75,7 @@ def add_cameras(
 def _simulated_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
-    """Adds a simulated camera with its noise and dropouts."""
+    """Adds a simulated camera with its noise and dropouts to a builder."""
     dropouts = [
         fault
         for fault in scenario.faults
@@ -106,7 +107,7 @@ def _live_camera(
     config: CameraConfig,
     external: ExternalInputs,
 ) -> Camera:
-    """Adds a camera whose images are received by LCM."""
+    """Adds a camera to a builder whose images are received by LCM."""
     X_WC = fixed_pose(plant, config)
     intrinsics = depth_intrinsics(config)
     system = LiveCamera(
@@ -125,14 +126,16 @@ def _live_camera(
 
 
 def release_cameras(diagram: Diagram) -> None:
-    """Releases the render engines and channels of a diagram's cameras."""
+    """Releases the render engines and LCM channels of all cameras in a diagram."""
     for system in diagram.GetSystems():
         if isinstance(system, TimedCamera):
             system.release()
 
 
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> Noise | None:
-    """Returns the noise of a camera used by perception; None for other and for ideal cameras."""
+    """Returns the noise function of a simulated camera; None for a camera without noise, or not
+    used by perception.
+    """
     source = scenario.perception
     if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
         return None
@@ -146,10 +149,10 @@ class Station:
 
     Attributes:
         plant: finalized plant.
-        scene_graph: scene graph of the plant.
-        robot: model instance of the robot.
-        obstacles: model instances of the obstacles.
-        cameras: cameras by name.
+        scene_graph: scene graph with the geometry of the plant.
+        robot: model instance of the robot in the plant.
+        obstacles: model instances of the obstacles in the plant.
+        cameras: cameras by name; empty if none were added.
     """
 
     plant: MultibodyPlant
@@ -171,11 +174,11 @@ def make_station(
     Args:
         builder: builder to which plant, scene graph and, if `render`, the cameras are added.
         scenario: scenario with a robot.
-        render: whether the cameras are added.
-        external: see `add_cameras`.
+        render: whether the cameras of the scenario are added.
+        external: plant state and clocks of cameras outside the simulation, see `add_cameras`.
 
     Raises:
-        ScenarioError: naming the wrong field of the scenario.
+        ScenarioError: naming the invalid field of the scenario.
     """
 
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
@@ -205,10 +208,16 @@ def make_station(
 def _check_anchored(
     plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], configured: list[Obstacle]
 ) -> None:
-    """Checks that each obstacle is anchored or moves along a trajectory; others would fall.
+    """Checks that each obstacle is either fixed to the world or configured with a trajectory,
+    because any other obstacle would fall.
+
+    Args:
+        plant: finalized plant with the obstacles.
+        obstacles: model instances of the obstacles.
+        configured: configurations of the scenario's field `obstacles`.
 
     Raises:
-        ScenarioError: naming the link that can move.
+        ScenarioError: naming the link that can move, and its obstacle.
     """
     moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in configured if item.is_driven}
     for instance in obstacles:

@@ -1,4 +1,6 @@
-"""Adding of a scenario's models to a plant: robot, model directives and obstacles."""
+"""Functions that add the models of a scenario to a plant: the robot, model directives and
+obstacles.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,18 @@ from drake_oa.world.obstacles import add_obstacle
 
 
 def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
-    """Adds the robot, the models of the directives and the obstacles of a scenario to a plant.
+    """Adds the models of a scenario to a plant: the robot, the models of its directives, and its
+    obstacles.
 
     Args:
-        plant: plant registered with a scene graph, not finalized.
+        plant: plant that is registered with a scene graph and not finalized.
         scenario: scenario with a robot.
 
     Returns:
         Model instance of the robot.
 
     Raises:
-        ScenarioError: naming the wrong field of the scenario.
+        ScenarioError: naming the invalid field of the scenario.
     """
     robot = add_robot(plant, robot_of(scenario))
     parser = make_parser(plant)
@@ -54,7 +57,9 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
 
 
 def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Returns the directives, each `add_directives` replaced by the directives of its file."""
+    """Returns model directives in which each `add_directives` is replaced by the directives of the
+    included file.
+    """
     packages = known_packages()
     _check_directives(directives, packages)
     flat = FlattenModelDirectives(ModelDirectives(directives=directives), packages)
@@ -64,16 +69,17 @@ def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
 def _check_directives(
     directives: Sequence[ModelDirective], packages: PackageMap, chain: tuple[Path, ...] = ()
 ) -> None:
-    """Checks directives, and the files that they include, before Drake reads them.
+    """Checks model directives, and the files that they include, before Drake reads them.
 
     Args:
-        directives: directives of the scenario, or of the last file of the chain.
-        packages: package map, to which installed Python packages are added.
-        chain: chain of including files, outermost first.
+        directives: directives of the scenario, or of the last file of `chain`.
+        packages: package map, to which required installed Python packages are added.
+        chain: files that include the directives, outermost file first; empty for directives of the
+            scenario.
 
     Raises:
-        ScenarioError: for files that include themselves, relative file names in included files,
-            and invalid models.
+        ScenarioError: for a file that includes itself, a relative file name in an included file, or
+            an invalid model.
     """
     where = f"directives: '{chain[-1]}'" if chain else "directives"
     for directive in directives:
