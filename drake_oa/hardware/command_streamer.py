@@ -1,9 +1,11 @@
-"""Joint position commands: streamed from a shared trajectory, and validated before the arm follows.
+"""Streaming of joint position commands from a shared trajectory, and validation of received
+commands.
 
 A decision may last longer than the period of commands. Therefore the diagram writes the planned
 joint positions into shared memory, a little ahead, and a `CommandStreamer` in a separate process
-sends commands at a constant rate. Near the end of the written positions it slows down and waits;
-it never extrapolates. On the arm's side, a `CommandValidator` checks each command, without LCM.
+sends commands at a constant rate. Near the end of the written positions, the streamer slows the
+motion down and waits; it never extrapolates. A `CommandValidator`, which does not depend on LCM,
+checks each command before the simulated arm follows it.
 """
 
 import ctypes
@@ -26,16 +28,16 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import RobotLimits
 
 STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
-"""LCM channels of the arm's statuses and commands."""
+"""Name of the LCM channel of the arm's statuses, and name of the LCM channel of its commands."""
 ARM_JOINTS = 7
-"""Number of joints of a Panda, in messages."""
+"""Number of arm joints in LCM messages of a Panda."""
 POSITION_MODE = int(PandaControlMode.kPosition)
-"""Control mode of commands and statuses in messages: joint positions."""
+"""Control mode in the messages of a Panda that follows joint positions."""
 MICROSECOND = 1e-6
-"""Unit of stamps in messages [s]."""
+"""Unit of the time stamps in LCM messages [s]."""
 
 _logger = logging.getLogger("drake_oa")
-"""Logger of the package."""
+"""Logger of the package drake_oa, for warnings about commands."""
 
 _BLOCKED_MODES = {
     lcmt_panda_status.kGuiding: "being guided by hand",
@@ -43,43 +45,55 @@ _BLOCKED_MODES = {
     lcmt_panda_status.kUserStopped: "stopped by its user",
     lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
 }
-"""Robot modes in which the arm does not follow commands, with their descriptions."""
+"""Robot modes of a status in which the arm does not follow commands, with descriptions for
+messages."""
 
 _ROWS = 4096
-"""Capacity of the shared buffers of planned and measured positions, in rows."""
+"""Capacity in rows of the shared buffers of planned and of measured joint positions."""
 _NOTE_SIZE = 400
-"""Maximum size of a shared note [byte]."""
+"""Maximum size of the shared text that states why the arm is stopped or holds [byte]."""
 _SENT_COUNT = 400
-"""Number of recent commands that are compared with received commands and statuses."""
+"""Number of recently sent commands that the streamer stores, to compare them with received commands
+and statuses."""
 
 
 COMMAND_PERIOD = 0.004
-"""Time between two commands [s]."""
+"""Wall time between two commands to the arm [s]."""
 LEAD = 0.04
-"""Time by which planned positions are written ahead of their commands [s]. Pauses of the
-simulation of up to half this time do not slow down the arm."""
+"""Time by which the diagram writes planned positions ahead of the sent commands [s]. Pauses of the
+diagram that last up to half of this time do not slow down the arm."""
 _RAMP = 0.15
-"""Time from rest to full speed, and from full speed to rest after a failure [s]."""
+"""Time in which the arm accelerates from rest to full speed, and decelerates to rest after a
+failure [s]."""
 STATUS_TIMEOUT = 0.1
-"""Time without a valid status after which the arm holds and simulated time pauses [s]."""
+"""Time without a valid status of the arm after which the arm holds and simulated time pauses [s]. A
+status that is older than this time on arrival is invalid."""
 _STOP_TIMEOUT = 0.3
-"""Additional time without a valid status after which the run ends [s]."""
+"""Time without a valid status after which the run ends, in addition to `STATUS_TIMEOUT` [s]."""
 _RESTART_TOLERANCE = 0.03
-"""Maximum distance of a joint from its planned position when the motion starts from rest [rad]."""
+"""Maximum distance of each joint from its planned position at which the motion may start from rest
+[rad]."""
 _MAX_TRACKING_ERROR, _TRACKING_WINDOW = 0.1, 0.2
-"""Maximum distance of a joint from the nearest of its recent commands [rad], and the age up to
-which a command is recent [s]. A larger distance stops the arm."""
+"""Maximum distance of each joint from the nearest of its recent commands [rad], and maximum age of
+a recent command [s]. A larger distance stops the arm."""
 COMMAND_TIMEOUT = 0.1
-"""Time for which the arm follows a command, and maximum difference of the command's stamp from the
-wall clock [s]; the same as in the vendor's driver."""
+"""Time for which the arm follows a command, and maximum difference between the command's stamp and
+the wall clock [s]. The value is the same as in the driver of the arm's vendor."""
 MAX_SPEED_RATIO = 1.2
-"""Maximum speed between two accepted commands, relative to the joint's limit [1]."""
+"""Maximum ratio of the speed between two valid commands to the speed limit of each joint [-]."""
 STEP_TOLERANCE = 0.01
-"""Additional joint displacement allowed between two accepted commands [rad]."""
+"""Joint displacement that is allowed between two valid commands in addition to the maximum speed
+[rad]."""
 
 
 def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
-    """Returns an error text for the first joint of q (n,) beyond its limits; "" without one."""
+    """Returns an error text for the first joint whose position is outside its limits; "" if all
+    joints are within their limits.
+
+    Args:
+        q: (n,) joint positions [rad].
+        limits: limits of these joints, in the same order.
+    """
     lower, upper = limits.position_lower, limits.position_upper
     for name, value, low, high in zip(limits.position_name, q, lower, upper, strict=True):
         if not low <= value <= high:
@@ -88,15 +102,18 @@ def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
 
 
 class SharedTrajectory(ctypes.Structure):
-    """Memory shared by diagram and streamer: planned and measured positions, and progress.
+    """Memory that the diagram and the command streamer share: planned and measured joint positions,
+    and the progress of the motion.
 
-    Each field is written by one process only. A row is written before its count increases.
+    Each field is written by one of the two processes only. A row is written before the count of
+    rows increases.
 
     Attributes:
         is_stopped: 1 after the streamer has stopped the arm permanently.
-        executed_time: simulated time of the last sent command [s].
-        end_requested: 1 after the diagram has requested the end of the streamer.
-        max_tracking_error: maximum distance of a joint from its recent commands so far [rad].
+        executed_time: simulated time of the last command that was sent [s].
+        end_requested: 1 after the diagram, or the streamer without its parent process, has
+            requested the end of the streamer.
+        max_tracking_error: largest distance so far between a joint and its recent commands [rad].
     """
 
     _fields_ = (
@@ -112,23 +129,29 @@ class SharedTrajectory(ctypes.Structure):
     )
 
     def write_planned(self, t: float, q: FloatArray) -> None:
-        """Appends the planned joint positions q (7,) at a simulated time t [s, rad]."""
+        """Appends the planned joint positions q (7,) [rad] at a simulated time t [s] to the shared
+        memory.
+        """
         self._planned[self._planned_count % _ROWS][:] = [t, *q]
         self._planned_count += 1
 
     def write_measured(self, q: FloatArray, v: FloatArray) -> None:
-        """Appends the measured joint positions q and velocities v (7,) of a status [rad, rad/s]."""
+        """Appends the joint positions q (7,) [rad] and velocities v (7,) [rad/s] of a status to the
+        shared memory.
+        """
         self._measured[self._measured_count % _ROWS][:] = [*q, *v]
         self._measured_count += 1
 
     @property
     def planned_until(self) -> float:
-        """Simulated time of the last planned positions [s]; -inf before the first."""
+        """Simulated time of the last planned positions in the shared memory [s]; -inf if there are
+        none.
+        """
         count = self._planned_count
         return float(self._planned[(count - 1) % _ROWS][0]) if count else -math.inf
 
     def planned(self, t: float) -> FloatArray:
-        """Interpolates the planned joint positions (7,) at a simulated time t [rad]."""
+        """Interpolates the planned joint positions (7,) [rad] at a simulated time t [s]."""
         count = self._planned_count
         latest = np.arange(max(0, count - _ROWS // 2), count) % _ROWS
         times, *joints = np.ctypeslib.as_array(self._planned)[latest].T
@@ -136,7 +159,9 @@ class SharedTrajectory(ctypes.Structure):
 
     @property
     def measured(self) -> tuple[FloatArray, FloatArray]:
-        """Joint positions and velocities (7,) of the last status, NaN before it [rad, rad/s]."""
+        """Joint positions (7,) [rad] and velocities (7,) [rad/s] of the last status; NaN before the
+        first status.
+        """
         count, row = self._measured_count, np.full(2 * ARM_JOINTS, np.nan)
         if count:
             row[:] = self._measured[(count - 1) % _ROWS]
@@ -144,29 +169,32 @@ class SharedTrajectory(ctypes.Structure):
 
     @property
     def note(self) -> str:
-        """Reason why the arm is stopped or holds; "" while it moves."""
+        """Reason why the arm is stopped or holds its position, as text; "" while the arm moves."""
         return bytes(self._note).decode(errors="replace")
 
     @note.setter
     def note(self, note: str) -> None:
-        """Sets the reason, cut to `_NOTE_SIZE` bytes."""
+        """Sets the reason why the arm is stopped or holds; cuts its text to `_NOTE_SIZE` bytes."""
         self._note = note.encode()[: _NOTE_SIZE - 1]
 
 
 def shared_trajectory() -> SharedTrajectory:
-    """Allocates a shared trajectory without any row."""
+    """Allocates a shared trajectory without any planned or measured positions."""
     return multiprocessing.get_context("spawn").RawValue(SharedTrajectory)
 
 
 class _StoppedError(Exception):
-    """Failure that stops the arm permanently; its message is the reason."""
+    """Failure after which the arm must stop permanently; the message of this exception is the
+    reason.
+    """
 
 
 class CommandStreamer:
-    """Sender of the commands in a `SharedTrajectory`, which also monitors and stops the arm.
+    """Sender of the commands that are planned in a `SharedTrajectory`; also monitors the arm and
+    stops it after failures.
 
-    One second of wall time executes `rate` seconds of the trajectory, less while not even half of
-    `LEAD` is written ahead. Failures have these consequences::
+    One second of wall time executes `rate` seconds of the trajectory, and less while not even half
+    of `LEAD` is written ahead. Failures have these consequences::
 
         no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
         no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
@@ -175,12 +203,12 @@ class CommandStreamer:
     """
 
     def __init__(self, trajectory: SharedTrajectory, lcm: DrakeLcm, rate: float) -> None:
-        """Subscribes to statuses and commands.
+        """Subscribes to the statuses of the arm and to the commands on the LCM bus.
 
         Args:
             trajectory: trajectory shared with the diagram.
             lcm: LCM bus of the messages.
-            rate: maximum simulated time per wall time [1].
+            rate: maximum ratio of simulated time to wall time [-].
         """
         self._trajectory, self._lcm, self._rate = trajectory, lcm, rate
         # Present rate of simulated time, and monotonic times of the last valid status and step.
@@ -194,13 +222,13 @@ class CommandStreamer:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the end was requested and the commanded arm is at rest."""
+        """Whether the end of the streamer was requested and the commanded arm is at rest."""
         trajectory = self._trajectory
         is_at_rest = self._pace < 1e-3 or trajectory.planned_until <= trajectory.executed_time
         return bool(trajectory.end_requested and (trajectory.is_stopped or is_at_rest))
 
     def step(self, now: float, tick: float | None = None) -> None:
-        """Handles received messages, and sends the next command.
+        """Handles the received messages, and sends the next command to the arm.
 
         Args:
             now: time of the wall clock, which may be adjusted [s].
@@ -213,7 +241,8 @@ class CommandStreamer:
             _logger.warning("stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
-        """Handles received messages, and sends the next command; see `step`.
+        """Handles the received messages, and sends the next command to the arm; arguments as in
+        `step`.
 
         Raises:
             _StoppedError: if the arm must stop permanently.
@@ -265,7 +294,17 @@ class CommandStreamer:
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
 
     def _check_status(self, now: float, tick: float) -> None:
-        """Checks the last received status; raises `_StoppedError` if the arm must stop."""
+        """Checks the last received status of the arm, and stores its measurements in the shared
+        memory.
+
+        Args:
+            now: time of the wall clock [s].
+            tick: time of a monotonic clock [s].
+
+        Raises:
+            _StoppedError: if the arm does not follow commands, or is too far from its recent
+                commands.
+        """
         # LCM handlers must not raise: messages are decoded here. Earlier statuses are ignored.
         data, self._statuses[:] = self._statuses[-1:], []
         if not data:
@@ -306,7 +345,11 @@ class CommandStreamer:
             )
 
     def _check_commands(self) -> None:
-        """Checks received commands; raises `_StoppedError` for one of another command source."""
+        """Checks that all received commands were sent by this streamer.
+
+        Raises:
+            _StoppedError: if another command source has sent a command.
+        """
         sent_stamps = {utime for _, utime, _ in self._sent}
         received, self._commands[:] = self._commands[:], []
         for data in received:
@@ -317,15 +360,15 @@ class CommandStreamer:
 
 
 def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, parent: int) -> None:
-    """Streams commands until the end is requested or the parent process ends.
+    """Sends commands to the arm until the end is requested or the parent process has ended.
 
-    This function is the body of the streamer's process.
+    This function is the entry point of the streamer's process.
 
     Args:
         trajectory: trajectory shared with the parent process.
         lcm_url: URL of the LCM bus.
-        rate: maximum simulated time per wall time [1].
-        parent: ID of the process that computes the motion.
+        rate: maximum ratio of simulated time to wall time [-].
+        parent: process ID of the process that computes the motion.
     """
     # A signal to the process group would end the streamer, and stop the arm from full speed.
     for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -346,18 +389,21 @@ def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, par
 
 
 class CommandValidator:
-    """Check of received commands, and the desired motion of the arm that follows them.
+    """Validator of received commands, which also computes the desired motion of the arm that
+    follows them.
 
-    Commands are rejected if they are old, out of limits, discontinuous, of another control mode, or
-    not in order of their stamps, as with two command sources. After `COMMAND_TIMEOUT` without a
-    valid command, the arm holds its last desired position, and may follow again from there.
+    Commands are rejected if they are old, out of limits, discontinuous, or of another control mode.
+    They are also rejected if their stamps are not in order, as with two command sources. After
+    `COMMAND_TIMEOUT` without a valid command, the arm holds its last desired position, and may
+    follow commands again from there.
 
     Attributes:
-        events: log lines of changes: following, holding, and rejected commands.
+        events: log lines of the events: begin of following, begin of holding, and rejected
+            commands.
     """
 
     def __init__(self, q: FloatArray, limits: RobotLimits) -> None:
-        """Initializes the validator of an arm that holds its position.
+        """Initializes the validator for an arm that holds its position.
 
         Args:
             q: (n,) joint positions of the arm [rad].
@@ -371,7 +417,11 @@ class CommandValidator:
         self.events: list[str] = []
 
     def receive(self, command: lcmt_panda_command, now: float) -> bool:
-        """Checks a command at a time of the wall clock [s].
+        """Checks a command, and stores it as the desired motion of the arm if it is valid.
+
+        Args:
+            command: received command.
+            now: time of the wall clock [s].
 
         Returns:
             Whether the command is valid, so that the arm follows it.
@@ -390,23 +440,27 @@ class CommandValidator:
         return True
 
     def desired(self, now: float) -> tuple[FloatArray, FloatArray]:
-        """Returns desired positions [rad] and velocities [rad/s], (n,) each, at a wall time [s]."""
+        """Returns the desired joint positions (n,) [rad] and velocities (n,) [rad/s] at a time of
+        the wall clock [s].
+        """
         self._update(now)
         return self._q, self._v
 
     @property
     def is_holding(self) -> bool:
-        """Whether the arm holds, without a command to follow."""
+        """Whether the arm holds its position because there is no valid command to follow."""
         return self._stamp is None
 
     def _update(self, now: float) -> None:
-        """Lets the arm hold if the last command has expired at a wall time [s]."""
+        """Lets the arm hold if its last command has expired at a time of the wall clock [s]."""
         if self._stamp is not None and now - self._accepted_at > COMMAND_TIMEOUT:
             self._v, self._stamp = np.zeros_like(self._q), None
             self._log(f"holding: no command for {COMMAND_TIMEOUT:g} s")
 
     def _problem(self, command: lcmt_panda_command, now: float) -> str:
-        """Returns the reason to reject a command; "" if it is valid."""
+        """Returns the reason to reject a command at a time of the wall clock [s]; "" if the command
+        is valid.
+        """
         n, limits, elapsed = len(self._q), self._limits, 0.0
         age = now - MICROSECOND * command.utime
         if abs(age) > COMMAND_TIMEOUT:
@@ -432,7 +486,11 @@ class CommandValidator:
         return f"{name} jumps by {step[j]:.3g} rad, at most {allowed[j]:.3g} allowed"
 
     def _log(self, event: str) -> None:
-        """Logs and stores an event, unless the last one has the same text before " is "."""
+        """Logs and stores an event, unless it repeats the previous one.
+
+        Two events are the same if their texts before " is " are equal, whatever the numbers after
+        it.
+        """
         if not self.events or self.events[-1].split(" is ")[0] != event.split(" is ")[0]:
             self.events.append(event)
             _logger.warning("station: %s", event)

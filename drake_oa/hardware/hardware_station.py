@@ -1,4 +1,6 @@
-"""Station of a scenario on hardware: messages of robot and cameras instead of a simulated world."""
+"""Functions that prepare a scenario for hardware, and add the messages of its robot and cameras to
+a diagram instead of a simulated world.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,11 @@ from drake_oa.world.world_model import flat_directives
 
 
 def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
-    """Returns the indices of the arm's joints in the robot's positions, and their limits.
+    """Returns the indices of the arm's joints in the positions of a scenario's robot, and the
+    limits of these joints.
 
     Raises:
-        ScenarioError: for an arm without seven joints, or without a robot.
+        ScenarioError: for a scenario without a robot, or an arm that does not have seven joints.
     """
     robot_plant = make_robot_plant(robot_of(scenario))
     joints = joints_to(robot_plant.plant, robot_plant.tool_frame)
@@ -46,15 +49,17 @@ def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
 
 
 def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0) -> Scenario:
-    """Returns a scenario for a run on hardware: without obstacles, with `!LcmCamera`.
+    """Returns a copy of a scenario for a run on hardware: without obstacles, with perception by
+    `!LcmCamera`.
 
     Args:
         scenario: scenario with `!DepthCamera` or `!LcmCamera`.
         lcm_url: URL of the LCM bus.
-        image_delay: known delay of the images, tolerated without slowing down [s].
+        image_delay: known delay of the images [s], by which the monitor of stale images is relaxed.
 
     Raises:
-        ScenarioError: naming a field that requires a simulated world.
+        ScenarioError: naming a field that requires a simulated world, or if the scenario has no
+            robot.
     """
     robot_of(scenario)
     if scenario.faults:
@@ -86,20 +91,21 @@ def add_hardware(
     link: RobotLink,
     q_measured: FloatArray,
 ) -> StationModel:
-    """Adds the robot's messages and live cameras, instead of a simulated world.
+    """Adds the messages of the robot and its live cameras to a diagram, instead of a simulated
+    world.
 
-    Only the robot model is simulated: it integrates the controller's torques, and its positions
-    are the commands of the arm.
+    Only the robot model is simulated: the plant integrates the controller's torques, and the
+    plant's positions are the commands of the arm.
 
     Args:
-        signals: builder of the diagram; the signals are those of `add_station`.
+        signals: builder of the diagram, to which the same signals as by `add_station` are added.
         scenario: scenario from `hardware_scenario`.
-        avoid_obstacles: as for `add_station`.
-        link: connection to the arm.
+        avoid_obstacles: whether the diagram avoids obstacles, passed to `add_station`.
+        link: link to the arm.
         q_measured: (n,) measured configuration of the robot [rad, m].
 
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: naming the invalid field of the scenario.
     """
     arm, _ = arm_of(scenario)
     measured = signals.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
@@ -114,7 +120,9 @@ def add_hardware(
 
 
 def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Returns the directives without those of obstacles, included files flattened."""
+    """Returns model directives without those of obstacles; files that they include are replaced by
+    their directives.
+    """
     models = []
     for directive in flat_directives(directives):
         model, weld = directive.add_model, directive.add_weld

@@ -1,4 +1,4 @@
-"""Simulated Panda and depth cameras behind the LCM messages of the real ones."""
+"""Simulated Panda arm and depth cameras that use the same LCM messages as the real devices."""
 
 from __future__ import annotations
 
@@ -41,21 +41,22 @@ from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.station import make_station, release_cameras
 
 _STIFFNESS = 400.0
-"""Stiffness of the joint controller, with critical damping [1/s^2]."""
+"""Proportional gain of the simulated arm's joint controller, which is critically damped [1/s^2]."""
 _MAX_LATENESS = 0.9
-"""Lateness of an image up to which the station does not wait for its rendering, relative to the
-period of the camera [1]."""
+"""Lateness of an image up to which the station does not wait for its rendering, as a ratio to the
+period of the camera [-]."""
 _AT_REST, _REST_TIME = 0.01, 1.0
-"""Maximum speed of joints at rest [rad/s, m/s], and time at rest after which a run ends [s]."""
+"""Maximum speed of joints that count as at rest [rad/s, m/s], and time at rest after which a run
+ends [s]."""
 _CATCH_UP = 0.02
-"""Maximum delay of the simulation that later steps make up [s]."""
+"""Maximum delay of the simulation relative to the wall clock that later steps make up for [s]."""
 
 _logger = logging.getLogger("drake_oa")
-"""Logger of the package."""
+"""Logger of the package drake_oa, for warnings about invalid messages."""
 
 
 class _ImageSender:
-    """Sender of a camera's depth images by LCM."""
+    """Sender of the depth images of one simulated camera as LCM messages."""
 
     def __init__(self, name: str, camera: Camera, period: float) -> None:
         self._name, self._camera, self._period = name, camera, period
@@ -63,11 +64,17 @@ class _ImageSender:
         self._count, self._sent = 0, -math.inf
 
     def is_due(self, root: Context, now: float, is_paused: bool) -> bool:
-        """Checks whether an image must be sent at a time of the wall clock [s].
+        """Checks whether an image of the camera must be sent at a time of the wall clock.
 
-        While the simulation is paused, the last image is repeated every period. Otherwise the
-        station does not wait for an image that is late by up to `_MAX_LATENESS` of a period, so
-        that statuses do not pause. After that it waits, and is as slow as the camera.
+        While the simulation is paused, the last image is sent again every period. Otherwise, an
+        image that is not yet rendered is sent later, so that statuses of the arm are not delayed.
+        Once the image is late by more than `_MAX_LATENESS` of a period, the station waits for its
+        rendering.
+
+        Args:
+            root: Context of the station's diagram.
+            now: time of the wall clock [s].
+            is_paused: whether the simulation is paused.
         """
         if is_paused:
             return now - self._sent >= self._period
@@ -77,7 +84,16 @@ class _ImageSender:
         return lateness >= 0.0 and (not waits or self._system.is_ready(context))
 
     def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, is_paused: bool) -> None:
-        """Sends the latest image, stamped with its capture time by the wall clock."""
+        """Sends the latest image of the camera, with its capture time by the wall clock as time
+        stamp.
+
+        Args:
+            root: Context of the station's diagram.
+            lcm: LCM bus of the messages.
+            now: time of the wall clock [s].
+            rate: ratio of simulated time to wall time [-].
+            is_paused: whether the simulation is paused.
+        """
         camera, context = self._camera, self._system.GetMyContextFromRoot(root)
         image = camera.depth_image.Eval(context)
         age = root.get_time() - camera.image_time.Eval(context)[0]
@@ -90,17 +106,17 @@ class _ImageSender:
 
 
 class PandaStation:
-    """Simulated station of a scenario whose arm is controlled by LCM messages.
+    """Simulated station of a scenario whose arm is commanded by LCM messages.
 
-    The arm follows the positions accepted by a `CommandValidator`, with inverse dynamics and PD
-    control; other joints of the robot hold their start positions. Each step of the plant publishes
-    a status. Simulated time begins at 0. Stamps and velocities in messages are by the wall clock:
-    at half the rate, the maximum speeds of the arm are half as high.
+    The arm follows the positions that a `CommandValidator` accepts, by inverse dynamics with PD
+    control. Other joints of the robot hold their start positions. A status message is sent after
+    each step of the plant. Simulated time begins at 0. Stamps and velocities in messages are by the
+    wall clock: at half the rate, the maximum speeds of the arm are half as high.
 
     Attributes:
-        diagram: simulated robot, obstacles and cameras.
+        diagram: diagram of the simulated robot, obstacles and cameras.
         simulator: simulator of the diagram.
-        validator: check of the received commands.
+        validator: validator of the received commands.
         event_times: simulated times of the validator's events [s].
         num_positions: number of positions of the whole plant.
     """
@@ -115,19 +131,20 @@ class PandaStation:
         log: bool = False,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        """Builds the station, with the arm at the scenario's start.
+        """Builds the station, with the arm at the start of the scenario's motion.
 
         Args:
-            scenario: scenario with a Panda.
+            scenario: scenario with a Panda and without faults.
             lcm: LCM bus of the messages.
-            rate: maximum simulated time per wall time [1].
+            rate: maximum ratio of simulated time to wall time [-].
             waits: whether the simulation pauses until the first valid command, so that obstacles
-                start with the motion, and `run` ends once commands end and all bodies are at rest.
+                start with the motion. In this case, `run` ends once no commands are received and
+                all bodies are at rest.
             log: whether states and torques are logged.
             clock: function that returns the time of the wall clock [s].
 
         Raises:
-            ScenarioError: for a robot without seven joints, or naming the wrong field.
+            ScenarioError: for a robot without seven joints, or naming another invalid field.
         """
         if scenario.faults:
             raise ScenarioError(
@@ -196,7 +213,9 @@ class PandaStation:
             camera.depth_image.Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
 
     def step(self) -> None:
-        """Handles received commands, advances the plant by a step, and sends status and images."""
+        """Handles received commands, advances the plant by one step, and sends the status and due
+        images.
+        """
         while self._lcm.HandleSubscriptions(0):
             pass
         self._actuate()
@@ -214,7 +233,9 @@ class PandaStation:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the run has ended: a station with `waits` is at rest after its last command."""
+        """Whether the run has ended, because a station with `waits` is at rest after its last
+        command.
+        """
         root = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(root)
         if not self.validator.is_holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
@@ -223,14 +244,16 @@ class PandaStation:
         return self._ends_itself and not self._is_waiting and is_at_rest
 
     def run(self, duration: float, each_step: Callable[[], None] = lambda: None) -> None:
-        """Runs the station until a simulated time, no faster than its rate.
+        """Runs the station until a simulated time, no faster than its rate of simulated time to
+        wall time.
 
-        After a step that takes too long, later steps catch up by `_CATCH_UP` at most. Otherwise the
-        arm would move faster than commanded by the wall clock.
+        After a step that lasts too long, later steps make up for `_CATCH_UP` at most. Otherwise the
+        arm would move faster by the wall clock than it is commanded.
 
         Args:
-            duration: simulated time of the end [s]; inf: until `each_step` raises.
-            each_step: function called after each step.
+            duration: simulated time at which the run ends [s]; inf: the run ends when `each_step`
+                raises an exception.
+            each_step: function that is called after each step of the plant.
         """
         with suppress(OSError):
             # A real arm has its own control computer.
@@ -247,7 +270,7 @@ class PandaStation:
             release_cameras(self.diagram)
 
     def _receive(self, data: bytes) -> None:
-        """Passes a received command to the validator."""
+        """Decodes a received LCM message, and passes the command to the validator."""
         # LCM handlers must not raise.
         try:
             self.validator.receive(lcmt_panda_command.decode(data), self._clock())
@@ -257,7 +280,7 @@ class PandaStation:
             )
 
     def _actuate(self) -> None:
-        """Sets the desired state of the joint controller until the next step."""
+        """Sets the desired state of the joint controller, which it tracks until the next step."""
         n = len(self._q_start)
         desired = np.concatenate([self._q_start, np.zeros(n)])
         q, v = self.validator.desired(self._clock())
@@ -268,7 +291,7 @@ class PandaStation:
         )
 
     def status(self, now: float) -> lcmt_panda_status:
-        """Returns the status message of the arm at a time of the wall clock [s]."""
+        """Returns the status message of the simulated arm at a time of the wall clock [s]."""
         context = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(context)
         tau = self.diagram.GetOutputPort("actuation").Eval(context)[self._arm]

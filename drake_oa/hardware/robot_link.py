@@ -1,4 +1,4 @@
-"""Link to an arm behind LCM messages, as systems that replace a diagram's simulated world."""
+"""Link to an arm behind LCM messages, and the systems that connect this link to a diagram."""
 
 from __future__ import annotations
 
@@ -27,34 +27,40 @@ from drake_oa.hardware.command_streamer import (
 from drake_oa.robot.plant import RobotLimits
 
 _POLL_PERIOD = 5e-4
-"""Time between two checks of the streamer's progress [s]."""
+"""Wall time between two checks of the command streamer's progress, while the diagram waits [s]."""
 STARTUP_TIMEOUT = 30.0
-"""Maximum time from the start of the streamer's process to the first status [s]."""
+"""Maximum time from the start of the command streamer's process to the first status of the arm [s].
+"""
 _START_TOLERANCE, _START_SPEED = 0.1, 0.05
-"""Maximum distance of a joint from the scenario's start before the motion [rad], and its maximum
-speed [rad/s]."""
+"""Maximum distance of each joint from the scenario's start [rad], and maximum speed of each joint
+[rad/s], with which the motion may begin."""
 _TABLE_TOLERANCE, _TABLE_TILT = 0.015, math.radians(1.5)
 """Maximum difference in height between the perceived and the configured table [m], and maximum
-angle between both [rad]."""
+angle between both planes [rad]."""
 
 
 class HardwareError(Exception):
-    """Failure that prevents or ends the motion of the arm; its message is the reason."""
+    """Failure that prevents or ends the motion of the arm; the message of this exception is the
+    reason.
+    """
 
 
 class RobotLink:
-    """Link between a diagram, which plans joint positions, and an arm behind LCM messages.
+    """Link between a diagram, which plans joint positions, and an arm that is commanded by LCM
+    messages.
 
-    The diagram writes into shared memory. A `CommandStreamer` in a separate process, started by
-    `start`, sends the commands, so that long computations of the diagram do not delay them.
+    The diagram writes planned positions into shared memory. A `CommandStreamer` in a separate
+    process, started by `start`, sends the commands, so that long computations of the diagram do not
+    delay them.
 
     Attributes:
-        trajectory: planned and measured positions, shared with the streamer.
-        rate: maximum simulated time per wall time [1].
+        trajectory: planned and measured positions, in memory that is shared with the command
+            streamer.
+        rate: maximum ratio of simulated time to wall time [-].
         url: URL of the LCM bus.
         clock: function that returns the time of the wall clock [s].
-        wait: function called repeatedly during waits.
-        events: (simulated time [s], text) at each change of the streamer's state.
+        wait: function that is called repeatedly while the link waits.
+        events: changes of the command streamer's state, as simulated time [s] and text.
     """
 
     def __init__(
@@ -66,13 +72,14 @@ class RobotLink:
         raise_if_asked: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        """Allocates the shared memory.
+        """Allocates the shared memory of the trajectory, without starting the command streamer.
 
         Args:
             lcm_url: URL of the LCM bus.
-            rate: maximum simulated time per wall time [1].
-            wait: function called repeatedly while the diagram is too far ahead of the arm.
-            raise_if_asked: function that raises KeyboardInterrupt after a requested end.
+            rate: maximum ratio of simulated time to wall time [-].
+            wait: function that is called repeatedly while the diagram is too far ahead of the arm.
+            raise_if_asked: function that raises KeyboardInterrupt if the user has requested the end
+                of the run.
             clock: function that returns the time of the wall clock [s].
         """
         self.trajectory, self.rate = shared_trajectory(), rate
@@ -83,7 +90,9 @@ class RobotLink:
         self._process: BaseProcess | None = None
 
     def start(self) -> None:
-        """Starts the streamer's process; it sends no command before the first call of `write`."""
+        """Starts the process of the command streamer, which sends no command before the first call
+        of `write`.
+        """
         self._process = multiprocessing.get_context("spawn").Process(
             target=stream_commands,
             args=(self.trajectory, self.url, self.rate, os.getpid()),
@@ -94,7 +103,9 @@ class RobotLink:
         self._process.start()
 
     def close(self) -> None:
-        """Brings the arm to rest along the planned positions, and ends the streamer."""
+        """Brings the arm to rest along the planned positions, and ends the process of the command
+        streamer.
+        """
         self.trajectory.end_requested = 1.0
         if self._process is not None:
             self._process.join(timeout=5.0)
@@ -106,7 +117,7 @@ class RobotLink:
     def warmup(self) -> Iterator[None]:
         """Suppresses commands within the block, in which simulated time follows the wall clock.
 
-        Slow initial work is done in this block: loading of kernels, waiting for images.
+        The block contains slow initial work, such as loading kernels and waiting for images.
         """
         self._warmed_up_since = self.clock()
         try:
@@ -115,13 +126,15 @@ class RobotLink:
             self._warmed_up_since = math.nan
 
     def to_simulated(self, stamp: float) -> float:
-        """Computes the simulated time executed by the arm at a recent wall-clock time [s]."""
+        """Computes the simulated time that the arm had executed at a recent time of the wall clock
+        [s].
+        """
         if not math.isnan(self._warmed_up_since):
             return self.rate * (stamp - self._warmed_up_since)
         return self.trajectory.executed_time - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
-        """Waits for a status, and checks that the arm can start the motion.
+        """Waits for a status of the arm, and checks that the arm can start the motion.
 
         Args:
             q_start: (7,) start configuration of the scenario [rad].
@@ -164,14 +177,15 @@ class RobotLink:
         return q
 
     def write(self, t: float, q: FloatArray) -> None:
-        """Writes planned joint positions, and waits until the arm is at most `LEAD` behind.
+        """Writes planned joint positions, and waits until simulated time is at most `LEAD` ahead of
+        the arm.
 
         Args:
             t: simulated time [s].
             q: (7,) planned positions [rad].
 
         Raises:
-            HardwareError: if the streamer has stopped the arm.
+            HardwareError: if the command streamer has stopped the arm or has ended.
         """
         if not math.isnan(self._warmed_up_since):
             while self.rate * (self.clock() - self._warmed_up_since) < t:
@@ -190,10 +204,10 @@ class RobotLink:
             self._check_streamer(t)
 
     def _check_streamer(self, t: float) -> None:
-        """Records changes of the streamer's state at a simulated time t [s].
+        """Records a change of the command streamer's state as an event at a simulated time t [s].
 
         Raises:
-            HardwareError: if the streamer has stopped the arm, or has ended.
+            HardwareError: if the command streamer has stopped the arm or has ended.
         """
         trajectory, last = self.trajectory, self.events[-1][1] if self.events else ""
         note = "arm resumed" if last else ""
@@ -208,7 +222,8 @@ class RobotLink:
 
 
 class CommandStream(LeafSystem):
-    """System that writes the planned joint positions of the arm, and paces the simulation.
+    """System that writes the planned joint positions of the arm to a `RobotLink`, and paces the
+    simulation.
 
     .. pydrake_system::
 
@@ -217,10 +232,8 @@ class CommandStream(LeafSystem):
       - robot_state
       - obstacles_W (optional)
 
-    - robot_state: (2n,) positions and velocities of the robot model, whose arm positions are the
-      planned ones [rad, m, rad/s, m/s].
-    - obstacles_W (optional): abstract `ObstacleClouds`, whose table is checked at initialization
-      (`check_table`). Not connected: the table is not checked.
+    The system writes positions every `COMMAND_PERIOD`, and waits while simulated time is more than
+    `LEAD` ahead of the arm.
 
     The system publishes every `COMMAND_PERIOD`, and waits while simulated time is more than `LEAD`
     ahead of the arm.
@@ -233,13 +246,13 @@ class CommandStream(LeafSystem):
         num_states: int,
         table: TablePlane | None,
     ) -> None:
-        """Declares ports and events.
+        """Declares the input ports and events of the system.
 
         Args:
             link: link to the arm.
             arm: indices of the arm's joints in the robot's positions.
             num_states: size 2n of the robot's state.
-            table: configured table; None: the table is not checked.
+            table: configured table plane; None: the table is not checked.
         """
         super().__init__()
         self._link, self._arm, self._table = link, arm, table
@@ -249,26 +262,30 @@ class CommandStream(LeafSystem):
         self.DeclarePeriodicPublishEvent(COMMAND_PERIOD, 0.0, self._publish)
 
     def _begin(self, context: Context) -> None:
-        """Checks the perceived table."""
+        """Checks the perceived table at the initialization of the simulation, if the port
+        `obstacles_W` is connected.
+        """
         if self._obstacles.HasValue(context):
             perceived: ObstacleClouds = self._obstacles.Eval(context)
             check_table(perceived, self._table)
 
     def _publish(self, context: Context) -> None:
-        """Writes the positions of the arm's joints."""
+        """Writes the present positions of the arm's joints to the link."""
         q = self._state.Eval(context)[self._arm]
         self._link.write(context.get_time(), q)
 
 
 def check_table(perceived: ObstacleClouds, table: TablePlane | None) -> None:
-    """Checks the pose of the camera by comparing the perceived table with the configured one.
+    """Checks the configured camera pose, by comparing the perceived table with the configured
+    table.
 
     Args:
-        perceived: observation with the perceived table.
-        table: configured table; None: no check.
+        perceived: observation of the obstacles, which contains the perceived table.
+        table: configured table plane; None: no check.
 
     Raises:
-        HardwareError: if no table is perceived, or its height or tilt differ.
+        HardwareError: if no table is perceived, or if its height or tilt differs from that of the
+            configured table.
     """
     if table is None:
         return
@@ -286,7 +303,7 @@ def check_table(perceived: ObstacleClouds, table: TablePlane | None) -> None:
 
 
 class MeasuredState(LeafSystem):
-    """System that outputs the measured state of the robot, instead of a simulated state.
+    """System that outputs the measured state of the robot, as replacement of a simulated state.
 
     .. pydrake_system::
 
@@ -294,15 +311,16 @@ class MeasuredState(LeafSystem):
       output_ports:
       - measured_state
 
-    - measured_state: (2n,) positions and velocities [rad, m, rad/s, m/s]. Joints without
-      measurements, the fingers, have their start positions.
+    - measured_state: (2n,) positions and velocities of the robot [rad, m, rad/s, m/s]. Joints
+      without measurements, such as those of the fingers, have their start positions and zero
+      velocities.
     """
 
     def __init__(self, link: RobotLink, arm: list[int], q_start: FloatArray) -> None:
-        """Declares the port.
+        """Declares the output port `measured_state`.
 
         Args:
-            link: link to the arm.
+            link: link to the arm, from which measurements are read.
             arm: indices of the arm's joints in the robot's positions.
             q_start: (n,) start positions of the robot [rad, m].
         """
@@ -313,7 +331,9 @@ class MeasuredState(LeafSystem):
         port.disable_caching_by_default()
 
     def _calc(self, _: Context, output: BasicVector) -> None:
-        """Outputs the last measurements of the arm, and start positions of other joints."""
+        """Sets the output port to the last measurements of the arm, and to the start positions of
+        other joints.
+        """
         n = len(self._q)
         state: Any = np.concatenate([self._q, np.zeros(n)])
         q, v = self._link.trajectory.measured
