@@ -1,4 +1,5 @@
-"""Colors of the viewer, and meshes of cost rings.
+"""Colors of the viewer's objects, and triangle meshes of cost rings (costs of passing an obstacle
+on each side).
 
 The functions depend on arrays only; `drake_oa.viewing.meshcat_overlay` sends their results to
 Meshcat.
@@ -17,37 +18,42 @@ Color = tuple[float, float, float]
 """Type of a color: red, green and blue in [0, 1]."""
 
 PLANNED: Color = (0.0, 128 / 255, 1.0)
-"""Color of the planned path, blue."""
+"""Color of the planned path in the viewer, blue."""
 EXECUTED: Color = (0.90, 0.07, 0.09)
-"""Color of the executed path, red."""
+"""Color of the executed path in the viewer, red."""
 ELLIPSOID: Color = (0.93, 0.36, 0.52)
-"""Color of obstacle ellipsoids, rose."""
+"""Color of obstacle ellipsoids in the viewer, rose."""
 SELECTED: Color = (0.86, 0.0, 0.78)
-"""Color of the selected passing direction, magenta."""
+"""Color of the direction in which an obstacle is passed, magenta."""
 CLOUD: Color = (0.0, 0.42, 0.45)
-"""Color of the point cloud, teal."""
+"""Color of the observed point cloud in the viewer, teal."""
 COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80, 0.10, 0.12))
-"""Colors of the costs 0, 0.5 and 1 on a cost ring: green, yellow, red."""
+"""Colors of the costs 0, 0.5 and 1 on a cost ring, which shows the costs of passing an obstacle on
+each side: green, yellow, red."""
 
 INNER_RADIUS, BAND, GAP = 0.17, 0.022, 0.005
-"""Radius of the innermost cost ring, width of a ring, and gap between rings and sectors [m]."""
+"""Inner radius of the innermost cost ring, width of each ring, and gap between rings and between
+sectors of a ring [m]."""
 
 
 def ring_mesh(
     costs: Mapping[str, ArrayLike], angles: ArrayLike
 ) -> tuple[FloatArray, NDArray[np.int32], FloatArray]:
-    """Computes a mesh of the cost rings of one obstacle, as concentric colored bands.
+    """Computes a triangle mesh of the cost rings of one obstacle, as concentric colored bands.
 
-    The bands are in the local YZ-plane around the origin, in the order of `costs` from the inside
-    out. Each sector has the color of its cost on the scale `COST_COLORS`.
+    A cost ring shows the costs of passing the obstacle in each direction around the baseline, the
+    line from start to goal. The bands are in the YZ plane of the local frame (x from start to goal,
+    z up), around its origin, in the order of `costs` from the inside out. Each sector has the color
+    of its cost on the scale `COST_COLORS`.
 
     Args:
-        costs: cost (K,) of each direction in [0, 1], by name of the ring; at least one ring.
-        angles: (K,) evenly spaced directions [rad], 0 along y, pi/2 along z.
+        costs: cost (K,) in [0, 1] of each direction, by name of the ring; at least one ring.
+        angles: (K,) evenly spaced directions as angles in the YZ plane [rad]: 0 along y, pi/2 along
+            z.
 
     Returns:
         (3, n) vertices [m]; (3, m) vertex indices of the triangles; (3, n) colors of the vertices
-        in linear RGB, while Meshcat's other colors are sRGB.
+        in linear RGB, whereas other colors of Meshcat are in sRGB.
     """
     middle = np.asarray(angles, dtype=float)
     inside = INNER_RADIUS + np.arange(len(costs))[:, None] * (BAND + GAP)
@@ -67,5 +73,7 @@ def ring_mesh(
 
 
 def ring_radius(n_rings: int) -> float:
-    """Returns the outer radius of a `ring_mesh` of n rings [m]."""
+    """Returns the outer radius of the mesh that `ring_mesh` computes for a number of cost rings
+    [m].
+    """
     return INNER_RADIUS + n_rings * (BAND + GAP) - GAP

@@ -1,4 +1,6 @@
-"""N2 chart of a diagram's layers: the systems from camera to torques, and their signals."""
+"""Drawing of a diagram's layers as an N2 chart: the systems from camera to torques, and their
+signals.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +22,30 @@ LAYERS = (
     "controller",
     "plant",
 )
-"""Names of the drawn subsystems in the order of data flow; those that a diagram lacks are skipped.
-"""
+"""Names of the subsystems that the chart shows, in the order of data flow. Subsystems that a
+diagram lacks are skipped."""
 _WIDTH, _HEIGHT, _LINE = 170, 76, 15
-"""Width and height of a field of the chart, and height of a text line [pixel]."""
+"""Width and height of one field of the chart, and height of a text line [pixel]."""
 _STYLE = (
     "<style>text { font: 13px sans-serif; fill: #222; text-anchor: middle }"
     " .name { font-weight: bold } .small { font-size: 11px; fill: #555 }"
     " rect { fill: #eef3fa; stroke: #456 } .signal { fill: #fff; stroke: #cdd }</style>"
 )
-"""CSS style of the chart."""
+"""CSS style of the chart's texts and fields, as SVG element."""
 
 
 def layer_figure(diagram: Diagram) -> str:
     """Draws the layers of a diagram and their signals as an N2 chart, in SVG.
 
-    The layers are on the diagonal. A signal is in the row of the layer that outputs it and in the
-    column of the layer that reads it: above the diagonal forward, below it as feedback.
+    The layers are on the diagonal of the chart. A signal is in the row of the layer that outputs
+    the signal and in the column of the layer that reads it. Signals above the diagonal go forward;
+    signals below the diagonal are feedback.
+
+    Args:
+        diagram: diagram with some of the subsystems `LAYERS`.
+
+    Returns:
+        Text of an SVG file.
     """
     names = [name for name in LAYERS if diagram.HasSubsystemNamed(name)]
     cells = {

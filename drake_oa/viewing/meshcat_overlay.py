@@ -1,4 +1,4 @@
-"""System that draws intermediate results of the layers in Drake's Meshcat."""
+"""System that draws intermediate results of the layers in Drake's viewer Meshcat."""
 
 from __future__ import annotations
 
@@ -20,21 +20,23 @@ from drake_oa.viewing import drawing
 from drake_oa.viewing.drawing import Color
 
 _ROOT = "/drake_oa"
-"""Root of the drawn objects in Meshcat's scene tree."""
+"""Path in Meshcat's scene tree below which all objects of the overlay are drawn."""
 PERIOD = 1.0 / 15.0
-"""Time between frames of the overlay [s]."""
+"""Simulated time between two frames of the overlay [s]."""
 _FRAMES_VISIBLE = 3
-"""Number of frames after which a cloud and the cost rings are drawn again."""
+"""Number of frames for which a drawn point cloud or cost ring is visible, before its successor is
+drawn."""
 _CLOUD_SPACING = 0.02
-"""Edge of the voxels of the drawn cloud, which has one point per voxel [m]."""
+"""Edge length of the voxels to which a point cloud is reduced; one point per voxel is drawn [m]."""
 _SLOT_COUNT = 8
-"""Number of slots for drawn obstacles; the slot of an obstacle is its ID modulo this number."""
+"""Number of obstacles for which the scene tree has objects; an obstacle uses the slot with its ID
+modulo this number."""
 _SHORTEST_SEGMENT = 2e-3
-"""Minimum length of a drawn segment of the executed path [m]."""
+"""Minimum length of a segment of the executed path that is drawn [m]."""
 
 
 class MeshcatOverlay(LeafSystem):
-    """System that draws cloud, ellipsoids, cost rings and paths in Meshcat.
+    """System that draws the point cloud, ellipsoids, cost rings and paths of a run in Meshcat.
 
     .. pydrake_system::
 
@@ -46,20 +48,17 @@ class MeshcatOverlay(LeafSystem):
       - cloud (optional)
       - body_poses (optional)
 
-    - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles in the
-      world frame. Not connected: no ellipsoids.
-    - policy_state: abstract `PolicyState` of the movement primitive.
-    - route (optional): abstract `Route`, the selected sides and their cost rings. Not connected: no
-      rings.
-    - cloud (optional): `pydrake.perception.PointCloud` in the world frame [m]. Not connected: no
-      cloud.
-    - body_poses (optional): list of `RigidTransform` of the plant. Not connected: the executed path
-      is that of the policy's p_WE.
+    Ellipsoids are rose, the planned path is blue, and the executed path is red. A cost ring shows
+    the costs of passing an obstacle in each direction around the baseline, the line from start to
+    goal. The rings of an obstacle are centered at the point of the baseline closest to the
+    obstacle, in the order of `Route.costs` from the inside out. Green is cost 0, yellow is 0.5, red
+    is 1. A magenta line is the selected direction. Rings are drawn only for obstacles that change
+    the motion.
 
-    Ellipsoids are rose, the planned path is blue, the executed path is red. The cost rings of an
-    obstacle are around the point of the baseline where its side is decided, in the order of
-    `Route.costs` from inside out: green is cost 0, yellow 0.5, red 1. A magenta line is the
-    selected direction. Rings are drawn only for obstacles that change the motion.
+    The objects are under "/drake_oa" in the scene tree, in one folder per layer of `LAYERS`. A
+    recording of Meshcat stores transforms and properties, but no objects. Therefore each change of
+    shape (cloud, rings, executed path) is a new object that is visible for some frames only. The
+    discrete state stores the time of the first frame and the end point of the executed path.
 
     The objects are under "/drake_oa" in the scene tree, in one folder per layer of `LAYERS`. A
     recording of Meshcat holds transforms and properties, but no objects. Therefore each change of
@@ -76,15 +75,18 @@ class MeshcatOverlay(LeafSystem):
         p_BE: Sequence[float] = (0.0, 0.0, 0.0),
         show: Sequence[str] = LAYERS,
     ) -> None:
-        """Declares the ports, state and events; the initialization draws the first frame.
+        """Declares the ports, state and events of the system; the initialization event draws the
+        first frame.
 
         Args:
             meshcat: Meshcat instance.
-            planned_W: (T, 3) points of the planned path [m]; None: the straight line from start to
-                goal.
-            body_index: index of the tool's body B in the plant; None: E is at policy_state.p_WE.
-            p_BE: (3,) position of the tool point E in B [m].
-            show: initially visible `LAYERS`; the user can change them in the browser.
+            planned_W: (T, 3) points of the planned path in the world [m]; None: the straight line
+                from start to goal.
+            body_index: index of the tool's body B in the plant; None: the tool point E is at p_WE
+                of `policy_state`.
+            p_BE: (3,) position of the tool point E in the frame of body B [m].
+            show: names of the layers of `LAYERS` that are visible at first; the user can change
+                them in the browser.
         """
         super().__init__()
         self._show = tuple(show)
@@ -112,20 +114,24 @@ class MeshcatOverlay(LeafSystem):
         return np.asarray(X_WB @ self._p_BE)
 
     def _executed(self, context: Context) -> tuple[FloatArray, FloatArray]:
-        """Returns the ends (3,) of the next segment of the executed path; equal if it is too short.
+        """Returns the start (3,) and end (3,) of the next segment of the executed path in the world
+        [m].
 
-        At each time, Drake publishes before it updates, so that both events use the same segment.
+        Both points are equal while the segment is too short to be drawn. At each time, Drake
+        publishes before it updates the state, so that both events use the same segment.
         """
         before: FloatArray = context.get_discrete_state_vector().value()[1:]
         now = self._tool_point(context)
         return before, now if np.linalg.norm(now - before) > _SHORTEST_SEGMENT else before
 
     def _initialize(self, context: Context, state: DiscreteValues) -> None:
-        """Stores the time of the first frame and the start of the executed path."""
+        """Stores the time of the first frame and the start point of the executed path in the
+        discrete state.
+        """
         state.set_value([context.get_time(), *self._tool_point(context)])
 
     def _advance(self, context: Context, state: DiscreteValues) -> None:
-        """Stores the end of the executed path."""
+        """Stores the new end point of the executed path in the discrete state."""
         start = context.get_discrete_state_vector()[0]
         state.set_value([start, *self._executed(context)[1]])
 
@@ -134,9 +140,16 @@ class MeshcatOverlay(LeafSystem):
     def _segment(
         self, path: str, p_from: FloatArray, p_to: FloatArray, radius: float, color: Color
     ) -> None:
-        """Draws a segment between two different points (3,) [m] as a capsule.
+        """Draws a line segment between two different points as a capsule.
 
-        WebGL draws lines with a width of one pixel only.
+        A line object would have a width of only one pixel in WebGL.
+
+        Args:
+            path: path of the object in Meshcat's scene tree.
+            p_from: (3,) start of the segment, in the frame of the object [m].
+            p_to: (3,) end of the segment, in the frame of the object [m].
+            radius: radius of the capsule [m].
+            color: color of the capsule.
         """
         way = p_to - p_from
         capsule = Capsule(radius, float(np.linalg.norm(way)))
@@ -145,18 +158,22 @@ class MeshcatOverlay(LeafSystem):
         self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + p_to)))
 
     def _show_path(self, path: str, visible: bool, time: float) -> None:
-        """Shows or hides a path of the scene tree from a time on [s]."""
+        """Shows or hides the objects at a path of Meshcat's scene tree, from a simulated time on
+        [s].
+        """
         self._meshcat.SetProperty(path, "visible", visible, time)
 
     def _appear(self, path: str, context: Context) -> None:
-        """Shows a path of the scene tree from now on, and hides it in earlier recorded frames."""
+        """Shows the objects at a path of Meshcat's scene tree from the present time on, and hides
+        them in earlier frames of a recording.
+        """
         time, start = context.get_time(), context.get_discrete_state_vector()[0]
         if time > start:
             self._show_path(path, False, start)
         self._show_path(path, True, time)
 
     def _draw_start(self, context: Context) -> None:
-        """Draws the objects of constant shape, and the first frame."""
+        """Draws the objects whose shapes are constant, and then the first frame."""
         meshcat = self._meshcat
         for layer in LAYERS:
             meshcat.Delete(f"{_ROOT}/{layer}")
@@ -183,7 +200,9 @@ class MeshcatOverlay(LeafSystem):
         self._draw_frame(context)
 
     def _draw_frame(self, context: Context) -> None:
-        """Draws obstacles, tool point, executed path and cloud at the present time."""
+        """Draws the obstacles, tool point, executed path and point cloud at the time of a
+        Context.
+        """
         time, start = context.get_time(), context.get_discrete_state_vector()[0]
         frame = round((time - start) / PERIOD)
         self._draw_obstacles(context, frame)
@@ -202,7 +221,13 @@ class MeshcatOverlay(LeafSystem):
             self._appear(f"{clouds}/{frame}", context)
 
     def _draw_obstacles(self, context: Context, frame: int) -> None:
-        """Draws ellipsoids, selected directions and cost rings, in the slots of the obstacles."""
+        """Draws the ellipsoids, selected directions and cost rings (costs of passing on each side)
+        of all obstacles, in their slots of the scene tree.
+
+        Args:
+            context: Context of this system.
+            frame: number of the frame, from 0.
+        """
         time, meshcat = context.get_time(), self._meshcat
         ellipsoids = self._ellipsoids.read_or_empty(context)
         route = self._route.read_or_empty(context)
@@ -247,5 +272,7 @@ class MeshcatOverlay(LeafSystem):
 
 
 def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:
-    """Returns the pose of a rotation matrix, projected to SO(3), and a position [m]."""
+    """Returns the pose with a rotation matrix R (3, 3), which is projected to SO(3), and a position
+    p (3,) [m].
+    """
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), p)

@@ -1,4 +1,4 @@
-"""Panel on Meshcat's page, recorded or live: title, readings and legend."""
+"""Panel with title, readings and legend, which is added to the recorded or live page of Meshcat."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from pydrake.geometry import Meshcat
 from drake_oa.viewing import drawing
 
 _MAX_LAG = 0.15
-"""Time after the sending of a frame, from which on the next frame waits until it is drawn [s]."""
+"""Time in which a page should draw a frame; after this time the next frame waits until the frame is
+drawn [s]."""
 _PAGE_TIMEOUT = 10.0
-"""Time after the last request of a page, from which on the page counts as closed [s]."""
+"""Time without a request of a page after which the page counts as closed [s]."""
 _FRAME = "/drake_oa_frame"
-"""Node of the scene tree whose render order is the number of the last sent frame."""
+"""Path of an empty node in the scene tree, whose render order is set to the number of the last sent
+frame."""
 
 
 class Reading(NamedTuple):
-    """Text of the panel at one time.
+    """Text of the panel at one time of the run.
 
     Attributes:
-        time: time of the page [s].
-        text: lines of the readings.
-        alert: warning in red; empty: none.
+        time: simulated time from which the text is displayed [s].
+        text: lines of the panel's readings.
+        alert: warning that is displayed in red; empty: no warning.
     """
 
     time: float
@@ -39,7 +41,7 @@ class Reading(NamedTuple):
 
 
 def _css(color: drawing.Color) -> str:
-    """Returns a color in CSS."""
+    """Returns a color as text in CSS, for styles of the panel."""
     return f"rgb{tuple(round(255 * part) for part in color)}"
 
 
@@ -55,8 +57,8 @@ _LEGEND = (
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
     ("#777", "observed points", "perception/cloud"),
 )
-"""Rows of the legend: color, text, and path in the scene tree. A row is displayed while an object
-at its path is visible."""
+"""Rows of the panel's legend: CSS color, text, and path pattern in the scene tree. A row is
+displayed while an object at a matching path is visible."""
 _STYLE = """
 <style>
   body { overflow: hidden; }
@@ -69,7 +71,7 @@ _STYLE = """
   #drake-oa-alert { color: #b00; font-weight: bold; white-space: pre-line; }
   .dg.main { max-height: 100vh; overflow: hidden auto !important; }
 </style>"""
-"""CSS style of the panel."""
+"""CSS style of the panel, as HTML element."""
 _PANEL = Template("""
 <div id="drake-oa"><b>$title</b> <span>$description</span><div id="drake-oa-now"></div>
 <div id="drake-oa-alert"></div>$legend</div>
@@ -97,7 +99,7 @@ _PANEL = Template("""
   $script
 </script>
 </body>""")
-"""HTML of the panel, with the script that updates readings and legend."""
+"""HTML template of the panel, with the script that updates its readings and legend."""
 _RECORDED = Template("""
   const drakeOa = $readings;
   setInterval(() => {
@@ -106,7 +108,8 @@ _RECORDED = Template("""
     while (row + 1 < drakeOa.length && drakeOa[row + 1][0] <= time + 1e-6) row += 1;
     drakeOaShow(drakeOa[row]);
   }, 50);""")
-"""Script of a recorded page: displays the reading at the time of the player."""
+"""Script template of a recorded page, which displays the reading at the present time of the
+recording's player."""
 _LIVE = """
   let drakeOaAsked = 0;
   function drakeOaAsk(now) {
@@ -125,7 +128,8 @@ _LIVE = """
   }
   document.addEventListener("visibilitychange", drakeOaHidden);
   drakeOaHidden();"""
-"""Script of a live page: requests readings, and reports the last drawn frame."""
+"""Script of a live page, which requests readings from the server and reports the number of the last
+drawn frame."""
 _FOLDERS = """
     // A control named "FOLDER: NAME" is placed in a folder; the first control opens the panel.
     const drakeOaAdd = viewer.set_control.bind(viewer);
@@ -140,18 +144,18 @@ _FOLDERS = """
       if (label) viewer.gui_controllers[name].name(label);
     };
 """
-"""Script of a live page that places controls in folders of Meshcat's panel."""
+"""Script of a live page, which places controls in folders of Meshcat's control panel."""
 
 
 def panel_page(page: str, title: str, description: str, readings: list[Reading] | None) -> str:
-    """Adds the panel to a page of Meshcat.
+    """Adds the panel with title, readings and legend to a page of Meshcat, and returns its HTML.
 
     Args:
-        page: HTML of Meshcat's recording or live page.
-        title: title of the panel and the window.
-        description: text after the title.
-        readings: at least one reading, in order of time; None: the page requests readings from
-            its server.
+        page: HTML of Meshcat's recording or of its live page.
+        title: title of the panel and of the browser window.
+        description: text that follows the title in the panel.
+        readings: at least one reading, ordered by time; None: the page requests readings from its
+            server.
     """
     title, description = html.escape(title), html.escape(description)
     legend = "".join(
@@ -173,7 +177,9 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
 
 
 def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
-    """Returns Meshcat's live page with the panel; scripts and messages remain with its server."""
+    """Returns the HTML of Meshcat's live page with the panel; the page still loads scripts and
+    messages from Meshcat's server.
+    """
     # A proxy set in the environment cannot reach ports of this computer.
     with build_opener(ProxyHandler({})).open(meshcat.web_url()) as answer:
         page: str = answer.read().decode()
@@ -184,33 +190,33 @@ def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
 
 
 class _PageServer(ThreadingHTTPServer):
-    """HTTP server that ignores connections closed by the page."""
+    """HTTP server of the live page, which ignores connections that the page has closed."""
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Prints an error, unless the page closed the connection."""
+        """Prints an error of a request, unless the page has closed the connection."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
 
 class LivePage:
-    """Server of Meshcat's live page with the panel, for this computer only.
+    """Server of Meshcat's live page with the panel, reachable from this computer only.
 
-    Each request of the page for the reading contains the number of the last drawn frame. `pace`
-    waits until the previous frame is drawn, so that the page is less than half a second late. It
-    does not wait for a hidden or closed page.
+    The page requests readings repeatedly; each request contains the number of the last frame that
+    the page has drawn. The method `pace` waits until the previous frame is drawn, so that the page
+    lags by less than half a second. It does not wait for a hidden or closed page.
 
     Attributes:
         url: address of the page.
-        reading: present text of the panel.
+        reading: reading that the panel displays at present.
     """
 
     def __init__(self, meshcat: Meshcat, title: str, description: str = "") -> None:
-        """Starts the server.
+        """Starts the server of the page in a background thread.
 
         Args:
             meshcat: Meshcat instance.
-            title: title of the panel and the window.
-            description: text after the title.
+            title: title of the panel and of the browser window.
+            description: text that follows the title in the panel.
         """
         self.reading = Reading(0.0, "")
         self._meshcat = meshcat
@@ -219,10 +225,12 @@ class LivePage:
         live, page = self, _live_page(meshcat, title, description)
 
         class Handler(BaseHTTPRequestHandler):
-            """Request handler that returns the page or the reading."""
+            """Handler of HTTP requests, which returns the page or the present reading."""
 
             def do_GET(self) -> None:
-                """Returns the reading for paths below /reading/, otherwise the page."""
+                """Returns the present reading for paths below /reading/, and the page for other
+                paths.
+                """
                 kind, body = "application/json", json.dumps(live.reading)
                 if self.path.startswith("/reading/"):
                     live._drawn_frame = float(self.path.rpartition("/")[2])
@@ -235,7 +243,7 @@ class LivePage:
                 self.wfile.write(body.encode())
 
             def log_message(self, *_: object) -> None:
-                """Suppresses the log of requests."""
+                """Suppresses the log line of each request."""
 
         try:
             # The same address in each run, if its port is free.
@@ -247,7 +255,9 @@ class LivePage:
         self.url = f"http://localhost:{self._server.server_port}"
 
     def pace(self) -> None:
-        """Ends a frame; if the last one is undrawn for `_MAX_LAG`, waits until it is drawn."""
+        """Ends a frame of the page, and waits while an earlier frame has not been drawn for longer
+        than `_MAX_LAG`.
+        """
         while self._drawn_frame < self._frame:
             now = time.monotonic()
             if now - self._sent_time < _MAX_LAG or now - self._request_time > _PAGE_TIMEOUT:
@@ -258,6 +268,6 @@ class LivePage:
         self._meshcat.SetProperty(_FRAME, "renderOrder", float(self._frame))
 
     def close(self) -> None:
-        """Stops the server."""
+        """Stops the server, so that the page is no longer available."""
         self._server.shutdown()
         self._server.server_close()

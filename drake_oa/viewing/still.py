@@ -1,4 +1,6 @@
-"""Image of a scenario before its run: the station, and the depth images of its cameras."""
+"""Drawing of a scenario before its run: an image of the station, and the depth images of its
+cameras.
+"""
 
 from __future__ import annotations
 
@@ -31,24 +33,27 @@ from drake_oa.world.cameras import add_mesh_normals
 from drake_oa.world.station import make_station
 
 _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
-"""Width and height of the view of the station [pixel], and its vertical field of view [rad]."""
+"""Width and height of the image of the station [pixel], and vertical field of view of its camera
+[rad]."""
 _EYE_B, _AT_B = (2.3, -1.8, 1.4), (0.4, 0.0, 0.3)
-"""Position of the viewer's camera, and the point that it looks at, in the base frame B [m]."""
+"""Position of the camera that views the station, and the point at which it looks, in the frame of
+the robot's base B [m]."""
 _MARK, _GREEN, _RED = 0.02, Rgba(0.1, 0.6, 0.2), Rgba(0.8, 0.1, 0.1)
-"""Radius of the spheres that mark start and goal [m], color at the start, color at the goal."""
+"""Radius of the spheres that mark start and goal [m], color of the start, and color of the goal."""
 _RENDERER = "still"
-"""Name of the renderer in the scene graph."""
+"""Name of the render engine in the scene graph that draws the image of the station."""
 
 
 def draw_scenario(scenario: Scenario, file: Path) -> None:
-    """Draws the station with the arm at the start, and the depth images of all cameras.
+    """Draws an image of the station with the arm at the start, and the depth images of all its
+    cameras.
 
     Args:
         scenario: scenario with a robot.
-        file: image file; its suffix sets the format, as in matplotlib.
+        file: image file; its suffix selects the format, as in matplotlib.
 
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: naming the invalid field of the scenario.
     """
     scenario = with_simulated_cameras(copy.deepcopy(scenario))
     for config in scenario.cameras:

@@ -1,4 +1,6 @@
-"""Functions that start, set up, record and keep open Drake's Meshcat for the commands."""
+"""Functions that start, set up, record and keep open Meshcat, the viewer of the drake-oa
+commands.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +25,20 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.viewing.panel import LivePage
 
 FRAME_PERIOD = 1.0 / 30.0
-"""Time between two updates of the robot and the environment in the viewer [s]."""
+"""Simulated time between two updates of the robot and its environment in the viewer [s]."""
 RECORDING_RATE = 15.0
-"""Frame rate of a recording [1/s]."""
+"""Number of frames per second in a recording of the viewer [1/s]."""
 _EYE_F, _TARGET_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
-"""Position of the viewer's camera, and the point that it looks at, in the floor frame F [m]."""
+"""Position of the viewer's camera, and the point at which it looks, in the floor frame F (x along
+the heading of the robot's base, z up) [m]."""
 
 
 def start_viewer(*, browser: bool) -> Meshcat:
-    """Starts Meshcat for this computer only.
+    """Starts a Meshcat viewer that is reachable from this computer only.
 
     Args:
-        browser: whether a browser will connect, so that one of Meshcat's usual ports is required;
-            otherwise any free port is used.
+        browser: whether a browser will connect, so that Meshcat uses one of its usual ports;
+            otherwise it uses any free port.
 
     Raises:
         ValueError: if no port is free.
@@ -51,12 +54,14 @@ def start_viewer(*, browser: bool) -> Meshcat:
 def look_at_pose(
     X_WF: RigidTransform, p_FC: ArrayLike = _EYE_F, p_FT: ArrayLike = _TARGET_F
 ) -> RigidTransform:
-    """Returns the pose X_WC of a camera C whose z axis points at T, with x to the image's right.
+    """Returns the pose X_WC of a camera C at a given position that looks at a target T.
+
+    The z axis of the camera points at T, and its x axis is horizontal, to the right in the image.
 
     Args:
-        X_WF: frame of the two points.
-        p_FC: (3,) position of the camera [m].
-        p_FT: (3,) position of the target T [m].
+        X_WF: pose in the world of the frame F in which both positions are given.
+        p_FC: (3,) position of the camera in F [m].
+        p_FT: (3,) position of the target T in F [m].
     """
     p_WC = X_WF @ np.asarray(p_FC)
     ahead = X_WF @ np.asarray(p_FT) - p_WC
@@ -66,14 +71,14 @@ def look_at_pose(
 
 
 def set_scene_style(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
-    """Sets background and camera of the viewer, and hides grid and axes.
+    """Sets the background and the camera of the viewer, and hides its grid and axes.
 
     The user can change all of these settings in the browser.
 
     Args:
         meshcat: Meshcat instance.
-        X_WB: pose of the robot's base.
-        floor: height of the floor frame F, whose x axis has the heading of the base [m].
+        X_WB: pose of the robot's base B in the world.
+        floor: height of the floor in the world [m].
     """
     (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
     R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
@@ -89,7 +94,9 @@ def set_scene_style(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> Non
 def add_world_visualizer(
     builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat
 ) -> None:
-    """Adds Drake's Meshcat visualizer of a scene graph to a builder."""
+    """Adds Drake's Meshcat visualizer to a builder, to show the visual geometry of a scene
+    graph.
+    """
     params = MeshcatVisualizerParams(
         role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
     )
@@ -97,7 +104,9 @@ def add_world_visualizer(
 
 
 def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
-    """Serves Meshcat's page with the panel, and prints its address."""
+    """Starts the server of Meshcat's page with the panel (title, readings, legend), and prints the
+    address of the page.
+    """
     page = LivePage(meshcat, title, description)
     print(f"viewer: {page.url}", file=sys.stderr)
     return page
@@ -105,9 +114,10 @@ def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
 
 @contextlib.contextmanager
 def recording(meshcat: Meshcat | None) -> Iterator[None]:
-    """Records Meshcat within the block, and publishes the recording even after an exception.
+    """Records Meshcat's scene while the block runs, and publishes the recording even after an
+    exception.
 
-    Without Meshcat (None) nothing is recorded.
+    If `meshcat` is None, nothing is recorded.
     """
     if meshcat is None:
         yield
@@ -122,7 +132,7 @@ def recording(meshcat: Meshcat | None) -> Iterator[None]:
 
 
 def wait_for_viewer() -> None:
-    """Waits until Enter is pressed, if the standard input is a terminal."""
+    """Waits until the user presses Enter, if the standard input is a terminal."""
     if sys.stdin.isatty():
         with contextlib.suppress(EOFError, KeyboardInterrupt):
             input("press Enter to close the viewer ")
