@@ -10,7 +10,9 @@ from pydrake.common.schema import Transform
 from drake_oa.common.config import BLOCK, DrakeStruct, above, check_lcm_url
 
 _FAR = 100.0
+"""Largest valid value of distances in a configuration [m]."""
 _MAX_COUNT = 1_000_000
+"""Largest valid value of counts in a configuration."""
 
 
 @dataclass(config=BLOCK)
@@ -60,8 +62,8 @@ class CameraSource:
     camera: str = "camera"
     """Name of the camera."""
     cameras: list[str] = Field(default_factory=list)
-    """Names of several cameras with synchronized images, in place of `camera`. A point that any
-    camera sees is visible; occluded space is occluded from all."""
+    """Names of several cameras with synchronized images, in place of `camera`. A point is visible
+    if it is visible to any camera, and occluded if it is occluded from all."""
     noise: CameraNoise | None = None
     """Noise of the simulated cameras: {} or null, no noise."""
     segmentation: SegmentationConfig = Field(default_factory=SegmentationConfig)
@@ -72,10 +74,9 @@ class CameraSource:
         """Names of the cameras in use."""
         return tuple(self.cameras) or (self.camera,)
 
-    def signal(self, of_one: str, name: str) -> str:
-        """Returns the name of one camera's signal, which ends in the camera's name if there are
-        several cameras."""
-        return f"{of_one}_{name}" if len(self.names) > 1 else of_one
+    def signal(self, kind: str, name: str) -> str:
+        """Returns the name of a camera's signal: `kind`, or `kind_name` with several cameras."""
+        return f"{kind}_{name}" if len(self.names) > 1 else kind
 
 
 @dataclass(config=BLOCK)
@@ -113,7 +114,7 @@ class LcmCamera(CameraSource):
 
 @dataclass(config=BLOCK)
 class GroundTruth:
-    """Exact obstacles, read from SceneGraph."""
+    """Perception of exact obstacles, read from SceneGraph."""
 
     period: float = Field(default=1.0 / 15.0, ge=1e-3, le=10.0)
     """Time between two observations [s]. Raising it makes the reaction slower."""
@@ -121,7 +122,7 @@ class GroundTruth:
 
 @dataclass(config=BLOCK)
 class RecordedClouds:
-    """Obstacles from a folder of recorded point clouds or depth images."""
+    """Perception of obstacles in a folder of recorded point clouds or depth images."""
 
     folder: str = Field(min_length=1)
     """Folder with .npz, .pcd or .ply files; relative to the scenario file."""

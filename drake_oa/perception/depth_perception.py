@@ -1,4 +1,4 @@
-"""Obstacles from depth cameras, and the state that all perception sources share."""
+"""Perception of obstacles from depth cameras, and the state shared by all perception sources."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _logger = logging.getLogger("drake_oa")
 
 
 class PerceptionState:
-    """Memory of a perception source, in its Context."""
+    """Abstract state of a perception source in its Context, and the output ports that read it."""
 
     def __init__(self, system: LeafSystem) -> None:
-        """Declares the state, and the output ports ``obstacles_W`` and ``cloud`` of it."""
+        """Declares the state and the output ports ``obstacles_W`` and ``cloud`` of a system."""
         self._index = system.DeclareAbstractState(Value(TrackerState()))
         ticket = {system.abstract_state_ticket(self._index)}
         system.DeclareAbstractOutputPort(
             "obstacles_W", lambda: Value(ObstacleClouds()), self._calc_obstacles, ticket
         )
-        # Not in the state, which is copied at every step of every system.
+        # A PointCloud in the state would be copied whenever the Context is.
         system.DeclareAbstractOutputPort(
             "cloud", lambda: Value(PointCloud(0)), self._calc_cloud, ticket
         )
@@ -51,42 +51,44 @@ class PerceptionState:
         output.set_value(cloud)
 
     def read(self, context: Context) -> TrackerState:
-        """Memory in a Context."""
-        memory: Any = context.get_abstract_state(int(self._index)).get_value()
-        return memory
+        """Returns the tracker state in a Context."""
+        tracker: Any = context.get_abstract_state(int(self._index)).get_value()
+        return tracker
 
-    def write(self, state: State, memory: TrackerState) -> None:
-        """Stores the memory."""
+    def write(self, state: State, tracker: TrackerState) -> None:
+        """Stores a tracker state in the State of the system."""
         value: Any = state.get_mutable_abstract_state(int(self._index))
-        value.set_value(memory)
+        value.set_value(tracker)
 
 
-def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
-    """Reports once when the note of a source changes from ``before`` to ``now``."""
-    if now == before:
+def log_change(system: LeafSystem, previous: str, note: str, time: float) -> None:
+    """Logs the note of a system if it differs from the previous note; an empty note: recovery."""
+    if note == previous:
         return
     name = system.get_name() or type(system).__name__
-    if now:
-        _logger.warning("%s at %.3f s: %s; what was seen last is kept", name, time, now)
+    if note:
+        _logger.warning("%s at %.3f s: %s; keeping the last observation", name, time, note)
     else:
-        _logger.info("%s at %.3f s: sees again", name, time)
+        _logger.info("%s at %.3f s: recovered", name, time)
 
 
 _NO_NEW_IMAGE = "no new image"
-_AFTER = 1e-4
-"""How long after an image has come it is looked at [s]."""
+"""Note of a frame in which a camera has no new image."""
+_UPDATE_DELAY = 1e-4
+"""Delay from the arrival of delayed images to their processing [s]."""
 _SAME_TIME = 1e-6
-"""Images whose stamps differ by less are of one instant [s]."""
+"""Maximum difference of the stamps of images of one instant [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace(Frozen):
-    """Space before the surfaces in depth images of one instant, which is seen to be free.
+    """Space observed to be free: between the cameras and the surfaces in images of one instant.
 
     Attributes:
-        views: images of the cameras, in order; None for one that shows nothing of that instant.
-        stamp: time at which they were taken [s].
-        near, far: range of the cameras' depths [m].
+        views: image of each camera, in the order of the cameras; None for a camera without a
+            usable image of that instant.
+        stamp: time of the images [s].
+        near, far: minimum and maximum depth that the cameras measure [m].
     """
 
     views: tuple[View | None, ...] = ()
@@ -95,9 +97,9 @@ class FreeSpace(Frozen):
     far: float = np.inf
 
     def contains(self, p_WQ: FloatArray) -> BoolArray:
-        """Checks for places (N, 3) [m] whether any camera saw them free.
+        """Checks for each of N points (N, 3) in the world [m] whether any camera observed it free.
 
-        A pixel without depth shows nothing; one beyond the range shows its ray up to `far`.
+        A pixel without depth observes nothing; one beyond the range observes its ray up to `far`.
         """
         free = np.zeros(len(p_WQ), dtype=bool)
         for view in self.views:
@@ -111,7 +113,7 @@ class FreeSpace(Frozen):
 
 
 class _Ports(NamedTuple):
-    """Input ports of one camera; robot None: a system that knows no robot."""
+    """Input ports of one camera; `robot` is None in a system without self filter."""
 
     image: AbstractInput[Any]
     pose: AbstractInput[Any]
@@ -120,7 +122,11 @@ class _Ports(NamedTuple):
 
 
 class DepthPerception(LeafSystem):
-    """Sees what stands on the table: one cluster of points for each obstacle.
+    """Detects and tracks obstacles in depth images: one point cloud and velocity per obstacle.
+
+    Note: with several cameras the stamp of `obstacles_W` is that of the oldest camera, not that of
+    the newest image. It is the time of the last usable image of the camera without a usable image
+    for the longest time, since obstacles may have entered its part of the scene unobserved.
 
     .. pydrake_system::
 
@@ -135,43 +141,42 @@ class DepthPerception(LeafSystem):
       - cloud
       - free_space_W
 
-    Of several cameras `names`, each has those four input ports, named `depth_image_NAME`,
+    With several cameras, each camera NAME has its own four input ports: `depth_image_NAME`,
     `camera_pose_NAME`, `robot_state_NAME` and `image_stamp_NAME`.
 
-    Port `depth_image`: ImageDepth32F, depth along the optical axis [m]; 0 is too
-    near, inf too far, NaN missing.
+    Port `depth_image`: ImageDepth32F, depth along the optical axis [m]; 0: too near, inf: too far,
+    NaN: missing.
 
-    Port `camera_pose`: RigidTransform X_WC of the depth camera (x right, y down,
+    Port `camera_pose`: RigidTransform X_WC, the pose of the depth camera (x right, y down,
     z forward) in the world.
 
-    Port `robot_state` (optional): (num_states,) vector [q, v] of the robot [rad, m
-    and per s], whose own points are removed; while it is not connected nothing is
-    removed. A system made without `robot` does not have this port.
+    Port `robot_state` (optional): (num_states,) vector [q, v] of the robot at the time of the image
+    [rad, m and per s], for the self filter: points on the robot are removed. Not connected: no
+    points are removed. A system constructed without `robot` does not have this port.
 
-    Port `image_stamp` (optional): (1,) time at which the image was taken [s]; while it is
-    not connected, the time at which it is pulled. An image that was not taken after the last
-    good one is no new observation: nothing changes but the `note`.
+    Port `image_stamp` (optional): (1,) time of the image [s]. Not connected: the time at which the
+    image is evaluated. An image that is not newer than the last usable image of its camera is no
+    new observation: only the `note` of the output changes.
 
-    Port `obstacles_W`: ObstacleClouds in the world frame [m], with names and velocities.
+    Port `obstacles_W`: ObstacleClouds in the world frame [m], with track IDs and velocities.
 
-    Port `cloud`: PointCloud of every point above the table, in the world frame [m],
-    the robot's own included: for viewing.
+    Port `cloud`: PointCloud of all points above the table in the world frame [m], including the
+    robot's; for visualization.
 
-    Port `free_space_W`: abstract `FreeSpace`, the images in which the obstacles were seen last.
+    Port `free_space_W`: abstract `FreeSpace` of the last usable images.
 
-    The inputs are pulled at initialization and then every `period` (a simulated
-    camera renders again each time it is asked), and the outputs are held between.
-    Obstacles keep their names, and the points that an arm hides; an obstacle that does
-    not move keeps its cloud, bit for bit, until it is seen to reach farther or less far
-    (see `drake_oa.perception.tracking.update_tracks`, also for frames that repeat or go back in time). A
-    frame that shows no table leaves the obstacles and their stamp as they were, and says why in
-    `note`: a receiver tells from the stamp how old they are.
+    The inputs are evaluated at initialization and then every `period`, since each evaluation makes
+    a simulated camera render. The outputs are constant between these updates. An obstacle keeps its
+    track ID, and the points that the arm occludes. The cloud of an obstacle at rest does not change
+    by a bit until a larger or smaller extent is observed (see
+    `drake_oa.perception.tracking.update_tracks`, also for repeated frames and for stamps that
+    decrease). A frame without a table leaves the obstacles and their stamp unchanged and states the
+    reason in `note`. A receiver computes the age of the obstacles from the stamp.
 
-    Images of one instant, or that are not farther apart than `sync_tolerance`, are one frame: of the
-    newest one's time, and without the robot where it was at any of them. A camera that has no such
-    image, or one that tells nothing, is left out of it and named in `note`; the others' sight
-    counts, and the obstacles' stamp is that of the last image of the camera that has been missing
-    for longest: obstacles may have entered where no camera looks.
+    Images whose stamps differ by at most `sync_tolerance` form one frame with the time of the
+    newest image. The self filter removes the robot at its configuration of each image. A camera
+    without an image of that instant, or with an unusable one, is left out of the frame and named in
+    `note`; the other cameras still update the obstacles.
     """
 
     def __init__(
@@ -190,20 +195,19 @@ class DepthPerception(LeafSystem):
         """Declares ports, state and events.
 
         Args:
-            camera: the depth camera's intrinsics; of several cameras, name -> intrinsics.
-            config: how frames are segmented; `table_height` there is the prior on
-                the table. None for the defaults.
-            robot: from `robot_geometries`; None for no self filter.
-            pixel_center: image coordinates of the middle of the first pixel
-                [pixel]. 0 is the usual convention, and what CameraInfo documents;
-                Drake 1.51's RenderEngineVtk renders as if it were 0.5, which
-                turns the scene by half a pixel where it is not allowed for.
+            camera: intrinsics of the depth camera; for several cameras a mapping from their names
+                to their intrinsics.
+            config: parameters of the segmentation; `table_height` is the prior on the table.
+                None: defaults.
+            robot: collision geometry from `robot_geometries`; None: no self filter.
+            pixel_center: image coordinate of the center of the first pixel [pixel]. 0 is the
+                convention of CameraInfo. RenderEngineVtk of Drake 1.51 renders with 0.5; without
+                this correction the scene is rotated by half a pixel.
             period: time between frames [s].
-            delay: how long after a period's beginning its images come [s].
-            sync_tolerance: images of several cameras whose stamps differ by no more are taken as of one
-                instant, that of the newest [s].
-            missing_image_timeout: how old a camera's last image may be before `note` says that there is no new
-                one [s]: the images of a camera that goes by itself now and then miss a period.
+            delay: time from the begin of a period to the arrival of its images [s].
+            sync_tolerance: maximum difference of the stamps of images that form one frame [s].
+            missing_image_timeout: age of the last image of a camera above which `note` reports a
+                missing image [s]. An unsynchronized camera occasionally has none in a period.
             depth_range: minimum and maximum depth that all cameras measure [m].
 
         Raises:
@@ -228,11 +232,12 @@ class DepthPerception(LeafSystem):
         self._free_space = self.DeclareAbstractState(Value(FreeSpace()))
         self.DeclareStateOutputPort("free_space_W", self._free_space)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
-        # The first frame is the initialization's.
-        offset = period + delay + _AFTER if delay else period
+        # The initialization event processes the first frame.
+        offset = period + delay + _UPDATE_DELAY if delay else period
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
 
     def _declare_camera(self, suffix: str) -> _Ports:
+        """Declares the input ports of one camera, with a suffix of their names."""
         robot = self._robot
         return _Ports(
             AbstractInput(self, f"depth_image{suffix}", ImageDepth32F),
@@ -244,6 +249,7 @@ class DepthPerception(LeafSystem):
         )
 
     def _update(self, context: Context, state: State) -> None:
+        """Updates the tracks by the new images, or the note without new images."""
         time, previous = context.get_time(), self._state.read(context)
         count = len(self._ports)
         last_image_stamps = (
@@ -252,57 +258,59 @@ class DepthPerception(LeafSystem):
             else np.full(count, -np.inf)
         )
         stamps = np.array([self._stamp(port, context) for port in self._ports])
-        newest = stamps.max()
         overdue = (self._missing_image_timeout == 0.0) | (
             time - stamps > self._missing_image_timeout
         )
-        is_new = (stamps > last_image_stamps) & (
-            stamps >= newest - max(_SAME_TIME, self._sync_tolerance)
-        )
-        if not (is_new & (stamps >= newest - _SAME_TIME)).any():
+        is_new = select_synchronized(stamps, last_image_stamps, self._sync_tolerance)
+        if not is_new.any():
             note = _NO_NEW_IMAGE if overdue.all() else previous.obstacles.note
-            self._write(
-                context, state, replace(previous, last_image_stamps=last_image_stamps), note
-            )
+            self._write(context, state, previous, note)
             return
-        shown = np.flatnonzero(is_new).tolist()
-        robot = self._posed_robot([self._ports[row] for row in shown], context)
-        frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
-        unusable_views = {shown[number]: why for number, why in frame.unusable_views.items()}
-        missing = {row: _NO_NEW_IMAGE for row in range(count) if row not in shown} | unusable_views
-        memory = update_tracks(previous, frame, newest, self._config, robot, complete=not missing)
-        seeing = [row for row in range(count) if row not in missing]
-        last_image_stamps[seeing] = stamps[seeing]
-        notes = [memory.obstacles.note]
+        newest, rows = stamps.max(), np.flatnonzero(is_new).tolist()
+        robot = self._posed_robot([self._ports[row] for row in rows], context)
+        frame = segment_views([self._view(row, context) for row in rows], self._config, robot)
+        unusable_views = {rows[number]: why for number, why in frame.unusable_views.items()}
+        missing = {row: _NO_NEW_IMAGE for row in range(count) if row not in rows} | unusable_views
+        tracker = update_tracks(previous, frame, newest, self._config, robot, complete=not missing)
+        usable = [row for row in range(count) if row not in missing]
+        last_image_stamps[usable] = stamps[usable]
+        notes = [tracker.obstacles.note]
         if frame.usable:
             notes = [
                 f"{self._names[row]}: {why}"
                 for row, why in sorted(missing.items())
                 if row in unusable_views or overdue[row]
             ]
-            seen = dict(zip(seeing, frame.views, strict=True))
-            views = tuple(map(seen.get, range(count)))
+            view_of = dict(zip(usable, frame.views, strict=True))
+            views = tuple(map(view_of.get, range(count)))
             free_space = FreeSpace(views, newest, *self._range)
             state.get_mutable_abstract_state(self._free_space).set_value(free_space)
-            obstacles = (
-                as_of(memory.obstacles, last_image_stamps.min()) if missing else memory.obstacles
-            )
-            memory = replace(memory, obstacles=obstacles, cloud_W=frame.points_W)
+            obstacles = tracker.obstacles
+            if missing:
+                obstacles = backdate_obstacles(obstacles, last_image_stamps.min())
+            tracker = replace(tracker, obstacles=obstacles, cloud_W=frame.points_W)
         self._write(
-            context, state, replace(memory, last_image_stamps=last_image_stamps), "; ".join(notes)
+            context, state, replace(tracker, last_image_stamps=last_image_stamps), "; ".join(notes)
         )
 
-    def _write(self, context: Context, state: State, memory: TrackerState, note: str) -> None:
-        before = self._state.read(context).obstacles.note
-        log_change(self, before, note, context.get_time())
-        obstacles = replace(memory.obstacles, note=note)
-        self._state.write(state, replace(memory, obstacles=obstacles))
+    def _write(self, context: Context, state: State, tracker: TrackerState, note: str) -> None:
+        """Stores a tracker state with a note, and logs the note if it has changed."""
+        previous = self._state.read(context).obstacles.note
+        log_change(self, previous, note, context.get_time())
+        obstacles = replace(tracker.obstacles, note=note)
+        self._state.write(state, replace(tracker, obstacles=obstacles))
 
     def _stamp(self, port: _Ports, context: Context) -> float:
+        """Reads the stamp of a camera's image [s]; the time of the Context without one."""
         has_stamp = port.stamp.HasValue(context)
         return float(port.stamp.Eval(context)[0]) if has_stamp else context.get_time()
 
     def _view(self, row: int, context: Context) -> View:
+        """Reads image and pose of a camera.
+
+        Raises:
+            ValueError: if the image has another size than the intrinsics.
+        """
         port, (K, size) = self._ports[row], self._cameras[row]
         image: Any = port.image.read(context)
         pose: Any = port.pose.read(context)
@@ -316,24 +324,41 @@ class DepthPerception(LeafSystem):
         return View(depth, K, pose.GetAsMatrix4())
 
     def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> CollisionGeometries | None:
-        """The robot where it was when any of the images was taken."""
+        """Computes the collision geometry of the robot at its states in the images, or None."""
         if self._robot is None:
             return None
-        known = (port.robot for port in ports if port.robot is not None)
-        states = {tuple(port.Eval(context)) for port in known if port.HasValue(context)}
+        robot_ports = (port.robot for port in ports if port.robot is not None)
+        states = {tuple(port.Eval(context)) for port in robot_ports if port.HasValue(context)}
         return self._robot.posed([np.array(state) for state in sorted(states)])
 
 
-def as_of(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:
-    """The obstacles with an older stamp [s]: those that move are where they then must have been.
+def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: float) -> BoolArray:
+    """Selects the cameras whose images form the newest frame.
 
-    Who lets them go on from there has them where they are.
+    Args:
+        stamps: (n,) stamps of the cameras' images [s].
+        last_stamps: (n,) stamps of the last usable images [s].
+        tolerance: maximum difference of the stamps of one frame [s].
+
+    Returns:
+        (n,) whether each image is new and within the tolerance of the newest stamp; all False if
+        no image with the newest stamp is new.
     """
-    late = obstacles.stamp - stamp
+    newest = stamps.max()
+    is_new = (stamps > last_stamps) & (stamps >= newest - max(_SAME_TIME, tolerance))
+    return np.asarray(is_new & (is_new & (stamps >= newest - _SAME_TIME)).any())
+
+
+def backdate_obstacles(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:
+    """Returns the obstacles with an older stamp [s], moving ones at their positions at that time.
+
+    A receiver that extrapolates them with their velocities obtains their present positions.
+    """
+    age = obstacles.stamp - stamp
     clouds = obstacles.clouds_W
-    if math.isfinite(late) and late > 0.0:
+    if math.isfinite(age) and age > 0.0:
         clouds = tuple(
-            cloud - late * v_WO if v_WO.any() else cloud
+            cloud - age * v_WO if v_WO.any() else cloud
             for cloud, v_WO in zip(clouds, obstacles.v_WO, strict=True)
         )
     return replace(obstacles, stamp=stamp, clouds_W=clouds)

@@ -1,4 +1,4 @@
-"""Obstacles as the simulated world knows them."""
+"""Perception with the exact obstacles of the simulated world."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from drake_oa.perception.depth_perception import PerceptionState
 from drake_oa.perception.tracking import TrackerState
 
 _SAMPLES = 300
-"""Approximate number of points of each geometry."""
-_AT_REST = 1e-3
-"""A slower obstacle is taken to rest [m/s]: contact lets a standing one tremble."""
+"""Approximate number of sampled points on each collision geometry."""
+_MIN_SPEED = 1e-3
+"""Minimum speed of a moving obstacle [m/s]; contact makes resting obstacles vibrate."""
 
 
 class GroundTruthPerception(LeafSystem):
-    """Knows the obstacles' collision geometry and asks SceneGraph where it is.
+    """Outputs points on the surfaces of obstacles at their exact poses in SceneGraph.
 
     .. pydrake_system::
 
@@ -34,18 +34,18 @@ class GroundTruthPerception(LeafSystem):
       - obstacles_W
       - cloud
 
-    Port `query_object`: QueryObject of the scene graph that holds the obstacles.
+    Port `query_object`: QueryObject of the scene graph that contains the obstacles.
 
-    Port `obstacles_W`: ObstacleClouds in the world frame [m]: points all over the
-    surface of each model instance, hidden sides included; its id is the place of
-    the instance in the constructor's list. What is farther from the world's origin than
-    `messages.OUT_OF_WORLD` is absent, and left out.
+    Port `obstacles_W`: ObstacleClouds in the world frame [m]: points on the whole surface of each
+    model instance, including occluded sides. The track ID is the index of the model instance in the
+    constructor's list. Obstacles farther from the world origin than `messages.OUT_OF_WORLD` are
+    omitted.
 
-    Port `cloud`: PointCloud of all those points, in the world frame [m].
+    Port `cloud`: PointCloud of all these points in the world frame [m].
 
-    The poses are read at initialization and then every `period`. The velocity of an
-    obstacle is how far the centroid of its points went since the last reading, and exactly
-    zero below 1 mm/s and at the first reading in which it is there.
+    The poses are read at initialization and then every `period`. The velocity of an obstacle is the
+    displacement of the centroid of its points since the previous reading, over the period. It is
+    exactly zero below 1 mm/s, and at the first reading that contains the obstacle.
     """
 
     def __init__(
@@ -57,18 +57,18 @@ class GroundTruthPerception(LeafSystem):
         table: TablePlane | None = None,
         period: float = 1.0 / 15.0,
     ) -> None:
-        """Samples the obstacles' surfaces, and declares ports, state and events.
+        """Samples the surfaces of the obstacles, and declares ports, state and events.
 
         Args:
-            plant: finalized plant that holds the obstacles.
-            inspector: of its scene graph.
-            obstacles: one model instance an obstacle.
-            table: the supporting plane handed on; None for no table.
+            plant: finalized plant that contains the obstacles.
+            inspector: inspector of its scene graph.
+            obstacles: model instance of each obstacle.
+            table: support plane in the output; None: no table.
             period: time between updates [s].
 
         Raises:
-            ValueError: for an obstacle without collision geometry, of an unbounded
-                shape, or a period that is not positive.
+            ValueError: for an obstacle without collision geometry or with an unbounded shape, or
+                for a period that is not positive.
         """
         super().__init__()
         self._table = table
@@ -82,25 +82,26 @@ class GroundTruthPerception(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
 
     def _update(self, context: Context, state: State) -> None:
+        """Reads the poses, and stores the clouds and velocities of the obstacles."""
         query = self._query_port.read(context)
         time, before = context.get_time(), self._state.read(context).obstacles
         dt = time - before.stamp
         earlier = dict(zip(before.ids.tolist(), before.clouds_W, strict=True))
         clouds, ids, velocities = [], [], []
-        for name, parts in enumerate(self._samples):
-            placed = []
+        for track_id, parts in enumerate(self._samples):
+            points = []
             for frame, p_BQ in parts:
                 X_WB = query.GetPoseInWorld(frame).GetAsMatrix4()
-                placed.append(p_BQ @ X_WB[:3, :3].T + X_WB[:3, 3])
-            cloud = np.concatenate(placed)
+                points.append(p_BQ @ X_WB[:3, :3].T + X_WB[:3, 3])
+            cloud = np.concatenate(points)
             if np.abs(cloud[0]).max() > OUT_OF_WORLD:
                 continue
-            moved = (cloud - earlier.get(name, cloud)).mean(axis=0)
-            is_moving = dt > 0.0 and np.linalg.norm(moved) >= _AT_REST * dt
-            velocities.append(moved / dt if is_moving else np.zeros(3))
+            shift = (cloud - earlier.get(track_id, cloud)).mean(axis=0)
+            is_moving = dt > 0.0 and np.linalg.norm(shift) >= _MIN_SPEED * dt
+            velocities.append(shift / dt if is_moving else np.zeros(3))
             cloud.flags.writeable = False
             clouds.append(cloud)
-            ids.append(name)
+            ids.append(track_id)
         obstacles = ObstacleClouds(
             time,
             tuple(clouds),
@@ -108,8 +109,8 @@ class GroundTruthPerception(LeafSystem):
             self._table,
             v_WO=np.reshape(velocities, (-1, 3)),
         )
-        points = np.concatenate([np.zeros((0, 3)), *clouds])
-        self._state.write(state, TrackerState(obstacles, cloud_W=points))
+        cloud_W = np.concatenate([np.zeros((0, 3)), *clouds])
+        self._state.write(state, TrackerState(obstacles, cloud_W=cloud_W))
 
 
 def _body_fixed_samples(
@@ -117,6 +118,11 @@ def _body_fixed_samples(
     inspector: SceneGraphInspector,
     instance: ModelInstanceIndex,
 ) -> tuple[tuple[FrameId, FloatArray], ...]:
+    """Samples the surface of a model instance: for each body its frame and points (N, 3) in it [m].
+
+    Raises:
+        ValueError: if no body has collision geometry.
+    """
     parts = []
     for index in plant.GetBodyIndices(instance):
         geometry_ids = plant.GetCollisionGeometriesForBody(plant.get_body(index))
@@ -130,6 +136,6 @@ def _body_fixed_samples(
     if not parts:
         raise ValueError(
             f"obstacle '{plant.GetModelInstanceName(instance)}' has no collision geometry; "
-            "ground truth needs at least one"
+            "ground-truth perception requires at least one"
         )
     return tuple(parts)

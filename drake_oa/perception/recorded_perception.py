@@ -1,4 +1,4 @@
-"""Obstacles from a recording."""
+"""Perception of obstacles in recorded depth images or point clouds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drake_oa.perception.tracking import update_tracks
 
 
 class RecordedPerception(LeafSystem):
-    """Plays back a folder of recorded depth images or clouds.
+    """Detects and tracks obstacles in a folder of recorded depth images or point clouds.
 
     .. pydrake_system::
 
@@ -31,21 +31,21 @@ class RecordedPerception(LeafSystem):
       - obstacles_W
       - cloud
 
-    Port `obstacles_W`: ObstacleClouds in the world frame [m], stamped with the
-    simulation time at which the frame was due.
+    Port `obstacles_W`: ObstacleClouds in the world frame [m]; the stamp is the simulation time at
+    which the frame became due.
 
-    Port `cloud`: PointCloud of every point above the table, in the world frame [m].
+    Port `cloud`: PointCloud of all points above the table, in the world frame [m].
 
-    The first frame is due at time 0, each other one as long after it as it was
-    recorded; the newest frame due is looked up at initialization and then every
-    `period`. A held frame keeps its stamp. When the recording has ended the scene is
-    taken to stay as it was seen last, stamped again.
+    The first frame is due at time 0, the others with the time differences of the recording. At
+    initialization and then every `period`, the newest due frame is processed, unless it was
+    processed before. The stamp of the output is constant until the next frame. After the last frame
+    the scene is assumed to remain as observed: its stamp is updated, and all velocities are zero.
 
-    The camera's pose is taken from the frame's file, else from `X_WC`; where
-    neither knows it, the table defines the world: z along its normal, the origin
-    where the optical axis meets it, x along the camera's x axis. Files are
-    described in `drake_oa.perception.recordings`. Obstacles are followed as `DepthPerception` does;
-    a cloud is taken to show everything, so that nothing is hidden in it.
+    The pose of the camera is read from the frame's file, else `X_WC` is used. Without both, the
+    table defines the world: z along its normal, x along the camera's x axis, and the origin at the
+    intersection of table and optical axis. `drake_oa.perception.recordings` describes the files.
+    Obstacles are tracked as by `DepthPerception`; a point cloud is assumed to contain every
+    surface, without occlusion.
     """
 
     def __init__(
@@ -60,18 +60,18 @@ class RecordedPerception(LeafSystem):
         """Reads the folder, and declares ports, state and events.
 
         Args:
-            folder: with .npz, .pcd, .ply or .png files.
-            X_WC: pose of the camera for files that do not hold one; the identity
-                for clouds already in the world frame; None when unknown.
-            config: how frames are segmented; None for the defaults.
-            robot: from `robot_geometries`: takes itself out of frames that
-                know its `robot_state`; None: they show no robot.
+            folder: folder with .npz, .pcd, .ply or .png files.
+            X_WC: pose of the camera for files without a pose; the identity for clouds in the world
+                frame; None: unknown.
+            config: parameters of the segmentation; None: defaults.
+            robot: collision geometry from `robot_geometries` for the self filter of frames with a
+                `robot_state`; None: no self filter.
             period: time between updates, and between files without stamp [s].
 
         Raises:
             FileNotFoundError: if the folder does not exist or is empty.
-            ValueError: naming the file that cannot be used, or for a period that is
-                not positive.
+            ValueError: for a file that cannot be used, which the message names, or for a period
+                that is not positive.
         """
         super().__init__()
         self._period = valid_period(period)
@@ -81,30 +81,31 @@ class RecordedPerception(LeafSystem):
         self._config = config or SegmentationConfig()
         self._robot = robot
         self._state = PerceptionState(self)
-        # Counts the frames due so far; -1 before the first.
-        self._played = self.DeclareAbstractState(Value(-1))
+        # Index of the last processed frame; -1 before the first one.
+        self._last_frame = self.DeclareAbstractState(Value(-1))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._update)
 
     @property
     def files_without_pose(self) -> tuple[Path, ...]:
-        """The files that do not know where the camera was, in order of time."""
+        """Files without a pose of the camera, sorted by stamp."""
         return tuple(frame.path for frame in self._frames if frame.X_WC is None)
 
     def _update(self, context: Context, state: State) -> None:
-        # Update times are sums of the period: allow for their rounding.
+        """Processes the newest due frame, or updates the stamp after the last one."""
+        # Update times are sums of the period, with rounding errors.
         due = int(np.searchsorted(self._start, context.get_time() + 1e-9, side="right")) - 1
-        played: Any = state.get_mutable_abstract_state(int(self._played))
+        last_frame: Any = state.get_mutable_abstract_state(int(self._last_frame))
         previous = self._state.read(context)
         before = previous.obstacles
-        if due == played.get_value():
+        if due == last_frame.get_value():
             if due == len(self._frames) - 1 and not before.note:
-                # Nothing is known of motion after the last frame.
+                # Motion after the last frame is unknown; the obstacles are assumed to rest.
                 at_rest = np.zeros_like(before.v_WO)
                 same = replace(before, stamp=context.get_time(), v_WO=at_rest)
                 self._state.write(state, replace(previous, obstacles=same))
             return
-        played.set_value(due)
+        last_frame.set_value(due)
         recorded = self._frames[due]
         robot = None
         if self._robot is not None and recorded.robot_state is not None:
@@ -112,11 +113,11 @@ class RecordedPerception(LeafSystem):
         frame = segment_frame(recorded, self._X_WC, self._config, robot)
         if not frame.usable:
             frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
-        memory = update_tracks(previous, frame, self._start[due], self._config, robot)
-        log_change(self, before.note, memory.obstacles.note, context.get_time())
+        tracker = update_tracks(previous, frame, self._start[due], self._config, robot)
+        log_change(self, before.note, tracker.obstacles.note, context.get_time())
         if frame.usable:
-            memory = replace(memory, cloud_W=frame.points_W)
-        self._state.write(state, memory)
+            tracker = replace(tracker, cloud_W=frame.points_W)
+        self._state.write(state, tracker)
 
 
 def segment_frame(
@@ -125,16 +126,16 @@ def segment_frame(
     config: SegmentationConfig,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments a recorded frame.
+    """Segments a recorded frame into table and obstacles.
 
     Args:
-        frame: a depth image with K, or points.
-        X_WC: (4, 4) pose of the camera for a frame that does not hold one; None: unknown.
-        config: parameters.
-        robot: shapes of the robot at the time of the frame, or None.
+        frame: depth image with K, or points.
+        X_WC: (4, 4) pose of the camera for a frame without a pose; None: unknown.
+        config: parameters of the segmentation.
+        robot: collision geometry of the robot at the time of the frame, or None.
 
     Raises:
-        ValueError: as `segment_depth` and `segment_points` do.
+        ValueError: as `segment_depth` and `segment_points`.
     """
     pose = X_WC if frame.X_WC is None else frame.X_WC
     if frame.depth is not None and frame.K is not None:

@@ -1,19 +1,19 @@
-"""Recorded depth images and point clouds, read from files.
+"""Files of recorded depth images and point clouds.
 
-A file is one frame:
+Each file is one frame:
 
 - ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
-  (N, 3) [m]; in either case optionally ``X_WC`` (4, 4), ``stamp`` [s] and
-  ``robot_state`` [q, v], by which the robot is taken out of the frame;
+  (N, 3) [m]; both optionally with ``X_WC`` (4, 4), ``stamp`` [s], and ``robot_state`` [q, v] for
+  the self filter;
 - ``.pcd`` or ``.ply``: a cloud;
-- ``.png``: a 16-bit depth image whose K stands in a file beside it: for ``scene.png`` in
-  ``scene.json``, ``intrinsics.json`` or ``camera_info.json`` (or ``.yaml``, ``.yml``). It holds
-  ``fx, fy, cx, cy``, or a row-major 3 x 3 matrix ``K``, ``k``, ``camera_matrix`` (ROS: with
-  ``data``) or ``intrinsic_matrix``, and optionally ``depth_scale`` [m a unit].
+- ``.png``: a 16-bit depth image with its intrinsics in a file of the same folder: for ``scene.png``
+  ``scene.json``, ``intrinsics.json`` or ``camera_info.json`` (or ``.yaml``, ``.yml``). That file
+  contains ``fx, fy, cx, cy``, or a row-major 3 x 3 matrix ``K``, ``k``, ``camera_matrix`` (ROS:
+  with ``data``) or ``intrinsic_matrix``, and optionally ``depth_scale`` [m per unit].
 
-Where a file holds no stamp, the number at the end of its name is the stamp in
-seconds if it has a decimal point (``cloud_000.066.pcd``); otherwise the stamp is the
-file's place in the folder, in order of name, times the period.
+The stamp of a file without one is the number at the end of its name in seconds, if that has a
+decimal point (``cloud_000.066.pcd``). Otherwise it is the file's index in the folder, sorted by
+name, times the period.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 
 SUFFIXES = (".npz", ".pcd", ".ply", ".png")
-"""Suffixes of frames."""
+"""File name suffixes of frames."""
 
 _SIDE_SUFFIXES = (".json", ".yaml", ".yml")
-"""Suffixes of files that hold the intrinsics of a .png image."""
+"""File name suffixes of intrinsics of .png images."""
 
 _MATRIX_NAMES = ("K", "k", "camera_matrix", "intrinsic_matrix")
-"""Names of a camera matrix in a file of intrinsics."""
+"""Keys of a camera matrix in an intrinsics file."""
 
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "depth": (None, None),
@@ -52,35 +52,36 @@ _SHAPES: dict[str, tuple[int | None, ...]] = {
     "stamp": (),
     "robot_state": (None,),
 }
-"""Shapes of the arrays of a .npz file; None: any length."""
+"""Shapes of the arrays in a .npz file; None: any length."""
 
 _HEADER = re.compile(rb"^(?:POINTS|element vertex)\s+(\d+)", re.MULTILINE)
-"""Number of points in the header of a .pcd or .ply file."""
+"""Pattern of the number of points in the header of a .pcd or .ply file."""
 
 _POINTS_PER_BYTE = 88
-"""Upper bound of the number of points in a byte of a file: LZF compresses no better."""
+"""Upper bound of the number of points per byte of a file: the best ratio of LZF compression."""
 
 _DAMAGED = (
-    "'{}' is cut short or holds no cloud: its header must give a number of points, and as many "
-    "must follow; write it again as .pcd or .ply with fields x, y and z"
+    "'{}' is truncated or contains no cloud: the number of points in its header must equal the "
+    "number of points that follow; write it again as .pcd or .ply with fields x, y and z"
 )
-"""Error message for a cloud that cannot be read."""
+"""Error message for a file with a cloud that cannot be read; {}: path of the file."""
 
 _STAMP = re.compile(r"(?:^|[^0-9.])([0-9]+\.[0-9]+)$")
+"""Pattern of a stamp [s] at the end of a file name without suffix."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """One recorded frame: a depth image with K, or points.
+    """Recorded frame: a depth image with K, or points.
 
     Attributes:
-        path: the file.
-        stamp: its time [s].
-        depth: (H, W) [m], or None.
+        path: path of the file.
+        stamp: time of the frame [s].
+        depth: (H, W) depth along the optical axis [m], or None.
         K: (4,) fx, fy, cx, cy [pixel], or None.
         points: (N, 3) in the camera frame [m], not finite where missing, or None.
-        X_WC: (4, 4) pose of the camera, or None when the file does not hold it.
-        robot_state: [q, v] of a robot in view, or None.
+        X_WC: (4, 4) pose of the camera; None: not in the file.
+        robot_state: (num_states,) state [q, v] of the robot in the frame, or None.
     """
 
     path: Path
@@ -98,21 +99,21 @@ def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[Reco
     Hidden files, intrinsics files (.json, .yaml) and subfolders are ignored.
 
     Args:
-        folder: the folder.
-        period: time between files that carry no stamp [s].
+        folder: folder of the recording.
+        period: time between files without a stamp [s].
 
     Raises:
-        FileNotFoundError: if the folder does not exist or holds no file.
-        ValueError: naming the file, for an unknown suffix, an unreadable file,
-            missing or malformed arrays, or a stamp that two files share.
+        FileNotFoundError: if the folder does not exist or is empty.
+        ValueError: for an unknown suffix, an unreadable file, missing or malformed arrays, or two
+            files with the same stamp; the message names the file.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise FileNotFoundError(f"recording: there is no folder '{folder}'")
+        raise FileNotFoundError(f"recording: no folder '{folder}'")
     paths = frame_files(folder)
     if not paths:
         raise FileNotFoundError(
-            f"recording: the folder '{folder}' holds no file; valid are {', '.join(SUFFIXES)}"
+            f"recording: folder '{folder}' is empty; valid files are {', '.join(SUFFIXES)}"
         )
     try:
         frames = [read_frame(path, index * period) for index, path in enumerate(paths)]
@@ -123,13 +124,13 @@ def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[Reco
         if first.stamp == second.stamp:
             raise ValueError(
                 f"recording: '{first.path}' and '{second.path.name}' have the same stamp "
-                f"{first.stamp} s; each frame needs its own"
+                f"{first.stamp} s; each frame requires a different stamp"
             )
     return tuple(frames)
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Lists the files of a folder in order of name, without hidden ones and intrinsics files."""
+    """Lists the files of a folder sorted by name, without hidden files and intrinsics files."""
     return sorted(
         path
         for path in folder.iterdir()
@@ -143,17 +144,17 @@ def read_frame(
     K: FloatArray | None = None,
     depth_scale: float | None = None,
 ) -> RecordedFrame:
-    """Reads one file.
+    """Reads a recorded frame from a file.
 
     Args:
-        path: the file.
-        default_stamp: its time where neither file nor name holds one [s].
-        K: (4,) fx, fy, cx, cy of a .png image [pixel]; None: from a file beside it.
-        depth_scale: meters a unit of a .png image; None: from the file beside it, else 0.001.
+        path: path of the file.
+        default_stamp: stamp if neither the file nor its name has one [s].
+        K: (4,) fx, fy, cx, cy of a .png image [pixel]; None: from its intrinsics file.
+        depth_scale: scale of a .png image [m per unit]; None: from the intrinsics file, else 0.001.
 
     Raises:
-        ValueError: naming the file, for an unknown suffix, an unreadable or truncated file, or
-            missing or malformed arrays.
+        ValueError: for an unknown suffix, an unreadable or truncated file, or missing or malformed
+            arrays; the message names the file.
     """
     match = _STAMP.search(path.stem)
     stamp = float(match.group(1)) if match else default_stamp
@@ -170,41 +171,43 @@ def read_frame(
 
 
 def _read_npz(path: Path, stamp: float) -> RecordedFrame:
+    """Reads and checks a frame in a .npz file; `stamp` [s] is used for a file without one."""
     data = {name: array for name, array in read_arrays(path).items() if name in _SHAPES}
     if ("depth" in data) == ("points" in data) or ("depth" in data and "K" not in data):
-        raise ValueError(f"'{path}' must hold either 'depth' and 'K' or 'points'")
+        raise ValueError(f"'{path}' must contain either 'depth' and 'K' or 'points'")
     for name, array in data.items():
-        shape, measured = _SHAPES[name], name in ("depth", "points")
-        sizes = tuple(need or size for need, size in zip(shape, array.shape, strict=False))
-        kinds = "f" if measured else "fiu"
+        shape, is_float = _SHAPES[name], name in ("depth", "points")
+        sizes = tuple(want or size for want, size in zip(shape, array.shape, strict=False))
+        kinds = "f" if is_float else "fiu"
         is_valid = array.dtype.kind in kinds and array.shape == sizes and array.ndim == len(shape)
-        if not (is_valid and (array.size if measured else np.isfinite(array).all())):
+        if not (is_valid and (array.size if is_float else np.isfinite(array).all())):
             raise ValueError(
-                f"'{name}' in '{path}' must be {'floats [m]' if measured else 'finite numbers'} "
+                f"'{name}' in '{path}' must be {'floats [m]' if is_float else 'finite numbers'} "
                 f"of shape {shape}, not {array.dtype} {array.shape}"
             )
-        data[name] = array if measured else array.astype(float)
+        data[name] = array if is_float else array.astype(float)
     if "K" in data:
         checked_intrinsics(data["K"], f"'{path}': 'K'")
     if "X_WC" in data:
         R = data["X_WC"][:3, :3]
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-            raise ValueError(f"'X_WC' in '{path}' must hold a rotation; its first 3 x 3 is none")
+            raise ValueError(f"'X_WC' in '{path}': its upper left 3 x 3 block must be a rotation")
     return RecordedFrame(path, float(data.pop("stamp", stamp)), **data)
 
 
 def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
+    """Reads a frame from a .pcd or .ply file."""
     import open3d
 
-    # Open3D allocates memory for all points of the header, and leaves that of missing lines of a
-    # .pcd file as it is.
+    # Open3D allocates memory for all points of the header, and returns uninitialized memory for
+    # missing lines of a .pcd file.
     data = path.read_bytes()
-    promised = int((_HEADER.findall(data[:65536]) or [b"0"])[0])
+    header_count = int((_HEADER.findall(data[:65536]) or [b"0"])[0])
     lines = data.partition(b"DATA ascii\n")[2] if path.suffix.lower() == ".pcd" else b""
-    held = lines.count(b"\n") if lines else len(data) * _POINTS_PER_BYTE
-    if not 0 < promised <= held:
+    max_count = lines.count(b"\n") if lines else len(data) * _POINTS_PER_BYTE
+    if not 0 < header_count <= max_count:
         raise ValueError(_DAMAGED.format(path))
-    # Open3D only warns, on standard output, about a file that it cannot read.
+    # Open3D raises no error for an unreadable file, but prints a warning to standard output.
     warnings = io.StringIO()
     with (
         contextlib.redirect_stdout(warnings),
@@ -219,34 +222,35 @@ def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
 def _read_depth_png(
     path: Path, stamp: float, K: FloatArray | None, depth_scale: float | None
 ) -> RecordedFrame:
+    """Reads a frame from a 16-bit .png depth image, see `read_frame`; 0: no depth."""
     import open3d
 
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         values = np.asarray(open3d.io.read_image(path))
-    # Open3D does not tell that the end of an image is missing.
-    complete = b"IEND" in path.read_bytes()[-64:]
-    if values.dtype != np.uint16 or values.ndim != 2 or not complete:
+    # Open3D does not report a truncated image.
+    is_complete = b"IEND" in path.read_bytes()[-64:]
+    if values.dtype != np.uint16 or values.ndim != 2 or not is_complete:
         raise ValueError(f"'{path}' must be a complete 16-bit .png image of one channel (depth)")
-    own_scale = 0.001
+    default_scale = 0.001
     if K is None:
-        K, own_scale = _read_side_file(path)
-    scale = own_scale if depth_scale is None else depth_scale
+        K, default_scale = _read_intrinsics(path)
+    scale = default_scale if depth_scale is None else depth_scale
     if not 0.0 < scale < np.inf:
-        raise ValueError(f"'{path}': depth scale must be positive [m a unit], not {scale}")
+        raise ValueError(f"'{path}': depth scale must be positive [m per unit], not {scale}")
     depth = values.astype(np.float32) * np.float32(scale)
     depth[values == 0] = np.nan
     return RecordedFrame(path, stamp, depth, K)
 
 
-def _read_side_file(image: Path) -> tuple[FloatArray, float]:
-    """Reads K (4,) [pixel] and the depth scale [m a unit] of an image."""
+def _read_intrinsics(image: Path) -> tuple[FloatArray, float]:
+    """Reads K (4,) [pixel] and depth scale [m per unit] from the intrinsics file of an image."""
     stems = (image.stem, "intrinsics", "camera_info")
     names = [stem + suffix for stem in stems for suffix in _SIDE_SUFFIXES]
     path = next((image.with_name(n) for n in names if image.with_name(n).is_file()), None)
     if path is None:
         raise ValueError(
-            f"'{image}' needs intrinsics: give fx fy cx cy (--intrinsics), or a file beside it "
-            f"named one of {', '.join(names)}"
+            f"'{image}' requires intrinsics: use --intrinsics fx fy cx cy, or a file in the same "
+            f"folder with one of the names {', '.join(names)}"
         )
     try:
         text = path.read_text()
@@ -254,23 +258,23 @@ def _read_side_file(image: Path) -> tuple[FloatArray, float]:
         scale = float(data.get("depth_scale", 0.001))
     except (OSError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"'{path}' cannot be read: {error}") from None
-    named = [data[name] for name in _MATRIX_NAMES if name in data]
-    matrix = named[0] if named else [data.get(name) for name in ("fx", "fy", "cx", "cy")]
+    matrices = [data[name] for name in _MATRIX_NAMES if name in data]
+    matrix = matrices[0] if matrices else [data.get(name) for name in ("fx", "fy", "cx", "cy")]
     if isinstance(matrix, Mapping):
         matrix = matrix.get("data")
     return checked_intrinsics(matrix, f"'{path}'"), scale
 
 
 def checked_intrinsics(values: Any, where: str) -> FloatArray:
-    """Returns K = [fx, fy, cx, cy], also of a 3 x 3 camera matrix.
+    """Checks intrinsics, and returns them as K = [fx, fy, cx, cy].
 
     Args:
-        values: 4 numbers, or 9 row by row.
-        where: the beginning of an error message.
+        values: fx, fy, cx, cy, or a 3 x 3 camera matrix row by row.
+        where: beginning of an error message: file and field.
 
     Raises:
-        ValueError: for other sizes, values that are not finite, or a focal length that
-            is not positive.
+        ValueError: for other sizes, values that are not finite, or focal lengths that are not
+            positive.
     """
     try:
         array = np.asarray(values, dtype=float).ravel()

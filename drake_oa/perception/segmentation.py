@@ -1,20 +1,23 @@
-"""From depth images of one instant, or a cloud, to one cluster of points for each obstacle.
+"""Segmentation of depth images of one instant, or of a point cloud, into table and obstacles.
 
-1. `table`: the supporting plane, fitted to a subsample of each image.
-2. Points above the plane, of each image: depth times a linear map of the pixel. Without a table
-   every point counts.
-3. `voxels`: their mean points by voxel, of all images together, without the robot and the
-   surroundings of the table.
-4. Clusters of the voxels, merged across gaps that no image sees through.
+Stages; each is one function, with the number of its stage in its docstring:
 
-Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4)
-homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` returns them.
+1. Plane, `_find_plane`: the support plane, fitted to a subsample of each image (`table`).
+2. Height, `_points_above`: the points of each image above the plane; all points without a table.
+3. Voxels, `voxel_means`: the mean points by voxel of all images together.
+4. Self filter, `_is_off_robot`: voxels on the robot are removed.
+5. Extent, `_is_over_table`: voxels beside the table are removed.
+6. Clusters, `_clusters`: connected voxels; clusters are merged across occluded gaps.
+7. Size and height, `_select_obstacles`: clusters that are large and high enough are obstacles.
+
+Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4) homogeneous matrices,
+as ``RigidTransform.GetAsMatrix4()`` returns them. Self filter: removal of points on the robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -38,56 +41,62 @@ from drake_oa.perception.table import (
 )
 
 _DEVIATIONS = 6.0
-"""Standard deviations of depth that are not distinguished from a height."""
+"""Number of standard deviations of depth below which a height counts as noise [1]."""
 _WARP_START = 1.1
-"""Depth from which structured-light cameras bend a plane (docs/results/real_scans.md) [m]."""
+"""Minimum depth at which structured-light cameras measure a plane as bent [m].
+
+Measured in docs/results/real_scans.md.
+"""
 _WARP = 0.15
-"""Height that the bend adds to a plane, by the square of the depth beyond `_WARP_START` [1/m]."""
-_LARGEST_WARP = 0.04
-"""Maximum height that the bend adds to a plane [m]."""
+"""Height of the bend of a plane over the square of the depth beyond `_WARP_START` [1/m]."""
+_MAX_WARP = 0.04
+"""Maximum height of the bend of a plane [m]."""
 _HIGHER_SHARE = 0.1
-"""Minimum fraction of the voxels of a cluster that are higher than noise and bend [1]."""
+"""Minimum fraction of an obstacle's voxels that are higher than depth noise and bend [1]."""
 OCCLUSION_GAP = 0.06
-"""Maximum gap between two clusters that are merged when nothing is visible through it [m]."""
+"""Maximum width of an occluded gap across which two clusters are merged [m]."""
 _BRIDGES = 16
-"""Number of the shortest connections between two clusters that are tested."""
+"""Number of shortest connections between two clusters that are tested for occlusion."""
 _BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
-"""Tested places along a connection, as fractions of its length [1]."""
+"""Places along a connection of two clusters that are tested for occlusion, in lengths of it [1]."""
 _MIN_HEIGHT = 0.004
 """Minimum height of an obstacle's points above the table at zero depth [m]."""
 _OVERHANG = 0.15
-"""Maximum distance that an obstacle above the table may extend beyond its edge [m]."""
+"""Maximum distance by which an obstacle may overhang the edge of the table [m]."""
 _OVER_TABLE = 0.15
-"""Minimum fraction of an overhanging cluster that is above the table [1]."""
+"""Minimum fraction of the voxels of an overhanging cluster that are above the table [1]."""
 _MIN_OCCUPANCY = 2
-"""Minimum number of points in an occupied voxel [1]."""
+"""Minimum number of points in an occupied voxel."""
 _STRIDE = 4
 """Row and column stride of the pixels used to fit the table [pixel]."""
 _CLOUD_SAMPLES = 20_000
 """Approximate number of points of a cloud used to fit the table."""
-_NO_TABLE, _NO_DEPTH = "no supporting plane found", "hardly any depth is measured"
+_NO_TABLE = "no support plane found"
+"""Note of an image without a table."""
+_NO_DEPTH = "hardly any depth is measured"
+"""Note of an image with depth in less than `LEAST_SHARE` of its pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Table and obstacles of one frame; without a table, everything but the robot.
+    """Table and obstacles of one frame.
 
     Attributes:
-        clouds_W: one (N_i, 3) array an obstacle: the mean point of each voxel, in
-            the world frame [m]; the largest cluster first.
-        labels: for each usable image, or for the cloud, the row (N,) of the cluster of each pixel
-            (row-major) or point; -1: none.
-        table: the supporting plane in the world frame, or None.
-        points_W: (N, 3) every single point above the table (without one, all), including the
-            robot's, in the world frame [m]: for viewing.
-        plane_rms: rms distance of the plane's points from it [m]; NaN without plane.
-        X_WC: (4, 4) pose of the first camera; when it was not given, the pose that makes
-            the table the plane z = 0 (see `segment_depth`).
-        usable: whether the table was found, or none exists; otherwise the frame carries no
+        clouds_W: for each obstacle an (N_i, 3) array of the mean points of its voxels in the world
+            frame [m], largest obstacle first; without a table all points off the robot.
+        labels: for each usable image, or for the cloud, the obstacle (N,) of each pixel
+            (row-major) or point as row of `clouds_W`; -1: none.
+        table: support plane in the world frame, or None.
+        points_W: (N, 3) all points above the table, without a table all points, in the world frame
+            [m]; including the robot's, for visualization.
+        plane_rms: root mean square distance of the plane's samples from it [m]; NaN without plane.
+        X_WC: (4, 4) pose of the first camera. If no pose was given, the pose for which the table is
+            the plane z = 0 (see `segment_depth`).
+        usable: whether a table was found or is not expected; False: the frame contains no
             information about obstacles.
         note: empty, or the reason why the frame is not usable.
-        views: the images that show obstacles; none of a cloud.
-        unusable_views: index of each image that is not usable, and the reason.
+        views: usable images; empty for a cloud.
+        unusable_views: from index of each image that is not usable to the reason.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -103,25 +112,27 @@ class Segmentation:
 
     @property
     def pixels(self) -> tuple[IntArray, ...]:
-        """Flat indices of the pixels or points of each cluster, counted on through the images."""
+        """Flat indices of the pixels or points of each obstacle, consecutive over the images."""
         label = np.concatenate([np.zeros(0), *self.labels])
         return tuple(np.flatnonzero(label == row) for row in range(len(self.clouds_W)))
 
 
 class _Frame(NamedTuple):
-    """One image or cloud, points p_CQ = depth ray, and its table.
+    """One image or cloud, with its table.
+
+    The points are p_CQ = depth * ray.
 
     Attributes:
         ray: (N, 3) float32; z = 1 in an image, unit vectors in a cloud.
         depth: (N,) float32 [m].
-        depth_range: minimum and maximum depth that is used [m].
+        depth_range: minimum and maximum depth in use [m].
         X_WC: (4, 4) pose; None: unknown.
         view: the image; None: a cloud.
-        table: the supporting plane in the world; None: not found.
-        extent_W: (E, 3) points that span it in this frame [m].
-        samples: number of samples on it.
-        rms: their rms distance from it [m].
-        note: empty, or the reason why the frame is not usable by itself.
+        table: support plane in the world; None: not found.
+        extent_W: (E, 3) points that span the table's extent in this frame [m].
+        samples: number of samples on the table.
+        rms: root mean square distance of these samples from the table [m].
+        note: empty, or the reason why this frame is not usable by itself.
     """
 
     ray: NDArray[np.float32]
@@ -136,22 +147,22 @@ class _Frame(NamedTuple):
     note: str = ""
 
     def is_valid(self, depth: NDArray[np.float32]) -> BoolArray:
-        """Checks which depths are in range."""
+        """Checks for each depth [m] whether it is in the range."""
         return np.asarray((depth >= self.depth_range[0]) & (depth <= self.depth_range[1]))
 
     def points(self, index: IntArray) -> NDArray[np.float32]:
-        """Points (M, 3) of some indices (M,) in the frame C [m]."""
+        """Computes the points (M, 3) with some indices (M,) in the camera frame C [m]."""
         return np.take(self.ray, index, axis=0) * self.depth[index, None]
 
 
-class _Part(NamedTuple):
-    """Points of one frame above the table.
+class _AbovePlane(NamedTuple):
+    """Points of one frame above the support plane; all points without a table.
 
     Attributes:
-        frame: the frame.
+        frame: image or cloud of the points.
         p_WQ: (N, 3) points [m].
-        number: (N,) their indices in the frame.
-        is_higher: (N,) whether each is higher than noise and bend of the camera.
+        number: (N,) indices of the points in the frame.
+        is_higher: (N,) whether each point is higher than noise and bend of the camera.
     """
 
     frame: _Frame
@@ -167,26 +178,25 @@ def segment_depth(
     config: SegmentationConfig | None = None,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments a depth image into the table and one cluster an obstacle.
+    """Segments a depth image into the table and one cluster per obstacle.
 
-    When the pose of the camera is unknown the table defines the world: z along its
-    normal (towards the camera), the origin where the optical axis meets it (or at
-    the foot of the camera when it does not), x along the camera's x axis.
+    If the pose of the camera is unknown, the table defines the world: z along its normal (toward
+    the camera), x along the camera's x axis. The origin is the intersection of table and optical
+    axis, without intersection the foot of the camera on the table.
 
     Args:
         depth: (H, W) depth along the optical axis [m]; 0 (too near), inf (too far)
             and NaN (missing) are ignored.
         K: (4,) fx, fy, cx, cy [pixel].
-        X_WC: (4, 4) pose of the camera, or None when unknown.
-        config: the parameters; None for the defaults.
-        robot: the robot's solids at the time of the image, or None.
+        X_WC: (4, 4) pose of the camera; None: unknown.
+        config: parameters; None: defaults.
+        robot: collision geometry of the robot at the time of the image, or None.
 
     Returns:
-        The segmentation. A frame without a table is no error: it has no clouds
-        and a note.
+        Segmentation; without a table one with a note and no clouds.
 
     Raises:
-        ValueError: without X_WC where `config.table` excludes a table.
+        ValueError: without X_WC if `config.table` is False.
     """
     return segment_views([(depth, K, X_WC)], config, robot)
 
@@ -198,17 +208,17 @@ def segment_views(
 ) -> Segmentation:
     """Segments depth images of one instant together; otherwise as `segment_depth`.
 
-    In an image without a table, or with another one than in the image with the largest table, the
-    table of that image is used. An image with hardly any depth is ignored, and listed in `unusable_views`;
-    if all are, the frame is not usable.
+    The largest table of all images is also used for images without a table, or with a different
+    one. An image with hardly any depth is ignored, and listed in `unusable_views`; if all are
+    ignored, the frame is not usable.
 
     Args:
         views: one or more depth images: depth, K and X_WC of each, as in `segment_depth`.
-        config: the parameters; None for the defaults.
-        robot: the robot's solids at the time of the images, or None.
+        config: parameters; None: defaults.
+        robot: collision geometry of the robot at the time of the images, or None.
 
     Raises:
-        ValueError: as `segment_depth` does.
+        ValueError: as `segment_depth`.
     """
     config = config or SegmentationConfig()
     frames = []
@@ -226,15 +236,14 @@ def segment_points(
     config: SegmentationConfig | None = None,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments a cloud without image structure; otherwise as `segment_depth`.
+    """Segments a point cloud without image structure; otherwise as `segment_depth`.
 
     Args:
-        points: (N, 3) points [m] in the frame C that X_WC places: the camera's, or
-            the world itself with the identity. Rows that are not finite, or all
-            zero, are ignored.
-        X_WC: (4, 4) pose of that frame, or None when unknown.
-        config: the parameters; `near` and `far` have no effect. None for the defaults.
-        robot: the robot's solids at the time of the cloud, or None.
+        points: (N, 3) points in the frame C [m]; rows that are not finite or all zero are ignored.
+        X_WC: (4, 4) pose of C: of the camera, or the identity for points in the world; None:
+            unknown.
+        config: parameters; `near` and `far` have no effect. None: defaults.
+        robot: collision geometry of the robot at the time of the cloud, or None.
     """
     points = np.asarray(points, dtype=np.float32)
     distance = np.linalg.norm(points, axis=1)
@@ -247,8 +256,9 @@ def segment_points(
 def _segment(
     frames: Sequence[_Frame], config: SegmentationConfig, robot: CollisionGeometries | None
 ) -> Segmentation:
-    frames = [_with_table(frame, config) for frame in frames]
-    # The table of the image that shows most of it also holds for images without one.
+    """Runs the stages of the module on images of one instant, or on a cloud."""
+    frames = [_find_plane(frame, config) for frame in frames]
+    # The largest table is also used for images without one.
     largest = max(frames, key=lambda frame: frame.samples)
     unusable_views = {
         number: frame.note
@@ -262,17 +272,38 @@ def _segment(
             X_WC=X_WC, usable=False, note=unusable_views[0], unusable_views=unusable_views
         )
     parts = [
-        _above(frame, largest.table, config)
+        _points_above(frame, largest.table, config)
         for number, frame in enumerate(frames)
         if number not in unusable_views
     ]
-    found = _cluster(parts, largest.table, config, robot)
-    return replace(found, plane_rms=largest.rms, X_WC=X_WC, unusable_views=unusable_views)
+    p_WQ = np.concatenate([part.p_WQ for part in parts])
+    means, voxel_of, count = voxel_means(p_WQ, config.voxel)
+    is_used = count >= _MIN_OCCUPANCY
+    if robot is not None:
+        is_used[is_used] = _is_off_robot(means[is_used], robot, config)
+    if largest.table is not None:
+        is_used[is_used] = _is_over_table(means[is_used], parts, largest.table, config)
+    label = _clusters(means, is_used, voxel_of, parts, config)
+    is_higher = None
+    if largest.table is not None:
+        higher = np.bincount(voxel_of, np.concatenate([part.is_higher for part in parts]))
+        is_higher = higher >= 0.5 * count
+    label = _select_obstacles(label, is_higher, config)
+    return Segmentation(
+        tuple(means[label == cluster] for cluster in range(label.max(initial=-1) + 1)),
+        tuple(_pixel_labels(parts, label[voxel_of])),
+        largest.table,
+        p_WQ,
+        plane_rms=largest.rms,
+        X_WC=X_WC,
+        views=tuple(part.frame.view for part in parts if part.frame.view is not None),
+        unusable_views=unusable_views,
+    )
 
 
-def _with_table(frame: _Frame, config: SegmentationConfig) -> _Frame:
-    """Finds the table in a frame."""
-    # Infinite depth counts as visible, missing depth does not.
+def _find_plane(frame: _Frame, config: SegmentationConfig) -> _Frame:
+    """Returns a frame with its table, or with a note (stage 1)."""
+    # Infinite depth is a measurement of free space; missing depth is none.
     if np.count_nonzero(frame.depth > 0.0) < max(1.0, LEAST_SHARE * frame.depth.size):
         return frame._replace(note=_NO_DEPTH)
     if not config.table:
@@ -302,22 +333,27 @@ def _with_table(frame: _Frame, config: SegmentationConfig) -> _Frame:
     )
 
 
-def _above(frame: _Frame, table: TablePlane | None, config: SegmentationConfig) -> _Part:
-    """Finds the points of a frame above the table; without a table, all."""
+def _points_above(
+    frame: _Frame, table: TablePlane | None, config: SegmentationConfig
+) -> _AbovePlane:
+    """Finds the points of a frame above the table; all points without a table (stage 2).
+
+    A pixel of ray r (z = 1) and depth z has the height z n . r - offset above the plane. The
+    standard deviation of the height of a point on the plane is `DEPTH_NOISE` z |offset|, since that
+    of the depth is `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
+    """
     X_WC, depth = frame.X_WC, frame.depth
     if X_WC is None:
-        raise ValueError("X_WC must be given where no table defines it")
+        raise ValueError("X_WC: must be given if `table` is false, since no table defines the pose")
     if table is None:
         normal, offset, low, high = np.zeros(3), 0.0, -1.0, 1.0
     else:
-        # A table that differs belongs to another object.
+        # A plane that differs is another object, such as the top of a box.
         plane = frame.table
         if plane is None or plane.distance_to(table) > HEIGHT_TOLERANCE:
             plane, frame = table, frame._replace(extent_W=np.zeros((0, 3)))
         normal, offset = X_WC[:3, :3].T @ plane.normal_W, -float(plane.height(X_WC[:3, 3]))
         low, high = offset + _MIN_HEIGHT, offset + config.max_height
-    # The deviation of depth is DEPTH_NOISE z^2; the height of a point z r of a plane with
-    # n . z r = offset deviates by that times |n . r| = |offset| / z.
     noise = np.float32(_DEVIATIONS * DEPTH_NOISE * abs(offset))
     slope = frame.ray @ normal.astype(np.float32)
     with np.errstate(invalid="ignore"):
@@ -325,108 +361,79 @@ def _above(frame: _Frame, table: TablePlane | None, config: SegmentationConfig) 
     z = depth[number]
     is_used = frame.is_valid(z) & (z * slope[number] < high)
     number, z = number[is_used], z[is_used]
-    bend = np.minimum(_WARP * np.maximum(z - _WARP_START, 0.0) ** 2, _LARGEST_WARP)
+    bend = np.minimum(_WARP * np.maximum(z - _WARP_START, 0.0) ** 2, _MAX_WARP)
     is_higher = z * (slope[number] - noise) > low + bend
     p_WQ = frame.points(number) @ X_WC[:3, :3].T + X_WC[:3, 3]
-    return _Part(frame, p_WQ, number, is_higher)
+    return _AbovePlane(frame, p_WQ, number, is_higher)
 
 
-def _cluster(
-    parts: Sequence[_Part],
-    table: TablePlane | None,
-    config: SegmentationConfig,
-    robot: CollisionGeometries | None,
-) -> Segmentation:
-    """Clusters the points of all frames above the table."""
-    views = tuple(part.frame.view for part in parts if part.frame.view is not None)
-    p_WQ = np.concatenate([part.p_WQ for part in parts])
-    means, voxel_of, count = voxel_means(p_WQ, config.voxel)
-    is_kept = count >= _MIN_OCCUPANCY
-    if robot is not None:
-        margin = config.robot_margin
-        distance = least_distances(robot, means[is_kept], 0.0, margin, margin)
-        is_kept[is_kept] = distance >= margin
-    if table is not None:
-        extent_W = np.concatenate([part.frame.extent_W for part in parts])
-        outside = distance_beyond(means[is_kept], extent_W, table.normal_W)
-        is_kept[is_kept] = _on_table(means[is_kept], outside, config)
-    label = np.full(len(means), -1)
-    label[is_kept] = connected_clusters(means[is_kept], config.cluster_tolerance)
-    label = _merged(means, label, voxel_of, parts, config)
-    sizes = np.bincount(label + 1, minlength=1)[1:]
-    is_large = sizes >= config.min_cluster_voxels
-    if table is not None:
-        is_higher = np.bincount(voxel_of, np.concatenate([part.is_higher for part in parts]))
-        higher = np.bincount(label + 1, is_higher >= 0.5 * count, minlength=1)[1:]
-        is_large &= higher >= np.maximum(_HIGHER_SHARE * sizes, 3.0)
-    chosen = np.argsort(-sizes * is_large, kind="stable")[: np.count_nonzero(is_large)]
-    row = np.full(len(sizes) + 1, -1)
-    row[chosen] = np.arange(len(chosen))
-    label = row[label]
-    return Segmentation(
-        tuple(means[label == cluster] for cluster in range(len(chosen))),
-        tuple(_labels(parts, label[voxel_of])),
-        table,
-        p_WQ,
-        views=views,
-    )
+def _is_off_robot(
+    means: FloatArray, robot: CollisionGeometries, config: SegmentationConfig
+) -> BoolArray:
+    """Checks for each point (M, 3) whether its distance to the robot is large enough (stage 4)."""
+    margin = config.robot_margin
+    return np.asarray(least_distances(robot, means, 0.0, margin, margin) >= margin)
 
 
-def _labels(parts: Sequence[_Part], of_point: IntArray) -> list[NDArray[np.int16]]:
-    """Lists the clusters of all pixels of each frame, -1: none, by those of all points used."""
-    labels, ends = [], np.cumsum([len(part.number) for part in parts])[:-1]
-    for part, own in zip(parts, np.split(of_point, ends), strict=True):
-        label = np.full(len(part.frame.depth), -1, dtype=np.int16)
-        label[part.number] = own
-        labels.append(label)
-    return labels
+def _is_over_table(
+    means: FloatArray, parts: Sequence[_AbovePlane], table: TablePlane, config: SegmentationConfig
+) -> BoolArray:
+    """Checks which points belong to objects above the table, overhanging ones included (stage 5).
 
-
-def _on_table(points: FloatArray, outside: FloatArray, config: SegmentationConfig) -> BoolArray:
-    """Finds points of objects above the table: above it, or overhanging parts.
-
-    A wall behind the table, most of which is outside, and which continues beyond the overhang,
-    is no part of an object that it touches.
+    An object with contact to a wall behind the table does not include the wall: most of the wall is
+    beside the table, and the wall continues beyond the maximum overhang.
 
     Args:
-        points: (N, 3) [m].
-        outside: (N,) their distances beyond the table [m].
+        means: (M, 3) points in the world frame [m].
+        parts: points of the frames, with the extents of their tables.
+        table: the largest table.
         config: `table_margin`, `cluster_tolerance` and `voxel` are used.
+
+    Returns:
+        (M,) booleans.
     """
-    beyond = config.table_margin + _OVERHANG
-    inside, near = outside <= config.table_margin, outside <= beyond
+    extent_W = np.concatenate([part.frame.extent_W for part in parts])
+    distance = distance_beyond(means, extent_W, table.normal_W)
+    limit = config.table_margin + _OVERHANG
+    inside, near = distance <= config.table_margin, distance <= limit
     if (inside == near).all():
         return inside
-    label = connected_clusters(points[near], config.cluster_tolerance)
-    continues = np.bincount(label, outside[near] > beyond - 2.0 * config.voxel) > 0.0
-    share = np.bincount(label, inside[near]) / np.bincount(label)
-    overhangs = share >= np.where(continues, 0.5, _OVER_TABLE)
+    label = connected_clusters(means[near], config.cluster_tolerance)
+    continues = np.bincount(label, distance[near] > limit - 2.0 * config.voxel) > 0.0
+    fraction = np.bincount(label, inside[near]) / np.bincount(label)
+    overhangs = fraction >= np.where(continues, 0.5, _OVER_TABLE)
     inside[near] |= overhangs[label]
     return inside
 
 
-def _merged(
+def _clusters(
     means: FloatArray,
-    label: IntArray,
+    is_used: BoolArray,
     voxel_of: IntArray,
-    parts: Sequence[_Part],
+    parts: Sequence[_AbovePlane],
     config: SegmentationConfig,
 ) -> IntArray:
-    """Merges clusters with a short gap between them that no image sees through.
+    """Clusters voxels, and merges clusters across short gaps that are occluded (stage 6).
 
-    The rim and the inside of a bowl are separate clusters; so are two boxes with a gap between
-    them, but there the table is visible.
+    The rim and the inside of a bowl are separate clusters without the merge. Two boxes with a gap
+    between them remain separate if an image observes the table through the gap.
 
     Args:
-        means: (M, 3) points in the world frame [m].
-        label: (M,) their clusters, -1: none.
-        voxel_of: (N,) row among them of each point of the frames.
-        parts: the frames.
-        config: `voxel` and `min_cluster_voxels` are used; smaller clusters are not merged.
+        means: (M, 3) mean points of the voxels in the world frame [m].
+        is_used: (M,) whether each voxel is clustered.
+        voxel_of: (N,) voxel of each point of the frames.
+        parts: points of the frames.
+        config: `cluster_tolerance`, `voxel` and `min_cluster_voxels` are used; smaller clusters are
+            not merged.
+
+    Returns:
+        (M,) cluster of each voxel, -1: none.
     """
+    label = np.full(len(means), -1)
+    label[is_used] = connected_clusters(means[is_used], config.cluster_tolerance)
     images = [
         (part.frame.view, owner)
-        for part, owner in zip(parts, _labels(parts, label[voxel_of]), strict=True)
+        for part, owner in zip(parts, _pixel_labels(parts, label[voxel_of]), strict=True)
         if part.frame.view is not None
     ]
     if not images:
@@ -448,17 +455,55 @@ def _merged(
             p_C = (places - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
             pixel = pixel_at(p_C, view.z.shape, view.K)
             is_behind = (pixel >= 0) & (view.z.ravel()[pixel] > p_C[..., 2] + config.voxel)
-            seen = owner[pixel]
-            is_open |= (is_behind & (seen != one) & (seen != other)).any(axis=0)
+            cluster = owner[pixel]
+            is_open |= (is_behind & (cluster != one) & (cluster != other)).any(axis=0)
         if 0 < len(bridges) >= 2 * np.count_nonzero(is_open):
             merged[merged == merged[other]] = merged[one]
     return merged[label]
 
 
+def _select_obstacles(
+    label: IntArray, is_higher: BoolArray | None, config: SegmentationConfig
+) -> IntArray:
+    """Selects the clusters that are large and high enough, and sorts them by size (stage 7).
+
+    Args:
+        label: (M,) cluster of each voxel, -1: none.
+        is_higher: (M,) whether each voxel is higher than noise and bend; None: without a table.
+        config: `min_cluster_voxels` is used.
+
+    Returns:
+        (M,) obstacle of each voxel, -1: none, 0: the largest.
+    """
+    sizes = np.bincount(label + 1, minlength=1)[1:]
+    is_obstacle = sizes >= config.min_cluster_voxels
+    if is_higher is not None:
+        higher = np.bincount(label + 1, is_higher, minlength=1)[1:]
+        is_obstacle &= higher >= np.maximum(_HIGHER_SHARE * sizes, 3.0)
+    clusters = np.argsort(-sizes * is_obstacle, kind="stable")[: np.count_nonzero(is_obstacle)]
+    row = np.full(len(sizes) + 1, -1)
+    row[clusters] = np.arange(len(clusters))
+    return row[label]
+
+
+def _pixel_labels(parts: Sequence[_AbovePlane], point_label: IntArray) -> list[NDArray[np.int16]]:
+    """Lists the labels of all pixels of each frame, from the labels of the points of all frames.
+
+    A pixel without a point in `parts` has the label -1.
+    """
+    labels, ends = [], np.cumsum([len(part.number) for part in parts])[:-1]
+    for part, values in zip(parts, np.split(point_label, ends), strict=True):
+        label = np.full(len(part.frame.depth), -1, dtype=np.int16)
+        label[part.number] = values
+        labels.append(label)
+    return labels
+
+
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:
-    """X_WC of the world that a table defines, see `segment_depth`."""
+    """Computes the pose X_WC of the camera in the world defined by a table, see `segment_depth`."""
     n = plane.normal
-    # The ray (0, 0, t) meets n . p = offset, if in front and not grazing.
+    """Computes the pose X_WC of the camera in the world of a table, see `segment_depth`."""
+    # to the plane (3 degrees).
     t = plane.offset / n[2] if abs(n[2]) > 0.05 else -1.0
     origin_C = np.array([0.0, 0.0, t]) if t > 0.0 else plane.offset * n
     x = np.array([1.0, 0.0, 0.0]) - n[0] * n

@@ -1,10 +1,10 @@
-"""The supporting plane of a scene: a robust fit with a prior on gravity and height.
+"""Support plane of a scene, usually a table: a robust fit with a prior on gravity and height.
 
-A plane is ``normal . p = offset`` with a unit normal that points to the free side. Planes that
+A plane is ``normal . p = offset``, with a unit normal that points to free space. Planes that
 contradict gravity are rejected, so that a wall never replaces a table with fewer points.
 
-The table extends over the convex hull of its visible points. Beyond the border of the image it
-continues: the feet of objects in front of the lowest row are not visible.
+The table covers the convex hull of its visible points, and continues beyond the border of the
+image, since the feet of objects near the lowest row are not visible.
 """
 
 from __future__ import annotations
@@ -18,31 +18,34 @@ from scipy import ndimage
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 DEPTH_NOISE = 0.0015
-"""Standard deviation of depth at 1 m; it grows with the square of the depth [1/m]."""
+"""Standard deviation of depth over the square of the depth [1/m]."""
 LEAST_SHARE = 0.05
-"""Minimum fraction of the points that belong to a plane [1]."""
+"""Minimum fraction of a frame's points with depth, and of its samples on the table [1]."""
 HEIGHT_TOLERANCE = 0.05
-"""Maximum distance of the table from its expected height [m]."""
+"""Maximum difference of the table's height from the expected one [m]."""
 _PLANE_TOLERANCE = 0.006
-"""Distance from the plane at which a point at depth 0 belongs to it [m]."""
+"""Maximum distance from a plane of a point on it, at depth 0 [m]."""
 _PLANE_TILT = math.radians(5.0)
 """Maximum tilt of the table against gravity with a known camera pose [rad]."""
 _UP_UNKNOWN = np.array([0.0, -1.0, -1.0]) / math.sqrt(2.0)
-"""Up direction of a camera that looks down by 45 degrees, in the camera frame."""
+"""Unit vector opposite to gravity in the frame of a camera pitched down by 45 degrees."""
 _PLANE_TILT_UNKNOWN = math.radians(50.0)
 """Maximum tilt of the table against `_UP_UNKNOWN` [rad]."""
 _BANDS = (2.0, 1.0, 0.7, 0.5, 0.5)
-"""Tolerances of the rounds of least squares; narrow bands exclude the feet of objects."""
+"""Widths of the bands of points in successive least-squares fits, relative to the tolerance [1].
+
+Narrow bands exclude the feet of objects.
+"""
 _REFINED_POINTS = 4000
-"""Approximate number of points for least squares."""
+"""Approximate number of points in a least-squares fit of a plane."""
 _SEARCHES = 5
-"""Maximum number of planes that are searched for one with an accepted tilt."""
+"""Maximum number of RANSAC searches for a plane with an accepted tilt."""
 _TRIALS = 300
-"""Number of triples of points of which a search takes the plane with the most points."""
-_SEARCHED_POINTS = 800
-"""Approximate number of points in the search for a plane."""
+"""Number of random triples of points in one RANSAC search for a plane."""
+_RANSAC_POINTS = 800
+"""Approximate number of points in a RANSAC search for a plane."""
 _BIN = 0.01
-"""Width of a bin of a histogram of heights [m]."""
+"""Width of a histogram bin of heights, and half the thickness of a plane in RANSAC [m]."""
 _OBJECT_HEIGHT = 0.45
 """Maximum height of an object above its support [m]."""
 _TABLE_HEIGHT = 1.3
@@ -50,24 +53,25 @@ _TABLE_HEIGHT = 1.3
 _LEAST_TABLE = 0.1
 """Minimum area of a table on a floor [m^2]."""
 _LARGEST_TOP = 0.4
-"""Maximum area of the top of a box [m^2]."""
+"""Maximum area of the top of a box that is mistaken for a table [m^2]."""
 _BEYOND_IMAGE = 0.3
-"""Distance by which a table extends beyond the border of the image [m]."""
+"""Distance by which a table is extended beyond the border of the image [m]."""
 _BORDER = 2
-"""Rows and columns of the grid of samples that are the border of the image."""
+"""Width of the border of the image, in rows and columns of the grid of samples."""
 _ANGLES = np.arange(48) * (2.0 * np.pi / 48)
+"""Angles (48,) of the half-planes that bound the extent of a table [rad]."""
 _OUTWARD = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-"""Outer normals of the half-planes that bound the extent of a table, along the plane's axes."""
+"""Outer normals (48, 2) of the half-planes that bound a table's extent, in axes of the plane."""
 
 
 class PlaneFit(NamedTuple):
-    """A plane ``normal . p = offset`` fitted to points.
+    """Plane ``normal . p = offset`` fitted to points.
 
     Attributes:
         normal: (3,) unit normal in the frame of the points.
         offset: distance of the plane from the origin along the normal [m].
         rms: root mean square distance of the inliers from the plane [m].
-        inliers: (N,) whether each of the given points lies on the plane.
+        inliers: (N,) whether each point lies on the plane.
     """
 
     normal: FloatArray
@@ -77,7 +81,14 @@ class PlaneFit(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Points (N, 3) [m], their tolerances (N,) [m], and constraints on the plane."""
+    """Samples of a frame, and constraints on its support plane.
+
+    Attributes:
+        points: (N, 3) samples in the frame of the camera [m].
+        tolerance: (N,) maximum distances from a plane of samples on it [m].
+        up: (3,) unit vector opposite to gravity.
+        max_tilt: maximum angle between `up` and the normal of the plane [rad].
+    """
 
     points: FloatArray
     tolerance: FloatArray
@@ -85,23 +96,23 @@ class _Samples(NamedTuple):
     max_tilt: float
 
     @property
-    def needed(self) -> int:
-        """Minimum number of points of a plane."""
+    def min_inliers(self) -> int:
+        """Minimum number of samples on a plane."""
         return max(20, int(LEAST_SHARE * len(self.points)))
 
     def accepts(self, normal: FloatArray) -> bool:
-        """Checks the tilt of a plane."""
+        """Checks whether the tilt of a plane with a normal is small enough."""
         return bool(normal @ self.up >= math.cos(self.max_tilt))
 
 
 def find_table(
     points: FloatArray, distance: FloatArray, X_WC: FloatArray | None, table_height: float | None
 ) -> PlaneFit | None:
-    """Finds the table in the camera's frame.
+    """Finds the table in the frame of the camera.
 
-    A table of known height is sought near that height. Otherwise it is the plane
-    with the most points (RANSAC), unless that is the floor around a table, or the top of a box on
-    the table (see `_supporting_level`).
+    A table of known height is searched near that height. Otherwise the plane with the most points
+    (RANSAC) is the table, unless it is the floor around a table, or the top of a box on the table
+    (see `_find_supporting_level`).
 
     Args:
         points: (N, 3) points in the frame of the camera [m].
@@ -110,7 +121,7 @@ def find_table(
         table_height: height of the table in the world [m]; None: unknown.
 
     Returns:
-        The plane, or None when no plane has enough points.
+        The plane; None if no plane has enough points.
     """
     up, max_tilt = _UP_UNKNOWN, _PLANE_TILT_UNKNOWN
     if X_WC is not None:
@@ -121,24 +132,24 @@ def find_table(
         height = points @ up - (table_height - X_WC[2, 3])
         is_near = np.abs(height) < HEIGHT_TOLERANCE
         level = table_height - X_WC[2, 3] + np.median(np.append(height[is_near], 0.0))
-        return _refined(samples, up, level, is_near)
-    found = _searched(samples)
-    fit = found and _refined(samples, *found)
-    support = fit and _supporting_level(samples, fit)
+        return _refine(samples, up, level, is_near)
+    initial = _search_plane(samples)
+    fit = initial and _refine(samples, *initial)
+    support = fit and _find_supporting_level(samples, fit)
     if fit is None or support is None:
         return fit
-    other = _refined(samples, fit.normal, support)
-    # Least squares leave a level that is no plane.
+    other = _refine(samples, fit.normal, support)
+    # Least squares diverge from a level that is no plane; then the first fit is used.
     is_parallel = other is not None and other.normal @ fit.normal > math.cos(_PLANE_TILT)
     return other if is_parallel else fit
 
 
-def _searched(samples: _Samples) -> tuple[FloatArray, float] | None:
-    """Normal and offset of the largest accepted plane, by RANSAC."""
-    step = 1 + len(samples.points) // _SEARCHED_POINTS
+def _search_plane(samples: _Samples) -> tuple[FloatArray, float] | None:
+    """Finds normal and offset of the largest plane with an accepted tilt, by RANSAC."""
+    step = 1 + len(samples.points) // _RANSAC_POINTS
     points, random = samples.points[::step].astype(np.float32), np.random.default_rng(0)
     for _ in range(_SEARCHES):
-        if len(points) < samples.needed / step:
+        if len(points) < samples.min_inliers / step:
             break
         a, b, c = points[random.integers(len(points), size=(3, _TRIALS))]
         normals = np.cross(b - a, c - a)
@@ -153,14 +164,15 @@ def _searched(samples: _Samples) -> tuple[FloatArray, float] | None:
     return None
 
 
-def _supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
-    """Offset of a plane parallel to a fit that supports the scene instead, if there is one.
+def _find_supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
+    """Finds the offset of a plane parallel to a fit that supports the scene instead, or None.
 
-    - Above a floor: a wide level that is higher than objects are, and nearer to the camera than
-      the floor: the table.
-    - Below a box: a level wider than the fit, within the height of objects: its support.
+    - The fit is a floor: the table is a wide level above it, higher than objects, and nearer to the
+      camera.
+    - The fit is the top of a box: the support is a wider level below it, within the height of
+      objects.
     """
-    points, own = samples.points, samples.points[fit.inliers]
+    points, inliers = samples.points, samples.points[fit.inliers]
     height = points @ fit.normal - fit.offset
     for low, high, fraction in (
         (_OBJECT_HEIGHT, _TABLE_HEIGHT, 0.2),
@@ -168,31 +180,41 @@ def _supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
     ):
         votes, edges = np.histogram(height, round((high - low) / _BIN), (low, high))
         votes = np.convolve(votes, np.ones(3, dtype=np.int64), mode="same")
-        if votes.max() < max(samples.needed, fraction * len(own)):
+        if votes.max() < max(samples.min_inliers, fraction * len(inliers)):
             continue
         at = edges[votes.argmax()] + 0.5 * _BIN
         level = points[np.abs(height - at) < 1.5 * _BIN]
         wide = _area(level, fit.normal)
         if at > 0.0:
-            near, far = (np.median(np.linalg.norm(part, axis=1)) for part in (level, own))
+            near, far = (np.median(np.linalg.norm(part, axis=1)) for part in (level, inliers))
             is_support = near < far and wide > _LEAST_TABLE
         else:
-            is_support = _area(own, fit.normal) < min(_LARGEST_TOP, wide)
+            is_support = _area(inliers, fit.normal) < min(_LARGEST_TOP, wide)
         if is_support:
             return float(fit.offset + at)
     return None
 
 
 def _area(points: FloatArray, normal: FloatArray) -> float:
-    """Area [m^2] of the rectangle with the points' variances along a plane."""
+    """Computes the area [m^2] of a uniform rectangle with the variances of points along a plane."""
     axes = plane_axes(normal)
     return float(12.0 * np.sqrt(max(np.linalg.det(axes @ np.cov(points.T) @ axes.T), 0.0)))
 
 
-def _refined(
+def _refine(
     samples: _Samples, normal: FloatArray, offset: float, allowed: BoolArray | None = None
 ) -> PlaneFit | None:
-    """The plane by weighted least squares; None where too few allowed points (N,) support it."""
+    """Fits a plane by weighted least squares in successively narrower bands.
+
+    Args:
+        samples: samples of the frame.
+        normal: (3,) initial normal.
+        offset: initial offset [m].
+        allowed: (N,) whether each sample may lie on the plane; None: all.
+
+    Returns:
+        The plane; None if it has too few samples or too much tilt.
+    """
     step = 1 + len(samples.points) // _REFINED_POINTS
     points, tolerance = samples.points[::step], samples.tolerance[::step]
     weights = tolerance**-2
@@ -202,15 +224,15 @@ def _refined(
             return None
         weight, inner = weights[near], points[near]
         center = weight @ inner / weight.sum()
-        apart = inner - center
-        normal = np.linalg.eigh((weight * apart.T) @ apart)[1][:, 0]
+        spread = inner - center
+        normal = np.linalg.eigh((weight * spread.T) @ spread)[1][:, 0]
         normal = normal if normal @ samples.up >= 0.0 else -normal
         offset = float(normal @ center)
     height = samples.points @ normal - offset
     inliers = np.abs(height) < samples.tolerance
     if allowed is not None:
         inliers &= allowed
-    if np.count_nonzero(inliers) < samples.needed or not samples.accepts(normal):
+    if np.count_nonzero(inliers) < samples.min_inliers or not samples.accepts(normal):
         return None
     return PlaneFit(normal, offset, float(np.sqrt(np.mean(height[inliers] ** 2))), inliers)
 
@@ -224,8 +246,8 @@ def table_extent(
     intersects a wall.
 
     Args:
-        fit: the table.
-        points: (N, 3) samples of which it has been found [m].
+        fit: plane of the table.
+        points: (N, 3) samples of the fit [m].
         pixel: (N,) flat indices of the samples in a grid.
         shape: rows and columns of the grid.
     """
@@ -237,7 +259,7 @@ def table_extent(
     is_border = border.ravel()[pixel]
     rows, columns = np.divmod(pixel, shape[1])
     row, column, span = rows[is_border], columns[is_border], points[is_border]
-    # Not beyond the upper border: those parts are farther away than their feet.
+    # The upper border is no end of the table: feet of objects there are visible.
     borders = (
         (row >= rows.max() - _BORDER, [0.0, 1.0, 0.0]),
         (column <= columns.min() + _BORDER, [-1.0, 0.0, 0.0]),
@@ -256,12 +278,12 @@ def distance_beyond(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray)
 
     Args:
         p_WQ: (N, 3) points [m].
-        table_W: (E, 3) points of the table [m].
-        normal_W: (3,) its unit normal.
+        table_W: (E, 3) points that span the extent of the table [m].
+        normal_W: (3,) unit normal of the table.
 
     Returns:
-        (N,) largest distance, along the plane, beyond any of the half-planes that bound
-        the extent [m]: negative inside; infinite where the table has no extent.
+        (N,) distances along the plane to the half-planes that bound the extent, the largest for
+        each point [m]: negative inside; infinite for a table without extent.
     """
     outward = _OUTWARD @ plane_axes(normal_W)
     reach = (outward @ table_W.T).max(axis=1, initial=-np.inf)
@@ -269,7 +291,7 @@ def distance_beyond(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray)
 
 
 def plane_axes(normal: FloatArray) -> FloatArray:
-    """(2, 3) orthonormal axes of the plane with a unit normal."""
+    """Computes orthonormal axes (2, 3) of the plane with a unit normal."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])

@@ -1,25 +1,30 @@
-"""Obstacles from frame to frame: what is remembered, their names, and their motion.
+"""Multi-object tracking of obstacles: a track is one obstacle over time, with an ID.
 
-A frame shows only what nothing stands before, and shows it with noise. Each frame is
-joined with what was remembered:
+A frame contains only surfaces that are not occluded, with noise. A track therefore has remembered
+points, collected over frames. `update_tracks` processes a frame in these steps:
 
-1. Position and velocity of each obstacle are predicted (`velocity`), and what is
-   remembered of a moving obstacle moves with it.
-2. Clusters are given to obstacles (`associate`), by common points first.
-3. The obstacles' positions are measured by their sides (`seen_sides`), their velocities by their
-   surfaces (`velocity`), and both are filtered.
-4. Each remembered point is confirmed, kept as hidden, or dropped.
-5. What changed by more than noise is handed on (`held_clouds`): a copy of the remembered points,
-   which follow the camera's noise. Receivers that compare see no change, and need not plan again.
+1. Prediction: position and velocity of each track are predicted (`velocity`); the remembered
+   points of a moving track move with it. A moving track without measurements coasts.
+2. Data association: clusters are assigned to tracks (`associate`), first by common points, then by
+   the distance of centroids within a gate.
+3. Correction: positions are measured by the sides of obstacles (`find_sides`), velocities by their
+   surfaces (`velocity`); a Kalman filter corrects the tracks.
+4. Evidence: each remembered point is supported, occluded or contradicted by the frame.
+5. Track management: tracks are split, merged and deleted.
+6. Output: clouds that changed by more than noise (`select_output_clouds`). Receivers compare clouds
+   with the previous ones, and do not replan because of noise.
 
-Each point carries evidence. A frame that shows it adds one; a frame whose rays pass
-through it takes away all but one, and the next such frame the rest: two frames confirm
-a point, two remove it. One that is hidden (by the arm, another obstacle, a missing
-pixel, the border of the image) stays as it is: a pixel without depth is unknown, never free, of
-obstacles that move as well. Of several images one that sees through it is
-enough, and it is hidden only if it is in all. Where the image shows something at the
-point's depth but no cluster has a point there (grazing surfaces, the foot of an
-obstacle) the evidence only decays.
+Evidence of a remembered point, from 1 to 4; it is confirmed, and output, from 2:
+
+    the images observe                                  evidence
+    a point there                                       + 1
+    free space there, in at least one image             at most 1 remains; the next time 0: deleted
+    a surface at its depth, but no point of a cluster   - 1
+    nothing: occluded, no depth, outside the images     unchanged
+
+A point is occluded only if it is occluded in all images. A pixel without depth is unknown, never
+free. A surface at the depth of a point without a cluster is a grazing surface, or the foot of an
+obstacle.
 """
 
 from __future__ import annotations
@@ -42,87 +47,85 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.collision_scene import CollisionGeometries, least_distances
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, shown
+from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, classify_points
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import OCCLUSION_GAP, Segmentation
 from drake_oa.perception.velocity import (
     DEPTH_MARGIN,
-    START,
+    START_STATISTIC,
     Reference,
     Tracks,
+    correct_tracks,
     depth_deviation,
-    measured_tracks,
+    find_sides,
+    measure_velocities,
     new_tracks,
-    predicted_tracks,
-    registered_tracks,
-    seen_sides,
+    predict_tracks,
     speed_statistic,
 )
 from drake_oa.perception.visibility import mutual_nearest
 
-_CERTAIN = 4
-"""The most evidence that a point can have."""
+_MAX_EVIDENCE = 4
+"""Maximum evidence of a remembered point."""
 _CONFIRMED = 2
-"""From this much evidence on a point is handed on."""
+"""Minimum evidence at which a remembered point is confirmed."""
 SUPPORT_RADIUS = 0.012
-"""Distance at which a point of a frame supports the remembered point [m]."""
+"""Maximum distance from a confirmed point to a point of the frame that supports it [m]."""
 SAME_RADIUS = 0.008
-"""Distance at which a seen and a remembered point are the same point [m]."""
-_SAYS = np.array([1, 3, 4, 0, 2])
-"""How much HIDDEN, AT, FREE, OUT and EMPTY say: of several images the one counts that says most."""
+"""Maximum distance at which an observed and a remembered point are the same point [m]."""
+_PRECEDENCE = np.array([1, 3, 4, 0, 2])
+"""Precedence of the states HIDDEN, AT, FREE, OUT and EMPTY of one point in several images."""
 _MATCH_RADIUS = 0.02
-"""Distance at which a point of a frame votes for the obstacle of a remembered one [m]."""
+"""Maximum distance from a remembered point to a point of the frame that votes for its track [m]."""
 _COMMON_POINTS = 4
-"""Fewest points that an obstacle has in common with its clusters."""
+"""Minimum number of common points of a track and a cluster assigned to it."""
 _COMMON_SHARE = 0.25
-"""Least share of common points, of the smaller of obstacle and cluster."""
+"""Minimum fraction of the smaller of track and cluster that their common points are [1]."""
 _GATE = 0.1
-"""Distance of centroids within which a cluster without common points is matched [m]."""
-_SOLID = 2.0
-"""Size of a new cluster that is believed at once, in fewest voxels of a cluster."""
+"""Gate: maximum distance of the centroids of a track and a cluster without common points [m]."""
+_IMMEDIATE_CONFIRMATION_FACTOR = 2.0
+"""Size of a new cluster that is confirmed at once, relative to `min_cluster_voxels` [1]."""
 _MEAN_FRAMES = 20
-"""Most frames of which a remembered point is the mean."""
-_HIDDEN_SHARE = 0.3
-"""Share of the points beyond a side that are occluded where the side is not seen."""
+"""Maximum number of frames in the running mean of a remembered point."""
+_OCCLUDED_SHARE = 0.3
+"""Minimum fraction of occluded remembered points beyond a side that is not visible [1]."""
 _SIDE_SLACK = 0.004
-"""Distance beyond a side within which points belong to it [m]."""
-_LEAST_SEEN = 0.2
-"""Least share of the points of an obstacle of which the missing ones are counted."""
-_FADING = 0.9
-"""Share of the doubt about the place of an obstacle that is left a frame later."""
+"""Maximum distance beyond a side at which remembered points belong to it [m]."""
+_MIN_VISIBLE_SHARE = 0.2
+"""Minimum visible fraction of a track's points in the denominator of its motion evidence [1]."""
+_EVIDENCE_DECAY = 0.9
+"""Factor per frame of the motion evidence of a track [1]."""
 _CORRECTION = 0.003
-"""Correction of a position above which the frame is compared again [m]."""
-_FOUND_AGAIN = 0.9
-"""Least ratio of points seen at the measured place to those at the expected one."""
+"""Correction of a position above which points are compared with the frame again [m]."""
+_MIN_SUPPORT_RATIO = 0.9
+"""Minimum ratio of supported points after to those before a correction that is accepted [1]."""
 _SPLIT_FRAMES = 3
-"""Frames in a row after which separate parts become two obstacles."""
+"""Number of consecutive frames after which a track in separate parts is split."""
 _TABLE_SHIFT = 0.003
-"""Motion of the table within 1 m at which its plane is handed on again [m]."""
+"""Displacement of the table within 1 m of the origin above which its plane is output again [m]."""
 _MERGE_TIME = 0.5
-"""Time as one cluster after which obstacles that move alike become one [s]."""
-_ALIKE = 0.1
-"""Difference of the velocities of obstacles that move alike [m/s]."""
-
-
-_GROWN = 0.0025
-"""Growth in any direction at which the cloud of an obstacle is handed on again [m]."""
-_SHRUNK = 0.005
-"""Shrinkage in any direction at which the cloud of an obstacle is handed on again [m]."""
+"""Time as one cluster after which tracks with similar velocities are merged [s]."""
+_MAX_VELOCITY_DIFFERENCE = 0.1
+"""Maximum difference of the velocities of two tracks that are merged [m/s]."""
+_MAX_GROWTH = 0.0025
+"""Growth of an obstacle in any direction above which its cloud is output again [m]."""
+_MAX_SHRINKAGE = 0.005
+"""Shrinkage of an obstacle in any direction above which its cloud is output again [m]."""
 _CHANGED_SHARE = 0.1
-"""Relative change of the number of points at which a cloud is handed on again."""
+"""Relative change of the number of points above which a cloud is output again [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Points(Frozen):
-    """N remembered points of obstacles.
+    """N remembered points of tracks.
 
     Attributes:
-        p_OQ: (N, 3) in the frame O of its obstacle [m].
-        owner: (N,) row of its obstacle.
-        evidence: (N,) from 1 to `CERTAIN`.
-        weight: (N,) how many frames it is the mean of.
-        confirmed: (N,) whether a second frame has shown it.
+        p_OQ: (N, 3) positions in the frame O of the track [m].
+        owner: (N,) row of the track.
+        evidence: (N,) evidence, from 1 to `_MAX_EVIDENCE`.
+        weight: (N,) number of frames in the running mean of the position.
+        confirmed: (N,) whether enough frames support the point.
     """
 
     p_OQ: FloatArray = zeros(0, 3)
@@ -135,12 +138,12 @@ class Points(Frozen):
         return len(self.owner)
 
 
-class HeldCloud(NamedTuple):
-    """The cloud of an obstacle as it was handed on last.
+class OutputCloud(NamedTuple):
+    """Cloud of a track in the output.
 
     Attributes:
-        p_OQ: (N, 3) in the obstacle's frame O [m].
-        p_WQ: (N, 3) in the world [m].
+        p_OQ: (N, 3) points in the frame O of the track [m].
+        p_WQ: (N, 3) points in the world [m].
     """
 
     p_OQ: FloatArray
@@ -149,27 +152,27 @@ class HeldCloud(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrackerState(Frozen):
-    """Everything that perception remembers.
+    """State of the tracker after a frame.
 
     Attributes:
-        obstacles: what is handed on.
-        next_id: the first name that was never given to an obstacle.
-        tracks: the obstacles.
-        points: their points.
-        held: id -> its cloud as it was handed on last.
-        references: id -> surface in an earlier frame, for its velocity.
-        taken: time of the last frame [s].
-        last_image_stamps: (n,) times of the last image of each camera that told something [s].
-        cloud_W: (K, 3) points of the last frame, for viewing [m].
+        obstacles: output of the tracker.
+        next_id: smallest track ID that was never used.
+        tracks: Kalman filters and further state of the tracks.
+        points: remembered points of the tracks.
+        output_clouds: cloud in the output, by track ID.
+        references: surface in an earlier frame, by track ID; for velocities.
+        frame_stamp: time of the last frame [s].
+        last_image_stamps: (n,) time of the last usable image of each camera [s].
+        cloud_W: (K, 3) points of the last frame, for visualization [m].
     """
 
     obstacles: ObstacleClouds = field(default_factory=ObstacleClouds)
     next_id: int = 0
     tracks: Tracks = field(default_factory=Tracks)
     points: Points = field(default_factory=Points)
-    held: dict[int, HeldCloud] = field(default_factory=dict)
+    output_clouds: dict[int, OutputCloud] = field(default_factory=dict)
     references: dict[int, Reference] = field(default_factory=dict)
-    taken: float = -np.inf
+    frame_stamp: float = -np.inf
     last_image_stamps: FloatArray = zeros(0)
     cloud_W: FloatArray = zeros(0, 3)
 
@@ -177,33 +180,33 @@ class TrackerState(Frozen):
 _Rows = TypeVar("_Rows", Points, Tracks)
 
 
-def taken(value: _Rows, index: IntArray | BoolArray) -> _Rows:
-    """Takes some rows of points or tracks."""
+def select_rows(value: _Rows, index: IntArray | BoolArray) -> _Rows:
+    """Returns some rows of points or tracks, by indices or booleans."""
     return replace(value, **{name: part[index] for name, part in vars(value).items()})
 
 
-def appended(first: _Rows, second: _Rows) -> _Rows:
-    """Joins the rows of two values."""
+def append_rows(first: _Rows, second: _Rows) -> _Rows:
+    """Concatenates the rows of two values."""
     parts = {name: np.concatenate([one, vars(second)[name]]) for name, one in vars(first).items()}
     return replace(first, **parts)
 
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Rows of obstacles for the points and clusters of a frame.
+    """Assignment of the points and clusters of a frame to tracks, by their rows.
 
     Attributes:
-        point_row: (Q,) obstacle of each point; those not known before follow the others.
-        cluster_row: (C,) obstacle that most of each cluster belongs to.
-        mixed: (C,) whether a cluster holds points of several obstacles.
-        new: the clusters that are new obstacles, in the order of their rows.
-        partner: (M,) the largest obstacle in a cluster with this one, -1: none.
+        point_row: (Q,) track of each point; new tracks follow the M existing ones.
+        cluster_row: (C,) track with the most common points with each cluster.
+        is_shared: (C,) whether a cluster belongs to several tracks.
+        new_clusters: clusters that start new tracks, in the order of the new rows.
+        partner: (M,) largest track in a cluster shared with each track, -1: none.
     """
 
     point_row: IntArray
     cluster_row: IntArray
-    mixed: BoolArray
-    new: IntArray
+    is_shared: BoolArray
+    new_clusters: IntArray
     partner: IntArray
 
 
@@ -211,63 +214,63 @@ def associate(
     points: FloatArray,
     cluster: IntArray,
     clusters: int,
-    voted: IntArray,
+    votes_for: IntArray,
     remembered: FloatArray,
     owner: IntArray,
     tracks: int,
 ) -> Association:
-    """Gives clusters to obstacles: by common points, else by predicted centroids.
+    """Assigns clusters to tracks (data association): by common points, else by predicted centroids.
 
-    An obstacle takes every cluster that has points in common with it, a share of the smaller
-    of the two. A cluster that two obstacles claim is divided between them, each point to
-    that of the nearest remembered point. The rest is matched by the least total distance
-    of centroids below the gate; what then is left is new.
+    A track owns every cluster with enough common points: a fraction of the smaller of the two. A
+    cluster of several tracks is divided: each point belongs to the track of the nearest remembered
+    point. The other clusters are assigned by the least total distance of centroids within the gate
+    (Hungarian method). A cluster that remains starts a new track.
 
     Args:
-        points: (Q, 3) of the frame in the world [m].
-        cluster: (Q,) their clusters.
-        clusters: C, how many there are.
-        voted: (Q,) the remembered point nearest to each, -1: none near.
-        remembered: (N, 3) where remembered points should be in the world [m].
-        owner: (N,) their obstacles.
-        tracks: M, how many there are.
+        points: (Q, 3) points of the frame in the world [m].
+        cluster: (Q,) cluster of each point.
+        clusters: C, number of clusters.
+        votes_for: (Q,) remembered point nearest to each point, -1: none near.
+        remembered: (N, 3) predicted remembered points in the world [m].
+        owner: (N,) track of each remembered point.
+        tracks: M, number of tracks.
     """
     sizes = np.bincount(cluster, minlength=clusters)
-    known = np.bincount(owner, minlength=tracks)
-    vote_row = np.append(owner, -1)[voted]
+    track_sizes = np.bincount(owner, minlength=tracks)
+    vote_row = np.append(owner, -1)[votes_for]
     pair = cluster * tracks + vote_row
-    votes = np.bincount(pair[voted >= 0], minlength=clusters * tracks).reshape(clusters, tracks)
-    smaller = np.minimum(sizes[:, None], known[None])
-    least = np.maximum(_COMMON_POINTS, _COMMON_SHARE * smaller)
-    claims = votes >= least
+    votes = np.bincount(pair[votes_for >= 0], minlength=clusters * tracks)
+    votes = votes.reshape(clusters, tracks)
+    smaller = np.minimum(sizes[:, None], track_sizes[None])
+    owns = votes >= np.maximum(_COMMON_POINTS, _COMMON_SHARE * smaller)
     cluster_row = np.full(clusters, -1, dtype=np.int64)
     if tracks:
-        claimed = claims.any(axis=1)
-        cluster_row[claimed] = np.where(claims, votes, -1)[claimed].argmax(axis=1)
-    left = np.flatnonzero(cluster_row < 0)
-    lost = np.flatnonzero(~claims.any(axis=0) & (known > 0))
-    if len(left) and len(lost):
-        seen = np.stack([points[cluster == c].mean(axis=0) for c in left])
-        expected = np.stack([remembered[owner == m].mean(axis=0) for m in lost])
-        gap = np.linalg.norm(seen[:, None] - expected[None], axis=2)
+        is_owned = owns.any(axis=1)
+        cluster_row[is_owned] = np.where(owns, votes, -1)[is_owned].argmax(axis=1)
+    free_clusters = np.flatnonzero(cluster_row < 0)
+    free_tracks = np.flatnonzero(~owns.any(axis=0) & (track_sizes > 0))
+    if len(free_clusters) and len(free_tracks):
+        measured = np.stack([points[cluster == c].mean(axis=0) for c in free_clusters])
+        predicted = np.stack([remembered[owner == m].mean(axis=0) for m in free_tracks])
+        gap = np.linalg.norm(measured[:, None] - predicted[None], axis=2)
         # Pairs beyond the gate cost more than any number of pairs within it.
         rows, columns = linear_sum_assignment(np.where(gap < _GATE, gap, 1e3 * _GATE))
-        near = gap[rows, columns] < _GATE
-        cluster_row[left[rows[near]]] = lost[columns[near]]
-    new = np.flatnonzero(cluster_row < 0)
-    cluster_row[new] = tracks + np.arange(len(new))
-    mixed = claims.sum(axis=1) > 1
+        in_gate = gap[rows, columns] < _GATE
+        cluster_row[free_clusters[rows[in_gate]]] = free_tracks[columns[in_gate]]
+    new_clusters = np.flatnonzero(cluster_row < 0)
+    cluster_row[new_clusters] = tracks + np.arange(len(new_clusters))
+    is_shared = owns.sum(axis=1) > 1
     point_row = cluster_row[cluster]
     partner = np.full(tracks, -1, dtype=np.int64)
-    for c in np.flatnonzero(mixed):
+    for c in np.flatnonzero(is_shared):
         inside = np.flatnonzero(cluster == c)
-        rows = np.flatnonzero(claims[c])
+        rows = np.flatnonzero(owns[c])
         among = np.isin(owner, rows)
         _, nearest = cKDTree(remembered[among]).query(points[inside])
         point_row[inside] = owner[among][nearest]
-        largest = rows[known[rows].argmax()]
+        largest = rows[track_sizes[rows].argmax()]
         partner[rows[rows != largest]] = largest
-    return Association(point_row, cluster_row, mixed, new, partner)
+    return Association(point_row, cluster_row, is_shared, new_clusters, partner)
 
 
 def update_tracks(
@@ -279,67 +282,67 @@ def update_tracks(
     *,
     complete: bool = True,
 ) -> TrackerState:
-    """Joins a new frame with what was known before it.
+    """Updates the tracks by a new frame, see the steps in the module's documentation.
 
-    A remembered point is kept where no image of the frame can tell: something stands before it
-    (the arm, another obstacle), its pixels have no depth, it lies outside the image, or
-    the robot is where it is. An obstacle behind a parked arm is therefore remembered for
-    as long as the arm stays. Two frames that show its place without it, in any of their images,
-    remove it.
+    A remembered point without information in all images of the frame remains: it is occluded by the
+    arm or another obstacle, its pixels have no depth, it lies outside the images, or the robot is
+    at its place. An obstacle behind a parked arm is therefore remembered while the arm is there.
+    Two frames with free space at the place of a point, in any of their images, delete it.
 
-    - A frame that is not usable (no valid pixel, no table) changes nothing but the note: the
-      stamp tells how old the obstacles are.
-    - A frame with the stamp of the one before it is that frame again: nothing changes.
-    - A frame from before the last one begins again: nothing is remembered, but no name is
-      given twice.
-    - After a gap of `velocity.LONGEST_GAP` obstacles are remembered, velocities not.
+    - A frame that is not usable (no valid pixel, no table) changes only the note. A receiver
+      computes the age of the obstacles from the stamp.
+    - A frame with the stamp of the previous frame is a repetition: nothing changes.
+    - A frame with an earlier stamp resets the tracker, except that no track ID is used twice.
+    - After a gap of `velocity.MAX_GAP` between frames all velocities are reset.
 
     Args:
-        previous: what is remembered; `TrackerState()` before the first frame.
-        frame: the new frame, segmented. In its images inf counts as free space; a cloud is taken
-            to show everything, so that nothing is hidden.
+        previous: state after the previous frame; `TrackerState()` before the first frame.
+        frame: segmented frame. Infinite depth counts as free space. A cloud is assumed to contain
+            every surface, without occlusion.
         stamp: time of the frame [s].
-        config: the parameters the frame was segmented with; None for the defaults.
-        robot: the robot's solids at that time, or None.
-        complete: whether all cameras have told something; what only another one has seen of an
-            obstacle is else kept behind what this frame shows of it.
+        config: parameters of the segmentation; None: defaults.
+        robot: collision geometry of the robot at that time, or None.
+        complete: whether all cameras have a usable image. Otherwise points behind a visible part of
+            their own obstacle remain, since a missing camera may have observed them.
 
     Returns:
-        What is remembered after the frame; its `obstacles` are to be handed on.
+        State after the frame; its `obstacles` are the output.
     """
     if not frame.usable:
         return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
-    if stamp == previous.taken:
+    if stamp == previous.frame_stamp:
         return replace(previous, obstacles=replace(previous.obstacles, note=""))
-    if stamp < previous.taken:
+    if stamp < previous.frame_stamp:
         previous = TrackerState(next_id=previous.next_id)
-    return _Step(previous, frame, stamp, config or SegmentationConfig(), robot, complete).run()
+    return _FrameUpdate(
+        previous, frame, stamp, config or SegmentationConfig(), robot, complete
+    ).run()
 
 
-class _Look(NamedTuple):
-    """State of N remembered points in V images of the frame, and the nearest of the points.
+class _Comparison(NamedTuple):
+    """Comparison of N remembered points with the Q points and V images of a frame.
 
     Attributes:
-        p_WQ: (N, 3) where they should be in the world [m].
-        nearest: (Q,) of them to each point of the frame, -1: none near.
-        from_seen: (Q,) how far [m].
-        distance: (N,) from the frame's nearest point [m].
-        shows: (N,) HIDDEN, AT, FREE, OUT or EMPTY, by the image that says most.
-        each: (V, N) the same of each image.
-        pixel: (V, N) their pixels in each, -1 outside it.
+        p_WQ: (N, 3) predicted positions of the remembered points in the world [m].
+        nearest: (Q,) remembered point nearest to each point of the frame, -1: none near.
+        to_remembered: (Q,) distance of each point of the frame from that remembered point [m].
+        to_frame: (N,) distance of each remembered point from the nearest point of the frame [m].
+        state: (N,) HIDDEN, AT, FREE, OUT or EMPTY, of the image with the highest precedence.
+        image_state: (V, N) state of each point in each image.
+        pixel: (V, N) pixel of each point in each image, -1 outside it.
     """
 
     p_WQ: FloatArray
     nearest: IntArray
-    from_seen: FloatArray
-    distance: FloatArray
-    shows: IntArray
-    each: IntArray
+    to_remembered: FloatArray
+    to_frame: FloatArray
+    state: IntArray
+    image_state: IntArray
     pixel: IntArray
 
 
-class _Step:
-    """One frame joined with the memory; lives as long as `update_tracks` runs."""
+class _FrameUpdate:
+    """Update of the tracks by one frame, for the duration of `update_tracks`."""
 
     def __init__(
         self,
@@ -351,332 +354,364 @@ class _Step:
         complete: bool,
     ) -> None:
         self.previous, self.frame, self.complete, self.stamp = previous, frame, complete, stamp
-        self.config, self.robot, self.first = config, robot, previous.taken == -np.inf
-        self.dt = 0.0 if self.first else stamp - previous.taken
+        self.config, self.robot, self.first = config, robot, previous.frame_stamp == -np.inf
+        self.dt = 0.0 if self.first else stamp - previous.frame_stamp
         self.tracks, self.points = previous.tracks, previous.points
         lengths = [len(cloud) for cloud in frame.clouds_W]
-        self.seen = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
+        self.frame_points = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
         self.cluster = np.repeat(np.arange(len(lengths)), lengths)
         self.next_id = previous.next_id
 
     def run(self) -> TrackerState:
-        """The memory after the frame."""
-        self.tracks = predicted_tracks(self.tracks, self.dt)
-        look = self._look()
+        """Returns the state of the tracker after the frame."""
+        self.tracks = predict_tracks(self.tracks, self.dt)
+        comparison = self._compare()
         association = associate(
-            self.seen,
+            self.frame_points,
             self.cluster,
             len(self.frame.clouds_W),
-            look.nearest,
-            look.p_WQ,
+            comparison.nearest,
+            comparison.p_WQ,
             self.points.owner,
             len(self.tracks),
         )
-        new = [self.frame.clouds_W[c].mean(axis=0) for c in association.new]
-        self._append(new_tracks(np.reshape(new, (-1, 3))))
-        behind = self._behind_itself(association, look)
-        self._motion_evidence(look, behind)
-        # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
-        in_image = (look.pixel >= 0).any(axis=0)
-        missing = (look.shows == EMPTY) | ((look.shows == OUT) & in_image)
-        missing &= self.tracks.moving[self.points.owner]
-        hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
-        expected = self.tracks
-        self._measure(association, look.p_WQ, hidden)
-        if np.abs(self.tracks.shift_W - expected.shift_W).max(initial=0.0) > _CORRECTION:
-            look = self._moved_back(expected, look)
-            behind = self._behind_itself(association, look)
-        self._split(association, look)
-        self._weigh(association, look, behind)
-        self._remember(association, look)
-        self._merge(association)
-        self._forget()
-        return self._handed_on()
+        centers = [self.frame.clouds_W[c].mean(axis=0) for c in association.new_clusters]
+        self._add_tracks(new_tracks(np.reshape(centers, (-1, 3))))
+        is_behind = self._find_self_occluded(association, comparison)
+        self._update_motion_evidence(comparison, is_behind)
+        # Missing pixels must not count as occlusion at the rear of a moving obstacle: its points
+        # there would remain, and the obstacle would grow without end.
+        state = comparison.state
+        in_image = (comparison.pixel >= 0).any(axis=0)
+        is_missing = (state == EMPTY) | ((state == OUT) & in_image)
+        is_missing &= self.tracks.is_moving[self.points.owner]
+        is_occluded = (state != AT) & (state != FREE) & ~is_behind & ~is_missing
+        predicted = self.tracks
+        self._correct(association, comparison.p_WQ, is_occluded)
+        if np.abs(self.tracks.shift_W - predicted.shift_W).max(initial=0.0) > _CORRECTION:
+            comparison = self._reject_corrections(predicted, comparison)
+            is_behind = self._find_self_occluded(association, comparison)
+        self._split_tracks(association, comparison)
+        self._update_evidence(association, comparison, is_behind)
+        self._update_points(association, comparison)
+        self._merge_tracks(association)
+        self._delete_tracks()
+        return self._output()
 
-    def _look(self) -> _Look:
+    def _compare(self) -> _Comparison:
+        """Compares the remembered points at their present positions with the frame."""
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
-        nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, _MATCH_RADIUS)
-        # A cloud is taken to show every point.
-        everything = np.full(len(p_WQ), AT), np.full(len(p_WQ), -1)
-        looks = [shown(p_WQ, view, DEPTH_MARGIN) for view in self.frame.views]
-        each, pixel = np.stack(looks or [everything], axis=1)
-        shows = each[_SAYS[each].argmax(axis=0), np.arange(len(p_WQ))]
+        nearest, to_remembered, to_frame = mutual_nearest(self.frame_points, p_WQ, _MATCH_RADIUS)
+        # A cloud is assumed to contain every surface.
+        visible = np.full(len(p_WQ), AT), np.full(len(p_WQ), -1)
+        results = [classify_points(p_WQ, view, DEPTH_MARGIN) for view in self.frame.views]
+        image_state, pixel = np.stack(results or [visible], axis=1)
+        state = image_state[_PRECEDENCE[image_state].argmax(axis=0), np.arange(len(p_WQ))]
         if self.robot is not None:
-            # Only what seems to be gone needs the robot's excuse.
-            requested = np.flatnonzero(
-                (distance >= SUPPORT_RADIUS) & np.isin(shows, (AT, FREE, EMPTY))
-            )
+            # Points at the place of the robot are occluded by it, not free. Only points that would
+            # lose evidence are tested.
+            is_tested = (to_frame >= SUPPORT_RADIUS) & np.isin(state, (AT, FREE, EMPTY))
+            rows = np.flatnonzero(is_tested)
             margin = self.config.robot_margin
-            d = least_distances(self.robot, p_WQ[requested], 0.0, margin, margin)
-            shows[requested[d < margin]] = OUT
-        return _Look(p_WQ, nearest, from_seen, distance, shows, each, pixel)
+            d = least_distances(self.robot, p_WQ[rows], 0.0, margin, margin)
+            state[rows[d < margin]] = OUT
+        return _Comparison(p_WQ, nearest, to_remembered, to_frame, state, image_state, pixel)
 
-    def _moved_back(self, expected: Tracks, before: _Look) -> _Look:
-        """Leaves where they were expected those of which less is seen at the measured place.
+    def _reject_corrections(self, predicted: Tracks, before: _Comparison) -> _Comparison:
+        """Undoes corrections of resting tracks after which fewer of their points are supported.
 
-        A side of something thin may be seen here in one frame and there in the next, though the
-        thing does not move; then its surface does not either.
+        A side of a thin object may be visible at different places in two frames although the
+        object rests. Then its surface does not fit the corrected position.
 
         Args:
-            expected: the obstacles before they were measured.
-            before: the frame as it shows their points then.
+            predicted: tracks before the correction.
+            before: comparison of their points with the frame.
 
         Returns:
-            The frame as it shows their points now.
+            Comparison of the points with the frame after the function.
         """
-        after, near, owner = self._look(), SUPPORT_RADIUS, self.points.owner
+        after, owner = self._compare(), self.points.owner
         rows = np.arange(len(self.tracks))
-        there, here = (
-            np.bincount(owner[look.distance < near], minlength=len(rows))
-            for look in (before, after)
+        support_before, support = (
+            np.bincount(owner[comparison.to_frame < SUPPORT_RADIUS], minlength=len(rows))
+            for comparison in (before, after)
         )
-        lost = ~expected.moving & (here < _FOUND_AGAIN * there)
-        lost &= speed_statistic(self.tracks) < START
-        lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
-        if not lost.any():
+        is_rejected = ~predicted.is_moving & (support < _MIN_SUPPORT_RATIO * support_before)
+        is_rejected &= speed_statistic(self.tracks) < START_STATISTIC
+        is_rejected &= (self.tracks.shift_W != predicted.shift_W).any(axis=1)
+        if not is_rejected.any():
             return after
-        expected = replace(
-            expected, unmeasured_time=expected.unmeasured_time + self.dt, odd=self.tracks.odd
+        predicted = replace(
+            predicted,
+            unmeasured_time=predicted.unmeasured_time + self.dt,
+            is_outlier=self.tracks.is_outlier,
         )
-        both = appended(self.tracks, expected)
-        self.tracks = taken(both, np.where(lost, len(rows) + rows, rows))
-        return self._look()
+        both = append_rows(self.tracks, predicted)
+        self.tracks = select_rows(both, np.where(is_rejected, len(rows) + rows, rows))
+        return self._compare()
 
-    def _behind_itself(self, association: Association, look: _Look) -> BoolArray:
-        """Finds hidden points (N,) behind their own obstacle: it moved or turned.
+    def _find_self_occluded(self, association: Association, comparison: _Comparison) -> BoolArray:
+        """Finds the remembered points (N,) behind their own obstacle, which has moved or rotated.
 
-        They are so in each image that shows their place; another one may have seen them
-        from behind.
+        They are behind it in every image that contains their place. Without the images of all
+        cameras none counts, since a missing camera may have observed the rear side.
         """
         if not self.complete or not self.frame.views:
             return np.zeros(len(self.points), dtype=bool)
         rows = np.append(association.cluster_row, -1)
-        pairs = zip(self.frame.labels, look.pixel, strict=True)
-        shown_row = np.stack([rows[label[pixel]] for label, pixel in pairs])
-        before = (look.each == HIDDEN) & (shown_row == self.points.owner)
-        return np.asarray(before.any(axis=0) & (before | (look.pixel < 0)).all(axis=0))
+        pairs = zip(self.frame.labels, comparison.pixel, strict=True)
+        pixel_row = np.stack([rows[label[pixel]] for label, pixel in pairs])
+        is_behind = (comparison.image_state == HIDDEN) & (pixel_row == self.points.owner)
+        everywhere = (is_behind | (comparison.pixel < 0)).all(axis=0)
+        return np.asarray(is_behind.any(axis=0) & everywhere)
 
-    def _motion_evidence(self, look: _Look, behind: BoolArray) -> None:
-        """How much of each obstacle is not where it is remembered."""
-        points, shows = self.points, look.shows
-        last_image_stamps = (shows == AT) | (shows == FREE) | (shows == EMPTY) | behind
-        requested = points.confirmed & last_image_stamps
-        count = len(self.tracks)
-        total = np.bincount(points.owner[requested], minlength=count)
-        requested &= look.distance >= SUPPORT_RADIUS
-        missed = np.bincount(points.owner[requested], minlength=count)
-        least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
-        share = missed / np.maximum(total, np.maximum(least, 1.0))
-        left = _FADING * self.tracks.motion_evidence
-        self.tracks = replace(self.tracks, motion_evidence=np.maximum(share, left))
+    def _update_motion_evidence(self, comparison: _Comparison, is_behind: BoolArray) -> None:
+        """Updates the motion evidence: the fraction of visible points without support."""
+        points, state, count = self.points, comparison.state, len(self.tracks)
+        is_visible = (state == AT) | (state == FREE) | (state == EMPTY) | is_behind
+        is_visible &= points.confirmed
+        total = np.bincount(points.owner[is_visible], minlength=count)
+        is_unsupported = is_visible & (comparison.to_frame >= SUPPORT_RADIUS)
+        unsupported = np.bincount(points.owner[is_unsupported], minlength=count)
+        min_total = _MIN_VISIBLE_SHARE * np.bincount(points.owner, minlength=count)
+        fraction = unsupported / np.maximum(total, np.maximum(min_total, 1.0))
+        decayed = _EVIDENCE_DECAY * self.tracks.motion_evidence
+        self.tracks = replace(self.tracks, motion_evidence=np.maximum(fraction, decayed))
 
-    def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
+    def _correct(self, association: Association, p_WQ: FloatArray, is_occluded: BoolArray) -> None:
+        """Corrects the tracks by their sides and surfaces in the frame.
+
+        Args:
+            association: assignment of clusters; shared clusters have no sides.
+            p_WQ: (N, 3) remembered points in the world [m].
+            is_occluded: (N,) whether each remembered point is occluded.
+        """
         tracks = self.tracks
-        rows = np.where(association.mixed, -1, association.cluster_row)
-        seen = seen_sides(self.frame, rows, tracks.area, self.config.voxel)
-        # Of the remembered points beyond each side, the share that the frame does not show.
+        rows = np.where(association.is_shared, -1, association.cluster_row)
+        sides = find_sides(self.frame, rows, tracks.area, self.config.voxel)
+        # A side is no end if too many of the remembered points beyond it are occluded.
         owner = self.points.owner
-        low, high = np.moveaxis(seen.place[owner], 2, 0)
-        far = np.stack([p_WQ < low - _SIDE_SLACK, p_WQ > high + _SIDE_SLACK], axis=2)
-        far = far.reshape(-1, 6)
-        mine = (owner == np.arange(len(tracks))[:, None]).astype(float)
-        share = mine @ (far & hidden[:, None]) / np.maximum(mine @ far, 1.0)
-        is_seen = share.reshape(seen.ends.shape) < _HIDDEN_SHARE
-        seen = replace(seen, ends=seen.ends & is_seen)
+        low, high = np.moveaxis(sides.place[owner], 2, 0)
+        beyond = np.stack([p_WQ < low - _SIDE_SLACK, p_WQ > high + _SIDE_SLACK], axis=2)
+        beyond = beyond.reshape(-1, 6)
+        is_own = (owner == np.arange(len(tracks))[:, None]).astype(float)
+        fraction = is_own @ (beyond & is_occluded[:, None]) / np.maximum(is_own @ beyond, 1.0)
+        is_visible = fraction.reshape(sides.ends.shape) < _OCCLUDED_SHARE
+        sides = replace(sides, ends=sides.ends & is_visible)
         deviation = depth_deviation(tracks.p_W, self.frame.views)
-        v_W, spread, self._references = registered_tracks(
+        v_W, variance, self._references = measure_velocities(
             tracks,
             self.previous.references,
-            self.seen,
+            self.frame_points,
             association.point_row,
             self.cluster,
             deviation,
             self.stamp,
         )
-        self.tracks = measured_tracks(tracks, seen, deviation, v_W, spread, self.dt)
+        self.tracks = correct_tracks(tracks, sides, deviation, v_W, variance, self.dt)
 
-    def _weigh(self, association: Association, look: _Look, behind: BoolArray) -> None:
-        """Weighs the remembered points, and drops those without evidence."""
-        points, shows = self.points, look.shows
-        hit = look.distance < np.where(points.confirmed, SUPPORT_RADIUS, SAME_RADIUS)
-        is_found = np.isin(points.owner, association.point_row)
-        gone = (shows == FREE) | ((shows == AT) & ~is_found)
-        fading = (shows == AT) | behind
-        less = np.where(gone, np.minimum(points.evidence, _CONFIRMED) - 1, points.evidence - fading)
-        evidence = np.where(hit, np.minimum(points.evidence + 1, _CERTAIN), less)
-        # New points of an obstacle that rests, and is handed on, are confirmed by a third frame.
-        settled = np.isin(self.tracks.ids, list(self.previous.held)) & ~self.tracks.moving
-        confirmed = points.confirmed | (evidence >= _CONFIRMED + settled[points.owner])
-        evidence[~points.confirmed & ~hit & (gone | fading)] = 0
-        left = evidence > 0
-        # `remember` still asks for these points by their places here.
-        self._kept = np.where(left, np.cumsum(left) - 1, -1)
-        self.points = taken(replace(points, evidence=evidence, confirmed=confirmed), left)
+    def _update_evidence(
+        self, association: Association, comparison: _Comparison, is_behind: BoolArray
+    ) -> None:
+        """Updates the evidence of the remembered points, and deletes points without evidence."""
+        points, state = self.points, comparison.state
+        radius = np.where(points.confirmed, SUPPORT_RADIUS, SAME_RADIUS)
+        is_supported = comparison.to_frame < radius
+        has_cluster = np.isin(points.owner, association.point_row)
+        is_free = (state == FREE) | ((state == AT) & ~has_cluster)
+        is_fading = (state == AT) | is_behind
+        reduced = np.where(
+            is_free, np.minimum(points.evidence, _CONFIRMED) - 1, points.evidence - is_fading
+        )
+        increased = np.minimum(points.evidence + 1, _MAX_EVIDENCE)
+        evidence = np.where(is_supported, increased, reduced)
+        # New points of a resting track in the output are confirmed by a third frame.
+        is_settled = np.isin(self.tracks.ids, list(self.previous.output_clouds))
+        is_settled &= ~self.tracks.is_moving
+        confirmed = points.confirmed | (evidence >= _CONFIRMED + is_settled[points.owner])
+        evidence[~points.confirmed & ~is_supported & (is_free | is_fading)] = 0
+        remains = evidence > 0
+        # Rows of the remaining points by previous row, for `_update_points`.
+        self._new_row = np.where(remains, np.cumsum(remains) - 1, -1)
+        self.points = select_rows(replace(points, evidence=evidence, confirmed=confirmed), remains)
 
-    def _remember(self, association: Association, look: _Look) -> None:
-        """Moves remembered points to what was seen of them, and adds what is new."""
-        distance = look.from_seen
-        kept = np.append(self._kept, -1)[look.nearest]
+    def _update_points(self, association: Association, comparison: _Comparison) -> None:
+        """Averages the remembered points with those of the frame, and adds new points."""
+        point_of = np.append(self._new_row, -1)[comparison.nearest]
         row = association.point_row
-        same = np.append(self.points.owner, -1)[kept] == row
+        is_same_track = np.append(self.points.owner, -1)[point_of] == row
         p_OQ = np.array(self.points.p_OQ)
         weight = np.array(self.points.weight)
-        local = self.seen - self.tracks.shift_W[row]
-        near = distance <= SAME_RADIUS
-        again = same & near & (kept >= 0)
-        # Points that are seen again move to the mean of what was seen of them.
-        at = kept[again]
+        local = self.frame_points - self.tracks.shift_W[row]
+        is_near = comparison.to_remembered <= SAME_RADIUS
+        is_same = is_same_track & is_near & (point_of >= 0)
+        at = point_of[is_same]
         count = np.bincount(at, minlength=len(p_OQ))
-        seen = count > 0
-        weight[seen] = np.minimum(weight[seen] + 1, _MEAN_FRAMES)
-        total = np.stack([np.bincount(at, one, len(p_OQ)) for one in local[again].T], axis=1)
-        p_OQ[seen] += (total[seen] / count[seen, None] - p_OQ[seen]) / weight[seen, None]
+        is_updated = count > 0
+        weight[is_updated] = np.minimum(weight[is_updated] + 1, _MEAN_FRAMES)
+        total = np.stack([np.bincount(at, one, len(p_OQ)) for one in local[is_same].T], axis=1)
+        error = total[is_updated] / count[is_updated, None] - p_OQ[is_updated]
+        p_OQ[is_updated] += error / weight[is_updated, None]
         self.points = replace(self.points, p_OQ=p_OQ, weight=weight)
-        new = np.flatnonzero((kept < 0) | ~near)
+        new = np.flatnonzero((point_of < 0) | ~is_near)
         ones = np.ones(len(new), dtype=np.int64)
-        geometry = np.zeros(len(self.tracks), dtype=bool)
-        sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
-        believed = self.first | (sizes >= _SOLID * self.config.min_cluster_voxels)
-        geometry[association.cluster_row[association.new]] = believed
-        added = Points(local[new], row[new], ones, ones, geometry[row[new]])
-        self.points = appended(self.points, added)
+        is_confirmed = np.zeros(len(self.tracks), dtype=bool)
+        clusters = association.new_clusters
+        sizes = np.array([len(self.frame.clouds_W[c]) for c in clusters], dtype=int)
+        min_size = _IMMEDIATE_CONFIRMATION_FACTOR * self.config.min_cluster_voxels
+        is_confirmed[association.cluster_row[clusters]] = self.first | (sizes >= min_size)
+        new_points = Points(local[new], row[new], ones, ones, is_confirmed[row[new]])
+        self.points = append_rows(self.points, new_points)
 
-    def _split(self, association: Association, look: _Look) -> None:
-        """Makes obstacles of the smaller parts of those that are seen in parts for long.
+    def _split_tracks(self, association: Association, comparison: _Comparison) -> None:
+        """Splits tracks that have been in separate parts for `_SPLIT_FRAMES` frames.
 
-        Parts that remembered points connect which the frame does not show are one obstacle.
+        Occluded remembered points connect parts of one track. The part of the largest cluster
+        retains the track ID; the other parts become new tracks.
         """
         tracks, points = self.tracks, self.points
-        unseen = (look.shows != AT) & (look.shows != FREE)
-        rows = np.where(association.mixed, -1, association.cluster_row)
+        is_unobserved = (comparison.state != AT) & (comparison.state != FREE)
+        rows = np.where(association.is_shared, -1, association.cluster_row)
         owner, sides, area = np.array(points.owner), np.array(tracks.sides), np.array(tracks.area)
-        apart = np.zeros(len(tracks), dtype=np.int64)
+        split_frames = np.zeros(len(tracks), dtype=np.int64)
         origin: list[int] = []
         for row in np.flatnonzero(np.bincount(rows + 1)[1:] > 1):
-            seen = np.flatnonzero(np.isin(self.cluster, np.flatnonzero(rows == row)))
-            mine = np.flatnonzero(points.owner == row)
-            hidden = look.p_WQ[mine[unseen[mine]]]
-            joined = np.concatenate([self.seen[seen], hidden])
-            groups = np.concatenate([self.cluster[seen], -1 - np.arange(len(hidden))])
-            label = connected_clusters(joined, self.config.cluster_tolerance, groups)[: len(seen)]
-            # The first part has the largest cluster.
-            apart[row] = tracks.apart[row] + 1 if label.any() else 0
-            if apart[row] < _SPLIT_FRAMES:
+            visible = np.flatnonzero(np.isin(self.cluster, np.flatnonzero(rows == row)))
+            own = np.flatnonzero(points.owner == row)
+            occluded = comparison.p_WQ[own[is_unobserved[own]]]
+            joined = np.concatenate([self.frame_points[visible], occluded])
+            groups = np.concatenate([self.cluster[visible], -1 - np.arange(len(occluded))])
+            label = connected_clusters(joined, self.config.cluster_tolerance, groups)
+            label = label[: len(visible)]
+            # Label 0 has the largest cluster.
+            split_frames[row] = tracks.split_frames[row] + 1 if label.any() else 0
+            if split_frames[row] < _SPLIT_FRAMES:
                 continue
-            sides[row], area[row], apart[row] = np.nan, 0.0, 0
-            nearest, _, _ = mutual_nearest(look.p_WQ[mine], self.seen[seen], OCCLUSION_GAP)
+            sides[row], area[row], split_frames[row] = np.nan, 0.0, 0
+            nearest, _, _ = mutual_nearest(
+                comparison.p_WQ[own], self.frame_points[visible], OCCLUSION_GAP
+            )
             part = np.append(label, 0)[nearest]
             for number in np.unique(label[label > 0]):
                 new = len(tracks) + len(origin)
-                owner[mine[part == number]] = association.point_row[seen[label == number]] = new
+                owner[own[part == number]] = new
+                association.point_row[visible[label == number]] = new
                 origin.append(int(row))
         self.points = replace(points, owner=owner)
-        self.tracks = replace(tracks, sides=sides, area=area, apart=apart)
-        self._append(taken(self.tracks, np.array(origin, dtype=np.int64)))
+        self.tracks = replace(tracks, sides=sides, area=area, split_frames=split_frames)
+        self._add_tracks(select_rows(self.tracks, np.array(origin, dtype=np.int64)))
 
-    def _append(self, tracks: Tracks) -> None:
-        """Adds obstacles under new names."""
+    def _add_tracks(self, tracks: Tracks) -> None:
+        """Adds tracks with new IDs."""
         ids = self.next_id + np.arange(len(tracks))
         self.next_id += len(tracks)
-        self.tracks = appended(self.tracks, replace(tracks, ids=ids))
+        self.tracks = append_rows(self.tracks, replace(tracks, ids=ids))
 
-    def _merge(self, association: Association) -> None:
-        """Joins obstacles that are one cluster and move alike for long."""
+    def _merge_tracks(self, association: Association) -> None:
+        """Merges tracks in one cluster that have had similar velocities for `_MERGE_TIME`."""
         tracks = self.tracks
         rows = np.flatnonzero(association.partner >= 0)
         into = association.partner[rows]
-        v_W = np.where(tracks.moving[:, None], tracks.v_W, 0.0)
-        alike = np.linalg.norm(v_W[rows] - v_W[into], axis=1) < _ALIKE
-        sync_tolerance = np.zeros(len(tracks))
-        sync_tolerance[rows] = np.where(alike, tracks.sync_tolerance[rows] + self.dt, 0.0)
+        v_W = np.where(tracks.is_moving[:, None], tracks.v_W, 0.0)
+        difference = np.linalg.norm(v_W[rows] - v_W[into], axis=1)
+        is_similar = difference < _MAX_VELOCITY_DIFFERENCE
+        merged_time = np.zeros(len(tracks))
+        merged_time[rows] = np.where(is_similar, tracks.merged_time[rows] + self.dt, 0.0)
         sides = np.array(tracks.sides)
         p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
         for row, other in zip(rows, into, strict=True):
-            if sync_tolerance[row] >= _MERGE_TIME:
-                mine = owner == row
-                p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[other]
-                owner[mine], sides[other] = other, np.nan
+            if merged_time[row] >= _MERGE_TIME:
+                is_own = owner == row
+                p_OQ[is_own] += tracks.shift_W[row] - tracks.shift_W[other]
+                owner[is_own], sides[other] = other, np.nan
         self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
-        self.tracks = replace(tracks, sides=sides, sync_tolerance=sync_tolerance)
+        self.tracks = replace(tracks, sides=sides, merged_time=merged_time)
 
-    def _forget(self) -> None:
-        """Lets go of obstacles of which too little is left."""
+    def _delete_tracks(self) -> None:
+        """Deletes tracks with too few remembered points."""
         count = np.bincount(self.points.owner, minlength=len(self.tracks))
-        left = count >= self._fewest()
-        row = np.cumsum(left) - 1
-        points = taken(self.points, left[self.points.owner])
+        remains = count >= self._min_points()
+        row = np.cumsum(remains) - 1
+        points = select_rows(self.points, remains[self.points.owner])
         self.points = replace(points, owner=row[points.owner])
-        self.tracks = taken(self.tracks, left)
+        self.tracks = select_rows(self.tracks, remains)
 
-    def _fewest(self) -> int:
+    def _min_points(self) -> int:
+        """Returns the minimum number of remembered points of a track."""
         return max(4, self.config.min_cluster_voxels // 2)
 
-    def _handed_on(self) -> TrackerState:
+    def _output(self) -> TrackerState:
+        """Returns the state of the tracker with the tracks that have enough confirmed points."""
         tracks, points = self.tracks, self.points
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
-        listed = confirmed >= self._fewest()
-        held = held_clouds(tracks.ids, tracks.shift_W, points, listed, self.previous.held)
-        moving = tracks.moving & (np.linalg.norm(tracks.v_W, axis=1) > 0.0)
+        is_output = confirmed >= self._min_points()
+        clouds = select_output_clouds(
+            tracks.ids, tracks.shift_W, points, is_output, self.previous.output_clouds
+        )
+        has_velocity = tracks.is_moving & (np.linalg.norm(tracks.v_W, axis=1) > 0.0)
         obstacles = ObstacleClouds(
             self.stamp,
-            tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
-            tracks.ids[listed],
-            held_table(self.previous.obstacles.table, self.frame.table),
-            v_WO=np.where(moving[:, None], tracks.v_W, 0.0)[listed],
+            tuple(clouds[track_id].p_WQ for track_id in tracks.ids[is_output].tolist()),
+            tracks.ids[is_output],
+            select_output_table(self.previous.obstacles.table, self.frame.table),
+            v_WO=np.where(has_velocity[:, None], tracks.v_W, 0.0)[is_output],
         )
         return TrackerState(
             obstacles,
             self.next_id,
             tracks,
             points,
-            held,
+            clouds,
             self._references,
             self.stamp,
             self.previous.last_image_stamps,
         )
 
 
-def held_clouds(
+def select_output_clouds(
     ids: IntArray,
     shift_W: FloatArray,
     points: Points,
-    listed: BoolArray,
-    previous: dict[int, HeldCloud],
-) -> dict[int, HeldCloud]:
-    """Selects the clouds to hand on, by name.
-
-    The cloud of an obstacle stays while the present one differs from it by no more than noise.
+    is_output: BoolArray,
+    previous: dict[int, OutputCloud],
+) -> dict[int, OutputCloud]:
+    """Selects the output cloud of each track: the previous one if it differs only by noise.
 
     Args:
-        ids: (M,) names of the obstacles.
-        shift_W: (M, 3) from the frame O of each obstacle's points to the world [m].
-        points: the remembered points; only the confirmed are handed on.
-        listed: (M,) which obstacles to hand on.
-        previous: what was handed on last.
+        ids: (M,) track IDs.
+        shift_W: (M, 3) translation from the frame O of each track's points to the world [m].
+        points: remembered points; only confirmed ones are output.
+        is_output: (M,) whether each track is output.
+        previous: output clouds of the previous frame, by track ID.
+
+    Returns:
+        Output clouds, by track ID.
     """
     owner = np.where(points.confirmed, points.owner, -1)
-    held = {}
-    for row in np.flatnonzero(listed):
-        name, p_OQ = int(ids[row]), points.p_OQ[owner == row]
-        old = previous.get(name)
+    clouds = {}
+    for row in np.flatnonzero(is_output):
+        track_id, p_OQ = int(ids[row]), points.p_OQ[owner == row]
+        old = previous.get(track_id)
         if old is not None:
-            reach, before = ((DIRECTIONS @ cloud.T).max(axis=1) for cloud in (p_OQ, old.p_OQ))
-            more, size = reach - before, len(old.p_OQ)
+            reach, old_reach = ((DIRECTIONS @ cloud.T).max(axis=1) for cloud in (p_OQ, old.p_OQ))
+            growth, size = reach - old_reach, len(old.p_OQ)
             if (
-                (more <= _GROWN).all()
-                and (more >= -_SHRUNK).all()
+                (growth <= _MAX_GROWTH).all()
+                and (growth >= -_MAX_SHRINKAGE).all()
                 and abs(len(p_OQ) - size) <= _CHANGED_SHARE * size
             ):
                 p_OQ = old.p_OQ
         p_WQ = p_OQ + shift_W[row]
         p_WQ.flags.writeable = False
-        is_held = old is not None and np.array_equal(p_WQ, old.p_WQ)
-        held[name] = previous[name] if is_held else HeldCloud(p_OQ, p_WQ)
-    return held
+        is_same = old is not None and np.array_equal(p_WQ, old.p_WQ)
+        clouds[track_id] = previous[track_id] if is_same else OutputCloud(p_OQ, p_WQ)
+    return clouds
 
 
-def held_table(previous: TablePlane | None, seen: TablePlane | None) -> TablePlane | None:
-    """The previous plane unless the new one is farther from it than `_TABLE_SHIFT`."""
-    if previous is None or seen is None:
-        return seen
-    return seen if seen.distance_to(previous) > _TABLE_SHIFT else previous
+def select_output_table(
+    previous: TablePlane | None, measured: TablePlane | None
+) -> TablePlane | None:
+    """Returns the previous plane if the measured one is within `_TABLE_SHIFT` of it."""
+    if previous is None or measured is None:
+        return measured
+    return measured if measured.distance_to(previous) > _TABLE_SHIFT else previous

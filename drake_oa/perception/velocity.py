@@ -1,22 +1,22 @@
-"""A constant-velocity Kalman filter for each obstacle.
+"""Positions and velocities of tracks: a constant-velocity Kalman filter and its measurements.
 
-The state of one axis is (position, velocity), measured by the obstacle's sides (`seen_sides`) and
-by the displacement of its surface since the previous frame. Acceleration is taken as
-white noise of spectral density q, so that a step of dt adds
+The state of each world axis is (position, velocity). Acceleration is white noise of spectral
+density q, so that a step dt adds the covariance
 
     Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
 
-(Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
-Navigation", 2001, ch. 6: continuous white noise acceleration). The axes are those of the
-world. They do not mix, since what is measured of them does not.
+(Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+ch. 6: continuous white noise acceleration). The axes are independent.
 
-From the filter's velocity and its significance follows whether an obstacle moves, and where to.
+Position is measured by the sides of an obstacle (`find_sides`): along each axis the two places
+beyond which a small fixed area of its surface lies. The centroid of the visible points shifts when
+the arm occludes a part. A side does not, as long as the image contains free space beyond it.
 
-Where an obstacle is, measured by its sides: so that what hides a part of it does not move it.
+Velocity is measured by the displacement of the surface since an earlier frame: `register_surface`
+aligns the points of both frames (`measure_velocities`).
 
-The centroid of what is seen shifts when an arm passes before it. A side, the place
-beyond which a small fixed area of the obstacle lies, does not, as long as the image
-shows free space beyond it. Each side is compared with where it was before.
+A track rests or moves (`_decide_motion`). The points of a moving track move with the filter's
+position; those of a resting track do not move, and its output velocity is zero.
 """
 
 from __future__ import annotations
@@ -34,76 +34,76 @@ from drake_oa.geometry.pinhole import View, pixel_at, pixel_rays
 from drake_oa.perception.segmentation import Segmentation
 
 SIDE_DEVIATION = 0.0015
-"""Standard deviation of the measured place of a side, or of a surface point [m]."""
+"""Standard deviation of a measured side or surface point at depths up to 1.2 m [m]."""
 _ACCELERATION = 0.01
-"""Spectral density of the acceleration of an obstacle at rest, each axis [m^2/s^3]."""
+"""Spectral density of the acceleration of a resting obstacle, per axis [m^2/s^3]."""
 _MANEUVER = 0.05
-"""Spectral density of the acceleration of a moving obstacle, each axis [m^2/s^3]."""
+"""Spectral density of the acceleration of a moving obstacle, per axis [m^2/s^3]."""
 _START_SPEED = 0.03
-"""Speed above which an obstacle may be found to move [m/s]."""
-START = 21.1
-"""Speed statistic above which a velocity is significant: exceeded at rest once in 10,000 frames."""
-_CERTAIN = 100.0
-"""Speed statistic above which an obstacle moves at once."""
-_FLOOR = 0.02
-"""Speed below which a frame shows an obstacle at rest [m/s]."""
-_STOP = 7.8
-"""Speed statistic below which a frame shows an obstacle at rest."""
+"""Minimum speed of an obstacle that starts to move [m/s]."""
+START_STATISTIC = 21.1
+"""Minimum speed statistic of a significant velocity; exceeded at rest once in 10,000 frames [1]."""
+_CERTAIN_STATISTIC = 100.0
+"""Minimum speed statistic of a velocity for which one frame starts the motion of a track [1]."""
+_REST_SPEED = 0.02
+"""Speed below which a frame is evidence that an obstacle rests [m/s]."""
+_STOP_STATISTIC = 7.8
+"""Speed statistic below which a frame is evidence that an obstacle rests [1]."""
 _STOP_TIME = 0.1
-"""Time at rest after which an obstacle no longer moves [s]."""
+"""Duration of evidence of rest after which a moving track rests [s]."""
 _OUTLIER = 5.0
-"""Standard deviations beyond which a measurement is an outlier; two in a row are a maneuver."""
+"""Gate of a measured position [standard deviations]; beyond it, the measurement is an outlier."""
 _JUMP = 0.01
-"""Distance at which an obstacle at rest is taken to have been moved [m]."""
+"""Minimum displacement at which a resting obstacle counts as moved to another place [m]."""
 _SETTLING = 0.1
-"""Share of a frame in the place of an obstacle at rest."""
-_STRONG_DOUBT = 0.15
-"""Share of missing points with which a velocity that is only likely is believed."""
+"""Weight of one frame in the running mean of the position of a resting obstacle [1]."""
+_STRONG_EVIDENCE = 0.15
+"""Minimum motion evidence at which a velocity below `START_STATISTIC` counts as motion [1]."""
 COAST_TIME = 0.5
-"""Time for which a moving obstacle that is not seen keeps its velocity [s]."""
-BLIND_TIME = 0.2
-"""Time without a measurement along an axis after which one at rest has no velocity there [s]."""
-
-
-_PATIENCE = 3
-"""Weight of a frame whose velocity is significant, of one that is only likely: 1."""
-_ENOUGH = 2 * _PATIENCE
-"""Weight of frames after which an obstacle moves."""
-_MOVED = 0.004
-"""Distance from its place at rest beyond which an obstacle may move [m]."""
-_DOUBTED = 0.04
-"""Share of missing points above which an obstacle may move."""
-LONGEST_GAP = 1.0
-"""Time between frames beyond which no velocity is believed [s]."""
+"""Maximum duration of coasting: prediction of a moving track without measurements [s]."""
+UNMEASURED_TIME = 0.2
+"""Time without a measurement along an axis after which a resting track has no velocity there [s].
+"""
+_SIGNIFICANT_SCORE = 3
+"""Motion score of a frame with a significant velocity; 1 with a velocity that is only likely."""
+_MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
+"""Motion score at which a track starts to move."""
+_REST_RADIUS = 0.004
+"""Distance from its resting position beyond which an obstacle can start to move [m]."""
+_MIN_EVIDENCE = 0.04
+"""Motion evidence above which an obstacle can start to move [1]."""
+MAX_GAP = 1.0
+"""Maximum time between two frames from which a velocity is computed [s]."""
 INITIAL_SPEED = 0.4
-"""Standard deviation of the velocity of an obstacle that is seen first [m/s]."""
+"""Standard deviation of the velocity of a new track [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks(Frozen):
-    """M obstacles, one a row.
+    """M tracks: obstacles over time, one per row.
 
     Attributes:
         ids: (M,) track IDs.
-        state: (M, 3, 2) filtered position [m] and velocity [m/s] along each axis of the world. The
-            position is that of a point fixed to the obstacle, at first its centroid.
-        covariance: (M, 3, 2, 2) of the state.
-        shift_W: (M, 3) from the frame O, in which its points are kept, to the world:
-            p_WQ = p_OQ + shift_W [m].
-        p_shift_W: (M, 3) the filter's position when it was shifted last [m].
-        sides: (M, 3, 2) the lowest and highest side along the world's axes, from the
-            position [m]; NaN while unknown.
-        area: (M,) the largest visible area, across the line of sight [m^2].
-        moving: (M,) whether it moves.
-        motion_evidence: (M,) recent maximum of the share of its visible part that was not where it was
-            remembered.
-        significant: (M,) frames in a row whose velocity was significant, each counted
-            `_PATIENCE` times, and once where it was only likely.
-        still: (M,) time since its velocity was significant [s].
-        unmeasured_time: (M, 3) time since it was measured along each axis of the world [s].
-        odd: (M, 3) whether the last measurement along each axis was an outlier.
-        apart: (M,) frames in a row in which it was seen in parts.
-        sync_tolerance: (M,) time as one cluster with a larger obstacle [s].
+        state: (M, 3, 2) filtered position [m] and velocity [m/s] along each world axis. The
+            position is that of a point fixed to the obstacle, initially its centroid.
+        covariance: (M, 3, 2, 2) covariance of the state.
+        shift_W: (M, 3) translation from the frame O of the remembered points to the world [m]:
+            p_WQ = p_OQ + shift_W.
+        p_shift_W: (M, 3) filtered position at the last change of `shift_W` [m].
+        sides: (M, 3, 2) lowest and highest side along the world axes, relative to the position
+            [m]; NaN while unknown.
+        area: (M,) largest visible area, perpendicular to the line of sight [m^2].
+        is_moving: (M,) whether the obstacle moves.
+        motion_evidence: (M,) recent maximum of the fraction of the visible part that is not at its
+            remembered place.
+        motion_score: (M,) sum of the scores of consecutive frames with a significant velocity (each
+            `_SIGNIFICANT_SCORE`) or a likely one (each 1).
+        rest_time: (M,) duration of the present evidence of rest [s].
+        unmeasured_time: (M, 3) time since the last measurement along each world axis [s].
+        is_outlier: (M, 3) whether the last measurement along each axis was an outlier.
+        split_frames: (M,) number of consecutive frames with the obstacle in separate parts.
+        merged_time: (M,) time since the track shares one cluster with a larger track, both with
+            similar velocities [s].
     """
 
     ids: IntArray = zeros(0, kind=np.int64)
@@ -113,31 +113,31 @@ class Tracks(Frozen):
     p_shift_W: FloatArray = zeros(0, 3)
     sides: FloatArray = zeros(0, 3, 2)
     area: FloatArray = zeros(0)
-    moving: BoolArray = zeros(0, kind=bool)
+    is_moving: BoolArray = zeros(0, kind=bool)
     motion_evidence: FloatArray = zeros(0)
-    significant: IntArray = zeros(0, kind=np.int64)
-    still: FloatArray = zeros(0)
+    motion_score: IntArray = zeros(0, kind=np.int64)
+    rest_time: FloatArray = zeros(0)
     unmeasured_time: FloatArray = zeros(0, 3)
-    odd: BoolArray = zeros(0, 3, kind=bool)
-    apart: IntArray = zeros(0, kind=np.int64)
-    sync_tolerance: FloatArray = zeros(0)
+    is_outlier: BoolArray = zeros(0, 3, kind=bool)
+    split_frames: IntArray = zeros(0, kind=np.int64)
+    merged_time: FloatArray = zeros(0)
 
     def __len__(self) -> int:
         return len(self.ids)
 
     @property
     def p_W(self) -> FloatArray:
-        """(M, 3) positions [m]."""
+        """Filtered positions (M, 3) [m]."""
         return self.state[..., 0]
 
     @property
     def v_W(self) -> FloatArray:
-        """(M, 3) velocities [m/s]."""
+        """Filtered velocities (M, 3) [m/s]."""
         return self.state[..., 1]
 
 
 def new_tracks(p_W: FloatArray) -> Tracks:
-    """Makes obstacles at p_W (M, 3) [m] that are seen first: at rest, without a name and sides."""
+    """Returns new tracks at positions p_W (M, 3) [m]: at rest, with ID 0 and unknown sides."""
     parts = {
         name: np.zeros((len(p_W), *part.shape[1:]), dtype=part.dtype)
         for name, part in vars(Tracks()).items()
@@ -151,20 +151,25 @@ def new_tracks(p_W: FloatArray) -> Tracks:
 
 
 _FIRST_COVARIANCE = np.diag([SIDE_DEVIATION**2, INITIAL_SPEED**2])
+"""Covariance of position and velocity of a new track, per axis."""
 
 
-def corrected(tracks: Tracks, kind: int, measured: FloatArray, variance: FloatArray) -> Tracks:
+def kalman_update(tracks: Tracks, kind: int, measured: FloatArray, variance: FloatArray) -> Tracks:
     """Corrects the states by measured positions (kind 0) or velocities (kind 1).
 
+    With H the row of the identity with index `kind`, and the variance r of the measurement z:
+
+        K = P H^T / (H P H^T + r),   x <- x + K (z - H x),   P <- P - K H P
+
     Args:
-        tracks: as predicted.
+        tracks: predicted tracks.
         kind: column of the state.
-        measured: (M, 3) [m or m/s]; NaN where there is none.
-        variance: (M, 3) of the measurement.
+        measured: (M, 3) z [m or m/s]; NaN: no measurement.
+        variance: (M, 3) r.
     """
-    P, known = tracks.covariance, np.isfinite(measured)
-    innovation = np.where(known, measured - tracks.state[..., kind], 0.0)
-    gain = P[..., kind] / (P[..., kind, kind] + variance)[..., None] * known[..., None]
+    P, is_measured = tracks.covariance, np.isfinite(measured)
+    innovation = np.where(is_measured, measured - tracks.state[..., kind], 0.0)
+    gain = P[..., kind] / (P[..., kind, kind] + variance)[..., None] * is_measured[..., None]
     return replace(
         tracks,
         state=tracks.state + gain * innovation[..., None],
@@ -173,145 +178,177 @@ def corrected(tracks: Tracks, kind: int, measured: FloatArray, variance: FloatAr
 
 
 def speed_statistic(tracks: Tracks) -> FloatArray:
-    """(M,) v^T P_v^-1 v: chi-square of 3 degrees of freedom for an obstacle at rest."""
+    """Computes v^T P_v^-1 v (M,): at rest chi-square distributed with 3 degrees of freedom."""
     return np.asarray((tracks.v_W**2 / tracks.covariance[..., 1, 1]).sum(axis=1))
 
 
-_SHRINKING = 0.99  # of the area of an obstacle that is seen whole, a frame
+_AREA_DECAY = 0.99
+"""Factor per frame of the known area of an obstacle with all sides visible [1]."""
 
 
-def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
-    """Predicts obstacles dt [s] >= 0 later; those that move take their points along.
+def predict_tracks(tracks: Tracks, dt: float) -> Tracks:
+    """Predicts the tracks at dt [s] >= 0 later; the points of moving tracks move with them.
 
-    One that was not measured for `COAST_TIME` stops where it is then, and
-    all do after a gap of `LONGEST_GAP`.
+    A moving track without a measurement for `COAST_TIME` stops at its last predicted position. All
+    tracks stop after a gap of `MAX_GAP` between frames.
     """
-    gap = dt > LONGEST_GAP
-    moving = tracks.moving & (tracks.unmeasured_time.min(axis=1) + dt <= COAST_TIME) & (not gap)
-    lost = (tracks.moving & ~moving) | gap
+    gap = dt > MAX_GAP
+    is_moving = (
+        tracks.is_moving & (tracks.unmeasured_time.min(axis=1) + dt <= COAST_TIME) & (not gap)
+    )
+    lost = (tracks.is_moving & ~is_moving) | gap
     P = np.where(lost[:, None, None, None], _FIRST_COVARIANCE, tracks.covariance)
-    # Where it does not move significantly, noise must not carry it away while hidden.
-    hidden = (tracks.unmeasured_time > BLIND_TIME) | lost[:, None]
+    # Noise in the velocity of a resting track would displace it while it is occluded.
+    is_uncertain = (tracks.unmeasured_time > UNMEASURED_TIME) | lost[:, None]
     state = np.array(tracks.state)
-    state[..., 1][~moving[:, None] & hidden] = 0.0
-    dt = min(dt, LONGEST_GAP)
+    state[..., 1][~is_moving[:, None] & is_uncertain] = 0.0
+    dt = min(dt, MAX_GAP)
     F = np.array([[1.0, dt], [0.0, 1.0]])
     Q = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    q = np.where(moving, _MANEUVER, _ACCELERATION)[:, None, None, None]
+    q = np.where(is_moving, _MANEUVER, _ACCELERATION)[:, None, None, None]
     state = state @ F.T
-    step = np.where(moving[:, None], state[..., 0] - tracks.p_shift_W, 0.0)
+    step = np.where(is_moving[:, None], state[..., 0] - tracks.p_shift_W, 0.0)
     return replace(
         tracks,
         state=state,
         covariance=F @ P @ F.T + q * Q,
         shift_W=tracks.shift_W + step,
         p_shift_W=tracks.p_shift_W + step,
-        moving=moving,
+        is_moving=is_moving,
     )
 
 
-def measured_tracks(
+def correct_tracks(
     tracks: Tracks,
-    seen: SeenSides,
+    sides: Sides,
     deviation: FloatArray,
     v_W: FloatArray,
-    spread: FloatArray,
+    v_variance: FloatArray,
     dt: float,
 ) -> Tracks:
-    """Corrects obstacles by a frame, dt [s] after the one before.
+    """Corrects the tracks by the measurements of a frame, dt [s] after the previous frame.
 
-    An outlier is left out. Two in a row are a maneuver: the position is as uncertain as the jump,
-    and the velocity, unless it is measured too, as at first.
+    A position beyond the gate is an outlier, and is rejected. A second outlier in a row is a
+    maneuver and is accepted: the variance of the position grows by the square of the jump, and the
+    velocity, unless measured too, becomes as uncertain as that of a new track.
 
     Args:
-        tracks: as predicted.
-        seen: their sides in it.
-        deviation: (M,) from `depth_deviation` [m].
-        v_W: (M, 3) measured velocities of their surfaces [m/s]; NaN where nothing tells.
-        spread: (M, 3) their variances [m^2/s^2].
-        dt: see there.
+        tracks: predicted tracks.
+        sides: sides of the obstacles in the frame.
+        deviation: (M,) standard deviations from `depth_deviation` [m].
+        v_W: (M, 3) measured velocities of the surfaces [m/s]; NaN: not measured.
+        v_variance: (M, 3) variances of `v_W` [m^2/s^2].
+        dt: time since the previous frame [s].
     """
-    p_W, variance = measured_position(seen, tracks.sides, tracks.area, deviation)
-    registered, known_sides = np.isfinite(v_W), tracks.sides
-    tracks = corrected(tracks, 1, v_W, spread)
+    p_W, variance = measure_positions(sides, tracks.sides, tracks.area, deviation)
+    has_velocity, previous_sides = np.isfinite(v_W), tracks.sides
+    tracks = kalman_update(tracks, 1, v_W, v_variance)
     jump = np.where(np.isfinite(p_W), p_W - tracks.p_W, 0.0)
-    off = jump**2 > _OUTLIER**2 * (tracks.covariance[..., 0, 0] + variance)
-    again = off & tracks.odd
-    if again.any():
+    is_outlier = jump**2 > _OUTLIER**2 * (tracks.covariance[..., 0, 0] + variance)
+    is_maneuver = is_outlier & tracks.is_outlier
+    if is_maneuver.any():
         P = np.array(tracks.covariance)
-        P[again, 0, 0] += jump[again] ** 2
-        P[again, 0, 1] = P[again, 1, 0] = 0.0
-        P[again & ~registered, 1, 1] = INITIAL_SPEED**2
+        P[is_maneuver, 0, 0] += jump[is_maneuver] ** 2
+        P[is_maneuver, 0, 1] = P[is_maneuver, 1, 0] = 0.0
+        P[is_maneuver & ~has_velocity, 1, 1] = INITIAL_SPEED**2
         tracks = replace(tracks, covariance=P)
-    p_W = np.where(off & ~again, np.nan, p_W)
-    told = np.isfinite(p_W) | registered
-    tracks = corrected(tracks, 0, p_W, variance)
-    whole = seen.ends.all(axis=(1, 2))
-    learned = learned_sides(seen, known_sides, tracks.p_W)
+    p_W = np.where(is_outlier & ~is_maneuver, np.nan, p_W)
+    is_measured = np.isfinite(p_W) | has_velocity
+    tracks = kalman_update(tracks, 0, p_W, variance)
+    is_whole = sides.ends.all(axis=(1, 2))
+    new_sides = learn_sides(sides, previous_sides, tracks.p_W)
     tracks = replace(
         tracks,
-        sides=np.where(off[:, :, None], known_sides, learned),
-        area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
-        unmeasured_time=np.where(told, 0.0, tracks.unmeasured_time + dt),
-        odd=off,
+        sides=np.where(is_outlier[:, :, None], previous_sides, new_sides),
+        area=np.maximum(sides.area, np.where(is_whole, _AREA_DECAY, 1.0) * tracks.area),
+        unmeasured_time=np.where(is_measured, 0.0, tracks.unmeasured_time + dt),
+        is_outlier=is_outlier,
     )
-    measured, found = np.asarray(told.any(axis=1)), np.asarray(registered.any(axis=1))
-    return _decided(tracks, measured, found, dt)
+    any_measured, any_velocity = is_measured.any(axis=1), has_velocity.any(axis=1)
+    return _decide_motion(tracks, np.asarray(any_measured), np.asarray(any_velocity), dt)
 
 
-def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: float) -> Tracks:
-    """Decides which obstacles move, and shifts the points of those that do."""
+def _decide_motion(
+    tracks: Tracks, is_measured: BoolArray, has_velocity: BoolArray, dt: float
+) -> Tracks:
+    """Decides which tracks move, and moves their points to the filtered position.
+
+    S is the speed statistic, D the motion evidence, v the velocity, d the distance of the position
+    from that of the points. All conditions of a row hold; a resting track also needs d >
+    `_REST_RADIUS` and (registered or D > `_MIN_EVIDENCE`) for the first two rows:
+
+        state    condition of a measured frame                        effect
+        any      S > START_STATISTIC, |v| > _START_SPEED              score + _SIGNIFICANT_SCORE
+        any      the same, registered, S > _CERTAIN_STATISTIC         score + _MOVING_SCORE
+        any      S > _STOP_STATISTIC, D > _STRONG_EVIDENCE, |v| ...   score + 1
+        any      none of these                                        score = 0
+        resting  score >= _MOVING_SCORE                               moves
+        moving   S < _STOP_STATISTIC or |v| < _REST_SPEED, for        rests
+                 _STOP_TIME
+        resting  d > _JUMP along measured axes                        points jump, remains resting
+
+    Args:
+        tracks: corrected tracks.
+        is_measured: (M,) whether the frame has a measurement of each track.
+        has_velocity: (M,) whether one of them is a velocity ("registered" in the table).
+        dt: time since the previous frame [s].
+    """
     statistic, speed = speed_statistic(tracks), np.linalg.norm(tracks.v_W, axis=1)
-    away = tracks.p_W - tracks.p_shift_W
-    doubted = tracks.moving | registered | (tracks.motion_evidence > _DOUBTED)
-    fast = (speed > _START_SPEED) & measured
-    distant = np.linalg.norm(away, axis=1) > _MOVED
-    starts = (statistic > START) & fast & (tracks.moving | (doubted & distant))
-    likely = (statistic > _STOP) & fast & (tracks.motion_evidence > _STRONG_DOUBT)
-    at_once = registered & (statistic > _CERTAIN)
-    count = tracks.significant + np.where(starts, np.where(at_once, _ENOUGH, _PATIENCE), 1)
+    offset = tracks.p_W - tracks.p_shift_W
+    is_suspect = tracks.is_moving | has_velocity | (tracks.motion_evidence > _MIN_EVIDENCE)
+    is_fast = (speed > _START_SPEED) & is_measured
+    is_distant = np.linalg.norm(offset, axis=1) > _REST_RADIUS
+    is_significant = statistic > START_STATISTIC
+    is_significant &= is_fast & (tracks.is_moving | (is_suspect & is_distant))
+    is_likely = is_fast & (statistic > _STOP_STATISTIC)
+    is_likely &= tracks.motion_evidence > _STRONG_EVIDENCE
+    is_certain = has_velocity & (statistic > _CERTAIN_STATISTIC)
+    score = np.where(is_certain, _MOVING_SCORE, _SIGNIFICANT_SCORE)
+    score = tracks.motion_score + np.where(is_significant, score, 1)
+    score = np.where(is_significant | is_likely, score, 0)
     # Distant obstacles are not measured in each frame.
-    significant = np.where(measured, np.where(starts | likely, count, 0), tracks.significant)
-    calm = (statistic < _STOP) | (speed < _FLOOR)
-    still = np.where(calm, tracks.still + dt, 0.0)
-    moving = (tracks.moving | (significant >= _ENOUGH)) & (still < _STOP_TIME)
-    # What is at rest is found elsewhere only along what was measured.
-    found = np.where(moving[:, None] | (tracks.unmeasured_time == 0.0), away, 0.0)
-    jumped = doubted & (np.linalg.norm(found, axis=1) > _JUMP)
-    follows = measured & (moving | jumped)
-    step = np.where(follows[:, None], found, 0.0)
-    settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
+    motion_score = np.where(is_measured, score, tracks.motion_score)
+    is_calm = (statistic < _STOP_STATISTIC) | (speed < _REST_SPEED)
+    rest_time = np.where(is_calm, tracks.rest_time + dt, 0.0)
+    is_moving = (tracks.is_moving | (motion_score >= _MOVING_SCORE)) & (rest_time < _STOP_TIME)
+    # A resting track jumps only along the axes that were measured.
+    jump = np.where(is_moving[:, None] | (tracks.unmeasured_time == 0.0), offset, 0.0)
+    has_jumped = is_suspect & (np.linalg.norm(jump, axis=1) > _JUMP)
+    follows = is_measured & (is_moving | has_jumped)
+    step = np.where(follows[:, None], jump, 0.0)
+    settling = np.where((is_measured & ~follows)[:, None], _SETTLING * offset, 0.0)
     return replace(
         tracks,
-        moving=moving,
-        significant=significant,
-        still=still,
+        is_moving=is_moving,
+        motion_score=motion_score,
+        rest_time=rest_time,
         shift_W=tracks.shift_W + step,
         p_shift_W=tracks.p_shift_W + step + settling,
     )
 
 
-_MOST = 160
-"""Points of a surface that are looked at."""
+_MAX_SURFACE_POINTS = 160
+"""Maximum number of points of the earlier surface that are registered."""
 _NEIGHBORS = 8
-"""Points that a normal is of."""
-_ROUNDS = 4
-_TELLS = 0.5
-"""An axis is measured whose deviation is less than this share of what was unknown."""
-_TOGETHER = 12.0
-"""Points that have the same noise: it is smooth over pixels."""
+"""Number of nearest points from which a surface normal is computed."""
+_ITERATIONS = 4
+"""Number of iterations of the registration of two surfaces."""
+_MAX_SPREAD_RATIO = 0.5
+"""Maximum standard deviation of a measured displacement, relative to its prior [1]."""
+_CORRELATED_POINTS = 12.0
+"""Number of neighboring points with the same depth error, since the noise is smooth over pixels."""
 _GATE = 0.02
-"""Distance between points of two frames beyond which they are not the same [m]."""
+"""Gate of the registration: maximum distance of corresponding points of two frames [m]."""
 _SPEED_STEP = 0.1
-"""Speed at which an obstacle crosses a depth step within the age of its reference [m/s]."""
-_NEAR = 1.2
-"""Depth from which the deviation of a point grows with the square of its depth [m]."""
-_LONGEST_AGE = 0.19
-"""Age above which a reference is used though it resolves less [s]."""
+"""Minimum speed that a reference must resolve: depth step over the age of the reference [m/s]."""
+_CONSTANT_DEPTH = 1.2
+"""Depth beyond which the standard deviation of a point grows with the square of depth [m]."""
+_MAX_REFERENCE_AGE = 0.19
+"""Age at which a reference is used even if it does not resolve `_SPEED_STEP` [s]."""
 
 
 class Reference(NamedTuple):
-    """Surface of an obstacle in an earlier frame.
+    """Surface of an obstacle in an earlier frame, with which later frames are compared.
 
     Attributes:
         stamp: time of that frame [s].
@@ -322,157 +359,166 @@ class Reference(NamedTuple):
     p_WQ: FloatArray
 
 
-def registered(
+def register_surface(
     before: FloatArray,
     now: FloatArray,
     guess: FloatArray,
     prior: float,
     deviation: float = SIDE_DEVIATION,
 ) -> tuple[FloatArray, FloatArray]:
-    """The shift from one frame's points (N, 3) to those of a later one (M, 3).
+    """Computes the displacement between two surfaces by point-to-plane registration.
+
+    Each iteration minimizes, over the displacement t,
+
+        sum_i w_i (n_i . (q_i - p_i - t))^2 + |t - guess|^2 / prior^2
+
+    with p_i local means of the earlier points, q_i and n_i mean and normal of the nearest later
+    points (Chen and Medioni 1992), and weights w_i that reject edges and outliers.
 
     Args:
-        before, now: surfaces in the world [m]; a few points at least.
-        guess: (3,) the shift that is expected [m].
-        prior: how far off the guess may be, a standard deviation [m].
+        before, now: (N, 3) earlier and (M, 3) later surface in the world [m].
+        guess: (3,) predicted displacement [m].
+        prior: standard deviation of the guess [m].
         deviation: standard deviation of a point [m].
 
     Returns:
-        (3,) the shift [m], and its variances (3,) [m^2]; those of the prior where nothing tells.
+        (3,) displacement [m], and (3,) its variances [m^2]; guess and prior if a surface has less
+        than `_NEIGHBORS` points.
     """
     if min(len(before), len(now)) < _NEIGHBORS:
         return np.array(guess), np.full(3, prior**2)
-    tree, own = cKDTree(now), cKDTree(before)
-    moving = before[:: -(-len(before) // _MOST)]
-    # Means of as many points as those that they are laid on: a bent surface is flattened alike.
-    moving = before[own.query(moving, k=_NEIGHBORS)[1]].mean(axis=1)
-    shift, weak = np.array(guess, dtype=float), np.eye(3) / prior**2
-    information = weak
-    for reach in np.geomspace(2.0 * max(_GATE, prior), max(_GATE, 2.0 * deviation), _ROUNDS):
-        distance, rows = tree.query(moving + shift, k=_NEIGHBORS, distance_upper_bound=reach)
-        # Where a whole neighborhood is there.
-        there = np.isfinite(distance).all(axis=1)
-        if not there.any():
+    tree, before_tree = cKDTree(now), cKDTree(before)
+    sample = before[:: -(-len(before) // _MAX_SURFACE_POINTS)]
+    # Means of as many points on both sides, so that a curved surface is flattened equally.
+    sample = before[before_tree.query(sample, k=_NEIGHBORS)[1]].mean(axis=1)
+    shift, prior_information = np.array(guess, dtype=float), np.eye(3) / prior**2
+    information = prior_information
+    for reach in np.geomspace(2.0 * max(_GATE, prior), max(_GATE, 2.0 * deviation), _ITERATIONS):
+        distance, rows = tree.query(sample + shift, k=_NEIGHBORS, distance_upper_bound=reach)
+        has_patch = np.isfinite(distance).all(axis=1)
+        if not has_patch.any():
             break
-        patches = now[rows[there]]
+        patches = now[rows[has_patch]]
         middle = patches.mean(axis=1)
-        apart = patches - middle[:, None]
-        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+        offsets = patches - middle[:, None]
+        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
         normal = axes[:, :, 0]
-        left = np.einsum("ni,ni->n", normal, middle - moving[there])
-        off = np.abs(left - normal @ shift)
-        # Edges have no normal, and outliers no say.
+        gap = np.einsum("ni,ni->n", normal, middle - sample[has_patch])
+        residual = np.abs(gap - normal @ shift)
+        # Edges have no normal, and outliers must have no influence.
         weight = (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-12)) ** 2
-        weight = weight / (1.0 + (off / (3.0 * deviation)) ** 2) / (_TOGETHER * deviation**2)
-        told = np.einsum("n,ni,nj->ij", weight, normal, normal)
-        pull = np.einsum("n,ni,n->i", weight, normal, left) + weak @ guess
-        shift = np.linalg.solve(told + weak, pull)
-        # A normal that noise has tilted seems to tell of what is along its surface.
-        rough = np.minimum(spread[:, 0] / (_NEIGHBORS - 3), deviation**2)
-        tilted = weight @ (rough / np.maximum(spread[:, 1], deviation**2))
-        size, along = np.linalg.eigh(told - tilted * np.eye(3))
-        information = (along * np.maximum(size, 0.0)) @ along.T + weak
+        weight = weight / (1.0 + (residual / (3.0 * deviation)) ** 2)
+        weight = weight / (_CORRELATED_POINTS * deviation**2)
+        measured = np.einsum("n,ni,nj->ij", weight, normal, normal)
+        pull = np.einsum("n,ni,n->i", weight, normal, gap) + prior_information @ guess
+        shift = np.linalg.solve(measured + prior_information, pull)
+        # Noise tilts the normals, which would pretend information along the surface.
+        roughness = np.minimum(spread[:, 0] / (_NEIGHBORS - 3), deviation**2)
+        tilt = weight @ (roughness / np.maximum(spread[:, 1], deviation**2))
+        size, along = np.linalg.eigh(measured - tilt * np.eye(3))
+        information = (along * np.maximum(size, 0.0)) @ along.T + prior_information
     return shift, np.diag(np.linalg.inv(information)).copy()
 
 
 def depth_deviation(p_W: FloatArray, views: Sequence[View]) -> FloatArray:
-    """Standard deviations (M,) of the depth at places p_W (M, 3), as the nearest camera has it [m].
+    """Computes standard deviations (M,) of depth at points p_W (M, 3) in the nearest camera [m].
 
-    Beyond `_NEAR` it grows with the square of the depth; a step of the depth is twice as large.
+    Beyond `_CONSTANT_DEPTH` they grow with the square of the depth. A depth step of a
+    structured-light camera is twice as large.
     """
     depths = [(p_W - view.X_WC[:3, 3]) @ view.X_WC[:3, 2] for view in views]
     nearest = np.min(depths, axis=0) if depths else np.ones(len(p_W))
-    return np.asarray(SIDE_DEVIATION * np.maximum(1.0, nearest / _NEAR) ** 2)
+    return np.asarray(SIDE_DEVIATION * np.maximum(1.0, nearest / _CONSTANT_DEPTH) ** 2)
 
 
-def registered_tracks(
+def measure_velocities(
     tracks: Tracks,
     references: dict[int, Reference],
-    seen: FloatArray,
+    p_WQ: FloatArray,
     point_row: IntArray,
     cluster: IntArray,
     deviation: FloatArray,
     stamp: float,
 ) -> tuple[FloatArray, FloatArray, dict[int, Reference]]:
-    """Velocities of obstacles by the shifts of their surfaces since their reference frames.
+    """Measures velocities of tracks by the displacements of their surfaces since a reference frame.
 
-    The depth of a structured-light camera comes in steps that grow with its square. From one frame
-    to the next a distant obstacle seems to rest while its depth stays within a step. A
-    reference is therefore kept until a step is less than `_SPEED_STEP` times its age, and used
-    once, so that no displacement is counted twice.
+    The depth of a structured-light camera has steps that grow with the square of the depth. Between
+    consecutive frames the depth of a distant obstacle remains within one step, as if it rested. The
+    reference is therefore older: it remains until a step is less than `_SPEED_STEP` times its age.
+    Each reference is used once, so that no displacement is counted twice.
 
     Args:
-        tracks: the M obstacles, as predicted.
-        references: earlier surfaces, by name.
-        seen: (Q, 3) points of this frame [m].
-        point_row: (Q,) their obstacles.
-        cluster: (Q,) their clusters: what an obstacle has become one cluster with may show its
-            surface too.
-        deviation: (M,) from `depth_deviation` [m].
+        tracks: M predicted tracks.
+        references: earlier surfaces, by track ID.
+        p_WQ: (Q, 3) points of this frame [m].
+        point_row: (Q,) track of each point.
+        cluster: (Q,) cluster of each point. All points of a track's clusters are registered, since
+            points of a merged cluster may belong to its surface.
+        deviation: (M,) standard deviations from `depth_deviation` [m].
         stamp: time of the frame [s].
 
     Returns:
-        (M, 3) velocities [m/s], NaN where nothing tells, their variances (M, 3) [m^2/s^2], and
-        the references of the next frame.
+        (M, 3) velocities [m/s], NaN along axes that are not measured; (M, 3) their variances
+        [m^2/s^2]; and the references for the next frame.
     """
     v_W, variance = np.full((len(tracks), 3), np.nan), np.ones((len(tracks), 3))
-    kept = {}
-    for row, name in enumerate(tracks.ids.tolist()):
-        mine = point_row == row
-        if not mine.any():
+    new_references = {}
+    for row, track_id in enumerate(tracks.ids.tolist()):
+        is_own = point_row == row
+        if not is_own.any():
             continue
-        now = seen[mine]
+        now = p_WQ[is_own]
         middle = now.mean(axis=0)
-        then = references.get(name)
-        dt = np.inf if then is None else stamp - then.stamp
-        if then is None or dt > LONGEST_GAP:
-            kept[name] = Reference(stamp, now)
+        reference = references.get(track_id)
+        dt = np.inf if reference is None else stamp - reference.stamp
+        new_references[track_id] = Reference(stamp, now)
+        if reference is None or dt > MAX_GAP:
             continue
-        if 2.0 * deviation[row] > _SPEED_STEP * dt and dt < _LONGEST_AGE:
-            kept[name] = then
+        if 2.0 * deviation[row] > _SPEED_STEP * dt and dt < _MAX_REFERENCE_AGE:
+            new_references[track_id] = reference
             continue
-        kept[name] = Reference(stamp, now)
-        moved = np.abs(middle - then.p_WQ.mean(axis=0)).max() > _MOVED
-        if not (moved or tracks.moving[row] or tracks.motion_evidence[row] > _DOUBTED):
+        has_shifted = np.abs(middle - reference.p_WQ.mean(axis=0)).max() > _REST_RADIUS
+        is_suspect = tracks.is_moving[row] or tracks.motion_evidence[row] > _MIN_EVIDENCE
+        if not (has_shifted or is_suspect):
             continue
-        unknown = dt * INITIAL_SPEED
-        shift, spread = registered(
-            then.p_WQ,
-            seen[np.isin(cluster, cluster[mine])],
+        prior = dt * INITIAL_SPEED
+        shift, spread = register_surface(
+            reference.p_WQ,
+            p_WQ[np.isin(cluster, cluster[is_own])],
             dt * tracks.v_W[row],
-            unknown,
+            prior,
             deviation[row],
         )
-        tells = spread <= (_TELLS * unknown) ** 2
-        v_W[row, tells], variance[row] = shift[tells] / dt, spread / dt**2
-    return v_W, variance, kept
+        is_measured = spread <= (_MAX_SPREAD_RATIO * prior) ** 2
+        v_W[row, is_measured], variance[row] = shift[is_measured] / dt, spread / dt**2
+    return v_W, variance, new_references
 
 
 _BEHIND = 0.01
-"""Depth difference between an obstacle's surface and its continuation beyond a side, at 1 m [m]."""
+"""Minimum depth difference, at 1 m, from the continuation of an obstacle to space behind it [m]."""
 _STEPS = np.arange(1, 24)
-"""Steps along which the surroundings of an obstacle's side are looked at [pixel]."""
-_EMPTY = 12
-"""Number of pixels without depth in a row that show that nothing is beside an obstacle."""
-_ACROSS = 0.3
-"""Minimum sine of the angle between a side's axis and the line of sight."""
-_FARTHEST = 100.0
-"""Depth of pixels that show a background too far to be measured [m]."""
+"""Distances from a side at which the image is searched for free space [pixel]."""
+_EMPTY_PIXELS = 12
+"""Number of consecutive pixels without depth that count as free space beyond a side."""
+_MIN_SINE = 0.3
+"""Minimum sine of the angle between the axis of a side and the line of sight [1]."""
+_BACKGROUND_DEPTH = 100.0
+"""Depth of pixels with infinite depth [m]."""
 
 
-def surfaces(
+def sample_surfaces(
     label: NDArray[np.int16], rows: IntArray, view: View
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Samples the surfaces of obstacles in an image.
+    """Samples points on the surfaces of obstacles in an image.
 
     Args:
         label: (H W,) cluster of each pixel, -1: none.
-        rows: (C + 1,) obstacle of each cluster, -1: not asked for, and -1 at last.
-        view: the depth image.
+        rows: (C + 1,) track of each cluster, -1: not sampled; the last element is -1.
+        view: depth image.
 
     Returns:
-        The points (S, 3) in the world frame [m]; the area (S,) that a pixel covers at
-        each of them [m^2]; their obstacles (S,); for how many pixels each stands (S,).
+        (S, 3) points in the world [m]; (S,) area of a pixel at each of them [m^2]; (S,) their
+        tracks; (S,) number of pixels that each point represents.
     """
     z, K, X_WC = view
     pixel = np.flatnonzero(label >= 0)
@@ -486,7 +532,7 @@ def surfaces(
     return points, depth * depth / (K[0] * K[1]), row[is_used], step[is_used]
 
 
-def open_sides(
+def count_open_sides(
     points: FloatArray,
     row: IntArray,
     sides: FloatArray,
@@ -497,21 +543,23 @@ def open_sides(
 ) -> FloatArray:
     """Counts the points at the sides of obstacles with free space beyond them.
 
-    From each point of a side the image is followed outward until it shows something
-    else: what lies behind shows where the obstacle ends; what lies before it, what stands
-    beside it (the robot, another obstacle), or the image's border, does not. Where nothing
-    at all is shown for long, the background is too far away to be measured. The obstacle itself
-    shows its end too, where it lies behind what it would have beyond the side.
+    From each point of a side, the image is searched outward until the first pixel that decides:
+
+        pixel                                                        the obstacle
+        behind the obstacle's continuation beyond the side           ends at the side
+        12 pixels without depth in a row                             ends at the side
+        before the obstacle, or above the table beside it            may continue
+        outside the image                                            may continue
 
     Args:
-        points: (S, 3) in the world frame [m].
-        row: (S,) obstacle of each.
-        sides: (M, 3, 2) lowest and highest place of each obstacle along each axis [m].
-        label, rows, view: as of `surfaces`.
-        table: in the world.
+        points: (S, 3) points in the world [m].
+        row: (S,) track of each point.
+        sides: (M, 3, 2) lowest and highest side of each track along each world axis [m].
+        label, rows, view: as for `sample_surfaces`.
+        table: support plane in the world.
 
     Returns:
-        (2, M, 3, 2) how many do, and of how many.
+        (2, M, 3, 2) number of points at each side with free space beyond, and of all points there.
     """
     z, K, X_WC = view
     low, high = np.moveaxis(sides[row], 2, 0)
@@ -520,58 +568,61 @@ def open_sides(
     sight = points[i] - X_WC[:3, 3]
     across = np.linalg.norm(np.cross(outward, sight), axis=1) / np.linalg.norm(sight, axis=1)
     depth = (sight @ X_WC[:3, 2])[:, None]
-    length = _STEPS * depth / (K[0] * np.maximum(across, _ACROSS)[:, None])
-    # Where the obstacle would be if it went on beyond the side, from the camera.
+    length = _STEPS * depth / (K[0] * np.maximum(across, _MIN_SINE)[:, None])
+    # Continuation of the obstacle beyond the side, relative to the camera.
     beyond = sight[:, None] + length[..., None] * outward[:, None]
     p_CQ = beyond @ X_WC[:3, :3]
     pixel = pixel_at(p_CQ, z.shape, K)
     is_inside, is_own = pixel >= 0, rows[label[pixel]] == row[i, None]
-    other = np.minimum(z.ravel()[pixel], _FARTHEST)
-    is_told = is_inside & (other > 0.0)
+    other = np.minimum(z.ravel()[pixel], _BACKGROUND_DEPTH)
+    has_depth = is_inside & (other > 0.0)
     end = np.where(is_own, p_CQ[..., 2] + _BEHIND * depth**2, depth + DEPTH_MARGIN)
-    last = np.maximum.accumulate(np.where(is_told, _STEPS, 0), axis=1)
-    is_free = np.where(is_told, other > end, is_inside & (_STEPS - last >= _EMPTY))
+    last = np.maximum.accumulate(np.where(has_depth, _STEPS, 0), axis=1)
+    is_free = np.where(has_depth, other > end, is_inside & (_STEPS - last >= _EMPTY_PIXELS))
     height = table.height(X_WC[:3, 3]) + other / p_CQ[..., 2] * (beyond @ table.normal_W)
     is_before = (other < depth - DEPTH_MARGIN) | (height > DEPTH_MARGIN)
-    first = (is_free | ~is_inside | (is_told & ~is_own & is_before)).argmax(axis=1)
-    # Along the line of sight nothing beside it tells.
-    ends = is_free[np.arange(len(i)), first] | (across < _ACROSS)
+    first = (is_free | ~is_inside | (has_depth & ~is_own & is_before)).argmax(axis=1)
+    # No pixel beside the obstacle is informative for a side along the line of sight.
+    ends = is_free[np.arange(len(i)), first] | (across < _MIN_SINE)
     key = np.ravel_multi_index((row[i], k, side), sides.shape)
     counts = [np.bincount(key, weight, sides.size) for weight in (ends, np.ones(len(i)))]
     return np.reshape(counts, (2, *sides.shape))
 
 
-_PIXELS = 800  # about how many pixels of a cluster are looked at
+_PIXELS = 800
+"""Approximate number of sampled pixels of a cluster."""
 DEPTH_MARGIN = 0.03
-"""Depth difference that tells what is before or behind a surface from what is on it [m]."""
+"""Maximum depth difference between a surface and a point on it [m]."""
 _SIDE_TAIL = 0.02
-"""Share of an obstacle's area that lies beyond its side."""
+"""Fraction of an obstacle's visible area that lies beyond each of its sides [1]."""
 _OPEN_SHARE = 0.7
-"""Share of the surroundings of a side that must be free for the obstacle to end there."""
-_LEAST_AREA = 0.15
-"""Share of the known area that must be seen for an obstacle to be measured by its sides."""
-_WIDENED = 1.1
-"""Ratio of seen to known area above which an obstacle is coming into view."""
-_WIDENED_FACTOR = 6.0
-"""Factor of the deviation of sides of an obstacle that is coming into view."""
+"""Minimum fraction of points with free space beyond them at a side where an obstacle ends [1]."""
+_MIN_AREA_SHARE = 0.15
+"""Minimum visible fraction of the known area of an obstacle whose sides are measured [1]."""
+_GROWTH = 1.1
+"""Ratio of visible to known area above which an obstacle is entering the view [1]."""
+_GROWTH_FACTOR = 6.0
+"""Factor of the standard deviation of the sides of an obstacle that is entering the view [1]."""
 _SIDE_GRAIN = 0.7
-"""Standard deviation of a side [pixel]."""
-_HIDDEN_FACTOR = 3.0
-"""Relative growth of the deviation of a side of an obstacle that is all occluded."""
+"""Standard deviation of a measured side due to the image's resolution [pixel]."""
+_OCCLUSION_FACTOR = 3.0
+"""Increase of the relative standard deviation of a side per occluded fraction of the area [1]."""
 _SIDE_LEARNING = 0.05
-"""Share of a frame in the remembered distance between two sides."""
+"""Weight of one frame in the running mean of the distance between two sides [1]."""
 
 
 @dataclass(frozen=True, eq=False)
-class SeenSides:
-    """Sides of M obstacles in one frame.
+class Sides:
+    """Sides of M tracks in one frame: places beyond which a small fixed area of the obstacle lies.
 
     Attributes:
-        place: (M, 3, 2) lowest and highest along each axis of the world [m]; NaN where
-            nothing of an obstacle is seen.
-        ends: (M, 3, 2) whether the obstacle ends there.
-        area: (M,) what is seen of it, across the line of sight [m^2].
-        grain: (M,) width of a pixel, or a voxel, there [m]; 0 where nothing is seen.
+        place: (M, 3, 2) lowest and highest side along each world axis [m]; NaN without visible
+            points.
+        ends: (M, 3, 2) whether the obstacle ends at the side; False: it may continue, occluded or
+            outside the image.
+        area: (M,) visible area, perpendicular to the line of sight [m^2].
+        grain: (M,) width of a pixel, or of a voxel in a cloud, at the obstacle [m]; 0 without
+            visible points.
     """
 
     place: FloatArray
@@ -580,23 +631,24 @@ class SeenSides:
     grain: FloatArray
 
 
-def seen_sides(
+def find_sides(
     frame: Segmentation,
     cluster_row: IntArray,
     known_area: FloatArray,
     voxel: float,
-) -> SeenSides:
-    """Finds the sides in a frame: those of all that its images show.
+) -> Sides:
+    """Finds the sides of the tracks in all images of a frame.
 
     Args:
-        frame: the frame, segmented; of a cloud every side is taken to be seen.
-        cluster_row: (C,) obstacle of each cluster, -1: not to be measured.
-        known_area: (M,) largest area seen of each obstacle before [m^2].
+        frame: segmented frame; in a cloud every obstacle ends at its sides.
+        cluster_row: (C,) track of each cluster, -1: not measured.
+        known_area: (M,) largest visible area of each track in earlier frames [m^2].
         voxel: edge of a voxel, for clouds [m].
     """
     count, rows = len(known_area), np.append(cluster_row, -1)
     parts = [
-        surfaces(label, rows, view) for label, view in zip(frame.labels, frame.views, strict=False)
+        sample_surfaces(label, rows, view)
+        for label, view in zip(frame.labels, frame.views, strict=False)
     ]
     if parts:
         points, area, row, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -608,66 +660,72 @@ def seen_sides(
     number = np.bincount(row, minlength=count)
     grain = np.sqrt(np.bincount(row, area, minlength=count) / np.maximum(number, 1))
     area = area * weight
-    seen = np.asarray(np.bincount(row, area, minlength=count), dtype=float)
+    visible_area = np.asarray(np.bincount(row, area, minlength=count), dtype=float)
     place = np.full((count, 3, 2), np.nan)
     for m in np.unique(row):
-        mine, tail = row == m, _SIDE_TAIL * max(seen[m], known_area[m])
-        for k, along in enumerate(points[mine].T):
+        is_own, tail = row == m, _SIDE_TAIL * max(visible_area[m], known_area[m])
+        for k, along in enumerate(points[is_own].T):
             order = along.argsort()
-            size = area[mine][order]
-            # Beyond each side lies an area of `tail`.
+            size = area[is_own][order]
+            # An area `tail` lies beyond each side.
             place[m, k, 0] = np.interp(tail, size.cumsum(), along[order])
             place[m, k, 1] = np.interp(tail, size[::-1].cumsum(), along[order[::-1]])
     ends = np.isfinite(place)
     if parts:
         table = frame.table or TablePlane(offset=-np.inf)
-        free, requested = np.sum(
+        free, total = np.sum(
             [
-                open_sides(part[0], part[2], place, label, rows, view, table)
+                count_open_sides(part[0], part[2], place, label, rows, view, table)
                 for part, label, view in zip(parts, frame.labels, frame.views, strict=True)
             ],
             axis=0,
         )
-        ends = free / np.maximum(requested, 1.0) >= _OPEN_SHARE
-    return SeenSides(place, ends, seen, grain)
+        ends = free / np.maximum(total, 1.0) >= _OPEN_SHARE
+    return Sides(place, ends, visible_area, grain)
 
 
-def measured_position(
-    seen: SeenSides, sides: FloatArray, known_area: FloatArray, deviation: FloatArray
+def measure_positions(
+    sides: Sides, known_sides: FloatArray, known_area: FloatArray, deviation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions (M, 3) of obstacles by their sides [m], and their variances [m^2].
+    """Computes positions of tracks from their m visible sides along an axis, and the variances.
+
+    With the standard deviation sigma of depth, the width of a pixel delta, and the occluded
+    fraction rho of the known area, the variance of the mean of the sides is
+
+        (sigma^2 + (_SIDE_GRAIN delta)^2) (1 + _OCCLUSION_FACTOR rho)^2 / m
 
     Args:
-        seen: the sides in this frame.
-        sides: (M, 3, 2) where they were, from the position [m]; NaN: unknown.
-        known_area: (M,) largest area seen of each before [m^2].
-        deviation: (M,) from `depth_deviation` [m].
+        sides: sides in this frame.
+        known_sides: (M, 3, 2) sides relative to the position [m]; NaN: unknown.
+        known_area: (M,) largest visible area of each track in earlier frames [m^2].
+        deviation: (M,) standard deviations from `depth_deviation` [m].
 
     Returns:
-        The positions, NaN along an axis of which no known side is seen.
+        (M, 3) positions [m], NaN along an axis without a visible known side; (M, 3) variances
+        [m^2].
     """
-    position = seen.place - sides
-    usable = seen.ends & np.isfinite(position)
-    share = seen.area / np.maximum(known_area, 1e-12)
-    usable &= (share >= _LEAST_AREA)[:, None, None]
+    position = sides.place - known_sides
+    usable = sides.ends & np.isfinite(position)
+    visible = sides.area / np.maximum(known_area, 1e-12)
+    usable &= (visible >= _MIN_AREA_SHARE)[:, None, None]
     count = usable.sum(axis=2)
     total = np.where(usable, position, 0.0).sum(axis=2)
-    hidden = np.clip(1.0 - share, 0.0, 1.0)[:, None]
-    wide = np.hypot(deviation, _SIDE_GRAIN * seen.grain)[:, None]
-    wide = wide * (1.0 + _HIDDEN_FACTOR * hidden)
-    wide = np.where((share > _WIDENED)[:, None], _WIDENED_FACTOR * wide, wide)
-    variance = wide**2 / np.maximum(count, 1)
+    occluded = np.clip(1.0 - visible, 0.0, 1.0)[:, None]
+    sigma = np.hypot(deviation, _SIDE_GRAIN * sides.grain)[:, None]
+    sigma = sigma * (1.0 + _OCCLUSION_FACTOR * occluded)
+    sigma = np.where((visible > _GROWTH)[:, None], _GROWTH_FACTOR * sigma, sigma)
+    variance = sigma**2 / np.maximum(count, 1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), variance
 
 
-def learned_sides(seen: SeenSides, sides: FloatArray, p_W: FloatArray) -> FloatArray:
-    """The sides (M, 3, 2) from the position p_W (M, 3), after this frame [m].
+def learn_sides(sides: Sides, known_sides: FloatArray, p_W: FloatArray) -> FloatArray:
+    """Updates the known sides (M, 3, 2) relative to the positions p_W (M, 3) by a frame [m].
 
-    A side that is seen for the first time is placed; of two that are known only the
-    distance is learned, a share of it a frame: it must not move the position.
+    A side that is visible for the first time is stored. Of two known sides only the distance is
+    averaged over frames, since the position must not drift.
     """
-    found = np.where(seen.ends, seen.place - p_W[:, :, None], np.nan)
-    error = found - sides
+    measured = np.where(sides.ends, sides.place - p_W[:, :, None], np.nan)
+    error = measured - known_sides
     error -= error.mean(axis=2, keepdims=True)
-    learned = sides + _SIDE_LEARNING * np.where(np.isfinite(error), error, 0.0)
-    return np.where(np.isnan(sides), found, learned)
+    updated = known_sides + _SIDE_LEARNING * np.where(np.isfinite(error), error, 0.0)
+    return np.where(np.isnan(known_sides), measured, updated)

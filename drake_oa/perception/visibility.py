@@ -1,8 +1,9 @@
-"""Points of a frame near remembered ones, and obstacles that the image cuts off.
+"""Nearest points of two clouds, and extension of obstacles that the border of an image truncates.
 
-A post that the image shows the lower half of, or the upper half of which is too near, has no end
-there, and nothing may pass over it. What is cut off is taken to go on upright for as far as it is
-seen; what is cut off at the sides ends where it is seen to.
+Obstacles beyond the border of an image are not observed. The upper end of a post that extends
+above the image, or its foot nearer than the minimum depth, is unknown, and no motion may pass
+there. A cloud that ends at the upper or lower border, or at the minimum depth, is therefore
+extended upright by its visible length. Left and right borders do not extend it.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ def mutual_nearest(
     return nearest, np.minimum(from_query, radius), np.minimum(from_point, radius)
 
 
-_LONGEST = 0.5
-"""What is cut off goes on for no more [m]."""
-_NEAR = 1.5 * VOXEL
-"""A point so near to the border of the image may be the last that it shows [m]."""
+_MAX_EXTENSION = 0.5
+"""Maximum length by which a truncated obstacle is extended [m]."""
+_BORDER_DISTANCE = 1.5 * VOXEL
+"""Maximum distance of a truncated obstacle from the border of the image [m]."""
 
 
 class ImageRange(NamedTuple):
-    """Upright extent of what a pinhole camera sees.
+    """Vertical range of a pinhole camera's image, and its minimum depth.
 
     Attributes:
         fy, cy, height: focal length, center and height of the image along its columns [pixel].
-        near: what has less depth is not seen [m].
+        near: minimum depth that the camera measures [m].
     """
 
     fy: float
@@ -64,42 +65,42 @@ def with_occluded_extents(
     cameras: Sequence[tuple[FloatArray, ImageRange]],
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> ObstacleClouds:
-    """The obstacles, with more points where the image cuts them off.
+    """Extends the clouds of obstacles that the border of an image truncates.
 
     Args:
-        obstacles: what is seen.
-        cameras: of each the pose X_WC (4, 4) (x right, y down, z forward), and its image.
-        seen_free: tells of points (N, 3) [m] which of them another camera sees through: they are
-            not there. None: nobody knows.
+        obstacles: observed obstacles.
+        cameras: for each camera its pose X_WC (4, 4) (x right, y down, z forward) and image range.
+        seen_free: function from points (N, 3) [m] to (N,) booleans, True for a point that another
+            camera observes to be free; such points are not added. None: no other camera.
 
     Returns:
-        `obstacles` itself where none is cut off.
+        The extended obstacles; `obstacles` itself if none is truncated.
     """
     clouds = []
     for cloud in obstacles.clouds_W:
-        ends = [end for X_WC, image in cameras for end in _ends(cloud, X_WC, image)]
+        extents = [points for X_WC, image in cameras for points in _extents(cloud, X_WC, image)]
         if seen_free is not None:
-            ends = [end[~seen_free(end)] for end in ends]
-        clouds.append(np.concatenate([cloud, *ends]) if any(map(len, ends)) else cloud)
+            extents = [points[~seen_free(points)] for points in extents]
+        clouds.append(np.concatenate([cloud, *extents]) if any(map(len, extents)) else cloud)
     if all(one is other for one, other in zip(clouds, obstacles.clouds_W, strict=True)):
         return obstacles
     return replace(obstacles, clouds_W=tuple(clouds))
 
 
-def _ends(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
-    """What goes on beyond each border (M, 3) of an image that cuts off a cloud (N, 3)."""
+def _extents(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
+    """Yields the points (M, 3) [m] that extend a cloud (N, 3) beyond each border of an image."""
     _, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
-    # How far the points are from the borders, at their depth; up and down in the image, and
-    # nearer, is so in the world.
+    # Distances of the points from the upper and lower border at their depth. Each border extends
+    # the cloud up or down in the world, whichever its outward direction is closer to.
     top, bottom = y + z * image.cy / image.fy, z * (image.height - image.cy) / image.fy - y
     vertical = np.array([0.0, 0.0, 1.0])
     up = vertical * math.copysign(1.0, -X_WC[2, 1])
     nearer = vertical * math.copysign(1.0, -X_WC[2, 2])
-    for gap, way in ((top, up), (bottom, -up), (z - image.near, nearer)):
-        last = cloud[(np.abs(gap) <= _NEAR) & (z > 0.0)]
-        if not len(last):
+    for gap, direction in ((top, up), (bottom, -up), (z - image.near, nearer)):
+        border_points = cloud[(np.abs(gap) <= _BORDER_DISTANCE) & (z > 0.0)]
+        if not len(border_points):
             continue
-        along = cloud @ way
-        length = min(float(np.ptp(along)), _LONGEST)
+        along = cloud @ direction
+        length = min(float(np.ptp(along)), _MAX_EXTENSION)
         steps = VOXEL * np.arange(1, 1 + math.floor(length / VOXEL))
-        yield (last[:, None] + steps[:, None] * way).reshape(-1, 3)
+        yield (border_points[:, None] + steps[:, None] * direction).reshape(-1, 3)

@@ -43,9 +43,9 @@ from drake_oa.geometry.collision_scene import (
     table_geometry,
 )
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
-from drake_oa.geometry.pinhole import FREE, View, shown
+from drake_oa.geometry.pinhole import FREE, View, classify_points
 from drake_oa.perception.depth_perception import FreeSpace
-from drake_oa.perception.tracking import held_table
+from drake_oa.perception.tracking import select_output_table
 from drake_oa.perception.visibility import ImageRange, with_occluded_extents
 
 _logger = logging.getLogger("drake_oa")
@@ -130,7 +130,7 @@ def looked_at(
         return replace(before, scene=replace(before.scene, note=_NOT_FINITE))
     if obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
         return replace(before, scene=replace(before.scene, note=obstacles.note))
-    table = held_table(before.table, obstacles.table) or before.table
+    table = select_output_table(before.table, obstacles.table) or before.table
     known = {seen.geometry.name: seen for seen in before.fields}
     since = max(0.0, obstacles.stamp - before.scene.stamp)
     moved, fields = set(), []
@@ -189,7 +189,7 @@ def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
     """Checks which points (N, 3) [m] any of the images sees through."""
     free = np.zeros(len(p_WQ), dtype=bool)
     for view in views:
-        free |= shown(p_WQ, view, _SEEN_FREE)[0] == FREE
+        free |= classify_points(p_WQ, view, _SEEN_FREE)[0] == FREE
     return free
 
 

@@ -17,7 +17,7 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraSource
-from drake_oa.perception.coverage import REACH, ViewVolume, points_near, unseen_share
+from drake_oa.perception.coverage import REACH, ViewVolume, points_near, unobserved_share
 from drake_oa.robot.arm import make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.robot.spheres import sphere_centers
@@ -105,7 +105,7 @@ def view_note(scenario: Scenario) -> str:
         return ""
     p_WS, radius = spheres_along(scenario)
     points = points_near(p_WS, radius, scenario.table_height)
-    share_of = partial(unseen_share, p_WS, radius, points)
+    share_of = partial(unobserved_share, p_WS, radius, points)
     share = share_of(view_volumes(scenario, source))
     note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unobserved"
     if share <= MAX_UNOBSERVED_FRACTION:

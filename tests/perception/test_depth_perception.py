@@ -13,7 +13,7 @@ from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.collision_scene import geometries_of, geometry_of
-from drake_oa.perception.depth_perception import DepthPerception, as_of
+from drake_oa.perception.depth_perception import DepthPerception, backdate_obstacles
 from tests.builders import depth_image
 from tests.reference.depth_images import box, look_at, ray_cast
 
@@ -74,7 +74,7 @@ def test_a_blind_frame_keeps_the_last_obstacles_with_their_stamp(caplog):
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         recovered = update(system, context)
     assert (recovered.stamp, recovered.note) == (3.0, "")
-    assert "sees again" in caplog.records[-1].message
+    assert "recovered" in caplog.records[-1].message
 
 
 def test_before_any_good_frame_there_is_nothing_and_a_reason():
@@ -183,7 +183,7 @@ def test_that_an_image_is_missing_may_be_said_later():
 def test_what_moves_is_handed_on_where_it_was_at_an_older_stamp():
     cloud, v_WO = np.ones((3, 3)), np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
     now = ObstacleClouds(2.0, (cloud, cloud), np.array([0, 1]), v_WO=v_WO)
-    then = as_of(now, 1.8)
+    then = backdate_obstacles(now, 1.8)
     assert then.stamp == 1.8
     np.testing.assert_allclose(then.clouds_W[0], cloud - [0.0, 0.1, 0.0])
     assert then.clouds_W[1] is cloud

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.perception.velocity import registered
+from drake_oa.perception.velocity import register_surface
 
 NOISE, PRIOR = 1.5e-3, 0.02
 shifts = st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3).map(np.array)
@@ -25,7 +25,7 @@ def plane(rng: np.random.Generator, offset: np.ndarray) -> np.ndarray:
 
 
 def lay(before: np.ndarray, now: np.ndarray):
-    return registered(before, now, np.zeros(3), PRIOR)
+    return register_surface(before, now, np.zeros(3), PRIOR)
 
 
 @settings(max_examples=25, deadline=None)

@@ -100,7 +100,7 @@ def test_an_empty_image_and_an_empty_cloud_say_so():
 
 def test_a_wall_alone_is_no_table():
     found = segment_depth(np.full(SIZE, 1.0, dtype=np.float32), K, camera_pose(0.8, 0.0))
-    assert found.note == "no supporting plane found"
+    assert found.note == "no support plane found"
 
 
 @pytest.mark.parametrize("table", [(), ((0.8, 0.0, 0.4, 0.012),)], ids=["bare", "narrow"])

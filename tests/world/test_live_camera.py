@@ -149,7 +149,7 @@ def test_invalid_images_are_rejected_and_logged_once(
     words = [record.getMessage() for record in caplog.records]
     assert len(words) == 2
     assert reason in words[0]
-    assert "sees again" in words[1]
+    assert "recovered" in words[1]
 
 
 def test_camera_waits_for_the_first_image_also_after_a_release() -> None:
