@@ -1,9 +1,13 @@
-"""Collision shapes as solids, and their signed distances to points at a time.
+"""Collision geometries, and their signed distances to points at a time.
 
 Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud
-is a `DistanceField`. Each solid moves with a constant velocity: p_WO(t) = p_WO + v_WO (t - stamp).
-`CollisionGeometry` is one of them, to read; `CollisionGeometries` is a scene of them, as kernels take it. `read_geometry` is
-the only reader of Drake's geometries.
+is a `DistanceField`. Each geometry has a constant velocity: p_WO(t) = p_WO + v_WO (t - stamp).
+
+- `CollisionGeometry`: one geometry.
+- `CollisionGeometries`: several geometries as arrays for compiled kernels.
+- `CollisionScene`: the geometries of one observation, with labels for messages.
+
+`read_geometry` is the only function that reads geometries of Drake.
 """
 
 from __future__ import annotations
@@ -31,28 +35,28 @@ from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
 PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
-"""Kinds of solids; a primitive is a rounded box (a sphere or capsule included) or a cylinder."""
+"""Kinds of collision geometries; a primitive is a cylinder or a rounded box (sphere and capsule
+included)."""
 
 ENVIRONMENT = -1
-"""Name of what belongs to the cell itself: a table, a stand. It is no obstacle to keep far from."""
+"""Obstacle ID of the environment: geometry that is no obstacle, such as a table or a stand."""
 
 CORNERS = lattice(*[(-1.0, 1.0)] * 3)
 """(8, 3) corners of a cube."""
 
 
 class CollisionGeometries(NamedTuple):
-    """K solids as kernels take them: C-contiguous arrays of one type each, and few of them.
+    """K collision geometries as few C-contiguous arrays, for compiled kernels.
 
     Attributes:
-        ball: (K, 8) center, in the world at the stamp, and radius of a sphere that holds the
-            solid (inf: a half-space) [m]; velocity [m/s]; stamp [s].
+        ball: (K, 8) bounding sphere: center in the world at the stamp, and radius (inf: half-space)
+            [m]; then velocity [m/s] and stamp [s] of the geometry.
         X_WO: (K, 3, 4) upper rows of the poses at the stamp.
-        size: (K, 7) of a primitive the half extents of its inner box, its rounding radius [m], and
-            1 for a cylinder about z, else 0; the semi-axes of an ellipsoid [m]; of a field see
-            `_interpolated`.
-        layout: (K, 6) kind; of a hull its first face and one past the last, of a field where it
-            begins among the voxels, and nx, ny, nz; name.
-        faces: (F, 13) triangles: unit normal and offset, and corners a, b, c in O [m].
+        size: (K, 7) dimensions [m]. Primitive: half extents of its inner box, rounding radius, and
+            1 for a cylinder about z, else 0. Ellipsoid: semi-axes. Field: see `_interpolated`.
+        layout: (K, 6) kind; four indices; obstacle ID. The indices of a hull: its first face and
+            one past the last; of a field: its first element in `voxels`, nx, ny, nz.
+        faces: (F, 13) triangles of the hulls: unit normal, offset, and corners a, b, c in O [m].
         voxels: float32 values of all fields [m].
     """
 
@@ -65,29 +69,31 @@ class CollisionGeometries(NamedTuple):
 
     @property
     def moving(self) -> BoolArray:
-        """(K,) whether each of them moves."""
+        """Booleans (K,): whether each geometry moves."""
         return np.asarray(self.ball[:, 4:7].any(axis=1))
 
-    def chosen(self, rows: BoolArray) -> CollisionGeometries:
-        """Returns the solids of some rows (K,)."""
+    def select(self, rows: BoolArray) -> CollisionGeometries:
+        """Returns the geometries of some rows (K,)."""
         parts = {name: getattr(self, name)[rows] for name in ("ball", "X_WO", "size", "layout")}
         return self._replace(**parts)
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionGeometry(Frozen):
-    """One solid, made by `geometry_of`, `hull` or `cloud_geometry`; place it with `replace`.
+    """One collision geometry, from `geometry_of`, `hull` or `cloud_geometry`.
+
+    `dataclasses.replace` moves it to another pose.
 
     Attributes:
-        kind: `PRIMITIVE` and so on.
-        name: an integer; solids of one obstacle share it.
-        label: what to call it in a message.
-        X_WO: (4, 4) its pose at the stamp.
-        v_WO: (3,) velocity of its origin, and of all of it, in the world [m/s].
-        stamp: when it is there [s].
-        size: see `CollisionGeometries.size`.
-        center, radius: sphere that holds it, in O [m]; inf: a half-space.
-        faces: (F, 13) of a hull, see `CollisionGeometries.faces`.
+        kind: `PRIMITIVE`, `ELLIPSOID`, `HALF_SPACE`, `HULL` or `FIELD`.
+        name: obstacle ID; the geometries of one obstacle have the same one.
+        label: name of the geometry in messages.
+        X_WO: (4, 4) pose at the stamp.
+        v_WO: (3,) velocity in the world, without rotation [m/s].
+        stamp: time of the pose [s].
+        size: dimensions, see `CollisionGeometries.size` [m].
+        center, radius: bounding sphere in O [m]; radius inf: half-space.
+        faces: (F, 13) triangles of a hull, see `CollisionGeometries.faces`.
         grid: distance field of a cloud.
     """
 
@@ -104,36 +110,36 @@ class CollisionGeometry(Frozen):
     grid: DistanceField | None = None
 
     def placed(self, p_OQ: FloatArray) -> FloatArray:
-        """Returns points (N, 3) of the solid's frame in the frame that its pose refers to [m]."""
+        """Transforms points (N, 3) from the frame O to the reference frame of the pose X_WO [m]."""
         return np.asarray(p_OQ @ self.X_WO[:3, :3].T + self.X_WO[:3, 3])
 
     @property
     def half_extents(self) -> FloatArray:
-        """Half extents (3,) of the box round the solid, about `center` and along its axes [m].
+        """Half extents (3,) of the bounding box, about `center` and along the axes of O [m].
 
         Raises:
-            ValueError: for a half-space or a field, naming it.
+            ValueError: for a half-space or a field; the message contains the label.
         """
         if self.kind == HULL:
             return np.asarray(np.abs(outline_corners(self) - self.center).max(axis=0))
         if self.kind in (PRIMITIVE, ELLIPSOID):
             return np.array(self.size[:3]) + self.size[3]
         raise ValueError(
-            f"{self.label} is not bounded; it must be a sphere, box, capsule, cylinder, ellipsoid, "
-            "convex shape or mesh"
+            f"{self.label}: shape is not bounded; it must be a sphere, box, capsule, cylinder, "
+            "ellipsoid, convex shape or mesh"
         )
 
 
 def hull(vertices: FloatArray) -> CollisionGeometry:
-    """The convex hull of points (N, 3) in its frame [m], flat ones included."""
+    """Computes the convex hull of points (N, 3) in its frame [m], also of coplanar points."""
     points = np.asarray(vertices, dtype=float)
     try:
-        found = ConvexHull(points)
+        qhull = ConvexHull(points)
     except QhullError:
-        found = ConvexHull(points, qhull_options="QJ")
-    # Coplanar triangles follow each other.
-    order = np.lexsort(np.round(found.equations, 9).T[::-1])
-    planes, corners = found.equations[order], points[found.simplices[order]]
+        qhull = ConvexHull(points, qhull_options="QJ")
+    # Sorted, so that coplanar triangles are adjacent.
+    order = np.lexsort(np.round(qhull.equations, 9).T[::-1])
+    planes, corners = qhull.equations[order], points[qhull.simplices[order]]
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return CollisionGeometry(
         HULL,
@@ -144,7 +150,12 @@ def hull(vertices: FloatArray) -> CollisionGeometry:
 
 
 def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
-    """The solid of a cloud's field; `more` are the fields of `CollisionGeometry` (name, v_WO, stamp, ...)."""
+    """Returns the collision geometry of a distance field.
+
+    Args:
+        grid: distance field of a cloud.
+        more: other fields of `CollisionGeometry`, such as name, v_WO and stamp.
+    """
     X_WO = np.eye(4)
     X_WO[:3, 3] = grid.p_WO
     geometry = CollisionGeometry(
@@ -152,7 +163,7 @@ def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
         X_WO=X_WO,
         size=(grid.voxel, *grid.low, *grid.high),
         center=0.5 * (grid.low + grid.high),
-        # A point is up to half a diagonal from its node.
+        # A point is at largest half a diagonal of a voxel from its node.
         radius=0.5 * float(np.linalg.norm(grid.high - grid.low)) + 0.87 * grid.voxel,
         grid=grid,
     )
@@ -160,7 +171,7 @@ def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
 
 
 def table_geometry(table: TablePlane) -> CollisionGeometry:
-    """All that is below a table's plane."""
+    """Returns the half-space below the plane of a table, as part of the environment."""
     z_W = table.normal_W
     X_WO = RigidTransform(RotationMatrix.MakeFromOneVector(z_W, 2), table.offset * z_W)
     return CollisionGeometry(HALF_SPACE, ENVIRONMENT, "the table", X_WO.GetAsMatrix4())
@@ -169,7 +180,13 @@ def table_geometry(table: TablePlane) -> CollisionGeometry:
 def shape_geometries(
     shapes: Sequence[Box | Cylinder | Sphere], X_WO: FloatArray, **more: Any
 ) -> list[CollisionGeometry]:
-    """The solids of a scenario's obstacle at a pose (4, 4); `more` as in `cloud_geometry`."""
+    """Returns the collision geometries of an obstacle of a scenario at a pose (4, 4).
+
+    Args:
+        shapes: shapes of the obstacle.
+        X_WO: (4, 4) pose of the obstacle.
+        more: other fields of `CollisionGeometry`, such as name, v_WO and stamp.
+    """
     X_WG = [np.asarray(X_WO, dtype=float) @ pose(shape).GetAsMatrix4() for shape in shapes]
     return [
         replace(geometry_of(shape_geometry(shape)), X_WO=X, **more)
@@ -180,14 +197,14 @@ def shape_geometries(
 def read_geometry(
     inspector: drake.SceneGraphInspector, geometry_id: drake.GeometryId
 ) -> CollisionGeometry:
-    """A collision geometry at its pose in its body; a mesh counts as its convex hull.
+    """Reads a collision geometry at its pose in its body; a mesh is read as its convex hull.
 
     Args:
-        inspector: of the scene graph that holds the geometry.
-        geometry_id: its name is the label.
+        inspector: inspector of the scene graph that contains the geometry.
+        geometry_id: Drake's ID; the geometry's name in the scene graph becomes the label.
 
     Raises:
-        ValueError: naming the geometry, for a shape that is not known.
+        ValueError: for a shape that is not supported; the message names the geometry.
     """
     shape, label = inspector.GetShape(geometry_id), inspector.GetName(geometry_id)
     try:
@@ -203,14 +220,14 @@ def read_geometry(
 
 @dataclass(frozen=True, eq=False)
 class RobotGeometries:
-    """Collision geometry of a robot, posed by the robot's state.
+    """Collision geometries of a robot, and their poses by its state.
 
     Attributes:
         plant: finalized plant; it is only read.
-        model_instance: the robot in it.
-        bodies: those that carry geometry.
-        geometries: K solids at their poses in their bodies, named by the rows of these.
-        context: of the plant, to compute poses in.
+        model_instance: model instance of the robot in the plant.
+        bodies: bodies with collision geometry.
+        geometries: K geometries at their poses in their bodies; their IDs are rows of `bodies`.
+        context: Context of the plant, for computing poses.
     """
 
     plant: MultibodyPlant
@@ -221,20 +238,20 @@ class RobotGeometries:
 
     @property
     def num_states(self) -> int:
-        """Size of the robot's state [q, v]."""
+        """Number of elements of the robot's state [q, v]."""
         return int(self.plant.num_multibody_states(self.model_instance))
 
     def posed(self, states: Sequence[FloatArray]) -> CollisionGeometries:
-        """Computes the solids in the world, at rest, at each of S states.
+        """Computes the geometries in the world, at rest, at each of S states.
 
         Args:
             states: (num_states,) each, [q, v].
 
         Returns:
-            S K solids.
+            S K geometries.
 
         Raises:
-            ValueError: for a state of the wrong size or one that is not finite.
+            ValueError: for a state of the wrong size, or with an element that is not finite.
         """
         fixed, context = self.geometries, self.context
         in_body = np.dstack([fixed.X_WO, fixed.ball[:, :3]])
@@ -242,7 +259,7 @@ class RobotGeometries:
         for state in states:
             if np.shape(state) != (self.num_states,) or not np.isfinite(state).all():
                 raise ValueError(
-                    f"the robot state must be {self.num_states} finite numbers [q, v], not {state}"
+                    f"robot state: must be {self.num_states} finite numbers [q, v], not {state}"
                 )
             self.plant.SetPositionsAndVelocities(context, self.model_instance, state)
             poses = [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self.bodies]
@@ -268,12 +285,13 @@ def robot_geometries(
     """Reads the collision geometries of a model instance.
 
     Args:
-        plant: finalized and registered with the scene graph of `inspector`.
-        inspector: of that scene graph.
-        model_instance: the robot.
+        plant: plant, finalized and registered with the scene graph of `inspector`.
+        inspector: inspector of that scene graph.
+        model_instance: model instance of the robot.
 
     Raises:
-        ValueError: naming the geometry, for a half-space or a shape that is not known.
+        ValueError: for a half-space or a shape that is not supported; the message names the
+            geometry.
     """
     bodies, geometries = list[RigidBody](), list[CollisionGeometry]()
     for body in map(plant.get_body, plant.GetBodyIndices(model_instance)):
@@ -283,16 +301,18 @@ def robot_geometries(
             bodies.append(body)
     for geometry in geometries:
         if not math.isfinite(geometry.radius):
-            raise ValueError(f"{geometry.label} is a half-space; a robot's shapes must be bounded")
+            raise ValueError(
+                f"{geometry.label}: is a half-space; shapes of a robot must be bounded"
+            )
     context = plant.CreateDefaultContext()
     return RobotGeometries(plant, model_instance, tuple(bodies), geometries_of(geometries), context)
 
 
 def geometry_of(shape: drake.Shape) -> CollisionGeometry:
-    """Returns the solid of a shape, of which none is a mesh.
+    """Returns the collision geometry of a shape of Drake, except meshes and convex hulls.
 
     Raises:
-        ValueError: for a shape that is not known.
+        ValueError: for a shape that is not supported.
     """
     if isinstance(shape, drake.Sphere):
         return CollisionGeometry(size=(0.0, 0.0, 0.0, shape.radius(), 0.0), radius=shape.radius())
@@ -313,13 +333,13 @@ def geometry_of(shape: drake.Shape) -> CollisionGeometry:
     if isinstance(shape, drake.HalfSpace):
         return CollisionGeometry(HALF_SPACE)
     raise ValueError(
-        f"a {type(shape).__name__} is no solid; it must be a sphere, box, capsule, cylinder, "
+        f"shape {type(shape).__name__}: not supported; use a sphere, box, capsule, cylinder, "
         "ellipsoid, half-space, convex shape or mesh"
     )
 
 
 def geometries_of(items: Sequence[CollisionGeometry]) -> CollisionGeometries:
-    """A scene of solids as kernels take it; rows in their order.
+    """Returns collision geometries as arrays for kernels, in the same order.
 
     Raises:
         ValueError: for a pose or velocity that is not finite.
@@ -332,7 +352,9 @@ def geometries_of(items: Sequence[CollisionGeometry]) -> CollisionGeometries:
     for row, item in enumerate(items):
         moves = bool(np.any(item.v_WO))
         if not (np.isfinite(item.X_WO).all() and np.isfinite(item.v_WO).all()):
-            raise ValueError(f"the pose or velocity of solid {row} ({item.label}) is not finite")
+            raise ValueError(
+                f"collision geometry {row} ({item.label}): pose or velocity is not finite"
+            )
         X_WO[row] = item.X_WO[:3]
         ball[row, :3] = X_WO[row, :, :3] @ item.center + X_WO[row, :, 3]
         ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0
@@ -351,13 +373,13 @@ def geometries_of(items: Sequence[CollisionGeometry]) -> CollisionGeometries:
 
 @dataclass(frozen=True, eq=False)
 class CollisionScene(Frozen):
-    """The solids of one observation.
+    """Collision geometries of one observation: obstacles and environment, without the robot.
 
     Attributes:
-        stamp: when the world was so [s]; -inf before the first observation.
-        geometries: K of them.
-        labels: what to call each in a message.
-        note: empty, or why there is no newer observation.
+        stamp: time of the observation [s]; -inf before the first one.
+        geometries: K collision geometries.
+        labels: name of each geometry in messages.
+        note: empty, or the reason why there is no newer observation.
     """
 
     stamp: float = -math.inf
@@ -367,28 +389,28 @@ class CollisionScene(Frozen):
 
     @staticmethod
     def of(stamp: float, geometries: Sequence[CollisionGeometry], note: str = "") -> CollisionScene:
-        """Makes a scene of solids, with their labels."""
+        """Returns the scene of collision geometries, with their labels."""
         return CollisionScene(
             stamp, geometries_of(geometries), tuple(geometry.label for geometry in geometries), note
         )
 
     def __post_init__(self) -> None:
-        """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
+        """Leaves the arrays writable, as the kernels are compiled for; no kernel writes to them."""
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def at_rest(self) -> CollisionScene:
-        """Returns the scene without the solids that move."""
+        """Returns the scene without moving geometries."""
         if not self.moves:
             return self
         rows = ~self.geometries.moving
         labels = tuple(label for label, rests in zip(self.labels, rows, strict=True) if rests)
-        return replace(self, geometries=self.geometries.chosen(rows), labels=labels)
+        return replace(self, geometries=self.geometries.select(rows), labels=labels)
 
     @property
     def is_finite(self) -> bool:
-        """Whether all places and velocities are; the radius of a half-space is not."""
+        """Whether all poses, velocities and stamps are finite."""
         geometries = self.geometries
         return bool(
             np.isfinite(geometries.X_WO).all() and np.isfinite(geometries.ball[:, 4:]).all()
@@ -396,39 +418,39 @@ class CollisionScene(Frozen):
 
     @property
     def moves(self) -> bool:
-        """Whether any of them does."""
+        """Whether any geometry moves."""
         return bool(self.geometries.moving.any())
 
     def same_as(self, other: CollisionScene) -> bool:
-        """Whether nothing has moved or changed since another observation."""
+        """Checks whether both scenes rest, with the same geometries and labels."""
         if self is other:
             return True
         if self.moves or other.moves or self.labels != other.labels:
             return False
         if self.geometries is other.geometries:
             return True
-        # Those at rest have no stamp.
+        # Resting geometries have the stamp 0.
         pairs = zip(self.geometries, other.geometries, strict=True)
         return all(np.array_equal(np.asarray(one), np.asarray(two)) for one, two in pairs)
 
 
 @lru_cache(maxsize=2)
 def _voxels(*grids: DistanceField) -> NDArray[np.float32]:
-    """Values of all fields, one after the other: megabytes, and the same while all only move."""
+    """Concatenates the values of fields; cached, since those of moving obstacles are constant."""
     none = np.zeros(0, dtype=np.float32)
     return np.concatenate([none, *(grid.values.ravel() for grid in grids)])
 
 
 def outline_corners(geometry: CollisionGeometry) -> FloatArray:
-    """Points whose convex hull encloses a solid.
+    """Computes points whose convex hull encloses a collision geometry.
 
-    They are the vertices of a box or a hull, and the corners of the box round any other shape.
+    They are the vertices of a box or a hull, and the corners of the bounding box of other shapes.
 
     Returns:
-        (K, 3) points in the solid's frame O [m].
+        (K, 3) points in the geometry's frame O [m].
 
     Raises:
-        ValueError: for a half-space or a field, naming it.
+        ValueError: for a half-space or a field; the message contains the label.
     """
     if geometry.kind == HULL:
         return np.unique(geometry.faces[:, 4:].reshape(-1, 3), axis=0)
@@ -436,20 +458,20 @@ def outline_corners(geometry: CollisionGeometry) -> FloatArray:
 
 
 def surface_points(geometry: CollisionGeometry, count: int = 300) -> FloatArray:
-    """About `count` points on a solid's surface, always the same ones.
+    """Samples about `count` points on the surface of a collision geometry, deterministically.
 
-    Corners, rims and poles are among them, so that their convex hull is the solid (to the sampling
-    for curved ones).
+    Corners, rims and poles are included, so that the convex hull of the points is the geometry, up
+    to the sampling of curved surfaces.
 
     Args:
         geometry: a primitive, an ellipsoid or a hull.
-        count: wanted number of points, at least 30.
+        count: desired number of points, at least 30.
 
     Returns:
-        (N, 3) points in the solid's frame O [m].
+        (N, 3) points in the geometry's frame O [m].
 
     Raises:
-        ValueError: for another solid, naming it.
+        ValueError: for a half-space or a field; the message contains the label.
     """
     shell = geometry
     if geometry.kind != HULL:
@@ -471,12 +493,12 @@ def surface_points(geometry: CollisionGeometry, count: int = 300) -> FloatArray:
     a, b, c = shell.faces[:, 4:].reshape(-1, 3, 3).swapaxes(0, 1)
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     k = np.arange(max(0, count - len(vertices))) + 0.5
-    chosen = np.searchsorted(area, k / max(1, len(k)) * area[-1])
+    face = np.searchsorted(area, k / max(1, len(k)) * area[-1])
     # Low-discrepancy barycentric coordinates, folded into the triangle.
     s, t = np.mod(k * 0.7548776662466927, 1.0), np.mod(k * 0.5698402909980532, 1.0)
     fold = s + t > 1.0
     s, t = np.where(fold, 1.0 - s, s)[:, None], np.where(fold, 1.0 - t, t)[:, None]
-    within = a[chosen] + s * (b - a)[chosen] + t * (c - a)[chosen]
+    within = a[face] + s * (b - a)[face] + t * (c - a)[face]
     return np.concatenate([vertices, within])
 
 
@@ -484,9 +506,9 @@ def surface_points(geometry: CollisionGeometry, count: int = 300) -> FloatArray:
 def geometry_distance(
     geometries: CollisionGeometries, k: int, x: float, y: float, z: float, t: float
 ) -> float:
-    """Signed distance [m] of a point (x, y, z) of the world to solid k at time t [s].
+    """Computes the signed distance [m] of a point (x, y, z) to geometry k at time t [s].
 
-    Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`).
+    It is exact, also inside, except for a field (see `drake_oa.geometry.distance_field`).
     """
     ball, X = geometries.ball, geometries.X_WO
     since = t - ball[k, 7]
@@ -496,7 +518,7 @@ def geometry_distance(
     a = X[k, 0, 0] * x + X[k, 1, 0] * y + X[k, 2, 0] * z
     b = X[k, 0, 1] * x + X[k, 1, 1] * y + X[k, 2, 1] * z
     c = X[k, 0, 2] * x + X[k, 1, 2] * y + X[k, 2, 2] * z
-    # Numbers, not rows: what is a view of an array here is one more argument there.
+    # Tuples of numbers, since a view of an array is an expensive argument of inlined functions.
     s, layout = geometries.size, geometries.layout
     size = (s[k, 0], s[k, 1], s[k, 2], s[k, 3], s[k, 4], s[k, 5], s[k, 6])
     span = (layout[k, 1], layout[k, 2], layout[k, 3], layout[k, 4])
@@ -516,7 +538,7 @@ def geometry_distance(
 def ball_bound(
     geometries: CollisionGeometries, k: int, x: float, y: float, z: float, t: float
 ) -> float:
-    """A lower bound of `geometry_distance`, from the sphere that holds the solid [m]."""
+    """Computes a lower bound of `geometry_distance` from the bounding sphere [m]."""
     ball = geometries.ball
     since = t - ball[k, 7]
     x -= ball[k, 0] + since * ball[k, 4]
@@ -529,58 +551,64 @@ def ball_bound(
 def least_distances(
     geometries: CollisionGeometries, points: FloatArray, t: float, upper: float, enough: float
 ) -> FloatArray:
-    """Signed distances [m] of points to the nearest of the solids at a time.
+    """Computes the signed distances [m] of points to the nearest of some geometries at a time.
 
     Args:
-        geometries: the scene.
-        points: (N, 3) in the world [m]; near what is none (NaN) nothing is found.
-        t: when [s].
-        upper: what is no nearer than this is not looked at [m].
-        enough: where the distance to one solid is below it, no nearer one is looked for [m].
+        geometries: K collision geometries.
+        points: (N, 3) points in the world [m]; the distance of a point that is NaN is `upper`.
+        t: time [s].
+        upper: maximum distance of interest [m]; farther geometries are skipped.
+        enough: distance below which the search for a nearer geometry ends [m].
 
     Returns:
-        (N,), negative inside; `upper` where no solid is nearer.
+        (N,) distances, negative inside; `upper` without a nearer geometry.
     """
-    found, ball = np.full(len(points), upper), geometries.ball
+    distance, ball = np.full(len(points), upper), geometries.ball
     for k in range(len(ball)):
         since, radius = t - ball[k, 7], ball[k, 3]
         a = ball[k, 0] + since * ball[k, 4]
         b = ball[k, 1] + since * ball[k, 5]
         c = ball[k, 2] + since * ball[k, 6]
         for i in range(len(points)):
-            if found[i] < enough:
+            if distance[i] < enough:
                 continue
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            reach = found[i] + radius
+            reach = distance[i] + radius
             square = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
             if reach > 0.0 and square < reach * reach:
-                found[i] = min(found[i], geometry_distance(geometries, k, x, y, z, t))
-    return found
+                distance[i] = min(distance[i], geometry_distance(geometries, k, x, y, z, t))
+    return distance
 
 
 @leaf
 def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
-    """Signed distance to a rounded box or a cylinder; size as in `CollisionGeometries`."""
+    """Computes the signed distance to a primitive with a size as in `CollisionGeometries` [m]."""
     a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
     if size[4] != 0.0:
         a = math.sqrt(x * x + y * y) - size[0]
         b = min(a, 0.0)
-    most = max(a, b, c)
-    if most > 0.0:
+    largest = max(a, b, c)
+    if largest > 0.0:
         a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
-        most = math.sqrt(a * a + b * b + c * c)
-    return most - size[3]
+        largest = math.sqrt(a * a + b * b + c * c)
+    return largest - size[3]
 
 
 @leaf
 def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> float:
-    """Signed distance to the hull of the faces `span` of f (F, 13), see `CollisionGeometries`."""
-    most, best = -np.inf, np.inf
+    """Computes the signed distance to a hull [m].
+
+    Args:
+        f: (F, 13) faces of all hulls, see `CollisionGeometries.faces`.
+        span: first face of the hull, and one past its last.
+        x, y, z: the point in the hull's frame [m].
+    """
+    largest, best = -np.inf, np.inf
     for n in range(span[0], span[1]):
-        most = max(most, f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3])
-    if most <= 0.0:
-        return most
-    # Outside: the nearest of the triangles that the point is above.
+        largest = max(largest, f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3])
+    if largest <= 0.0:
+        return largest
+    # Outside, the nearest triangle is one with the point on its outer side.
     for n in range(span[0], span[1]):
         above = f[n, 0] * x + f[n, 1] * y + f[n, 2] * z - f[n, 3]
         if above <= 0.0 or above * above >= best:
@@ -597,7 +625,7 @@ def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> flo
         if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
             best = above * above
             continue
-        # The nearest of the points of the three edges.
+        # Otherwise the nearest point is on one of the three edges.
         first = min(max(au / uu, 0.0), 1.0)
         second = min(max(av / vv, 0.0), 1.0)
         third = min(max((av - au - uv + uu) / (uu + vv - 2.0 * uv), 0.0), 1.0)
@@ -616,20 +644,20 @@ def _interpolated(
     span: IntArray,
     voxels: NDArray[np.float32],
 ) -> float:
-    """Distance at a point of the frame O; outside the grid a lower bound.
+    """Interpolates a distance field at a point of its frame O; outside the grid, a lower bound [m].
 
-    For a point q outside and the nearest point c of the grid's box, which is convex and holds
+    For a point q outside and the nearest point c of the grid's box, which is convex and contains
     the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
 
     Args:
         x, y, z: the point [m].
-        size: (7,) voxel, and the box of what is occupied, low and high [m].
-        span: (4,) where the field begins among the voxels, and nx, ny, nz.
-        voxels: values of all fields, one after the other [m].
+        size: (7,) edge of a voxel, and low and high corner of the box of occupied nodes [m].
+        span: (4,) first element of the field in `voxels`, and nx, ny, nz.
+        voxels: concatenated values of all fields [m].
     """
     scale, ny, nz = 1.0 / size[0], span[2], span[3]
     u, v, w = x * scale, y * scale, z * scale
-    # 0 for what is no number, so that no index is out of range.
+    # NaN becomes 0, so that no index is out of range.
     a = min(u, span[1] - 1.0) if u > 0.0 else 0.0
     b = min(v, ny - 1.0) if v > 0.0 else 0.0
     c = min(w, nz - 1.0) if w > 0.0 else 0.0
@@ -647,11 +675,11 @@ def _interpolated(
     d = low + fa * (high - low)
     if u == a and v == b and w == c:
         return d
-    # Beyond the grid: along an axis that was cut the rest counts, along the others the field.
+    # Outside the grid: |q - c| along the clamped axes, and the field at c.
     away = max(d, 0.0)
     ex, ey, ez = (u - a) * size[0], (v - b) * size[0], (w - c) * size[0]
     far = math.sqrt(away * away + ex * ex + ey * ey + ez * ez)
-    # The distance to the box of what is occupied is a lower bound too.
+    # The distance to the box of the occupied nodes is also a lower bound.
     px, py = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5])
     pz = z - min(max(z, size[3]), size[6])
     return max(far, math.sqrt(px * px + py * py + pz * pz) - OFFSET * size[0])

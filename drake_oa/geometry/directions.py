@@ -1,4 +1,4 @@
-"""Directions in space, and lattices of points."""
+"""Unit vectors in evenly distributed directions, and lattices of points."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from drake_oa.common.messages import FloatArray
 
 
 def lattice(*axes: ArrayLike) -> FloatArray:
-    """Makes the points (N, 3) of a lattice from its coordinates along each axis."""
+    """Returns the points (N, n) of a lattice from its coordinates along each of n axes."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def sphere_points(count: int) -> FloatArray:
-    """Returns Fibonacci points (count + 6, 3) on the unit sphere, the ends of its axes first."""
+    """Returns points (count + 6, 3) on the unit sphere: 6 on the axes, then a Fibonacci spiral."""
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count
     radius, angle = np.sqrt(1.0 - z * z), np.pi * (3.0 - np.sqrt(5.0)) * k
@@ -23,5 +23,6 @@ def sphere_points(count: int) -> FloatArray:
 
 
 _GRID = np.delete(lattice(*[[-1.0, 0.0, 1.0]] * 3), 13, axis=0)
+"""Points (26, 3) of a lattice of 3 x 3 x 3 points, without its center."""
 DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
-"""(26, 3) unit vectors to the faces, edges and corners of a cube."""
+"""Unit vectors (26, 3) to the faces, edges and corners of a cube."""

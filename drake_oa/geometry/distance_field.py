@@ -1,8 +1,8 @@
-"""Signed distance field of a cloud of points: a grid of voxels around it, in its own frame.
+"""Signed distance field of a point cloud: a grid of distances around it, in its own frame.
 
-The cost of a distance is independent of the number of points. The frame O has
-the world's axes; its origin is the first node of the grid, and it moves with the obstacle. Nodes
-lie in the middle of the world's voxels, so that a cloud of one point a voxel fills the same ones.
+A distance query has the same cost for any number of points. The frame O has the world's axes, and
+its origin is the first node of the grid; it moves with the obstacle. Nodes are the centers of
+voxels of the world, so that a cloud of one point per voxel occupies one node per point.
 """
 
 from __future__ import annotations
@@ -20,42 +20,42 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane
 
 VOXEL = 0.01
-"""Edge of a field's voxels [m]."""
+"""Edge of the voxels of a distance field [m]."""
 MARGIN = 0.25
-"""Distance by which a field exceeds the cloud's box [m]: beyond, distances are lower bounds."""
+"""Distance by which a grid exceeds the bounding box of its cloud [m]."""
 MAX_CELLS = 1 << 20
-"""Maximum number of nodes of a field (4 MB); larger clouds have coarser voxels."""
+"""Maximum number of nodes of a distance field (4 MB); larger clouds have coarser voxels."""
 DEEPEST = 0.08
-"""Maximum depth of an obstacle that is seen from one side [m]."""
+"""Maximum assumed depth of an obstacle that is observed from one side [m]."""
 
 OFFSET = 0.13
-"""Reduction of every distance [voxel], so that it is at most one voxel too large.
+"""Reduction of every distance in a field, so that it is at most one voxel too large [voxel].
 
-A point is at most sqrt(3) / 2 from its node, and interpolation adds at most 0.26 to the distance
-from a node (found by search: near the middle of a voxel that has the node as a corner).
+A point is at most sqrt(3) / 2 from its node. Interpolation adds at most 0.26 to the distance from
+a node; the maximum, by numerical search, is near the center of a voxel with the node as a corner.
 """
 _THIN = 1e-4
-"""Half the breadth of each point in the outline from above [m]."""
-_TOO_NEAR = 0.05
-"""Distance of a viewpoint below which it contains no information about depth [m]."""
+"""Half the width of each point in the outline of an obstacle from above [m]."""
+_MIN_VIEW_DISTANCE = 0.05
+"""Minimum distance of a viewpoint from the cloud for which occluded space is filled [m]."""
 _PIXEL = 1.0
-"""Size of a pixel of the image from a viewpoint, at the middle of the cloud [voxel]."""
+"""Width of a pixel of the depth image from a viewpoint, at the center of the cloud [voxel]."""
 _MAX_PIXELS = 1024
-"""Maximum number of rows and columns of that image."""
+"""Maximum number of rows and columns of the depth image from a viewpoint."""
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceField(Frozen):
-    """Signed distances to a cloud at the nodes of a grid.
+    """Signed distances to a cloud at the nodes of a grid; between nodes they are interpolated.
 
-    Between nodes they are interpolated. Outside the cloud the distance is at most one voxel, as it
-    was requested, too large; for the opposite error see `field_of`.
+    Outside the cloud a distance is at most one voxel too large; see `field_of` for the opposite
+    error.
 
     Attributes:
-        p_WO: (3,) the first node in the world, when the cloud was seen [m].
+        p_WO: (3,) first node in the world, at the observation of the cloud [m].
         voxel: edge of a voxel [m].
         values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
-        low, high: (3,) box, in O, of the occupied nodes [m].
+        low, high: (3,) corners of the bounding box of the occupied nodes, in O [m].
     """
 
     p_WO: FloatArray
@@ -73,29 +73,32 @@ def field_of(
     table: TablePlane | None = None,
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> DistanceField:
-    """Computes the distance field of a cloud, exact at its nodes for the voxels of the points.
+    """Computes the distance field of a cloud, and fills the space that the obstacle occludes.
 
-    With a viewpoint, the space that the obstacle occludes is filled too: voxels behind the visible
-    surface, on a ray of the viewpoint, horizontally by at most
-    `deepest` (or the obstacle's breadth or visible depth); within its outline from above, which
-    is that of the visible part and of its image beyond the middle of an object as deep as visible,
-    or as broad, at most `deepest`; and above the table, without one above the lowest point, and as
-    far below the highest as it is thick. With several viewpoints, the union is filled, without the
-    space that is seen to be free.
+    A node is occupied if its voxel contains a point. At nodes the distance is exact for the
+    occupied nodes. For each viewpoint nodes are also filled that satisfy all of these conditions:
 
-    The distance is at most one voxel larger than that to the points, and smaller by at most two
-    (the point to its node, sqrt(3)/2; a crease of the distance between nodes, as much again;
-    the offset, 0.13); away from creases, as outside a surface, by at most one. With voxels
-    coarser than requested, all distances are smaller by the difference.
+    - The node is behind the visible surface on a ray of the viewpoint, by a horizontal distance of
+      at most `deepest`, or of the larger of the obstacle's width and visible depth if smaller.
+    - It is within the outline from above of the visible part and its mirror image about the center
+      of the object. The assumed depth is the visible depth, or the width up to `deepest` if larger.
+    - It is above the table. Without a table, it is above the lowest point, or below the highest
+      point by at most the width, up to `deepest`.
+    - It is not observed to be free.
+
+    The distance is at most one voxel larger than that to the points, and at most two smaller:
+    sqrt(3)/2 from the point to its node, as much again at creases of the distance between nodes,
+    and the offset of 0.13. Away from creases, as outside a surface, it is at most one voxel
+    smaller. Coarser voxels than `VOXEL` reduce all distances by the difference.
 
     Args:
         cloud: (N, 3) points in the world, at least one [m].
-        viewpoints_W: (n, 3) positions of the cameras that saw the cloud [m]; none: nothing is
+        viewpoints_W: (n, 3) positions of the cameras that observed the cloud [m]; empty: nothing is
             filled.
-        deepest: maximum depth of an obstacle that is seen from one side [m].
-        table: nothing is filled below it.
-        seen_free: returns of points (N, 3) [m] whether an image sees through them: they are not
-            filled. None: no image is known but for the cloud.
+        deepest: maximum assumed depth of an obstacle that is observed from one side [m].
+        table: support plane; nothing is filled below it.
+        seen_free: function from points (N, 3) [m] to (N,) booleans, True for a point that an image
+            observes to be free. None: no image is available.
     """
     points = np.asarray(cloud, dtype=float)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -104,21 +107,21 @@ def field_of(
     voxel, first, count = _grid(low, high)
     p_WO, coarser = (first + 0.5) * voxel, voxel - VOXEL
     occupied = np.zeros(tuple(count), dtype=bool)
-    # The node nearest to each point.
+    # Occupy the node nearest to each point.
     occupied[tuple(np.floor((points - p_WO) / voxel + 0.5).astype(np.int64).T)] = True
     for p_WV in np.reshape(viewpoints_W, (-1, 3)):
-        nodes = _hidden(points, p_WV, p_WO, voxel, deepest, table)
+        nodes = _find_occluded(points, p_WV, p_WO, voxel, deepest, table)
         nodes = nodes[~occupied[tuple(nodes.T)]]
         if seen_free is not None:
             nodes = nodes[~seen_free(p_WO + voxel * nodes)]
         occupied[tuple(nodes.T)] = True
     outside = _distances(occupied)
-    # Around the occupied nodes there are free ones.
-    within = ndimage.find_objects(occupied.view(np.int8))[0]
-    around = tuple(slice(side.start - 1, side.stop + 1) for side in within)
+    # The grid has free nodes around the occupied ones.
+    box = ndimage.find_objects(occupied.view(np.int8))[0]
+    around = tuple(slice(side.start - 1, side.stop + 1) for side in box)
     inside = _distances(~occupied[around])
     outside[around] -= np.maximum(inside - 1.0, 0.0)
-    low, high = (np.array([getattr(side, end) for side in within]) for end in ("start", "stop"))
+    low, high = (np.array([getattr(side, end) for side in box]) for end in ("start", "stop"))
     return DistanceField(
         p_WO,
         voxel,
@@ -129,7 +132,7 @@ def field_of(
 
 
 def _distances(occupied: BoolArray) -> FloatArray:
-    """Distances from the nodes of a grid to the nearest of those that are occupied [voxel]."""
+    """Computes distances from all nodes of a grid to the nearest occupied node [voxel]."""
     squared = np.where(occupied, 0.0, np.inf).astype(np.float32)
     for _ in range(3):
         lines = np.ascontiguousarray(np.moveaxis(squared, 0, 2))
@@ -139,12 +142,12 @@ def _distances(occupied: BoolArray) -> FloatArray:
 
 @compiled
 def _nearest_along(lines: FloatArray) -> FloatArray:
-    """Minimum over j of f_j + (i - j)^2 at each i of lines f (L, n), by the lower envelope.
+    """Computes min_j f_j + (i - j)^2 at each i of lines f (L, n), by the lower envelope.
 
     P. Felzenszwalb and D. Huttenlocher, "Distance transforms of sampled functions", Theory of
     Computing 8(19), 2012.
     """
-    least, n = np.empty_like(lines), lines.shape[1]
+    result, n = np.empty_like(lines), lines.shape[1]
     vertex, begin = np.zeros(n, dtype=np.int64), np.empty(n)
     for row in range(len(lines)):
         f, count = lines[row], 0
@@ -163,15 +166,15 @@ def _nearest_along(lines: FloatArray) -> FloatArray:
         for i in range(n):
             while place + 1 < count and begin[place + 1] < i:
                 place += 1
-            least[row, i] = f[vertex[place]] + (i - vertex[place]) ** 2
-    return least
+            result[row, i] = f[vertex[place]] + (i - vertex[place]) ** 2
+    return result
 
 
 def _grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray, IntArray]:
-    """Edge of a voxel [m], numbers (3,) of the first in the world, and count (3,)."""
+    """Computes the grid of a box: voxel edge [m], first indices (3,) in the world, size (3,)."""
     voxel = VOXEL
     while True:
-        # All around the occupied nodes at least one is free.
+        # At least one free node on each side of the occupied nodes.
         past = max(MARGIN, 1.5 * voxel)
         first = np.floor((low - past) / voxel)
         count = np.floor((high + past) / voxel) - first + 1.0
@@ -181,7 +184,7 @@ def _grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray, IntArra
         voxel *= min(max(1.01, (cells / MAX_CELLS) ** (1.0 / 3.0)), 1e3)
 
 
-def _hidden(
+def _find_occluded(
     points: FloatArray,
     p_WV: FloatArray,
     p_WO: FloatArray,
@@ -189,32 +192,32 @@ def _hidden(
     deepest: float,
     table: TablePlane | None,
 ) -> IntArray:
-    """Finds the nodes (K, 3) of a grid that are occluded from a viewpoint, see `field_of`.
+    """Finds the nodes (K, 3) of a grid that an obstacle occludes from a viewpoint, see `field_of`.
 
     Args:
         points: (N, 3) points of the obstacle [m].
-        p_WV: (3,) the viewpoint [m].
-        p_WO: (3,) the first node of the grid [m].
-        voxel: edge of its voxels [m].
-        deepest: maximum depth [m].
-        table: nothing is filled below it.
+        p_WV: (3,) viewpoint [m].
+        p_WO: (3,) first node of the grid [m].
+        voxel: edge of a voxel [m].
+        deepest: maximum assumed depth of the obstacle [m].
+        table: support plane; nothing is filled below it.
     """
     nodes = np.zeros((0, 3), dtype=np.int64)
     low, high = points.min(axis=0), points.max(axis=0)
     view = 0.5 * (low + high) - p_WV
     distance, level = float(np.linalg.norm(view)), float(np.hypot(view[0], view[1]))
-    if np.linalg.norm(np.clip(p_WV, low, high) - p_WV) < _TOO_NEAR:
+    if np.linalg.norm(np.clip(p_WV, low, high) - p_WV) < _MIN_VIEW_DISTANCE:
         return nodes
     away = view[:2] / level if level > 1e-6 else np.array([1.0, 0.0])
     along, across = points[:, :2] @ away, points[:, :2] @ [away[1], -away[0]]
     breadth, depth = float(np.ptp(across)), float(np.ptp(along))
     outline = _outline(along, across, max(depth, min(breadth, deepest)))
     run, thick = min(max(breadth, depth), deepest), min(breadth, deepest)
-    # Down to the table, or as thick as it is deep.
+    # Filled down to the table, without a table by the thickness of the obstacle.
     normal, offset = (table.normal_W, table.offset) if table else (np.array([0.0, 0.0, 1.0]), 0.0)
     height = points @ normal - offset
     bottom = 0.0 if table is not None else min(float(height.min()), float(height.max()) - thick)
-    # Points around a near viewpoint make no image; those beside it are left as they are.
+    # Points beside a near viewpoint have no place in its image; nothing is filled behind them.
     z_V = view / distance
     x_V = np.array([away[1], -away[0], 0.0])
     R_WV = np.column_stack([x_V, np.cross(z_V, x_V), z_V])
@@ -246,42 +249,45 @@ def _hidden(
     nodes, r = nodes[in_image], np.linalg.norm(p_VN[in_image], axis=1)
     behind = r - near[u[in_image].astype(np.int64), v[in_image].astype(np.int64)]
     horizontal = np.hypot(*(p_WO + voxel * nodes - p_WV)[:, :2].T) / r
-    is_hidden = (behind >= 0.0) & (behind * horizontal <= run + 0.5 * voxel)
-    return nodes[is_hidden]
+    is_occluded = (behind >= 0.0) & (behind * horizontal <= run + 0.5 * voxel)
+    return nodes[is_occluded]
 
 
 def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
-    """(E, 3) sides of the outline of an obstacle from above, with its occluded part.
+    """Computes the outline of an obstacle from above, including its occluded part.
 
     Most objects are symmetric about a vertical axis (J. Bohg et al., ICRA 2011, mirror the visible
-    part at a plane): the outline is the convex hull of the points and of their images beyond the
-    middle.
+    part at a plane). The outline is therefore the convex hull of the points and of their mirror
+    images about the center.
 
     Args:
-        along, across: (N,) places of the points along the view and across it [m].
-        depth: of the obstacle along the view, from its first point [m].
+        along, across: (N,) coordinates of the points along the view and across it [m].
+        depth: depth of the obstacle along the view, from its nearest point [m].
+
+    Returns:
+        (E, 3) half-planes: outer normal (along, across), and offset [m].
     """
     points = np.column_stack([along, across])
     middle = [along.min() + 0.5 * depth, 0.5 * (across.min() + across.max())]
     points = np.concatenate([points, 2.0 * np.array(middle) - points])
-    # The visible part may be a line, or one point.
+    # The visible part may be a line or a single point, which has no hull without a width.
     corners = _THIN * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
     sides = ConvexHull((points[:, None] + corners).reshape(-1, 2)).equations
     return np.asarray(sides * [1.0, 1.0, -1.0])
 
 
 def _depth_image(place: FloatArray, distance: FloatArray) -> FloatArray:
-    """Draws the nearest distances of points; inf where there are none.
+    """Renders points as an image of their nearest distances; inf: no point.
 
     Args:
-        place: (N, 2) of the points [pixel].
-        distance: (N,) of them [m].
+        place: (N, 2) image coordinates of the points [pixel].
+        distance: (N,) distances of the points from the viewpoint [m].
     """
     near = np.full(tuple(np.floor(place.max(axis=0)).astype(np.int64) + 3), np.inf)
-    # Each point is drawn on the four nearest pixels.
+    # Each point is rendered to the four nearest pixels; single-pixel gaps are closed.
     corner = np.floor(place - 0.5).astype(np.int64)
     for step in np.ndindex(2, 2):
         np.minimum.at(near, tuple((corner + step).T), distance)
-    drawn = near < np.inf
-    gap = ndimage.binary_closing(drawn, np.ones((3, 3))) & ~drawn
+    rendered = near < np.inf
+    gap = ndimage.binary_closing(rendered, np.ones((3, 3))) & ~rendered
     return np.where(gap, ndimage.minimum_filter(near, 3), near)

@@ -1,9 +1,9 @@
-"""Ellipsoids as descriptors of an obstacle and the tool together.
+"""Ellipsoids as unified descriptors of an obstacle and the tool.
 
 The obstacle's points are dilated by the tool, one ellipsoid encloses the result,
 and the other layers then treat the tool as the point E (Pairet et al. 2019,
-section IV-B; lambda_4 = lambda_5 = 1 in eq. 10). An ellipsoid O is a center p_WO,
-a rotation R_WO whose columns are its principal axes, and semi-axes a:
+section IV-B; lambda_4 = lambda_5 = 1 in eq. 10). An ellipsoid O has a center p_WO,
+a rotation R_WO with the principal axes as columns, and semi-axes a:
 
     x inside  <=>  gauge(x) = | diag(1/a) R_WO^T (x - p_WO) | <= 1.
 
@@ -26,27 +26,33 @@ from drake_oa.geometry import ellipsoid_kernels as kernels
 from drake_oa.geometry.directions import sphere_points
 
 LEAST_SEMI_AXIS = 1e-3
-"""Least semi-axis of a fit [m]. A cloud thinner than a hundredth of it in some principal direction
-is enclosed in the others alone."""
+"""Minimum semi-axis of a fit [m].
+
+A cloud thinner than a hundredth of it along a principal axis is enclosed along the other axes only.
+"""
 _TOLERANCE = 1e-2
-"""Relative optimality of the enclosing ellipsoid's dual; the squared gauge of the fit exceeds 1 by
-at most about this before the scaling."""
+"""Relative tolerance of the optimality of the enclosing ellipsoid [1].
+
+Before the final scaling, the squared gauge of the ellipsoid exceeds 1 by at most about this value.
+"""
 _DIRECTIONS = sphere_points(156)
-"""(162, 3) unit vectors in which support points are sought."""
+"""Unit vectors (162, 3) in whose directions support points are computed."""
 _MAX_STEPS = 100_000
+"""Maximum number of steps of one optimization of the weights of support points."""
 _MAX_ROUNDS = 20
+"""Maximum number of fits, each with one more support point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid(Frozen):
-    """One ellipsoid in the world frame.
+    """Ellipsoid in the world frame that encloses an obstacle dilated by the tool.
 
     Attributes:
         center: (3,) center p_WO [m].
         R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
         semi_axes: (3,) semi-axes along those columns, largest first [m].
-        gauge: largest gauge of any point dilated by any corner of the tool, computed
-            from the three fields above. At most 1 certifies that all are enclosed.
+        gauge: largest gauge of any point dilated by any corner of the tool, computed from center,
+            R and semi_axes. A value of at most 1 certifies that all are enclosed.
     """
 
     center: FloatArray
@@ -56,20 +62,20 @@ class Ellipsoid(Frozen):
 
 
 def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
-    """Points on the C-obstacle O + (-E) of a point cloud O and a convex tool E.
+    """Computes points on the C-obstacle O + (-E) of a point cloud O and a convex tool E.
 
-    The tool's reference point may be nowhere in the C-obstacle (Lozano-Perez), hence
-    the reflection. In each direction u the support point of a Minkowski sum is the sum
-    of the support points; so no hull is needed, and one point, a line or a plane of
-    points is as good as any other cloud.
+    E is reflected, since the C-obstacle contains the positions of the tool's reference point at
+    which tool and obstacle intersect (Lozano-Perez). In each direction u the support point of a
+    Minkowski sum is the sum of the support points. No hull is needed, so that a single point, a
+    line or a plane of points is a valid cloud.
 
     Args:
         points: (N, 3) surface points in W [m].
-        tool: (K, 3) vertices of the tool's convex geometry from its reference point
-            (the TCP), in W orientation [m]; [[0, 0, 0]] for a point.
+        tool: (K, 3) vertices of the tool's convex geometry relative to its reference point
+            (the TCP), in W orientation [m]; [[0, 0, 0]]: a point.
 
     Returns:
-        (S, 3) distinct support points in W [m], in at most as many directions as `_DIRECTIONS`.
+        (S, 3) distinct support points in W [m], at most one for each of `_DIRECTIONS`.
 
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
@@ -81,26 +87,26 @@ def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
 
 
 def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> Ellipsoid:
-    """Ellipsoid of least volume round a cloud dilated by a tool, with a certificate.
+    """Computes the ellipsoid of least volume around a cloud dilated by a tool, with a certificate.
 
-    Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) on the
-    support points of `dilate`; the farthest dilated point that they left out joins them
-    until none is farther out than the tolerance. Last, the ellipsoid is scaled about
-    its center until it touches the farthest of all N x K points, and checked.
+    Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) encloses the support
+    points of `dilate`. While a dilated point is outside by more than the tolerance, the farthest
+    one is added and the fit repeated. Finally the ellipsoid is scaled about its center until it
+    contains the farthest of all N x K points, and is checked.
 
     Args:
         points: (N, 3) points in W [m].
         tool: (K, 3) vertices of the tool as in `dilate`; None: a point.
 
     Returns:
-        The ellipsoid, with gauge <= 1.
+        Ellipsoid with gauge <= 1.
 
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
     """
     points = checked_points(points, "points")
     corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
-    # Near their center: far from the origin the sums would lose digits.
+    # Relative to their mean: far from the origin the sums would lose digits.
     origin = points.mean(axis=0)
     cloud = points - origin
     support = dilate(cloud, corners)
@@ -115,7 +121,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     center = center + origin
     gauge, _, _ = _farthest(points, corners, center, R, semi_axes)
     while gauge > 1.0:
-        # A little more than needed, else rounding could leave it a digit above 1.
+        # Scaled slightly more, since rounding could leave the gauge one digit above 1.
         semi_axes = semi_axes * (gauge * (1.0 + 1e-13))
         gauge, _, _ = _farthest(points, corners, center, R, semi_axes)
     return Ellipsoid(center, R, semi_axes, gauge)
@@ -124,10 +130,10 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
 def signed_distance(
     p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike
 ) -> FloatArray:
-    """Euclidean distance of points to ellipsoids, negative inside.
+    """Computes Euclidean distances of points to ellipsoids, negative inside.
 
-    The secular equation of the nearest point (Eberly) is solved in the ellipsoid's axes by a
-    monotone Newton iteration.
+    A monotone Newton iteration solves the secular equation of the nearest point (Eberly) in the
+    ellipsoid's axes.
 
     Args:
         p: (..., 3) points in W [m].
@@ -136,7 +142,7 @@ def signed_distance(
         semi_axes: (..., 3) positive semi-axes [m].
 
     Returns:
-        (...) distances [m]: the leading shapes, broadcast. NaN for a point that is NaN.
+        (...) distances [m], with the broadcast leading shape; NaN for a point that is NaN.
 
     Raises:
         ValueError: for a semi-axis that is not positive, or shapes that do not fit.
@@ -144,7 +150,7 @@ def signed_distance(
     p_WQ, p_WO, R_WO, axes = (np.asarray(a, dtype=float) for a in (p, center, R, semi_axes))
     y, axes = np.broadcast_arrays(np.abs(np.einsum("...i,...ij->...j", p_WQ - p_WO, R_WO)), axes)
     if not (axes > 0.0).all():
-        raise ValueError(f"signed_distance: semi_axes must be positive, not {semi_axes!r}")
+        raise ValueError(f"semi_axes: must be positive, not {semi_axes!r}")
     rows = kernel_arrays(y.reshape(-1, 3), axes.reshape(-1, 3))
     distance = np.empty(len(rows[0]))
     kernels.signed_distances(*rows, distance)
@@ -152,17 +158,18 @@ def signed_distance(
 
 
 def section_matrix(R: ArrayLike, semi_axes: ArrayLike, U: ArrayLike) -> FloatArray:
-    """Computes S = U^T A U of sections through the center, A = R diag(1/a^2) R^T.
+    """Computes matrices S of plane sections through the center of ellipsoids.
 
-    The section is {x : x^T S x <= 1}, x along the rows of U.
+    S = U A U^T with A = R diag(1/a^2) R^T; the section is {x : x^T S x <= 1}, with coordinates x
+    along the rows of U.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
         semi_axes: (..., 3) positive semi-axes [m].
-        U: (..., 2, 3) orthonormal vectors in W that span the planes, one a row.
+        U: (..., 2, 3) orthonormal vectors in W that span the planes, one per row.
 
     Returns:
-        (..., 2, 2) [1/m^2].
+        (..., 2, 2) matrices S [1/m^2].
     """
     scaled = np.asarray(U) @ R / np.asarray(semi_axes)[..., None, :]
     return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
@@ -171,24 +178,24 @@ def section_matrix(R: ArrayLike, semi_axes: ArrayLike, U: ArrayLike) -> FloatArr
 def plane_section(
     R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the section by the plane through the center that e1 and e2 span.
+    """Computes the section of an ellipsoid by the plane through its center along e1 and e2.
 
-    Its principal semi-axes, eig(S)^(-1/2) with S of `section_matrix`, are the descriptors lambda'
-    of the P-plane.
+    The principal semi-axes eig(S)^(-1/2), with S of `section_matrix`, are the descriptors lambda'
+    if the plane is the P-plane: the plane of tool, velocity and obstacle center.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
         semi_axes: (..., 3) positive semi-axes [m].
         e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's center.
-        e2: (..., 3) unit vector in W perpendicular to it.
+        e2: (..., 3) unit vector in W perpendicular to e1.
 
     Returns:
-        Semi-axes (..., 2) [m]: of the principal axis within 45 degrees of e1, then of the other
-        one; and these axes in W, (..., 2, 3), one a row.
+        (..., 2) semi-axes [m]: of the principal axis within 45 degrees of e1, then of the other
+        axis; and (..., 2, 3) these axes in W, one per row.
     """
     U = np.stack([e1, e2], axis=-2)
     value, V = np.linalg.eigh(section_matrix(R, semi_axes, U))
-    # Of the rows of V^T, the one nearer to e1 comes first.
+    # Sorted so that the first axis is the one nearer to e1.
     swapped = np.abs(V[..., 0, 0]) < np.abs(V[..., 0, 1])
     value = np.where(swapped[..., None], value[..., ::-1], value)
     turn = np.swapaxes(np.where(swapped[..., None, None], V[..., ::-1], V), -1, -2)
@@ -197,26 +204,29 @@ def plane_section(
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:
-    """The points as an array of floats, not copied where they are one already.
+    """Returns points as an array of floats, without a copy if they are one.
 
     Args:
         points: (N, 3) points, N >= 1.
-        name: what an error calls them.
+        name: name of the points in error messages.
 
     Raises:
-        ValueError: if they are empty, not (N, 3) or not finite.
+        ValueError: if the points are empty, not (N, 3) or not finite.
     """
     array = np.asarray(points, dtype=float)
     if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
-        raise ValueError(f"{name} must be a non-empty (N, 3) array, not of shape {array.shape}")
+        raise ValueError(f"{name}: must be a non-empty (N, 3) array, not of shape {array.shape}")
     if not np.isfinite(array).all():
         bad = int((~np.isfinite(array).all(axis=1)).sum())
-        raise ValueError(f"{name} must be finite; {bad} of {len(array)} rows are not")
+        raise ValueError(f"{name}: must be finite; {bad} of {len(array)} rows are not")
     return array
 
 
 def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Computes center, rotation and semi-axes of the optimum, up to the tolerance."""
+    """Computes center, rotation and semi-axes of the enclosing ellipsoid of least volume.
+
+    The squared gauge of the points (N, 3) exceeds 1 by at most about `_TOLERANCE`.
+    """
     mean = points.mean(axis=0)
     spread = points - mean
     variance, V = np.linalg.eigh(spread.T @ spread / len(points))
@@ -241,17 +251,17 @@ def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def right_handed(axes: FloatArray) -> FloatArray:
-    """Returns the rotation (3, 3) with these orthonormal columns, or their opposites."""
+    """Returns the rotation (3, 3) with some orthonormal columns, negated if left-handed."""
     return np.asarray(np.sign(np.linalg.det(axes)) * axes)
 
 
 def _farthest(
     points: FloatArray, tool: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> tuple[float, int, int]:
-    """Largest gauge of points - tool, and the rows where it is."""
+    """Finds the largest gauge of dilated points, and the rows of its point and tool corner."""
     y, s = (points - center) @ R / semi_axes, tool @ R / semi_axes
     length = np.linalg.norm(y, axis=1)
-    # By the triangle inequality shorter rows do not matter; the margin is for rounding.
+    # By the triangle inequality shorter rows cannot be the farthest; the margin is for rounding.
     least = cdist(y[[length.argmax()]], s).max() - np.linalg.norm(s, axis=1).max()
     rows = np.flatnonzero(length >= least * (1.0 - 1e-12))
     gauge = cdist(y[rows], s)

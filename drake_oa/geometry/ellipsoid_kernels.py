@@ -1,7 +1,7 @@
-"""Compiled loops behind `drake_oa.geometry.ellipsoid`; call those functions instead.
+"""Compiled loops of `drake_oa.geometry.ellipsoid`; other modules call the functions there.
 
-Every kernel takes writable C-contiguous float64 arrays, so that numba compiles
-each of them once, and caches it on disk.
+Every kernel takes writable C-contiguous float64 arrays, so that numba compiles each of them once,
+and caches it on disk.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
 
 _THIN = 1e-9
-"""Minimum coordinate of a point off an ellipsoid's plane of symmetry, by its semi-axis."""
+"""Minimum coordinate of a point relative to the semi-axis; smaller ones are replaced by it [1]."""
 
 
 @leaf
 def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> float:
-    """Signed distance to an ellipsoid.
+    """Computes the signed distance of a point (x, y, z) to an ellipsoid with semi-axes e [m].
 
-    The nearest point is e_i^2 y_i / (s + e_i^2), s the largest root of the secular equation
-    sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013): Newton's method on the inverse square
-    root of the sum, which is concave, climbs to it from below.
+    With y_i the absolute coordinates, the nearest point is e_i^2 y_i / (s + e_i^2), s the largest
+    root of the secular equation sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013). Newton's method
+    on the inverse square root of the sum, which is concave, converges to s from below.
     """
     a2, b2, c2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
-    # Off the planes of symmetry, so that the root is the one of the sum.
+    # On a plane of symmetry a term of the sum, and with it the largest root, would vanish.
     u = e[0] * max(abs(x), _THIN * e[0])
     v = e[1] * max(abs(y), _THIN * e[1])
     w = e[2] * max(abs(z), _THIN * e[2])
@@ -55,24 +55,24 @@ def signed_distances(y: FloatArray, e: FloatArray, distance: FloatArray) -> None
 def optimal_weights(
     points: FloatArray, rank: int, tolerance: float, max_steps: int, u: FloatArray
 ) -> None:
-    """Todd and Yildirim's D-optimal weights of points with mean 0 and covariance I.
+    """Computes D-optimal weights of points with mean 0 and covariance I (Todd and Yildirim 2007).
 
-    Coordinate ascent on the weight of one point a step: toward the point of
-    largest g_i = q_i^T (sum_k u_k q_k q_k^T)^-1 q_i, q_i = (x_i, 1), or away from the
-    one of least g_i that has weight, whichever breaks optimality more.
+    Each step of coordinate ascent changes the weight of one point: it increases that of the point
+    with the largest g_i = q_i^T (sum_k u_k q_k q_k^T)^-1 q_i, q_i = (x_i, 1), or decreases that of
+    the point with the least g_i among those with weight, whichever violates optimality more.
 
     Args:
         points: (N, 3), zero in the last 3 - rank coordinates.
-        rank: dimension that the points span.
-        tolerance: stop when g_i <= (1 + tolerance) n for all and g_i >= (1 - tolerance) n
-            for those with weight, n = rank + 1.
-        max_steps: steps at most.
+        rank: dimension of the space that the points span.
+        tolerance: relative tolerance of optimality: g_i <= (1 + tolerance) n for all points and
+            g_i >= (1 - tolerance) n for those with weight, n = rank + 1.
+        max_steps: maximum number of steps.
         u: (N,) weights, written.
     """
     count = points.shape[0]
     n = rank + 1.0
     g, w = np.empty(count), np.empty(4)
-    # Inverse of the moment matrix.
+    # Inverse of the moment matrix sum_k u_k q_k q_k^T.
     H = np.eye(4)
     for i in range(count):
         u[i] = 1.0 / count
@@ -90,17 +90,17 @@ def optimal_weights(
         j = far if over >= under else near
         least = -u[j] / (1.0 - u[j])
         beta = max((g[j] - n) / (n * (g[j] - 1.0)) if g[j] > 1.0 else -1.0, least)
-        # The weight beta (negative: away) moves to row j.
+        # Row j receives the weight beta; negative: it loses weight.
         for a in range(4):
             w[a] = H[a, 0] * points[j, 0] + H[a, 1] * points[j, 1] + H[a, 2] * points[j, 2]
             w[a] += H[a, 3]
-        keep = 1.0 / (1.0 - beta)
+        scale = 1.0 / (1.0 - beta)
         f = beta / (1.0 - beta + beta * g[j])
         for i in range(count):
             t = w[0] * points[i, 0] + w[1] * points[i, 1] + w[2] * points[i, 2] + w[3]
-            g[i] = keep * (g[i] - f * t * t)
+            g[i] = scale * (g[i] - f * t * t)
             u[i] *= 1.0 - beta
         u[j] = u[j] + beta if beta > least else 0.0
         for a in range(4):
             for b in range(4):
-                H[a, b] = keep * (H[a, b] - f * w[a] * w[b])
+                H[a, b] = scale * (H[a, b] - f * w[a] * w[b])

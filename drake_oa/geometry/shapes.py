@@ -1,4 +1,4 @@
-"""Primitive shapes of obstacles and of what the hand holds, as blocks of a scenario."""
+"""Primitive shapes of obstacles and grasped objects, as blocks of a scenario."""
 
 from typing import Annotated, Any
 
@@ -10,11 +10,12 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from drake_oa.common.config import BLOCK, Angles, Vector3, length
 
 _Length = Annotated[float, Field(gt=0.0, le=10.0)]
+"""Type of a positive length of at most 10 m."""
 
 
 @dataclass(config=BLOCK)
 class Box:
-    """A box; its center is the origin of the shape's frame G."""
+    """Box; its center is the origin of the shape's frame G."""
 
     size: Annotated[list[_Length], length(3)] = Field(default=[0.1, 0.1, 0.1])
     """Edge lengths along x, y and z [m]. Raising one makes the box larger."""
@@ -27,7 +28,7 @@ class Box:
 
 @dataclass(config=BLOCK)
 class Cylinder:
-    """A cylinder along its z axis; its center is the origin of the shape's frame G."""
+    """Cylinder along its z axis; its center is the origin of the shape's frame G."""
 
     radius: _Length = 0.05
     """Radius [m]. Raising it makes the cylinder thicker."""
@@ -42,7 +43,7 @@ class Cylinder:
 
 @dataclass(config=BLOCK)
 class Sphere:
-    """A sphere; its center is the origin of the shape's frame G."""
+    """Sphere; its center is the origin of the shape's frame G."""
 
     radius: _Length = 0.05
     """Radius [m]. Raising it makes the sphere larger."""
@@ -54,12 +55,12 @@ class Sphere:
 
 
 def pose(item: Any) -> RigidTransform:
-    """Returns the pose of a block with a translation [m] and roll, pitch and yaw [rad]."""
+    """Returns the pose of a block with the fields `translation` [m] and `rpy` [rad]."""
     return RigidTransform(RollPitchYaw(item.rpy), item.translation)
 
 
 def shape_geometry(shape: Box | Cylinder | Sphere) -> geometry.Shape:
-    """Drake's shape."""
+    """Converts a shape of a scenario to a shape of Drake."""
     if isinstance(shape, Box):
         return geometry.Box(*shape.size)
     if isinstance(shape, Cylinder):

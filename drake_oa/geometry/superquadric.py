@@ -1,7 +1,7 @@
-"""The least-squares fit of a superquadric (Pairet et al. 2019, eq. 10 and 11), with exponents of 1.
+"""Least-squares fit of a superquadric (Pairet et al. 2019, eq. 10 and 11) with exponents of 1.
 
-In its own frame a superquadric of semi-axes lambda_1..3 and exponents of 1, which section IV-B has,
-is the ellipsoid F <= 1 of
+With exponents of 1, as in section IV-B of the paper, a superquadric with semi-axes lambda_1..3 is
+the ellipsoid F <= 1 in its own frame, with
 
     F(x, y, z) = (x/lambda_1)^2 + (y/lambda_2)^2 + (z/lambda_3)^2               (eq. 10)
 """
@@ -22,12 +22,12 @@ from drake_oa.geometry.ellipsoid import LEAST_SEMI_AXIS, checked_points, right_h
 def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fits a superquadric to a (dilated) cloud by least squares.
 
-    The print of eq. 11 has no square: its sum is unbounded below, and grows more
-    negative with every larger superquadric. Here, after Solina and Bajcsy (1990),
+    The published eq. 11 has no square: its sum has no lower bound, and decreases with the size of
+    the superquadric. Here, after Solina and Bajcsy (1990),
 
         min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i - 1).
 
-    Center, rotation and semi-axes are sought together from the cloud's principal axes.
+    Center, rotation and semi-axes are optimized together, starting at the cloud's principal axes.
 
     Args:
         points: (N, 3) points in W [m].
@@ -47,23 +47,24 @@ def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatAr
     half = np.maximum(0.5 * np.ptp(local, axis=0), LEAST_SEMI_AXIS)
 
     def shape(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Computes center, rotation and semi-axes.
+        """Computes center, rotation and semi-axes from the unknowns x (9,).
 
-        The unknowns are the center in half extents, a rotation vector, and logarithms of the
-        semi-axes over the half extents.
+        x: center in half extents, rotation vector, and logarithms of the semi-axes over the half
+        extents.
         """
         turn = np.asarray(Rotation.from_rotvec(x[3:6]).as_matrix())
         return middle + half * x[:3], turn, half * np.exp(x[6:])
 
     def residuals(x: FloatArray) -> FloatArray:
+        """Computes the residuals r_i (N,) of the points."""
         center, turn, semi_axes = shape(x)
         F = (((local - center) @ turn / semi_axes) ** 2).sum(axis=1)
         return np.asarray(np.sqrt(np.prod(semi_axes)) * (F - 1.0))
 
     least = np.log(np.minimum(LEAST_SEMI_AXIS / half, 0.999))
     lower = np.concatenate([[-3.0] * 3, [-np.inf] * 3, least])
-    # Far beyond what a good fit needs, but short of shapes without end.
+    # Bounds far beyond every good fit that exclude unbounded shapes.
     upper = np.repeat([3.0, np.inf, math.log(10.0)], 3)
-    found = least_squares(residuals, np.zeros(9), bounds=(lower, upper), max_nfev=200)
-    center, turn, semi_axes = shape(found.x)
+    result = least_squares(residuals, np.zeros(9), bounds=(lower, upper), max_nfev=200)
+    center, turn, semi_axes = shape(result.x)
     return mean + R @ center, R @ turn, np.maximum(semi_axes, LEAST_SEMI_AXIS)

@@ -1,4 +1,4 @@
-"""Voxels and clusters of points."""
+"""Mean points by voxel, and clusters of near points."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from drake_oa.common.messages import FloatArray, IntArray
 
 
 def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
-    """Averages points (N, 3) by voxel [m].
+    """Averages points by voxel.
 
-    The grid is anchored at the origin and has up to 2**16 voxels along each half axis.
+    The grid has a corner at the origin, and up to 2**16 voxels along each half axis.
+
+    Args:
+        points: (N, 3) [m].
+        voxel: edge of a voxel [m].
 
     Returns:
-        Means (M, 3) in the order of the voxels, the voxel (N,) of each point, and the number
-        of points (M,) of each voxel.
+        (M, 3) means, sorted by voxel; (N,) voxel of each point; (M,) number of points per voxel.
     """
     keys = np.floor(points / voxel) @ [2.0**34, 2.0**17, 1.0]
-    # Most points share the voxel of the one before; sorting first points only is faster.
+    # Consecutive points usually share a voxel: sorting only the first of each run is faster.
     first = np.flatnonzero(np.diff(keys, prepend=np.nan))
     _, voxel_of = np.unique(keys[first], return_inverse=True)
     voxel_of = np.repeat(voxel_of, np.diff(first, append=len(keys)))
@@ -29,6 +32,7 @@ def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray,
 
 @compiled
 def _root(parent: IntArray, i: int) -> int:
+    """Finds the root of node i in a forest of sets, and shortens the path to it."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -37,7 +41,13 @@ def _root(parent: IntArray, i: int) -> int:
 
 @compiled
 def _unite(points: FloatArray, tolerance: float, parent: IntArray) -> None:
-    """Unites near points (N, 3), ascending along their first axis, in a forest (N,) of sets."""
+    """Unites the sets of near points in a forest.
+
+    Args:
+        points: (N, 3), ascending along their first axis [m].
+        tolerance: maximum distance of two points that are united [m].
+        parent: (N,) parent of each point in the forest; after the call, the root.
+    """
     for i in range(len(points)):
         for j in range(i + 1, len(points)):
             x = points[j, 0] - points[i, 0]
@@ -54,10 +64,16 @@ def _unite(points: FloatArray, tolerance: float, parent: IntArray) -> None:
 def connected_clusters(
     points: FloatArray, tolerance: float, groups: IntArray | None = None
 ) -> IntArray:
-    """Labels (N,) of points (N, 3): those within the tolerance [m] share one.
+    """Clusters points: two points within the tolerance belong to the same cluster.
 
-    Labels are in the order of the first points.
-    Points of equal ``groups`` (N,) share one too, at any distance.
+    Args:
+        points: (N, 3) [m].
+        tolerance: maximum distance of connected points [m].
+        groups: (N,) group of each point; points of one group are connected at any distance. None:
+            no groups.
+
+    Returns:
+        (N,) labels of the clusters, in the order of their first points.
     """
     if not len(points):
         return np.zeros(0, dtype=np.int64)

@@ -74,7 +74,7 @@ def violated_claim(
     dt = np.diff(t)[:, None]
     reach = spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
     if scene.moves:
-        moving, points = geometries.chosen(geometries.moving), p_WS.reshape(-1, 3)
+        moving, points = geometries.select(geometries.moving), p_WS.reshape(-1, 3)
         d = least_distances(moving, points, scene.stamp, (reach + V * dt).max(), -1.0)
         d = d.reshape(p_WS.shape[:2])
         # Within a step the reach grows while the distance falls: the worst is its end.

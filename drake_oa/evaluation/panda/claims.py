@@ -114,7 +114,7 @@ def claim_violations(
         reach, geometries = radius + V * (t[k] - s)[:, None], _geometries_at(world, s)
         points = np.stack([now, later]).reshape(-1, 3)
         distance = least_distances(
-            geometries.chosen(_moves_at(world, s)), points, 0.0, _MAX_DISTANCE, -np.inf
+            geometries.select(_moves_at(world, s)), points, 0.0, _MAX_DISTANCE, -np.inf
         ).reshape(2, *speed.shape)
         is_closing = (distance[0] <= reach) & (distance[0] - distance[1] > _MAX_REST_SPEED * dt)
         toward = velocity @ DIRECTIONS.T
