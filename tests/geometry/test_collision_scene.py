@@ -1,3 +1,5 @@
+"""Tests of collision geometries: distances against Drake, samples, and scenes."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +26,7 @@ ROUND *= 0.15 / np.linalg.norm(ROUND, axis=1)[:, None]
 
 
 class World:
-    """Drake's answers for one body with collision geometries."""
+    """Scene graph of one body with collision geometries, for reference distances."""
 
     def __init__(self, shapes):
         pose = RigidTransform(RotationMatrix(X_WG[:3, :3]), X_WG[:3, 3])
@@ -35,6 +37,7 @@ class World:
         self.inspector = graph.model_inspector()
 
     def geometries(self):
+        """Reads the collision geometries of the body."""
         geometry_ids = self.plant.GetCollisionGeometriesForBody(self.body)
         return [geometry.read_geometry(self.inspector, geometry_id) for geometry_id in geometry_ids]
 
@@ -51,18 +54,18 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_distances_are_drakes(name):
+def test_distances_equal_those_of_drake(name):
     shape = drake.Box(*np.ptp(CUBE, axis=0)) if name == "cube" else SHAPES[name]
-    drakes = World([shape])
+    reference = World([shape])
     (one,) = World([SHAPES[name]]).geometries() if name != "half-space" else [half_space_at(X_WG)]
     scene = geometries_of([one])
-    # Drake's ellipsoids are iterative, and up to 0.6 mm off the exact distance below.
+    # Distances to ellipsoids in Drake are iterative, with errors up to 0.6 mm.
     tolerance = 1e-3 if name == "ellipsoid" else 1e-9
     for p in POINTS:
         if name == "half-space":
             expected = X_WG[:3, 2] @ (p - X_WG[:3, 3])
         else:
-            (near,) = drakes.query.ComputeSignedDistanceToPoint(p)
+            (near,) = reference.query.ComputeSignedDistanceToPoint(p)
             expected = near.distance
         assert geometry.geometry_distance(scene, 0, *p, 0.0) == pytest.approx(
             expected, abs=tolerance
@@ -70,14 +73,15 @@ def test_distances_are_drakes(name):
 
 
 def half_space_at(X):
+    """Returns a half-space at a pose (4, 4)."""
     return replace(geometry.geometry_of(drake.HalfSpace()), X_WO=X)
 
 
-def test_a_hull_is_as_far_as_its_nearest_point():
+def test_the_distance_to_a_hull_is_that_to_its_nearest_point():
     scene = geometries_of(World([drake.Convex(ROUND.T, "round")]).geometries())
     for p in POINTS[:150]:
         (d,) = geometry.least_distances(scene, p[None], 0.0, np.inf, -np.inf)
-        # Outside, by the weights of the nearest point of the hull.
+        # Outside, the nearest point is a convex combination of vertices, by least squares.
         q = X_WG[:3, :3].T @ (p - X_WG[:3, 3])
         rows = np.vstack([ROUND.T, np.full(len(ROUND), 1e3)])
         weights, _ = nnls(rows, np.append(q, 1e3))
@@ -85,14 +89,14 @@ def test_a_hull_is_as_far_as_its_nearest_point():
         assert max(d, 0.0) == pytest.approx(np.linalg.norm(q - nearest), abs=1e-9)
 
 
-def test_a_flat_hull_is_a_plate():
+def test_coplanar_points_have_a_hull():
     scene = geometries_of([geometry.hull(CUBE[:4] * [0.0, 1.0, 1.0])])
     assert geometry.geometry_distance(scene, 0, 0.3, 0.0, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
     assert geometry.geometry_distance(scene, 0, 0.0, 0.5, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
 
 
 def scene_of_all(**more):
-    """One of each kind in a row along x, moving."""
+    """Returns one moving geometry of each kind in a row along x, and the ground."""
     cloud = np.concatenate([CUBE, 0.5 * CUBE]) + [3.5, 0.0, 0.0]
     names = ("sphere", "box", "capsule", "cylinder", "ellipsoid")
     kinds = [*(geometry.geometry_of(SHAPES[name]) for name in names), geometry.hull(ROUND)]
@@ -114,7 +118,7 @@ def scene_of_all(**more):
     return items
 
 
-def test_collision_scene_move_with_their_velocity():
+def test_geometries_move_with_their_velocity():
     items = scene_of_all()
     scene = geometries_of(items)
     for t in (-1.0, 1.0, 3.5):
@@ -127,7 +131,7 @@ def test_collision_scene_move_with_their_velocity():
                 )
 
 
-def test_the_least_distances_are_those_of_the_nearest_whatever_is_culled():
+def test_least_distances_are_those_of_the_nearest_geometry_with_any_culling():
     items = scene_of_all()
     scene, t = geometries_of(items), 2.0
     points = RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3))
@@ -157,7 +161,7 @@ VOLUMES = {
 
 
 @pytest.mark.parametrize("name", VOLUMES)
-def test_samples_lie_on_the_surface_span_the_shape_and_are_in_the_outline(name):
+def test_surface_points_are_on_the_surface_and_span_the_shape(name):
     (one,) = World([SHAPES[name]]).geometries()
     points = geometry.surface_points(one, 300)
     assert 150 <= len(points) <= 450
@@ -173,28 +177,30 @@ def test_samples_lie_on_the_surface_span_the_shape_and_are_in_the_outline(name):
     )
 
 
-def test_robots_solids_are_where_scene_graph_has_them():
+def test_geometries_of_a_robot_have_the_poses_of_the_scene_graph():
     world = World([SHAPES[name] for name in VOLUMES])
     instance = world.body.model_instance()
     robot = geometry.robot_geometries(world.plant, world.inspector, instance)
     states = [np.array([0.7, 0.0]), np.array([-2.0, 0.0])]
-    drakes = []
+    reference = []
     for state in states:
         world.plant.SetPositionsAndVelocities(world.inner, state)
         query = world.plant.get_geometry_query_input_port().Eval(world.inner)
-        drakes.append([[d.distance for d in query.ComputeSignedDistanceToPoint(p)] for p in POINTS])
-    found = geometry.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
-    # Drake's ellipsoids are iterative.
-    np.testing.assert_allclose(found, np.min(drakes, axis=(0, 2)), atol=1e-3)
+        reference.append(
+            [[d.distance for d in query.ComputeSignedDistanceToPoint(p)] for p in POINTS]
+        )
+    result = geometry.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
+    # Distances to ellipsoids in Drake are iterative.
+    np.testing.assert_allclose(result, np.min(reference, axis=(0, 2)), atol=1e-3)
     with pytest.raises(ValueError, match="2 finite numbers"):
         robot.posed([np.zeros(3)])
 
 
-def test_a_robot_may_have_no_shapes_but_no_half_space():
+def test_a_robot_without_shapes_is_valid_and_with_a_half_space_is_rejected():
     bare, grounded = World([]), World([drake.HalfSpace()])
     args = bare.plant, bare.inspector, bare.body.model_instance()
-    nothing = geometry.robot_geometries(*args).posed([np.zeros(2)])
-    assert geometry.least_distances(nothing, POINTS, 0.0, 0.1, 0.1).min() == 0.1
+    empty = geometry.robot_geometries(*args).posed([np.zeros(2)])
+    assert geometry.least_distances(empty, POINTS, 0.0, 0.1, 0.1).min() == 0.1
     with pytest.raises(ValueError, match="half-space"):
         geometry.robot_geometries(
             grounded.plant, grounded.inspector, grounded.body.model_instance()
@@ -203,25 +209,25 @@ def test_a_robot_may_have_no_shapes_but_no_half_space():
         geometry.surface_points(geometry.geometry_of(drake.HalfSpace()))
 
 
-def test_the_shapes_of_a_scenario_have_their_place():
+def test_shapes_of_a_scenario_have_their_poses():
     shapes = [Box([0.1, 0.2, 0.3], [0.2, 0, 0]), Cylinder(0.1, 0.2), Sphere(0.1, [0, 0, 1.0])]
-    found = geometry.shape_geometries(
+    result = geometry.shape_geometries(
         shapes, X_WG, name=4, v_WO=np.array([0.1, 0.0, 0.0]), stamp=2.0
     )
-    scene = geometries_of(found)
+    scene = geometries_of(result)
     assert scene.layout[:, 5].tolist() == [4, 4, 4]
     centers = [X_WG[:3, :3] @ c + X_WG[:3, 3] for c in ([0.2, 0, 0], [0, 0, 0], [0, 0, 1.0])]
     for k, (center, depth) in enumerate(zip(centers, (-0.05, -0.1, -0.1), strict=True)):
         assert geometry.geometry_distance(scene, k, *center, 2.0) == pytest.approx(depth)
 
 
-def test_a_scene_at_rest_has_no_solid_that_moves():
-    still = replace(geometry.geometry_of(drake.Box(0.1, 0.1, 0.1)), label="box")
+def test_a_scene_at_rest_has_no_moving_geometry():
+    resting = replace(geometry.geometry_of(drake.Box(0.1, 0.1, 0.1)), label="box")
     moving = replace(
         geometry.geometry_of(drake.Sphere(0.1)), label="ball", v_WO=np.array([0.0, 0.1, 0.0])
     )
-    scene = geometry.CollisionScene.of(1.0, [moving, still])
+    scene = geometry.CollisionScene.of(1.0, [moving, resting])
     rest = scene.at_rest()
     assert (rest.labels, rest.stamp, rest.moves) == (("box",), 1.0, False)
-    assert rest.same_as(geometry.CollisionScene.of(1.0, [still]))
+    assert rest.same_as(geometry.CollisionScene.of(1.0, [resting]))
     assert rest.at_rest() is rest

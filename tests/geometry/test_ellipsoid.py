@@ -1,4 +1,4 @@
-"""Dilation, the enclosing fit and its certificate, distance, section, tangents."""
+"""Tests of ellipsoids: enclosing fit with certificate, signed distance, plane section."""
 
 import numpy as np
 import pytest
@@ -23,25 +23,23 @@ HAND = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in 
 
 
 def pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a random position (3,) [m] and rotation (3, 3)."""
     return rng.uniform(-1.0, 1.0, 3), Rotation.random(rng=rng).as_matrix()
 
 
 def units(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Returns random unit vectors (..., 3)."""
     vectors = rng.normal(size=(*shape, 3))
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def volume(e: Ellipsoid) -> float:
+    """Computes the volume of an ellipsoid [m^3]."""
     return 4.0 / 3.0 * np.pi * np.prod(e.semi_axes)
 
 
-# Dilation.
-
-
-# The enclosing ellipsoid.
-
-
 def gauges(e: Ellipsoid, points: np.ndarray, tool: np.ndarray) -> np.ndarray:
+    """Computes the gauges of all points dilated by all corners of a tool."""
     sums = (points[:, None, :] - tool[None, :, :]).reshape(-1, 3)
     return np.linalg.norm((sums - e.center) @ e.R / e.semi_axes, axis=1)
 
@@ -73,19 +71,21 @@ def test_volume_is_near_the_optimum_of_a_simplex_and_an_ellipsoid():
         assert gauges(e, (points * stretch) @ R.T + p, POINT).max() <= 1.0 + 1e-12
 
 
-# The signed distance.
-
-
 def reference_distance(y: np.ndarray, e: np.ndarray) -> float:
-    """By brackets on Eberly's secular equation, for a point off the principal planes."""
+    """Computes the signed distance of a point off the principal planes, by bracketing.
+
+    The root of Eberly's secular equation is bracketed; y (3,) is the point in the ellipsoid's axes
+    and e (3,) are the semi-axes [m].
+    """
     y = np.abs(y)
     size = float(e.max() + y.max())
-    # Half and double the bounds of the root above the pole, so that rounding is no matter.
+    # Bounds of the root above the pole, widened by a factor of two against rounding.
     pole = -(e.min() ** 2)
     low = pole + 0.5 * (np.max(-(e**2) + e * y) - pole)
     high = 2.0 * np.linalg.norm(e * y) + 1e-9 * size - e.min() ** 2
 
     def secular(t: float) -> float:
+        """Computes the residual of the secular equation."""
         return float(np.sum((e * y / (t + e**2)) ** 2) - 1.0)
 
     t = brentq(secular, low, high, xtol=1e-18, rtol=1e-15, maxiter=500)
@@ -105,13 +105,10 @@ def test_distance_agrees_with_a_bracketing_solver(seed, e, decades):
     semi_axes3,
     st.tuples(*[st.sampled_from([0.0, 1e-300, 1e-160, 1e-30, 1e-9, 0.3, 0.99, 1.0, 5.0])] * 3),
 )
-def test_on_axes_and_planes_of_symmetry_the_distance_is_that_of_its_neighborhood(e, share):
+def test_distance_on_axes_and_planes_of_symmetry_is_continuous(e, share):
     y = np.array(share) * e
     expected = reference_distance(y + 1e-7, e)
     assert signed_distance(y, np.zeros(3), np.eye(3), e) == pytest.approx(expected, abs=1e-6)
-
-
-# Plane section.
 
 
 @given(seed, semi_axes3)

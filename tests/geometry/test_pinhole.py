@@ -1,3 +1,5 @@
+"""Tests of the projection of a pinhole camera."""
+
 import numpy as np
 
 from drake_oa.geometry.pinhole import pixel_at
@@ -6,7 +8,7 @@ K = np.array([260.0, 260.0, 159.5, 119.5])
 SIZE = (240, 320)
 
 
-def test_a_point_is_shown_by_the_pixel_it_came_from():
+def test_a_back_projected_pixel_projects_to_itself():
     for index in range(0, SIZE[0] * SIZE[1], 997):
         row, column = divmod(index, SIZE[1])
         x, y = 1.7 * (column - K[2]) / K[0], 1.7 * (row - K[3]) / K[1]

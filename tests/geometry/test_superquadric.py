@@ -1,4 +1,4 @@
-"""The least-squares fit of superquadrics."""
+"""Tests of the least-squares fit of superquadrics."""
 
 import numpy as np
 import pytest
@@ -15,9 +15,9 @@ from drake_oa.geometry.superquadric import fit_superquadric
 def test_fit_recovers_an_ellipsoid(seed, semi_axes):
     rng = np.random.default_rng(seed)
     center, turn = rng.uniform(-1.0, 1.0, 3), Rotation.random(rng=rng)
-    found, R, axes = fit_superquadric(center + turn.apply(sphere_points(156) * semi_axes))
+    p_WO, R, axes = fit_superquadric(center + turn.apply(sphere_points(156) * semi_axes))
     np.testing.assert_allclose(np.sort(axes), np.sort(semi_axes), rtol=1e-4)
-    np.testing.assert_allclose(found, center, atol=1e-5)
+    np.testing.assert_allclose(p_WO, center, atol=1e-5)
     assert np.linalg.det(R) == pytest.approx(1.0)
 
 

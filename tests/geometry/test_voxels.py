@@ -1,3 +1,5 @@
+"""Tests of voxel means and clusters."""
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -27,7 +29,7 @@ def test_points_are_averaged_by_voxel(count, seed):
     cells = np.floor(points / 0.05)
     assert len(means) == len(np.unique(cells, axis=0))
     for voxel in range(len(means)):
-        mine = (cells == cells[voxel_of == voxel][0]).all(axis=1)
-        np.testing.assert_array_equal(voxel_of == voxel, mine)
-        np.testing.assert_allclose(means[voxel], points[mine].mean(axis=0), atol=1e-12)
-        assert size[voxel] == mine.sum()
+        is_same_voxel = (cells == cells[voxel_of == voxel][0]).all(axis=1)
+        np.testing.assert_array_equal(voxel_of == voxel, is_same_voxel)
+        np.testing.assert_allclose(means[voxel], points[is_same_voxel].mean(axis=0), atol=1e-12)
+        assert size[voxel] == is_same_voxel.sum()

@@ -1,4 +1,4 @@
-"""DepthPerception on drawn images of one or two cameras."""
+"""Tests of DepthPerception on ray-cast images of one or two cameras."""
 
 import logging
 from dataclasses import replace
@@ -23,8 +23,8 @@ TABLE = (0.0, 0.0, 0.5, 0.6)
 ARM = (0.1, 0.1, 0.4)
 
 
-def give(system, context, camera="", stamp=0.0, image=None) -> None:
-    """Stamp [s] of a camera's image, and a new image of (H, W) depths [m]."""
+def set_image(system, context, camera="", stamp=0.0, image=None) -> None:
+    """Sets the stamp [s] of a camera's image, and an image of (H, W) depths [m]."""
     suffix = f"_{camera}" if camera else ""
     if image is not None:
         value = depth_image(image)
@@ -33,36 +33,39 @@ def give(system, context, camera="", stamp=0.0, image=None) -> None:
         system.GetInputPort(f"image_stamp{suffix}").FixValue(context, [stamp])
 
 
-def alone(image: np.ndarray, **options) -> tuple[DepthPerception, object]:
+def one_camera(image: np.ndarray, **options) -> tuple[DepthPerception, object]:
+    """Returns the system with one camera, and its Context."""
     system = DepthPerception(CAMERA, **options)
     context = system.CreateDefaultContext()
-    give(system, context, image=image)
+    set_image(system, context, image=image)
     system.GetInputPort("camera_pose").FixValue(context, Value(X_WC))
     return system, context
 
 
 def update(system, context) -> ObstacleClouds:
+    """Processes the present images, and returns the obstacles."""
     system.ExecuteInitializationEvents(context)
     return system.GetOutputPort("obstacles_W").Eval(context)
 
 
 def table_with(*boxes) -> np.ndarray:
-    """A depth image of the plane z = 0, and of boxes."""
+    """Returns a depth image of the plane z = 0 and boxes."""
     return ray_cast(X_WC.GetAsMatrix4(), boxes, TABLE)
 
 
 def table_with_block() -> np.ndarray:
+    """Returns a depth image of the plane z = 0 and one box."""
     return table_with(box(0.0, 0.0))
 
 
-def test_a_blind_frame_keeps_the_last_obstacles_with_their_stamp(caplog):
+def test_a_frame_without_depth_changes_only_the_note(caplog):
     good = table_with_block()
-    system, context = alone(good)
+    system, context = one_camera(good)
     context.SetTime(1.0)
     before = update(system, context)
     assert len(before) == 1
     context.SetTime(2.0)
-    give(system, context, image=np.full_like(good, np.nan))
+    set_image(system, context, image=np.full_like(good, np.nan))
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         after = update(system, context)
         context.SetTime(3.0)
@@ -70,48 +73,48 @@ def test_a_blind_frame_keeps_the_last_obstacles_with_their_stamp(caplog):
     assert (after.stamp, after.note) == (1.0, "hardly any depth is measured")
     np.testing.assert_array_equal(after.clouds_W[0], before.clouds_W[0])
     assert len(caplog.records) == 1  # once, not every frame
-    give(system, context, image=good)
+    set_image(system, context, image=good)
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         recovered = update(system, context)
     assert (recovered.stamp, recovered.note) == (3.0, "")
     assert "recovered" in caplog.records[-1].message
 
 
-def test_before_any_good_frame_there_is_nothing_and_a_reason():
-    system, context = alone(np.full((240, 320), np.nan, dtype=np.float32))
+def test_without_a_usable_frame_the_note_states_the_reason():
+    system, context = one_camera(np.full((240, 320), np.nan, dtype=np.float32))
     assert len(system.GetOutputPort("obstacles_W").Eval(context)) == 0
     obstacles = update(system, context)
     assert (len(obstacles), obstacles.stamp) == (0, -np.inf)
     assert obstacles.note == "hardly any depth is measured"
 
 
-def test_an_image_of_another_size_is_refused():
-    system, context = alone(np.ones((120, 160), dtype=np.float32))
+def test_an_image_with_another_size_than_the_intrinsics_is_rejected():
+    system, context = one_camera(np.ones((120, 160), dtype=np.float32))
     with pytest.raises(ValueError, match=r"160x120.*320x240"):
         update(system, context)
 
 
-def pair(**options) -> tuple[DepthPerception, object]:
-    """Two cameras at one place, whose images have stamps."""
+def two_cameras(**options) -> tuple[DepthPerception, object]:
+    """Returns the system with two cameras of the same pose, and its Context."""
     system = DepthPerception({"left": CAMERA, "right": CAMERA}, **options)
     context = system.CreateDefaultContext()
     for name in ("left", "right"):
         system.GetInputPort(f"camera_pose_{name}").FixValue(context, Value(X_WC))
-        give(system, context, name, 0.0, table_with_block())
+        set_image(system, context, name, 0.0, table_with_block())
     return system, context
 
 
-def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(caplog):
-    system, context = pair()
+def test_the_stamp_is_that_of_the_oldest_camera(caplog):
+    system, context = two_cameras()
     first = update(system, context)
     assert (first.stamp, first.note, len(first)) == (0.0, "", 1)
     seen = system.GetOutputPort("free_space_W").Eval(context).views
     assert all(view is not None for view in seen)
-    # The block goes; only the left camera has new images.
+    # The block is removed; only the left camera has new images.
     gone = table_with()
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         for k in range(1, 4):
-            give(system, context, "left", 0.1 * k, gone)
+            set_image(system, context, "left", 0.1 * k, gone)
             context.SetTime(0.1 * k)
             after = update(system, context)
     assert after.note == "right: no new image"
@@ -120,67 +123,64 @@ def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(caplog):
     views = system.GetOutputPort("free_space_W").Eval(context).views
     assert views[0] is not None
     assert views[1] is None
-    give(system, context, "left", 0.4, table_with_block())
-    give(system, context, "right", 0.4)
+    set_image(system, context, "left", 0.4, table_with_block())
+    set_image(system, context, "right", 0.4)
     again = update(system, context)
     assert (again.stamp, again.note) == (0.4, "")
 
 
-def test_a_blind_or_late_image_of_one_camera_is_left_out():
-    system, context = pair()
+def test_an_unusable_or_late_image_of_one_camera_is_left_out():
+    system, context = two_cameras()
     update(system, context)
-    give(system, context, "right", 0.1, np.full((240, 320), np.nan))
-    give(system, context, "left", 0.1)
-    unusable_views = update(system, context)
-    assert (unusable_views.stamp, unusable_views.note) == (
-        0.0,
-        "right: hardly any depth is measured",
-    )
-    # Late ones, as of a driver that has fallen behind, are of another instant.
-    give(system, context, "left", 0.3)
-    give(system, context, "right", 0.2, table_with_block())
+    set_image(system, context, "right", 0.1, np.full((240, 320), np.nan))
+    set_image(system, context, "left", 0.1)
+    partial = update(system, context)
+    assert (partial.stamp, partial.note) == (0.0, "right: hardly any depth is measured")
+    # A late image, as of a delayed driver, is not of the same instant.
+    set_image(system, context, "left", 0.3)
+    set_image(system, context, "right", 0.2, table_with_block())
     late = update(system, context)
     assert (late.stamp, late.note) == (0.0, "right: no new image")
     for name in ("left", "right"):
-        give(system, context, name, 0.4)
+        set_image(system, context, name, 0.4)
     assert update(system, context).stamp == 0.4
     assert update(system, context).note == "no new image"
 
 
-def test_images_that_are_not_far_apart_are_taken_together():
-    system, context = pair(sync_tolerance=0.03)
+def test_images_within_the_sync_tolerance_form_one_frame():
+    system, context = two_cameras(sync_tolerance=0.03)
     update(system, context)
-    give(system, context, "left", 0.1)
-    give(system, context, "right", 0.08)
+    set_image(system, context, "left", 0.1)
+    set_image(system, context, "right", 0.08)
     obstacles = update(system, context)
     assert (obstacles.stamp, obstacles.note) == (0.1, "")
     assert all(
         view is not None for view in system.GetOutputPort("free_space_W").Eval(context).views
     )
-    # One that comes behind a newer one that is known already waits for the next.
-    give(system, context, "right", 0.09)
+    # An image older than the previous frame is not processed before the next frame.
+    set_image(system, context, "right", 0.09)
     obstacles = update(system, context)
     assert (obstacles.stamp, obstacles.note) == (0.1, "no new image")
-    give(system, context, "left", 0.14)
+    set_image(system, context, "left", 0.14)
     assert update(system, context).note == "right: no new image"
 
 
-def test_that_an_image_is_missing_may_be_said_later():
-    system, context = pair(missing_image_timeout=0.15)
+def test_a_missing_image_is_reported_after_the_timeout():
+    system, context = two_cameras(missing_image_timeout=0.15)
     update(system, context)
     for time, note in ((0.1, ""), (0.2, "no new image")):
         context.SetTime(time)
         assert update(system, context).note == note
     for time, note in ((0.3, ""), (0.4, ""), (0.5, "right: no new image")):
         context.SetTime(time)
-        give(system, context, "left", time)
+        set_image(system, context, "left", time)
         if time < 0.35:
-            give(system, context, "right", time)
+            set_image(system, context, "right", time)
         seen = update(system, context)
         assert (seen.note, seen.stamp) == (note, min(time, 0.3))
 
 
-def test_what_moves_is_handed_on_where_it_was_at_an_older_stamp():
+def test_moving_obstacles_are_output_at_their_position_of_the_older_stamp():
     cloud, v_WO = np.ones((3, 3)), np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
     now = ObstacleClouds(2.0, (cloud, cloud), np.array([0, 1]), v_WO=v_WO)
     then = backdate_obstacles(now, 1.8)
@@ -189,14 +189,16 @@ def test_what_moves_is_handed_on_where_it_was_at_an_older_stamp():
     assert then.clouds_W[1] is cloud
 
 
-def test_the_robot_is_taken_out_where_it_was_at_each_of_the_images():
+def test_the_self_filter_removes_the_robot_at_its_state_of_each_image():
     def posed(states):
         poses = [RigidTransform([0.1, y, 0.2]).GetAsMatrix4() for y in np.ravel(states)]
         return geometries_of([replace(geometry_of(drake.Box(*ARM)), X_WO=X_WB) for X_WB in poses])
 
-    system, context = pair(sync_tolerance=0.05, robot=SimpleNamespace(num_states=1, posed=posed))
+    system, context = two_cameras(
+        sync_tolerance=0.05, robot=SimpleNamespace(num_states=1, posed=posed)
+    )
     for name, y, stamp in (("left", -0.3, 0.10), ("right", 0.3, 0.13)):
-        give(system, context, name, stamp, table_with(box(0.1, y, ARM), box(0.0, 0.0)))
+        set_image(system, context, name, stamp, table_with(box(0.1, y, ARM), box(0.0, 0.0)))
         system.GetInputPort(f"robot_state_{name}").FixValue(context, [y])
     seen = update(system, context)
     assert seen.note == ""

@@ -1,3 +1,5 @@
+"""Tests of GroundTruthPerception with bodies in a scene graph."""
+
 import numpy as np
 import pytest
 from pydrake.geometry import Box, Sphere
@@ -12,7 +14,7 @@ from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 
 
 def make_scene(**options):
-    """A box of two parts that falls freely, and a fixed ball."""
+    """Returns a diagram with a falling box of two parts and a fixed ball, perception, Context."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     box, ball = plant.AddModelInstance("box"), plant.AddModelInstance("ball")
@@ -46,14 +48,15 @@ def make_scene(**options):
     return diagram, perception, context
 
 
-def seen(perception, context):
+def read_obstacles(perception, context):
+    """Returns the obstacles that the system outputs in a diagram's Context."""
     return perception.GetOutputPort("obstacles_W").Eval(perception.GetMyContextFromRoot(context))
 
 
-def test_one_cloud_a_model_instance_where_scene_graph_has_it():
+def test_clouds_have_the_poses_of_the_scene_graph():
     diagram, perception, context = make_scene()
     Simulator(diagram, context).Initialize()
-    obstacles = seen(perception, context)
+    obstacles = read_obstacles(perception, context)
     assert obstacles.stamp == 0.0
     np.testing.assert_array_equal(obstacles.ids, [0, 1])
     box, ball = obstacles.clouds_W
@@ -63,37 +66,37 @@ def test_one_cloud_a_model_instance_where_scene_graph_has_it():
     assert not box.flags.writeable
 
 
-def test_table_and_cloud_are_handed_on():
+def test_table_and_cloud_are_output():
     table = TablePlane(np.array([0.0, 0.0, 1.0]), 0.4)
     diagram, perception, context = make_scene(table=table)
     Simulator(diagram, context).Initialize()
-    assert seen(perception, context).table is table
+    assert read_obstacles(perception, context).table is table
     cloud = perception.GetOutputPort("cloud").Eval(perception.GetMyContextFromRoot(context))
-    points = np.concatenate(seen(perception, context).clouds_W)
+    points = np.concatenate(read_obstacles(perception, context).clouds_W)
     np.testing.assert_allclose(cloud.xyzs().T, points, atol=1e-6)
 
 
-def test_an_obstacle_without_geometry_is_refused():
+def test_an_obstacle_without_collision_geometry_is_rejected():
     with pytest.raises(ValueError, match="'empty' has no collision geometry"):
         make_scene(obstacles=("box", "empty"))
 
 
-def test_clouds_and_velocities_are_those_of_the_bodies_and_zero_for_what_is_welded():
+def test_clouds_and_velocities_are_those_of_the_bodies():
     diagram, perception, context = make_scene(period=0.05)
     simulator = Simulator(diagram, context)
     simulator.Initialize()
-    np.testing.assert_array_equal(seen(perception, context).v_WO, np.zeros((2, 3)))
+    np.testing.assert_array_equal(read_obstacles(perception, context).v_WO, np.zeros((2, 3)))
     simulator.AdvanceTo(0.12)
-    obstacles = seen(perception, context)
+    obstacles = read_obstacles(perception, context)
     assert obstacles.stamp == pytest.approx(0.1)
     assert obstacles.clouds_W[0][:, 2].max() == pytest.approx(1.1 - 9.81 / 2 * 0.1**2, abs=1e-4)
     falling, welded = obstacles.v_WO
-    # The mean over the last period.
+    # Mean velocity of the last period.
     np.testing.assert_allclose(falling, [0.0, 0.0, -9.81 * 0.075], atol=5e-3)
     assert not welded.any()
 
 
-def test_what_is_out_of_the_world_is_left_out_and_comes_to_rest_in_it():
+def test_an_obstacle_outside_the_world_is_omitted_and_returns_at_rest():
     diagram, perception, context = make_scene(period=0.05)
     plant = next(s for s in diagram.GetSystems() if s.get_name() == "plant")
     plant_context = plant.GetMyMutableContextFromRoot(context)
@@ -101,10 +104,10 @@ def test_what_is_out_of_the_world_is_left_out_and_comes_to_rest_in_it():
     plant.SetFreeBodyPose(plant_context, box, RigidTransform([0.5, 0.0, 60.0]))
     simulator = Simulator(diagram, context)
     simulator.AdvanceTo(0.05)
-    np.testing.assert_array_equal(seen(perception, context).ids, [1])
+    np.testing.assert_array_equal(read_obstacles(perception, context).ids, [1])
     plant.SetFreeBodyPose(plant_context, box, RigidTransform([0.5, 0.0, 1.0]))
     simulator.AdvanceTo(0.1)
-    obstacles = seen(perception, context)
+    obstacles = read_obstacles(perception, context)
     np.testing.assert_array_equal(obstacles.ids, [0, 1])
-    # It fell meanwhile, but from where nobody knows.
+    # It fell in between, but its previous position is unknown.
     np.testing.assert_array_equal(obstacles.v_WO, np.zeros((2, 3)))

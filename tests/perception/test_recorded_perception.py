@@ -1,3 +1,5 @@
+"""Tests of RecordedPerception on recorded point clouds."""
+
 import numpy as np
 import open3d
 import pytest
@@ -7,10 +9,11 @@ from pydrake.systems.analysis import Simulator
 from drake_oa.perception.recorded_perception import RecordedPerception
 
 PERIOD = 0.1
+"""Period of the updates [s]."""
 
 
 def scene(*centers: tuple[float, float], size: float = 0.1) -> np.ndarray:
-    """Points in the world: a table, and on it the top and two sides of cubes."""
+    """Returns points in the world [m]: a table, and the top and two sides of cubes on it."""
     grid = np.arange(-0.4, 0.4, 0.008)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
     free = np.ones(len(x), dtype=bool)
@@ -27,46 +30,48 @@ def scene(*centers: tuple[float, float], size: float = 0.1) -> np.ndarray:
 
 
 def write_cloud(path, points: np.ndarray) -> None:
+    """Writes a point cloud to a .pcd or .ply file."""
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     open3d.io.write_point_cloud(str(path), cloud)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """No cube at 0 s (.npz), one at 0.1 s (.pcd), two at 0.3 s (.ply)."""
+    """Returns a recording: no cube at 0 s (.npz), one at 0.1 s (.pcd), two at 0.3 s (.ply)."""
     np.savez(tmp_path / "start.npz", points=scene(), X_WC=np.eye(4), stamp=0.0)
     write_cloud(tmp_path / "cloud_000.100.pcd", scene((0.1, 0.0)))
     write_cloud(tmp_path / "cloud_000.300.ply", scene((0.12, 0.0), (-0.2, 0.1)))
     return tmp_path
 
 
-def play(folder, times, **options):
+def replay(folder, times, **options):
+    """Returns the obstacles at some times of the replay [s]."""
     system = RecordedPerception(folder, period=PERIOD, X_WC=RigidTransform(), **options)
     simulator = Simulator(system)
-    seen = []
+    outputs = []
     for time in times:
         simulator.AdvanceTo(time)
-        seen.append(system.GetOutputPort("obstacles_W").Eval(simulator.get_context()))
-    return seen
+        outputs.append(system.GetOutputPort("obstacles_W").Eval(simulator.get_context()))
+    return outputs
 
 
-def test_frames_come_when_they_are_due_and_the_last_one_stays_current(folder):
-    seen = play(folder, [0.05, 0.15, 0.25, 0.35, 0.95])
-    assert [len(obstacles) for obstacles in seen] == [0, 1, 1, 2, 2]
-    np.testing.assert_allclose([s.stamp for s in seen], [0.0, 0.1, 0.1, 0.3, 0.9])
-    assert abs(seen[-1].table.offset) < 1e-3
+def test_frames_are_processed_when_due_and_the_last_one_remains_current(folder):
+    outputs = replay(folder, [0.05, 0.15, 0.25, 0.35, 0.95])
+    assert [len(obstacles) for obstacles in outputs] == [0, 1, 1, 2, 2]
+    np.testing.assert_allclose([s.stamp for s in outputs], [0.0, 0.1, 0.1, 0.3, 0.9])
+    assert abs(outputs[-1].table.offset) < 1e-3
 
 
-def test_a_degraded_frame_keeps_the_last_obstacles_and_names_the_file(folder):
+def test_an_unusable_frame_changes_only_the_note_which_names_the_file(folder):
     np.savez(folder / "bad.npz", points=np.full((9, 3), np.nan), stamp=0.2)
-    before, during, after = play(folder, [0.15, 0.25, 0.35])
+    before, during, after = replay(folder, [0.15, 0.25, 0.35])
     assert during.note == "bad.npz: hardly any depth is measured"
     assert during.stamp == before.stamp
     np.testing.assert_array_equal(during.clouds_W[0], before.clouds_W[0])
     assert (len(after), after.note) == (2, "")
 
 
-def test_files_without_a_pose_are_known(folder):
+def test_files_without_a_pose_are_listed(folder):
     system = RecordedPerception(folder, period=PERIOD)
     names = [path.name for path in system.files_without_pose]
     assert names == ["cloud_000.100.pcd", "cloud_000.300.ply"]

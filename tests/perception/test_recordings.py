@@ -1,4 +1,4 @@
-"""Recorded frames: each format is read whole, or refused by one message that names the file."""
+"""Tests of recorded files: each is read completely, or rejected with a message that names it."""
 
 import json
 import re
@@ -22,20 +22,23 @@ CLOUDS = {
     "binary.pcd": {},
     "compressed.pcd": {"compressed": True},
 }
-"""Files of clouds, with the options of Open3D that write them."""
+"""Options of Open3D for writing a cloud, by file name."""
 
 
 def write_cloud(path: Path, points: np.ndarray = POINTS, **options: bool) -> None:
+    """Writes a point cloud to a .pcd or .ply file."""
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     open3d.io.write_point_cloud(str(path), cloud, **options)
 
 
 def write_image(path: Path, values: np.ndarray) -> None:
+    """Writes integers (H, W) to a .png file."""
     open3d.io.write_image(str(path), open3d.geometry.Image(values))
 
 
 @pytest.fixture
 def image(tmp_path: Path) -> Path:
+    """Returns the path of a 16-bit depth image without an intrinsics file."""
     path = tmp_path / "scene.png"
     write_image(path, np.array([[0, 1000], [2000, 3]], dtype=np.uint16))
     return path
@@ -72,7 +75,7 @@ def test_all_formats_of_a_folder_are_read_in_order_of_stamp(tmp_path):
         ("scene.yaml", {"k": MATRIX}),
     ],
 )
-def test_intrinsics_and_scale_are_read_beside_an_image(image, name, content):
+def test_intrinsics_and_scale_are_read_from_the_same_folder(image, name, content):
     image.with_name(name).write_text(json.dumps(content | {"depth_scale": 0.0005}))
     frame = read_frame(image)
     np.testing.assert_array_equal(frame.K, K)
@@ -90,21 +93,21 @@ def test_intrinsics_and_scale_are_read_beside_an_image(image, name, content):
         ('{"K": [1, 1, 1, 1], "depth_scale": "big"}', "cannot be read"),
     ],
 )
-def test_a_wrong_file_of_intrinsics_is_named(image, content, message):
+def test_the_message_names_a_wrong_intrinsics_file(image, content, message):
     image.with_name("scene.json").write_text(content)
     with pytest.raises(ValueError, match=rf"scene\.json.*{message}"):
         read_frame(image)
 
 
-def test_an_image_without_intrinsics_or_scale_is_refused(image):
-    with pytest.raises(ValueError, match=r"scene\.png' needs intrinsics.*intrinsics\.json"):
+def test_an_image_without_intrinsics_or_scale_is_rejected(image):
+    with pytest.raises(ValueError, match=r"scene\.png' requires intrinsics.*intrinsics\.json"):
         read_frame(image)
     with pytest.raises(ValueError, match=r"scene\.png': depth scale must be positive"):
         read_frame(image, K=K, depth_scale=-1.0)
 
 
 @pytest.mark.parametrize("name", CLOUDS)
-def test_a_cloud_that_is_cut_short_or_promises_too_much_is_refused(name, tmp_path, capfd):
+def test_a_truncated_cloud_or_a_wrong_header_is_rejected(name, tmp_path, capfd):
     path = tmp_path / name
     write_cloud(path, **CLOUDS[name])
     np.testing.assert_allclose(read_frame(path).points, POINTS, atol=1e-5)
@@ -114,34 +117,34 @@ def test_a_cloud_that_is_cut_short_or_promises_too_much_is_refused(name, tmp_pat
         changed.append(re.sub(rb"(element vertex|POINTS|WIDTH) 100", rb"\1 " + count, data))
     for content in changed:
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=rf"{name}' is cut short or holds no cloud"):
+        with pytest.raises(ValueError, match=rf"{name}' is truncated or contains no cloud"):
             read_frame(path)
     assert capfd.readouterr().out == ""
 
 
 @pytest.mark.parametrize("suffix", ["npz", "pcd", "ply", "png", "txt"])
 @pytest.mark.parametrize("content", [b"", b"no such data", b"\x93NUMPY"])
-def test_an_unreadable_file_is_named(tmp_path, suffix, content):
+def test_the_message_names_an_unreadable_file(tmp_path, suffix, content):
     (tmp_path / f"broken.{suffix}").write_bytes(content)
     with pytest.raises(ValueError, match=f"broken.{suffix}"):
         read_recording(tmp_path)
 
 
-def test_a_folder_that_is_missing_or_empty_is_named(tmp_path):
+def test_the_message_names_a_missing_or_empty_folder(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere"):
         read_recording(tmp_path / "nowhere")
-    with pytest.raises(FileNotFoundError, match="holds no file"):
+    with pytest.raises(FileNotFoundError, match="is empty"):
         read_recording(tmp_path)
 
 
-def test_two_files_of_one_stamp_are_named(tmp_path):
+def test_the_message_names_two_files_with_the_same_stamp(tmp_path):
     write_cloud(tmp_path / "a_1.50.ply")
     write_cloud(tmp_path / "b_1.5.ply")
     with pytest.raises(ValueError, match=r"a_1\.50\.ply.*b_1\.5\.ply.*same stamp 1\.5 s"):
         read_recording(tmp_path)
 
 
-def test_a_damaged_image_or_archive_is_named(image):
+def test_the_message_names_a_damaged_image_or_archive(image):
     write_image(image, np.zeros((3, 4), dtype=np.uint8))
     with pytest.raises(ValueError, match=r"scene\.png' must be a complete 16-bit"):
         read_frame(image, K=K)
@@ -169,7 +172,7 @@ def test_a_damaged_image_or_archive_is_named(image):
         ({"points": np.array([{}], dtype=object)}, "cannot be read as .npz"),
     ],
 )
-def test_malformed_arrays_are_named(tmp_path, arrays, message):
+def test_the_message_names_malformed_arrays(tmp_path, arrays, message):
     np.savez(tmp_path / "frame.npz", **arrays)
     with pytest.raises(ValueError, match=message) as error:
         read_recording(tmp_path)

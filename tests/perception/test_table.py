@@ -1,3 +1,5 @@
+"""Tests of the search for the support plane, on random points."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -6,12 +8,12 @@ from hypothesis import strategies as st
 from drake_oa.perception.table import find_table
 
 ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Pose of a camera that looks down from z = 1."""
+"""Pose X_WC of a camera that looks down from z = 1 m."""
 ABOVE[2, 3] = 1.0
 
 
 def levels(rng, *squares) -> np.ndarray:
-    """Points in the world of horizontal squares (height, half size, count)."""
+    """Returns points in the world [m] on horizontal squares (height, half size, count)."""
     parts = []
     for height, half, count in squares:
         xy = rng.uniform(-half, half, (count, 2))
@@ -20,6 +22,7 @@ def levels(rng, *squares) -> np.ndarray:
 
 
 def find(p_WQ, X_WC=ABOVE, height=None, is_pose_known=True):
+    """Finds the table in points of the world, by a camera with a known or unknown pose."""
     p_CQ = (p_WQ - X_WC[:3, 3]) @ X_WC[:3, :3]
     pose = X_WC if is_pose_known else None
     return find_table(p_CQ, np.linalg.norm(p_CQ, axis=1), pose, height)
@@ -44,7 +47,7 @@ def test_a_plane_in_clutter_is_recovered(tilt, azimuth, height, seed):
     assert plane.inliers[:4000].mean() > 0.9
 
 
-def test_without_a_plane_there_is_none():
+def test_points_without_a_plane_have_no_table():
     rng = np.random.default_rng(0)
     wall = levels(rng, (0.3, 1.0, 2000))[:, [2, 0, 1]]
     for points in (wall, wall[:0], np.zeros((100, 3)), wall[:300, :1] * [0.0, 1.0, 0.0]):
@@ -62,9 +65,9 @@ def test_without_a_plane_there_is_none():
         ([(0.0, 0.6, 2500), (0.25, 0.25, 5000)], 0.0),
     ],
 )
-def test_the_table_is_chosen_among_parallel_planes(squares, table, is_pose_known):
+def test_the_table_is_selected_among_parallel_planes(squares, table, is_pose_known):
     points = levels(np.random.default_rng(0), *squares)
     plane = find(points, is_pose_known=is_pose_known)
     assert abs(plane.offset + 1.0 - table) < 2e-3
-    # A known height decides.
+    # With a known height, the plane at that height is selected.
     assert abs(find(points, height=squares[1][0]).offset + 1.0 - squares[1][0]) < 2e-3
