@@ -318,7 +318,7 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, prepare_hardware
 
-    link = RobotLink(lcm_url, rate=rate, raise_if_asked=this.raise_if_requested)
+    link = RobotLink(lcm_url, rate=rate, raise_if_requested=this.raise_if_requested)
     link.start()
     with contextlib.closing(link):
         print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)

@@ -69,7 +69,7 @@ class RobotLink:
         *,
         rate: float = 1.0,
         wait: Callable[[], None] = lambda: time.sleep(_POLL_PERIOD),
-        raise_if_asked: Callable[[], None] = lambda: None,
+        raise_if_requested: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         """Allocates the shared memory of the trajectory, without starting the command streamer.
@@ -78,13 +78,13 @@ class RobotLink:
             lcm_url: URL of the LCM bus.
             rate: maximum ratio of simulated time to wall time [-].
             wait: function that is called repeatedly while the diagram is too far ahead of the arm.
-            raise_if_asked: function that raises KeyboardInterrupt if the user has requested the end
+            raise_if_requested: function that raises KeyboardInterrupt if the user has requested the end
                 of the run.
             clock: function that returns the time of the wall clock [s].
         """
         self.trajectory, self.rate = shared_trajectory(), rate
         self.url, self.wait, self.clock = lcm_url, wait, clock
-        self._raise_if_asked = raise_if_asked
+        self._raise_if_requested = raise_if_requested
         self.events: list[tuple[float, str]] = []
         self._warmed_up_since = math.nan
         self._process: BaseProcess | None = None
@@ -151,7 +151,7 @@ class RobotLink:
         while not self.trajectory.is_stopped and np.isnan(self.trajectory.measured[0]).all():
             if self.clock() - since > STARTUP_TIMEOUT:
                 break
-            self._raise_if_asked()
+            self._raise_if_requested()
             self.wait()
         # During this time, the streamer would detect another command source.
         begin = self.clock()
@@ -190,13 +190,13 @@ class RobotLink:
         if not math.isnan(self._warmed_up_since):
             while self.rate * (self.clock() - self._warmed_up_since) < t:
                 self.wait()
-            self._raise_if_asked()
+            self._raise_if_requested()
             return
         self.trajectory.write_planned(t, q)
         self._check_streamer(t)
         while t > self.trajectory.executed_time + LEAD:
             try:
-                self._raise_if_asked()
+                self._raise_if_requested()
             except KeyboardInterrupt:
                 # The monitor of the simulation raises it again after this step.
                 return
