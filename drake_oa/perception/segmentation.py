@@ -48,11 +48,11 @@ _WARP_START = 1.1
 Measured in docs/results/real_scans.md.
 """
 _WARP = 0.15
-"""Height of the bend of a plane over the square of the depth beyond `_WARP_START` [1/m]."""
+"""Apparent height of a bent plane over the square of the depth beyond `_WARP_START` [1/m]."""
 _MAX_WARP = 0.04
-"""Maximum height of the bend of a plane [m]."""
+"""Maximum apparent height of a plane that a structured-light camera measures as bent [m]."""
 _HIGHER_SHARE = 0.1
-"""Minimum fraction of an obstacle's voxels that are higher than depth noise and bend [1]."""
+"""Minimum fraction of an obstacle's voxels above the depth noise and bend of the table [1]."""
 OCCLUSION_GAP = 0.06
 """Maximum width of an occluded gap across which two clusters are merged [m]."""
 _BRIDGES = 16

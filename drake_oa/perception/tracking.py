@@ -17,14 +17,16 @@ points, collected over frames. `update_tracks` processes a frame in these steps:
 Evidence of a remembered point, from 1 to 4; it is confirmed, and output, from 2:
 
     the images observe                                  evidence
-    a point there                                       + 1
+    a point of a cluster there                          + 1
     free space there, in at least one image             at most 1 remains; the next time 0: deleted
-    a surface at its depth, but no point of a cluster   - 1
+    a surface there, but no cluster of the track        as free space
+    a surface there, but no point of a cluster          - 1
+    an obstacle before its own remembered point         - 1
     nothing: occluded, no depth, outside the images     unchanged
 
-A point is occluded only if it is occluded in all images. A pixel without depth is unknown, never
-free. A surface at the depth of a point without a cluster is a grazing surface, or the foot of an
-obstacle.
+An unconfirmed point whose evidence decreases is deleted at once. A point is occluded only if it is
+occluded in all images. A pixel without depth is unknown, never free. A surface without a point of a
+cluster is a grazing surface, or the foot of an obstacle.
 """
 
 from __future__ import annotations
@@ -81,7 +83,7 @@ _MATCH_RADIUS = 0.02
 _COMMON_POINTS = 4
 """Minimum number of common points of a track and a cluster assigned to it."""
 _COMMON_SHARE = 0.25
-"""Minimum fraction of the smaller of track and cluster that their common points are [1]."""
+"""Minimum ratio of the common points of a track and a cluster to the points of the smaller [1]."""
 _GATE = 0.1
 """Gate: maximum distance of the centroids of a track and a cluster without common points [m]."""
 _IMMEDIATE_CONFIRMATION_FACTOR = 2.0
@@ -89,15 +91,15 @@ _IMMEDIATE_CONFIRMATION_FACTOR = 2.0
 _MEAN_FRAMES = 20
 """Maximum number of frames in the running mean of a remembered point."""
 _OCCLUDED_SHARE = 0.3
-"""Minimum fraction of occluded remembered points beyond a side that is not visible [1]."""
+"""Minimum occluded fraction of the remembered points beyond a side that counts as occluded [1]."""
 _SIDE_SLACK = 0.004
-"""Maximum distance beyond a side at which remembered points belong to it [m]."""
+"""Tolerance of the test whether a remembered point is beyond a side of its obstacle [m]."""
 _MIN_VISIBLE_SHARE = 0.2
-"""Minimum visible fraction of a track's points in the denominator of its motion evidence [1]."""
+"""Minimum fraction of a track's points to which its unsupported points are compared [1]."""
 _EVIDENCE_DECAY = 0.9
 """Factor per frame of the motion evidence of a track [1]."""
 _CORRECTION = 0.003
-"""Correction of a position above which points are compared with the frame again [m]."""
+"""Correction of a track's position above which its points are compared with the frame again [m]."""
 _MIN_SUPPORT_RATIO = 0.9
 """Minimum ratio of supported points after to those before a correction that is accepted [1]."""
 _SPLIT_FRAMES = 3

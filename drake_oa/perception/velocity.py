@@ -62,8 +62,7 @@ _STRONG_EVIDENCE = 0.15
 COAST_TIME = 0.5
 """Maximum duration of coasting: prediction of a moving track without measurements [s]."""
 UNMEASURED_TIME = 0.2
-"""Time without a measurement along an axis after which a resting track has no velocity there [s].
-"""
+"""Unmeasured time along an axis after which the velocity of a resting track there is 0 [s]."""
 _SIGNIFICANT_SCORE = 3
 """Motion score of a frame with a significant velocity; 1 with a velocity that is only likely."""
 _MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
@@ -89,7 +88,8 @@ class Tracks(Frozen):
         covariance: (M, 3, 2, 2) covariance of the state.
         shift_W: (M, 3) translation from the frame O of the remembered points to the world [m]:
             p_WQ = p_OQ + shift_W.
-        p_shift_W: (M, 3) filtered position at the last change of `shift_W` [m].
+        p_shift_W: (M, 3) position of the obstacle at which its points are placed [m]: the filtered
+            position, at rest its running mean.
         sides: (M, 3, 2) lowest and highest side along the world axes, relative to the position
             [m]; NaN while unknown.
         area: (M,) largest visible area, perpendicular to the line of sight [m^2].
@@ -273,24 +273,26 @@ def _decide_motion(
 ) -> Tracks:
     """Decides which tracks move, and moves their points to the filtered position.
 
-    S is the speed statistic, D the motion evidence, v the velocity, d the distance of the position
-    from that of the points. All conditions of a row hold; a resting track also needs d >
-    `_REST_RADIUS` and (registered or D > `_MIN_EVIDENCE`) for the first two rows:
+    S is the speed statistic, v the velocity, D the motion evidence, and d the distance of the
+    filtered position from the position of the points. A track is suspect if it moves, has a
+    measured velocity, or has D > _MIN_EVIDENCE. A frame is significant if S > START_STATISTIC,
+    |v| > _START_SPEED, and the track moves, or is suspect with d > _REST_RADIUS.
 
-        state    condition of a measured frame                        effect
-        any      S > START_STATISTIC, |v| > _START_SPEED              score + _SIGNIFICANT_SCORE
-        any      the same, registered, S > _CERTAIN_STATISTIC         score + _MOVING_SCORE
-        any      S > _STOP_STATISTIC, D > _STRONG_EVIDENCE, |v| ...   score + 1
-        any      none of these                                        score = 0
-        resting  score >= _MOVING_SCORE                               moves
-        moving   S < _STOP_STATISTIC or |v| < _REST_SPEED, for        rests
-                 _STOP_TIME
-        resting  d > _JUMP along measured axes                        points jump, remains resting
+        measured frame                                                      motion score
+        significant                                                         + _SIGNIFICANT_SCORE
+        significant, with measured velocity and S > _CERTAIN_STATISTIC      + _MOVING_SCORE
+        S > _STOP_STATISTIC, D > _STRONG_EVIDENCE, |v| > _START_SPEED       + 1
+        any other                                                           0
+
+        state     condition                                                 next state
+        resting   motion score >= _MOVING_SCORE                             moving
+        moving    S < _STOP_STATISTIC or |v| < _REST_SPEED for _STOP_TIME   resting
+        resting   suspect, and d > _JUMP along measured axes                resting, points moved
 
     Args:
         tracks: corrected tracks.
         is_measured: (M,) whether the frame has a measurement of each track.
-        has_velocity: (M,) whether one of them is a velocity ("registered" in the table).
+        has_velocity: (M,) whether the frame has a measured velocity of each track.
         dt: time since the previous frame [s].
     """
     statistic, speed = speed_statistic(tracks), np.linalg.norm(tracks.v_W, axis=1)
@@ -340,11 +342,11 @@ _CORRELATED_POINTS = 12.0
 _GATE = 0.02
 """Gate of the registration: maximum distance of corresponding points of two frames [m]."""
 _SPEED_STEP = 0.1
-"""Minimum speed that a reference must resolve: depth step over the age of the reference [m/s]."""
+"""Maximum ratio of the depth step at a reference surface to the age of the reference [m/s]."""
 _CONSTANT_DEPTH = 1.2
 """Depth beyond which the standard deviation of a point grows with the square of depth [m]."""
 _MAX_REFERENCE_AGE = 0.19
-"""Age at which a reference is used even if it does not resolve `_SPEED_STEP` [s]."""
+"""Age above which a reference surface is used for any ratio of its depth step to its age [s]."""
 
 
 class Reference(NamedTuple):
@@ -495,7 +497,7 @@ def measure_velocities(
 
 
 _BEHIND = 0.01
-"""Minimum depth difference, at 1 m, from the continuation of an obstacle to space behind it [m]."""
+"""Minimum depth difference, at 1 m, of background to an obstacle continued beyond its side [m]."""
 _STEPS = np.arange(1, 24)
 """Distances from a side at which the image is searched for free space [pixel]."""
 _EMPTY_PIXELS = 12
