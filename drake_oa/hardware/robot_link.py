@@ -78,8 +78,8 @@ class RobotLink:
             lcm_url: URL of the LCM bus.
             rate: maximum ratio of simulated time to wall time [-].
             wait: function that is called repeatedly while the diagram is too far ahead of the arm.
-            raise_if_requested: function that raises KeyboardInterrupt if the user has requested the end
-                of the run.
+            raise_if_requested: function that raises KeyboardInterrupt if the user has requested the
+                end of the run.
             clock: function that returns the time of the wall clock [s].
         """
         self.trajectory, self.rate = shared_trajectory(), rate
