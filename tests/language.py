@@ -1,15 +1,17 @@
-"""Check of the summaries of docstrings, run by `make lint`.
+"""Check of the language of docstrings, docs and command-line help, run by `make lint`.
 
-A summary names its subject: a noun phrase for a module, a class or a constant, a verb in the third
-person for a function. One that begins with a relative clause ("What is known of ...") or defines
-its subject by "what" or "who" is reported.
+Summaries: the first paragraph of a docstring names its subject by a noun phrase (module, class,
+constant) or begins with a verb in the third person (function). A summary that defines its subject
+by a relative clause or a pronoun ("What is known of ...", "The same for ...") is reported, unless
+`language_allowed.txt` lists it: a line each, sorted, of qualified name and first words. The list
+only shrinks: a line without a case is an error, and so are lines for more than `MAX_ALLOWED` of the
+docstrings.
 
-Cases older than this check are listed in `language_allowed.txt`, one line each, sorted: qualified
-name of the object and first words of the summary, so that a module may be moved or merged. The
-list only shrinks: the check fails for a case that is not listed, and for a line without a case.
+Terms: docs and help must not contain the terms of `TERMS`, whose standard terms are in
+`docs/glossary.md`.
 
-    python -m tests.language             check the summaries
-    python -m tests.language --shrink    remove the lines without a case first; never adds one
+    python -m tests.language             check summaries and terms
+    python -m tests.language --shrink    remove list lines without a case first; never adds one
 """
 
 from __future__ import annotations
@@ -25,22 +27,53 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
+"""Root folder of the repository."""
 FOLDERS = ("drake_oa", "diagrams")
+"""Folders of the product, whose summaries are checked."""
+HELP = ROOT / "drake_oa" / "app"
+"""Folder of the command line; its strings are help and messages."""
+EXEMPT = ("CHANGELOG.md", "CONTRIBUTING.md", "docs/glossary.md")
+"""Pages that may contain the terms of `TERMS`, to explain their replacement."""
 ALLOWED = Path(__file__).with_name("language_allowed.txt")
+"""List of the accepted summaries."""
+MAX_ALLOWED = 0.01
+"""Maximum number of accepted summaries, as a fraction of all docstrings."""
 KEY_WORDS = 6
-"""Words of a summary that are part of its key."""
+"""Number of words of a summary in its line of the list."""
 
-# "what if" and "what it takes" are idioms, not definitions.
 UNCLEAR = re.compile(
-    r"^(What|Who|Whoever|Which|Where|How|Of|As|The same|That|So|For which|In which|Round"
-    r"|Every so)\b"
+    r"^(What|Who|Whoever|Which|Where|When|How|Of|As|The same|That|Those|These|This|They|It|Its"
+    r"|So|Such|For which|In which|Round|Every so)\b"
     r"|\b(what|who|whoever)\b(?! (if|it takes))"
 )
+"""Beginnings and words that define the subject of a summary by a clause or a pronoun."""
 REMEDY = "begin with a noun phrase (class, constant, module) or a verb (function), without what/who"
+"""Remedy that is printed with an unclear summary."""
+
+TERMS = {
+    r"asked clearance|clearance asked|feasible clearance": "requested or achievable clearance",
+    r"kept clearance": "minimum clearance",
+    r"short by|short of feasible": "clearance shortfall",
+    r"pre-?planned": "nominal motion",
+    r"modulated|unmodulated": "avoiding motion, with avoidance",
+    r"(the|its|in|than) print": "published values, paper",
+    r"round (obstacles?|it|them|the|a|what)|(goes|bends|way) round": "around",
+    r"of (one's|your) own": "custom, your",
+    r"anew|afresh|besides|whoever": "again, restart, also, a noun",
+    r"turn error|ended by": "orientation error, termination",
+    r"judge[ds]?|judg(e)?ments?": "evaluate on ground truth",
+    r"things?": "object",
+    r"peers?": "baseline",
+    r"studies|regulation layer": "evaluation, inference",
+    r"(centre|metre|colour|neighbour|behaviour)s?|(normal|initial)ised": "American spelling",
+}
+"""Home-made term (regular expression of whole words) -> standard term."""
+TERM = re.compile(rf"\b({'|'.join(TERMS)})\b", re.IGNORECASE)
+"""Pattern of all terms of `TERMS`."""
 
 
 class Summary(NamedTuple):
-    """First paragraph of a docstring, on one line."""
+    """First paragraph of a docstring on one line, with file and line, and qualified name."""
 
     place: str
     name: str
@@ -80,31 +113,56 @@ def docstrings(node: ast.AST, scope: tuple[str, ...]) -> Iterator[tuple[int, str
         yield from docstrings(child, (*scope, child.name) if is_named else scope)
 
 
-def unclear_summaries() -> list[Summary]:
-    """Returns the summaries of the product that do not name their subject."""
-    files = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
-    return [found for file in files for found in summaries(file) if UNCLEAR.search(found.text)]
+def texts() -> Iterator[tuple[Path, int, str]]:
+    """Yields file, line and text of each line of the docs and each string of the command line."""
+    for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
+        if "_build" not in path.parts and str(path.relative_to(ROOT)) not in EXEMPT:
+            yield from ((path, n, text) for n, text in enumerate(path.open(), 1))
+    for path in HELP.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                lines = enumerate(node.value.splitlines(), node.lineno)
+                yield from ((path, n, text) for n, text in lines)
+
+
+def wrong_terms() -> Iterator[str]:
+    """Yields a message for each term of `TERMS` in docs and help."""
+    for path, line, text in texts():
+        for match in TERM.finditer(text):
+            standard = next(s for t, s in TERMS.items() if re.fullmatch(t, match[0], re.IGNORECASE))
+            yield f"{path.relative_to(ROOT)}:{line}: {match[0]!r}: standard term: {standard}"
+
+
+def wrong_summaries(shrink: bool) -> Iterator[str]:
+    """Yields a message for each unclear summary that is not listed, and each superfluous line.
+
+    Args:
+        shrink: whether lines without a case are removed from the list first.
+    """
+    files = (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py")))
+    everything = [summary for path in files for summary in summaries(path)]
+    unclear = [summary for summary in everything if UNCLEAR.search(summary.text)]
+    cases = Counter(summary.key for summary in unclear)
+    allowed = Counter(ALLOWED.read_text().splitlines())
+    if shrink:
+        allowed &= cases
+        ALLOWED.write_text("".join(f"{key}\n" for key in sorted(allowed.elements())))
+    for summary in unclear:
+        if cases[summary.key] > allowed[summary.key]:
+            yield f"{summary.place}: {summary.name}: {summary.text!r}: {REMEDY}"
+    for key in sorted(allowed - cases):
+        yield f"{ALLOWED.name}: no such summary, remove the line (--shrink): {key}"
+    if allowed.total() > MAX_ALLOWED * len(everything):
+        yield f"{ALLOWED.name}: {allowed.total()} lines for {len(everything)} docstrings: too many"
 
 
 def main() -> int:
-    """Returns 1 if a case is not listed, or a line of the list has no case."""
-    parser = argparse.ArgumentParser(prog="python -m tests.language", description=REMEDY)
+    """Prints all errors; returns 1 if there are any."""
+    parser = argparse.ArgumentParser(prog="python -m tests.language", description=__doc__)
     parser.add_argument("--shrink", action="store_true", help="remove lines without a case")
-    options = parser.parse_args()
-    unclear = unclear_summaries()
-    found = Counter(summary.key for summary in unclear)
-    allowed = Counter(ALLOWED.read_text().splitlines())
-    if options.shrink:
-        allowed &= found
-        ALLOWED.write_text("".join(f"{key}\n" for key in sorted(allowed.elements())))
-    for summary in unclear:
-        if found[summary.key] > allowed[summary.key]:
-            print(f"{summary.place}: {summary.name}: {summary.text!r}: {REMEDY}")
-    for key in sorted(allowed - found):
-        print(f"{ALLOWED.relative_to(ROOT)}: no such summary any more, remove the line: {key}")
-    if allowed - found:
-        print("python -m tests.language --shrink removes such lines")
-    return int(found != allowed)
+    errors = [*wrong_summaries(parser.parse_args().shrink), *wrong_terms()]
+    print("\n".join(errors), end="\n" if errors else "")
+    return 1 if errors else 0
 
 
 if __name__ == "__main__":
