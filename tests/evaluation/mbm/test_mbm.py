@@ -132,7 +132,7 @@ def test_invalid_archive_is_rejected(tmp_path, texts, message):
             "sphere is not supported; valid: box, cyl",
         ),
         ("[" * 5000, None, "not valid YAML"),
-        (SCENE, request(["shoulder"], [0.1]), "joints shoulder are not those .*--robot SCENARIO"),
+        (SCENE, request(["shoulder"], [0.1]), "joints shoulder.* are not those of the robot, .*--robot SCENARIO"),
     ],
 )
 def test_invalid_problem_is_named_in_the_error(tmp_path, scene_text, request_text, message):
@@ -172,7 +172,7 @@ def test_metrics_are_of_each_set_and_of_all_sets(tmp_path, capsys):
     table = capsys.readouterr().out
     assert "all: planner, truth" in table
     assert main([*command, "--sets", "cage"]) == 0
-    assert "2 runs were on disk" in capsys.readouterr().out
+    assert "2 results read from" in capsys.readouterr().out
 
 
 def test_verified_runs_on_a_published_problem():
