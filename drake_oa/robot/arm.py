@@ -1,17 +1,18 @@
-"""Compiled kinematics of the arm: poses, Jacobian, tracking of tool poses, inverse kinematics.
+"""Compiled kinematics of an arm: poses, Jacobian, tracking of tool poses, and inverse kinematics.
 
-To track a path, each next pose of the tool is reached by damped Gauss-Newton steps (Y. Nakamura and
-H. Hanafusa, 1986) with the Jacobian J,
+To track a path, the arm reaches each next pose of the tool by damped Gauss-Newton steps (Y.
+Nakamura and H. Hanafusa, 1986) with the Jacobian J,
 
     dq = l + J^T (J J^T + damp I)^-1 (e - J l),    l = g' - g + k (g - q),
 
-where e is the rotation and translation to the next pose, g and g' are the present and the next
-nominal posture, and k is the fraction of the distance to g that is corrected per pose (`pull`). A
-first step follows the nominal posture in the null space; corrective steps with l = 0 reduce the
-remaining pose error. An arm of six joints has a null space at singularities only, where corrective
-steps keep the first step's null-space motion. A joint that would exceed its limit is fixed at the
-limit, and the other joints perform the step. Inverse kinematics performs such steps from several
-seeds, with a damping proportional to the squared error (T. Sugihara, 2011).
+where e is the rotation and translation to the next pose, damp is the damping, and l is the desired
+joint displacement in the null space. The present and the next nominal posture are g and g', and k
+(`pull`) is the fraction of the distance to g that is corrected per pose. A first step follows the
+nominal posture in the null space; corrective steps with l = 0 reduce the remaining pose error. An
+arm of six joints has a null space at singularities only, where corrective steps do not undo the
+null-space motion of the first step. A joint that would exceed its limit is fixed at the limit, and
+the other joints perform the step. Inverse kinematics performs such steps from several seeds, with a
+damping that grows with the squared error (T. Sugihara, 2011).
 """
 
 from __future__ import annotations
@@ -28,35 +29,38 @@ from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 PULL = 20.0
-"""Rate at which the arm approaches the nominal posture in its null space, per duration of the
-motion: the distance decreases to 1 / e in 1 / 20 of the motion [1]."""
+"""Rate at which the arm approaches the nominal posture in its null space, relative to the duration
+of the motion [-]. At 20, the distance decreases to 1 / e in 1 / 20 of the motion."""
 _TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
-"""Damping of the first and of the corrective steps of path tracking [m^2]. At 1e-4, a joint of a
-singular arm moves by 1 rad for an error of 1 cm."""
+"""Damping of the first step and of the corrective steps when the arm tracks a tool path [m^2]. At
+1e-4, a joint of a singular arm moves by 1 rad for an error of 1 cm."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
-"""Maximum number of corrective steps per pose, and the pose error [m, rad] at which they end."""
+"""Maximum number of corrective steps per tool pose of a path, and pose error at which the steps end
+[m, rad]."""
 _MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
-"""Maximum number of steps of the inverse kinematics from one seed, and the maximum pose error of a
-solution [m, rad]."""
+"""Maximum number of inverse-kinematics steps from one seed, and maximum pose error of a solution
+[m, rad]."""
 _ERROR_DAMPING = 0.01
-"""Damping of a step of the inverse kinematics, relative to the squared pose error [1]."""
+"""Ratio of the damping of an inverse-kinematics step to the squared pose error [-]."""
 _MAX_PATH_ERROR = 5e-3
-"""Maximum pose error of a path that the arm can follow [m, rad]."""
+"""Maximum pose error at which the arm still counts as following a path of the tool [m, rad]."""
 _MIN_DIFFERENCE = 0.1
-"""Minimum difference of at least one joint between distinct configurations [rad]."""
+"""Minimum difference of at least one joint at which two solutions of the inverse kinematics count
+as distinct [rad]."""
 
 
 class Chain(NamedTuple):
-    """Arm as arrays for kernels: n revolute joints in series, from the world to the tool.
+    """Arm as arrays for compiled kernels: n revolute joints in series, from the world to the tool.
 
     Attributes:
-        X_PJ: (n + 1, 4, 4) pose of each joint's frame, whose z axis is the joint axis, in the frame
-            of the previous joint (of the first joint in the world); last: pose of the tool frame E
-            in the frame of the last joint.
+        X_PJ: (n + 1, 4, 4) pose of each joint's frame J, whose z axis is the joint axis, in the
+            frame P of the previous joint (in the world for the first joint). The last row is the
+            pose of the tool frame E in the frame of the last joint.
         lower, upper: (n,) finite position limits of the joints [rad].
         speed: (n,) maximum speeds of the joints [rad/s].
-        reach: (n,) upper bound of the distance of the robot's spheres from each joint axis [m].
-        q_index: (n,) indices of the joints in the plant's positions.
+        reach: (n,) upper bound of the distance between each joint axis and the covering spheres
+            that the joint moves, radii included; 0 without spheres [m].
+        q_index: (n,) index of each joint in the positions of the plant.
     """
 
     X_PJ: FloatArray
@@ -68,22 +72,28 @@ class Chain(NamedTuple):
 
 
 class Spheres(NamedTuple):
-    """Spheres that cover a robot: S spheres in G groups, one per body, sorted by joint and body.
+    """Spheres that cover a robot: S spheres in G groups, one group per body, sorted by joint and
+    body.
 
     Attributes:
-        joint: (S,) index of the joint that moves each sphere; -1: fixed to the world.
-        p_JS: (S, 3) centers in the frame of that joint (`chain_poses`), or in the world [m].
-        radius: (S,) radii [m].
-        of_tool: (S,) whether a sphere belongs to the tool or the grasped object.
-        first: (G + 1,) index of the first sphere of each group; last: S.
-        group_joint: (G,) index of the joint that moves each group; -1: fixed to the world.
-        bound: (G, 4) center, as in `p_JS`, and radius of a sphere that contains the group [m].
-        cluster: (G + 1,) index of the first cluster of neighboring spheres of each group; last: C.
-        cluster_first: (C + 1,) index of the first sphere of each cluster; last: S.
-        cluster_bound: (C, 4) center and radius of a sphere that contains the cluster [m].
-        pairs: (P, 2) pairs of groups that can collide with each other.
-        allowance: (P,) overlap of the spheres of a pair at which its exact shapes are still apart
+        joint: (S,) index of the joint that moves each sphere; -1: the sphere is fixed to the world.
+        p_JS: (S, 3) center of each sphere in the frame of the joint that moves the sphere
+            (`chain_poses`), or in the world [m].
+        radius: (S,) radius of each sphere [m].
+        of_tool: (S,) whether each sphere belongs to the tool or to the grasped object.
+        first: (G + 1,) index of the first sphere of each group; the last element is S.
+        group_joint: (G,) index of the joint that moves each group; -1: the group is fixed to the
+            world.
+        bound: (G, 4) center, in the frame of `p_JS`, and radius of a sphere that contains the group
             [m].
+        cluster: (G + 1,) index of the first cluster of each group, where a cluster is a set of
+            neighboring spheres; the last element is C.
+        cluster_first: (C + 1,) index of the first sphere of each cluster; the last element is S.
+        cluster_bound: (C, 4) center, in the frame of `p_JS`, and radius of a sphere that contains
+            the cluster [m].
+        pairs: (P, 2) indices of two groups that can collide with each other.
+        allowance: (P,) overlap of the spheres of each pair at which the exact shapes of both bodies
+            are still apart [m].
     """
 
     joint: IntArray
@@ -103,14 +113,15 @@ class Spheres(NamedTuple):
 def make_chain(
     plant: MultibodyPlant, tool_frame: Frame, q: FloatArray, spheres: Spheres | None = None
 ) -> Chain:
-    """Builds the chain of the joints between the world and the tool.
+    """Builds the chain of the joints between the world and the tool as arrays.
 
     Args:
         plant: finalized plant of the robot alone, its base welded to the world.
         tool_frame: tool frame E.
-        q: (nq,) configuration [rad, m]. Joints that do not move the tool are fixed at it; joints
-            without limits can turn by one revolution in each direction from it.
-        spheres: spheres of the robot; None: `reach` is 0.
+        q: (nq,) configuration [rad, m]. Joints that do not move the tool are fixed at this
+            configuration. Joints without limits can turn by one revolution in each direction from
+            it.
+        spheres: spheres that cover the robot, from which `reach` is computed; None: `reach` is 0.
 
     Raises:
         ValueError: if a joint that moves the tool is not revolute.
@@ -143,10 +154,10 @@ def make_chain(
 
 
 def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
-    """Returns the moving joints from the world to the tool, in this order.
+    """Returns the joints that move the tool, in the order from the world to the tool.
 
     Raises:
-        ValueError: if one of them is not revolute.
+        ValueError: if one of these joints is not revolute.
     """
     moving = [
         joint
@@ -164,7 +175,9 @@ def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
 
 
 def axis_frame(joint: RevoluteJoint) -> RigidTransform:
-    """Returns the pose in the child body of a frame whose z axis is the joint axis."""
+    """Returns the pose, in the child body of a revolute joint, of a frame whose z axis is the joint
+    axis.
+    """
     X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
     return X_BM @ RigidTransform(
         RotationMatrix.MakeFromOneVector(joint.revolute_axis(), 2), [0] * 3
@@ -172,14 +185,16 @@ def axis_frame(joint: RevoluteJoint) -> RigidTransform:
 
 
 class Scratch(NamedTuple):
-    """Working memory of the kernels for an arm of n joints.
+    """Working memory of the compiled kernels for an arm of n joints.
 
     Attributes:
-        X: (n + 2, 12) poses, as from `chain_poses`.
-        J, JJ: (6, n) Jacobian of the tool, and (6, 6) the damped product J J^T.
-        e, b: (6,) pose error (`pose_error`), and right-hand side of a step.
-        null_step, dq: (n,) desired joint displacement l in the null space, and step [rad].
-        is_fixed: (n,) whether a joint is fixed at its limit.
+        X: (n + 2, 12) poses of the joint frames and of the tool, as computed by `chain_poses`.
+        J, JJ: (6, n) Jacobian J of the tool; (6, 6) damped product J J^T.
+        e, b: (6,) pose error of the tool (`pose_error`); (6,) right-hand side of a step's linear
+            equations.
+        null_step, dq: (n,) desired joint displacement l in the null space [rad]; (n,) joint
+            displacement of the step [rad].
+        is_fixed: (n,) whether each joint is fixed at its limit during the step.
     """
 
     X: FloatArray
@@ -194,7 +209,7 @@ class Scratch(NamedTuple):
 
 @compiled
 def scratch(n: int) -> Scratch:
-    """Allocates the working memory for an arm of n joints."""
+    """Allocates the working memory of the kernels for an arm of n joints."""
     X, J, JJ = np.empty((n + 2, 12)), np.empty((6, n)), np.empty((6, 6))
     null_step, dq, is_fixed = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.bool_)
     return Scratch(X, J, JJ, np.empty(6), np.empty(6), null_step, dq, is_fixed)
@@ -202,10 +217,17 @@ def scratch(n: int) -> Scratch:
 
 @leaf
 def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
-    """Computes the forward kinematics at q (n,) into X (n + 2, 12), in the world.
+    """Computes the poses of the joint frames and of the tool at a configuration (forward
+    kinematics).
 
-    A row is a rotation matrix, row by row, and a position [m]. Row 0 is the world, the frame of
-    bodies with joint index -1; row i + 1 is the frame of joint i; the last row is the tool frame E.
+    The poses are in the world. A row of X is a rotation matrix, row by row, and a position [m]. Row
+    0 is the world, which is the frame of bodies with joint index -1. Row i + 1 is the frame of
+    joint i. The last row is the tool frame E.
+
+    Args:
+        q: (n,) configuration [rad].
+        X_PJ: (n + 1, 4, 4) constant poses of the joint frames, see `Chain`.
+        X: (n + 2, 12) poses, set in place.
     """
     n = len(q)
     for i in range(12):
@@ -224,9 +246,9 @@ def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
 
 @compiled
 def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
-    """Computes the tool poses (T, 12) at configurations q (T, n) [rad].
+    """Computes the poses (T, 12) of the tool frame E at configurations q (T, n) [rad].
 
-    A pose is a rotation matrix, row by row, and a position [m], in the world.
+    A pose is a rotation matrix, row by row, and a position [m], both in the world.
     """
     X, X_WE = np.empty((q.shape[1] + 2, 12)), np.empty((len(q), 12))
     for row in range(len(q)):
@@ -237,9 +259,12 @@ def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
 
 @leaf
 def jacobian(X: FloatArray, J: FloatArray) -> None:
-    """Sets J (6, n) to the tool's Jacobian in the world, rotation before translation.
+    """Computes the geometric Jacobian of the tool frame in the world, with rotation rows before
+    translation rows.
 
-    X (n + 2, 12) holds the poses from `chain_poses`.
+    Args:
+        X: (n + 2, 12) poses of the joint frames and of the tool, from `chain_poses`.
+        J: (6, n) Jacobian, set in place.
     """
     n = len(X) - 2
     for i in range(n):
@@ -253,9 +278,12 @@ def jacobian(X: FloatArray, J: FloatArray) -> None:
 
 @leaf
 def _solve(A: FloatArray, b: FloatArray) -> None:
-    """Replaces b (m,) by A^-1 b, for a positive definite matrix A (m, m), by LDL^T factorization.
+    """Solves A x = b for a positive definite matrix A by LDL^T factorization, and replaces b by the
+    solution x.
 
-    Only the lower half of A is read; it is overwritten.
+    Args:
+        A: (m, m) matrix, whose lower triangle is read and overwritten.
+        b: (m,) right-hand side, replaced by the solution.
     """
     m = len(b)
     for j in range(m):
@@ -280,10 +308,17 @@ def _solve(A: FloatArray, b: FloatArray) -> None:
 
 @leaf
 def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
-    """Sets e (6,) to the rotation [rad] and translation [m] from the last pose of X to the target.
+    """Computes the rotation and translation that move the last pose of X to a target pose of the
+    tool.
 
-    For a rotation by half a turn, the skew part of the rotation matrix has no axis; it counts as 1
-    rad about the world's x axis, so that one step leaves this case.
+    For a rotation by half a turn, the skew-symmetric part of the rotation matrix gives no axis.
+    Then the error is a rotation of 1 rad about the world's x axis, so that one step leaves this
+    case.
+
+    Args:
+        X: (n + 2, 12) poses from `chain_poses`; the last pose is that of the tool.
+        target: (12,) target pose: rotation matrix, row by row, and position [m].
+        e: (6,) rotation [rad] and translation [m] in the world, set in place.
 
     Returns:
         Maximum absolute element of e [rad, m].
@@ -314,16 +349,16 @@ def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
 
 @leaf
 def step_toward(q: FloatArray, damping: float, chain: Chain, work: Scratch) -> None:
-    """Moves q in place, within the joint limits, by one damped step toward a pose of the tool.
+    """Moves a configuration by one damped step toward a pose of the tool, within the joint limits.
 
-    See the equation of dq in the module.
+    The step is the equation of dq in the module docstring.
 
     Args:
-        q: (n,) configuration [rad].
-        damping: damping of the step [m^2].
+        q: (n,) configuration, modified in place [rad].
+        damping: damping of the step, `damp` in the equation [m^2].
         chain: chain of the arm.
         work: working memory with the poses of q in `X`, the pose error in `e`, and the desired
-            null-space displacement l in `null_step`.
+            displacement l in `null_step`.
     """
     n = len(q)
     X, J, JJ, e, b, null_step, dq, is_fixed = work
@@ -368,19 +403,21 @@ def follow(
     chain: Chain,
     work: Scratch,
 ) -> float:
-    """Moves q in place to the next pose of the tool, and sets `work.X` to the poses of the new q.
+    """Moves a configuration to the next tool pose of a path, and sets `work.X` to the poses at the
+    new configuration.
 
     Args:
-        q: (n,) configuration [rad].
-        target: (12,) next pose of the tool.
-        postures: (T, n) nominal postures, tracked in the null space [rad].
-        row: index of the next nominal posture; 0: no motion in the null space.
-        pull: fraction of the distance to the nominal posture that is corrected [1].
+        q: (n,) configuration, modified in place [rad].
+        target: (12,) next pose of the tool: rotation matrix, row by row, and position [m].
+        postures: (T, n) nominal postures along the path, which the arm tracks in its null space
+            [rad].
+        row: index of the nominal posture for the next pose; 0: no motion in the null space.
+        pull: fraction of the distance to the nominal posture that is corrected in this step [-].
         chain: chain of the arm.
         work: working memory.
 
     Returns:
-        Remaining pose error [m, rad].
+        Remaining pose error of the tool: maximum of its elements [m, rad].
     """
     chain_poses(q, chain.X_PJ, work.X)
     error = pose_error(work.X, target, work.e)
@@ -405,18 +442,19 @@ def follow(
 def reach(
     q: FloatArray, target: FloatArray, chain: Chain, near: FloatArray, pull: float
 ) -> FloatArray:
-    """Moves configurations in place to a pose of the tool, by damped steps.
+    """Moves configurations to a pose of the tool by damped steps, as the iteration of the inverse
+    kinematics.
 
     Args:
         q: (N, n) initial configurations, modified in place [rad].
-        target: (12,) pose of the tool.
+        target: (12,) pose of the tool: rotation matrix, row by row, and position [m].
         chain: chain of the arm.
-        near: (n,) nominal posture, tracked in the null space [rad].
-        pull: fraction of the distance to the nominal posture that is corrected per step [1]; 0: the
-            steps of a configuration end once the pose is reached.
+        near: (n,) nominal posture, which the arm tracks in its null space [rad].
+        pull: fraction of the distance to the nominal posture that is corrected per step [-]. At 0,
+            the steps of a configuration end once the pose is reached.
 
     Returns:
-        (N,) remaining pose errors [m, rad].
+        (N,) remaining pose error of each configuration: maximum of its elements [m, rad].
     """
     errors, work = np.empty(len(q)), scratch(q.shape[1])
     for row in range(len(q)):
@@ -434,17 +472,18 @@ def reach(
 
 @compiled
 def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Chain) -> FloatArray:
-    """Tracks paths of the tool, and computes the distances of the joints from their limits.
+    """Lets the arm track paths of the tool, and computes the distance of the joints from their
+    limits at each pose.
 
     Args:
         q_start: (n,) configuration at the start of each path, also the nominal posture [rad].
-        X_WE: (N, T, 12) paths of tool poses.
-        pull: fraction of the distance to the nominal posture that is corrected per pose [1].
+        X_WE: (N, T, 12) tool poses of N paths: rotation matrices, row by row, and positions [m].
+        pull: fraction of the distance to the nominal posture that is corrected per pose [-].
         chain: chain of the arm.
 
     Returns:
-        (N, T) minimum distance of a joint from its limits [rad]; -inf from the first pose that the
-        arm cannot reach.
+        (N, T) minimum over the joints of the distance from a joint limit [rad]; -inf from the first
+        pose of a path that the arm cannot reach.
     """
     N, T = X_WE.shape[:2]
     margins, work = np.full((N, T), -np.inf), scratch(len(q_start))
@@ -462,16 +501,17 @@ def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Cha
 def inverse_kinematics(
     chain: Chain, X_WE: FloatArray, near: FloatArray, *, seeds: int = 32, seed: int = 0
 ) -> FloatArray:
-    """Computes configurations (m, n) for a tool pose, in order of distance from `near` [rad].
+    """Computes distinct configurations (m, n) of the arm for a pose of the tool, in order of
+    distance from `near` [rad].
 
-    The same arguments give the same configurations. Those of an arm of seven joints are samples of
-    its self-motion.
+    The same arguments give the same configurations. An arm of seven joints has infinitely many
+    solutions; the configurations are samples of them.
 
     Args:
         chain: chain of the arm.
         X_WE: (12,) pose of the tool: rotation matrix, row by row, and position [m].
-        near: (n,) first seed of the search [rad].
-        seeds: number of additional random seeds.
+        near: (n,) configuration that is the first seed of the search [rad].
+        seeds: number of random seeds in addition to `near`.
         seed: seed of the random number generator.
     """
     random = np.random.default_rng(seed)
@@ -487,20 +527,22 @@ def inverse_kinematics(
 def solve_tool_pose(
     plant: MultibodyPlant, tool_frame: str, X_WE: RigidTransform, q_seed: FloatArray
 ) -> FloatArray:
-    """Computes the configuration (nq,) for a pose of the tool frame E, within the joint limits.
+    """Computes a configuration (nq,) of the robot within the joint limits for a pose of the tool
+    frame E [rad, m].
 
-    It is the solution nearest to the seed, moved closer to the seed in its null space. The same
-    arguments give the same configuration. Joints that do not move the tool have their values in the
-    seed.
+    The result is the solution nearest to the seed, moved closer to the seed in the null space of
+    the arm. The same arguments give the same configuration. Joints that do not move the tool have
+    the positions of the seed.
 
     Args:
-        plant: finalized plant of the robot alone.
-        tool_frame: name of the tool frame E.
-        X_WE: pose of the tool frame.
-        q_seed: (nq,) seed of the search [rad, m].
+        plant: finalized plant of the robot alone, with its base welded to the world.
+        tool_frame: name of the tool frame E in the plant.
+        X_WE: pose of the tool frame in the world.
+        q_seed: (nq,) configuration that is the seed of the search [rad, m].
 
     Raises:
-        ValueError: "out of reach: ..." without a solution; or if a joint is not revolute.
+        ValueError: with a text "out of reach: ..." if there is no solution, or if a joint that
+            moves the tool is not revolute.
     """
     chain = make_chain(plant, plant.GetFrameByName(tool_frame), q_seed)
     near, target = kernel_arrays(q_seed[chain.q_index], X_WE.GetAsMatrix34())
@@ -522,7 +564,8 @@ def solve_tool_pose(
 
 @compiled
 def rotation_vector(R: FloatArray) -> FloatArray:
-    """Computes the rotation vector of a rotation: unit axis times angle in [0, pi] (log map).
+    """Computes the rotation vector of a rotation matrix: unit axis times angle in [0, pi] (log
+    map).
 
     Args:
         R: (3, 3) rotation matrix.
@@ -553,9 +596,10 @@ def rotation_vector(R: FloatArray) -> FloatArray:
 
 
 def rotation_of(quaternion: FloatArray) -> FloatArray:
-    """Computes the rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
+    """Computes the rotation matrix (3, 3) of a quaternion (4,), w first, which need not have unit
+    length.
 
-    All elements are NaN for a zero or non-finite quaternion.
+    All elements of the result are NaN if the quaternion is zero or not finite.
     """
     with np.errstate(invalid="ignore"):
         scaled = quaternion / np.abs(quaternion).max()

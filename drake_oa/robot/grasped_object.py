@@ -1,4 +1,6 @@
-"""Grasped object of the robot: primitive shapes fixed to the hand."""
+"""Functions for the object that the robot has grasped: primitive shapes that are fixed to
+the hand.
+"""
 
 from __future__ import annotations
 
@@ -12,31 +14,35 @@ from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.robot.config import Robot
 
 _COLOR = np.array([0.25, 0.35, 0.6, 1.0])
-"""Color of the grasped object: red, green, blue, opacity."""
+"""Color of the grasped object in images and viewers: red, green, blue and opacity [-]."""
 _FRICTION = 0.7
-"""Friction coefficient of the grasped object [1]."""
+"""Friction coefficient of the grasped object's surface [-]."""
 
 
 def carried_links(robot: Robot) -> list[str]:
-    """Returns the names of the bodies added by `add_carried`, one per shape."""
+    """Returns the names of the bodies of the grasped object, which `add_carried` adds, one per
+    shape.
+    """
     return [f"carried{row}" for row in range(len(robot.carried))]
 
 
 def tool_links(robot: Robot) -> list[str]:
-    """Returns the names of the tool's bodies, including those of the grasped object."""
+    """Returns the names of the tool's bodies in the plant, including the bodies of the grasped
+    object.
+    """
     return [*robot.tool_links, *carried_links(robot)]
 
 
 def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robot) -> None:
-    """Adds the grasped object `robot.carried` to the robot's model instance.
+    """Adds the bodies of the grasped object `robot.carried` to the robot's model instance.
 
-    Each shape is a separate body that is welded to the hand link H. The mass is distributed by
-    volume.
+    Each shape is a separate body that is welded to the hand link H. The mass of the object is
+    distributed by volume.
 
     Args:
-        plant: plant with the arm, not finalized.
+        plant: plant with the arm and not finalized.
         instance: model instance of the robot.
-        robot: configuration of the robot, whose `hand_link` is in the plant.
+        robot: configuration of the robot, whose link `hand_link` is in the plant.
     """
     if not robot.carried:
         return
@@ -55,11 +61,11 @@ def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robo
 def exclude_grasp_contacts(
     plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | None
 ) -> None:
-    """Excludes contacts between the grasped object and the tool.
+    """Excludes contacts between the grasped object and the tool from the collision detection.
 
     Args:
         plant: finalized plant with the grasped object.
-        scene_graph: scene graph of the plant, without Contexts.
+        scene_graph: scene graph of the plant, without Contexts yet.
         robot: configuration of the robot; None: no effect.
     """
     if robot is None or not robot.carried:

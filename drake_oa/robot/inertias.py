@@ -1,8 +1,9 @@
-"""Replacement of a model's inertial parameters, to give the controller a wrong model.
+"""Replacement of the inertial parameters of a model, used to simulate a controller with a wrong
+model.
 
 The shipped Panda has identified parameters (C. Gaz et al., IEEE RA-L 4(4), 2019). The shipped file
-models/panda/uniform_density.yaml has those of links with uniform density, with the typical errors
-of a robot without identification.
+models/panda/uniform_density.yaml has the parameters of links with uniform density. Their errors are
+typical of a robot whose parameters were not identified.
 """
 
 from __future__ import annotations
@@ -19,27 +20,27 @@ from drake_oa.common.config import BLOCK, ScenarioError, Vector3, length, read_y
 
 @dataclass(config=BLOCK)
 class Inertia:
-    """Inertial parameters of a link: an entry of a file of inertias."""
+    """Inertial parameters of one link, as an entry of a file that replaces those of a model."""
 
     mass: Annotated[float, Field(gt=0.0, le=1e4)]
-    """Mass [kg]. Raising it makes the link heavier."""
+    """Mass of the link [kg]."""
     com: Vector3
-    """Center of mass in the link's frame [m]."""
+    """Center of mass of the link in the link's frame [m]."""
     inertia: Annotated[list[float], length(6)]
-    """Rotational inertia about the center of mass in the link's axes: xx, yy, zz, xy, xz, yz
-    [kg m^2]. Raising the first three makes rotations slower."""
+    """Rotational inertia of the link about its center of mass, in the axes of the link's frame: xx,
+    yy, zz, xy, xz, yz [kg m^2]."""
 
 
 def set_inertias(urdf: Element | None, file: Path) -> None:
-    """Replaces the inertial parameters of the links that are named in a YAML file.
+    """Replaces the inertial parameters of those links of a model that a YAML file names.
 
     Args:
-        urdf: root of a URDF, modified in place; None: the model is no URDF.
-        file: file with inertial parameters by name of the link.
+        urdf: root element of a URDF, modified in place; None: the model is not a URDF.
+        file: YAML file with the inertial parameters of links, by link name.
 
     Raises:
         OSError: if the file does not exist.
-        ScenarioError: listing every wrong value, or naming a link that is not in the model.
+        ScenarioError: naming each wrong value, or a link that is not in the model.
     """
     inertias = validate(dict[str, Inertia], read_yaml(file.read_text("utf-8")), "inertias")
     links = {} if urdf is None else {link.get("name"): link for link in urdf.iter("link")}

@@ -1,4 +1,6 @@
-"""Plant of the robot alone, for the controller and the self filter, and the robot's limits."""
+"""Plant of the robot alone, used by the controller and the self filter, and the limits of the
+robot's joints.
+"""
 
 from __future__ import annotations
 
@@ -31,36 +33,38 @@ from drake_oa.robot.grasped_object import add_carried, exclude_grasp_contacts, t
 from drake_oa.robot.inertias import set_inertias
 
 TOOL_FRAME = "tool_point"
-"""Name of the tool frame E in plants."""
+"""Name of the tool frame E in plants with a robot."""
 
 
 def known_packages() -> PackageMap:
-    """Returns the package map of Drake's packages and `package://drake_oa`."""
+    """Returns a package map with the packages of Drake and the package `package://drake_oa`."""
     packages = PackageMap()
     packages.AddPackageXml(str(package_file("package://drake_oa/package.xml")))
     return packages
 
 
 def make_parser(plant: MultibodyPlant) -> Parser:
-    """Creates a parser of a plant with the `known_packages`."""
+    """Creates a parser of models for a plant, which knows the packages of `known_packages`."""
     parser = Parser(plant)
     parser.package_map().AddMap(known_packages())
     return parser
 
 
 def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> ModelInstanceIndex:
-    """Adds the robot with its base welded to the world, its tool frame E, and its grasped object.
+    """Adds the robot to a plant, with its base welded to the world, its tool frame E, and its
+    grasped object.
 
     Args:
-        plant: plant, not finalized.
+        plant: plant that is not finalized.
         robot: configuration of the robot.
-        inertias: file of inertial parameters, see `make_robot_plant`.
+        inertias: URL or name of a file of inertial parameters, which replace those of the model;
+            empty: those of the model.
 
     Returns:
         Model instance of the robot.
 
     Raises:
-        ScenarioError: naming the wrong field of the robot.
+        ScenarioError: naming the invalid field of the robot's configuration.
     """
     parser = make_parser(plant)
     packages = parser.package_map()
@@ -103,7 +107,13 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
 
 
 def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robot) -> None:
-    """Lowers the speed limits of the arm's joints, the first moving ones, to `joint_speed`."""
+    """Reduces the speed limits of the arm's joints to `robot.joint_speed`.
+
+    The arm's joints are the first moving joints of the model.
+
+    Raises:
+        ScenarioError: for a wrong number of speeds.
+    """
     if robot.joint_speed is None:
         return
     joints = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
@@ -119,21 +129,21 @@ def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Rob
 
 
 def base_pose(robot: Robot | None) -> RigidTransform:
-    """Returns the base pose X_WB; the identity without a robot."""
+    """Returns the pose X_WB of the robot's base in the world; the identity if there is no robot."""
     return RigidTransform() if robot is None else pose(robot.X_WB)
 
 
 def _url(url_or_file: str) -> str:
-    """Returns a URL unchanged, and a file name as URL."""
+    """Returns a URL unchanged, and converts a file name to a URL."""
     return url_or_file if "://" in url_or_file else Path(url_or_file).absolute().as_uri()
 
 
 @dataclass(frozen=True, eq=False)
 class RobotLimits:
-    """Names and limits of a robot's joints; all empty without a robot.
+    """Names and limits of the joints of a robot; all arrays are empty if there is no robot.
 
     Attributes:
-        position_name: (nq,) names of the positions.
+        position_name: (nq,) names of the joint positions.
         position_lower: (nq,) lower position limits [rad, m].
         position_upper: (nq,) upper position limits [rad, m].
         velocity_limit: (nv,) maximum speeds [rad/s, m/s].
@@ -151,12 +161,12 @@ class RobotLimits:
 
 @dataclass(frozen=True, eq=False)
 class RobotPlant:
-    """Plant of the robot alone, for kinematics and control; see `make_robot_plant`.
+    """Plant of the robot alone, for kinematics and control, as `make_robot_plant` creates it.
 
     The plant is shared and must not be modified; each user creates a Context.
 
     Attributes:
-        diagram: diagram of plant and scene graph.
+        diagram: diagram of the plant and its scene graph.
         plant: finalized plant of the robot.
         scene_graph: scene graph of the plant.
         instance: model instance of the robot.
@@ -169,7 +179,7 @@ class RobotPlant:
 
     @property
     def tool_frame(self) -> Frame:
-        """Tool frame E of the plant."""
+        """Tool frame E of the plant, at the tool point."""
         return self.plant.GetFrameByName(TOOL_FRAME)
 
     @property
@@ -187,7 +197,9 @@ class RobotPlant:
         )
 
     def tool_poses(self, q: FloatArray) -> list[RigidTransform]:
-        """Computes the tool poses X_WE at configurations q (T, nq) of the robot."""
+        """Computes the poses X_WE of the tool frame at configurations q (T, nq) of the robot [rad,
+        m].
+        """
         context, poses = self.plant.CreateDefaultContext(), []
         for positions in q:
             self.plant.SetPositions(context, self.instance, positions)
@@ -195,26 +207,29 @@ class RobotPlant:
         return poses
 
     def tool_path(self, q: FloatArray) -> FloatArray:
-        """Computes the tool positions p_WE (T, 3) at configurations q (T, nq) of the robot [m]."""
+        """Computes the positions p_WE (T, 3) of the tool point at configurations q (T, nq) of the
+        robot [m].
+        """
         return np.array([X_WE.translation() for X_WE in self.tool_poses(q)]).reshape(-1, 3)
 
 
 _PLANTS: dict[tuple[str, str], RobotPlant] = {}
-"""Robot plants of this process, by configuration and file of inertial parameters."""
+"""Robot plants that this process has created, by robot configuration and file of inertial
+parameters."""
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
-    """Returns the plant of the robot alone, welded to the world as in the station.
+    """Returns the plant of the robot alone, with its base welded to the world as in the station.
 
-    Each configuration is parsed once per process; the plant is shared.
+    The model of each configuration is parsed once per process, and its plant is shared.
 
     Args:
         robot: configuration of the robot.
-        inertias: URL or name of a file of inertial parameters that replace those of the model, see
-            `drake_oa.robot.inertias`; empty: those of the model.
+        inertias: URL or name of a file of inertial parameters, which replace those of the model
+            (see `drake_oa.robot.inertias`); empty: those of the model.
 
     Raises:
-        ScenarioError: naming the wrong field of the robot.
+        ScenarioError: naming the invalid field of the robot's configuration.
     """
     key = repr(robot), inertias
     if key not in _PLANTS:
@@ -223,7 +238,11 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
 
 
 def _parse(robot: Robot, inertias: str) -> RobotPlant:
-    """Builds the plant of a robot, and checks the number of its joints; see `make_robot_plant`."""
+    """Builds the plant of a robot, and checks that `robot.q_seed` has a value for each joint of the
+    arm.
+
+    The arguments are those of `make_robot_plant`.
+    """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = add_robot(plant, robot, inertias=inertias)
@@ -240,14 +259,15 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
 
 
 def tool_link_corners(robot: Robot) -> list[FloatArray]:
-    """Computes the corners of each tool link relative to E, in world axes: list of (K_i, 3) [m].
+    """Computes the corners of each tool link relative to the tool point E, as a list of arrays
+    (K_i, 3) in world axes [m].
 
     The corners are those of the collision geometry of `robot.tool_links` and `robot.carried`, with
-    the tool at `robot.rpy_WE` and the fingers open by `robot.finger_opening`. A rounded shape gives
-    the corners of its bounding box.
+    the tool at `robot.rpy_WE` and the fingers opened by `robot.finger_opening`. The corners of a
+    rounded shape are those of its bounding box.
 
     Raises:
-        ScenarioError: for an unknown link, or tool links without collision geometry.
+        ScenarioError: for an unknown link, or if no tool link has collision geometry.
     """
     robot_plant = make_robot_plant(robot)
     plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
@@ -278,7 +298,9 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
 
 
 def home_positions(robot: Robot) -> FloatArray:
-    """Returns the configuration (nq,) with the arm at `q_seed` and the fingers at their opening."""
+    """Returns the configuration (nq,) of the robot with the arm at `q_seed` and each finger at
+    `finger_opening` [rad, m].
+    """
     q = np.full(make_robot_plant(robot).plant.num_positions(), robot.finger_opening)
     q[: len(robot.q_seed)] = robot.q_seed
     return q

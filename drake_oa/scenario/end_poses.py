@@ -70,9 +70,7 @@ class ToolOrientation:
 def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
     """Returns the orientation of the tool along the motion of a scenario.
 
-    The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing field is
-    replaced by the demonstrated orientation, or by `robot.rpy_WE` if no demonstration has
-    orientations.
+    The result is None if the orientation is constant, or if the scenario has no robot.
 
     The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing one is
     that of the demonstration, or `robot.rpy_WE` if the demonstration has no orientations.

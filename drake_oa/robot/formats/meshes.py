@@ -1,4 +1,6 @@
-"""Conversion of meshes that Drake cannot read to .obj files in the user's cache folder."""
+"""Conversion of meshes that Drake cannot read to .obj files, which are stored in the user's cache
+folder.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +22,22 @@ if TYPE_CHECKING:
     from open3d.geometry import TriangleMesh
 
 _ADDED_VOLUME = 0.1
-"""Maximum relative volume that one convex hull may add to the hulls of all closed surfaces [1]."""
+"""Maximum volume that a single convex hull of a mesh may add, as a ratio to the volume of the hulls
+of its closed surfaces [-]."""
 
 
 def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
-    """Converts a mesh to .obj files in the cache, once per content of the file.
+    """Converts a mesh to .obj files in the user's cache folder, once per content of the mesh file.
 
     Args:
-        mesh: file that open3d reads, or COLLADA (.dae).
-        hulls: whether to write the convex hulls of the mesh's closed surfaces, one per file.
-            Drake's single hull would fill concave parts of a link. A mesh with an open surface has
-            one hull. If False, one mesh with vertex normals is written, for cameras.
+        mesh: mesh file in a format that open3d reads, or COLLADA (.dae).
+        hulls: whether to write the convex hulls of the mesh's closed surfaces, one per file, for
+            collision geometry. A single hull, as Drake would compute it, fills concave parts of a
+            link. A mesh with an open surface has one hull. If False, one mesh with vertex normals
+            is written, for cameras.
 
     Returns:
-        Files, sorted by name.
+        Paths of the .obj files, sorted by name.
 
     Raises:
         ValueError: if the mesh has no triangles, or cannot be read or written.
@@ -66,7 +70,11 @@ def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
 
 
 def _read(mesh: Path) -> TriangleMesh:
-    """Reads the mesh of a file, without duplicate vertices."""
+    """Reads the triangle mesh of a file, without duplicate vertices.
+
+    Raises:
+        ValueError: if the file cannot be read as a mesh of triangles.
+    """
     import open3d
 
     if mesh.suffix.lower() == ".dae":
@@ -84,9 +92,14 @@ def _read(mesh: Path) -> TriangleMesh:
 
 
 def _read_collada(mesh: Path) -> FloatArray:
-    """Reads the corners (3 M, 3) of the M triangles in the scene of a .dae file [m].
+    """Reads the corners (3 M, 3) of the M triangles in a COLLADA (.dae) file [m].
 
-    The unit of the file is applied; its up axis is ignored, as in common viewers of URDFs.
+    Corners are scaled by the length unit of the file. The up axis of the file is ignored, as in
+    common viewers of URDFs.
+
+    Raises:
+        ValueError: if pycollada is not installed, or the file cannot be read as a mesh of
+            triangles.
     """
     try:
         import collada
@@ -110,7 +123,12 @@ def _read_collada(mesh: Path) -> FloatArray:
 
 
 def _hulls(mesh: TriangleMesh) -> list[TriangleMesh]:
-    """Computes the hulls of a mesh's closed surfaces, or one hull if it adds little volume."""
+    """Computes the convex hulls of a mesh's closed surfaces, or one hull of the mesh if it adds
+    little volume.
+
+    Raises:
+        ValueError: if a part of the mesh is flat.
+    """
     import open3d
 
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)

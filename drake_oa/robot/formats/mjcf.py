@@ -1,7 +1,9 @@
-"""Conversion of an arm's MJCF for Drake: inherited defaults, motors, and a base that can be welded.
+"""Conversion of an arm's MJCF model for Drake: inherited defaults, motors, and a base that can be
+welded.
 
-Drake's parser ignores attributes that a default class inherits. It reads .obj meshes only, supports
-motors only, and welds the base to the world at the pose in the file.
+Drake's parser ignores attributes that a default class inherits from another class. It reads only
+.obj meshes, supports only motors as actuators, and welds the base to the world at the pose in the
+file.
 """
 
 from __future__ import annotations
@@ -14,26 +16,27 @@ from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import convert_to_objs
 
 _DRIVES = ("motor", "general", "position", "velocity", "intvelocity")
-"""Tags of actuators that become motors."""
+"""Tags of the MJCF actuators that are converted to motors."""
 _IGNORED = {
     *("light", "site", "camera"),
     *("option", "size", "visual", "statistic", "keyframe", "sensor"),
 }
-"""Tags of elements without influence on the motion, which would cause warnings of Drake."""
+"""Tags of MJCF elements that do not influence the motion; they are removed, because Drake warns
+about them."""
 
 
 def convert_mjcf(root: Element, find: Callable[[str], Path]) -> None:
-    """Converts an MJCF in place so that Drake can read it.
+    """Converts an MJCF model in place so that Drake can read it.
 
-    - Default classes receive their inherited attributes.
-    - Each actuator of a joint becomes a motor, limited by its force range.
-    - A base without a joint gets a free joint, so that the scenario can weld it.
-    - Meshes are converted, see `convert_to_objs`. This includes .obj files: their color is that of
-      the model, and their .mtl files are often missing.
+    - Each default class receives the attributes that it inherits from other classes.
+    - Each actuator of a joint becomes a motor, limited by the force range of the actuator.
+    - A base without a joint gets a free joint, so that the scenario can weld the base.
+    - Meshes are converted, see `convert_to_objs`, including .obj files. The color of a mesh is then
+      that of the model; the .mtl files of .obj files are often missing.
 
     Args:
-        root: root of the model's file.
-        find: function that returns the file of a mesh by its name relative to the model's file.
+        root: root element of the model's file.
+        find: function that returns the file of a mesh, given its name relative to the model's file.
 
     Raises:
         ScenarioError: for a mesh that cannot be read.
@@ -63,7 +66,13 @@ def convert_mjcf(root: Element, find: Callable[[str], Path]) -> None:
 
 
 def _inherit(default: Element, parent_attributes: dict[str, dict[str, str]]) -> None:
-    """Adds the parent class's attributes, by tag, to a default class and its nested classes."""
+    """Adds the attributes of the parent class to a default class of an MJCF and to its nested
+    classes.
+
+    Args:
+        default: element of the default class, modified in place.
+        parent_attributes: attributes of the parent class, by tag and attribute name.
+    """
     for tag, inherited in parent_attributes.items():
         part = default.find(tag)
         if part is None:
@@ -75,7 +84,13 @@ def _inherit(default: Element, parent_attributes: dict[str, dict[str, str]]) -> 
 
 
 def _motor(drive: Element, root: Element) -> Element:
-    """Returns a motor with the force limit and the gear of an actuator, or of its class."""
+    """Returns a motor element with the force limit and the gear ratio of an actuator, which its
+    default class may state.
+
+    Args:
+        drive: element of the actuator.
+        root: root element of the MJCF.
+    """
     of_class = root.find(f".//default[@class='{drive.get('class', 'main')}']/{drive.tag}")
     values = (of_class.attrib if of_class is not None else {}) | drive.attrib
     motor = Element("motor", name=values.get("name", values["joint"]), joint=values["joint"])

@@ -1,4 +1,4 @@
-"""Reading, checking and conversion of the file of a robot's model."""
+"""Functions that read, check and convert the file of a robot's model."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ from drake_oa.robot.formats.urdf import convert_urdf
 # Drake recognizes its namespace only by the prefix "drake".
 ElementTree.register_namespace("drake", "http://drake.mit.edu")
 _CONVERSIONS = {".urdf": convert_urdf, ".xml": convert_mjcf}
-"""Conversion functions by suffix of the model's file."""
+"""Functions that convert a model for Drake, by suffix of the model's file."""
 _LENGTHS = ("size", "radius", "length", "radii")
-"""Dimensions of shapes in URDF and SDF."""
+"""Names of the dimensions of shapes in URDF and SDF, used to check that they are positive."""
 _logged: set[str] = set()
-"""Warnings of Drake about model files that were already logged by this process."""
+"""Drake's warnings about model files that this process has already logged."""
 
 
 def add_installed_package(packages: PackageMap, url: str, field: str = "robot.model") -> None:
-    """Adds the folder of the package in a URL, if it is an installed Python package.
+    """Adds the folder of an installed Python package to a package map, if a URL refers to this
+    package.
 
     Args:
-        packages: package map, modified in place unless it has the package.
-        url: package://NAME/...; other URLs are ignored.
-        field: name of the scenario's field, for the error.
+        packages: package map, modified in place unless it already has the package.
+        url: URL package://NAME/... of a file; other URLs are ignored.
+        field: name of the scenario's field with the URL, for the error message.
 
     Raises:
         ScenarioError: if the package does not exist.
@@ -50,10 +51,11 @@ def add_installed_package(packages: PackageMap, url: str, field: str = "robot.mo
 
 
 def converted_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
-    """Returns the root of a URDF or MJCF, converted so that Drake can read it; None for an SDF.
+    """Returns the root element of a URDF or MJCF, converted so that Drake can read the model; None
+    for an SDF.
 
     Raises:
-        ScenarioError: for a mesh that cannot be read, an invalid value, or a file that is no XML.
+        ScenarioError: for a mesh that cannot be read, an invalid value, or a file that is not XML.
     """
     with field_errors(f"robot.model: '{file}'", ElementTree.ParseError, OSError):
         root = ElementTree.parse(file).getroot()
@@ -63,7 +65,7 @@ def converted_model(file: Path, packages: PackageMap) -> ElementTree.Element | N
         return None
 
     def find(url: str) -> Path:
-        """Returns the file of a mesh by its URL or its name relative to the model's file."""
+        """Returns the file of a mesh, given its URL or its name relative to the model's file."""
         if "://" not in url:
             return file.parent / url
         add_installed_package(packages, url)
@@ -75,14 +77,14 @@ def converted_model(file: Path, packages: PackageMap) -> ElementTree.Element | N
 
 
 def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model") -> None:
-    """Checks that the links of a model have shapes of positive size, and no negative masses.
+    """Checks that the shapes of a model's links have positive sizes, and that no mass is negative.
 
-    Drake would replace such values by defaults, or abort.
+    Drake would replace invalid values by defaults, or abort.
 
     Args:
-        root: root of a URDF or SDF; an MJCF has no links.
-        file: file of the model, for the error.
-        field: name of the scenario's field, for the error.
+        root: root element of a URDF or SDF; an MJCF has no links.
+        file: file of the model, for the error message.
+        field: name of the scenario's field with the model, for the error message.
 
     Raises:
         ScenarioError: naming the field, the file, the link and the value.
@@ -103,7 +105,9 @@ def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model
 
 
 def _numbers(text: str | None) -> list[float]:
-    """Returns the numbers in a text; an empty list for invalid text, which Drake rejects itself."""
+    """Returns the numbers in a text, separated by spaces; an empty list for invalid text, which
+    Drake rejects.
+    """
     try:
         return [float(word) for word in (text or "").split()]
     except ValueError:
@@ -111,21 +115,24 @@ def _numbers(text: str | None) -> list[float]:
 
 
 def with_file_name(message: str, file: Path | str) -> str:
-    """Replaces Drake's name of a parsed text in a message by the name of the model's file."""
+    """Returns a message of Drake in which the name of the model's file replaces Drake's placeholder
+    for parsed text.
+    """
     # The line number is dropped: it refers to the converted text.
     return re.sub(r"<literal-string>(\.\w+)?(:\d+)?", str(file), message)
 
 
 @contextlib.contextmanager
 def named_warnings(file: Path | str = "") -> Iterator[None]:
-    """Logs each warning of Drake about models once per process, with the name of the file.
+    """Logs each of Drake's warnings about a model only once per process, with the name of the
+    model's file.
 
     Args:
-        file: file of the model that is parsed within the block.
+        file: file of the model that the block parses.
     """
 
     def is_new(record: logging.LogRecord) -> bool:
-        """Adds the file to a warning, and checks whether it was not logged before."""
+        """Adds the file name to a warning, and checks whether the warning was not logged before."""
         record.msg = with_file_name(str(record.msg), file)
         new = record.msg not in _logged
         _logged.add(record.msg)

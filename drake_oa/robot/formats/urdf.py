@@ -1,8 +1,8 @@
-"""Conversion of URDFs for Drake: meshes as .obj, actuators, and fixed gripper linkages.
+"""Conversion of URDF models for Drake: meshes as .obj, actuators, and fixed gripper linkages.
 
-Drake reads .obj, .gltf and .vtk meshes. It adds no actuator to a joint without a <transmission>,
-and does not close the kinematic loops of a gripper's linkage. Most models of arms have .stl or .dae
-meshes, no transmissions, and a linkage.
+Drake reads meshes in .obj, .gltf and .vtk files. It adds no actuator to a joint without a
+<transmission>, and does not close the kinematic loops of a gripper's linkage. Most models of arms
+have .stl or .dae meshes, no transmissions, and a linkage.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import convert_to_objs
 
 _READ_BY_DRAKE = {".obj", ".gltf", ".vtk"}
-"""Suffixes of meshes that Drake reads."""
+"""Suffixes of mesh files that Drake reads, so that they are not converted."""
 _TURNING = ("revolute", "continuous")
-"""Types of rotational joints."""
+"""URDF types of joints that rotate."""
 
 
 def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
-    """Converts a URDF in place so that Drake can read it.
+    """Converts a URDF model in place so that Drake can read it.
 
     - Meshes that Drake cannot read are converted, see `convert_to_objs`.
     - If no joint has a transmission, each independent joint gets an actuator, with the effort limit
@@ -33,8 +33,8 @@ def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
       base pose.
 
     Args:
-        model: root of the file.
-        find: function that returns the file of a mesh by its URL.
+        model: root element of the URDF.
+        find: function that returns the file of a mesh, given its URL.
 
     Raises:
         ScenarioError: for a mesh that cannot be read.
@@ -54,7 +54,9 @@ def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
 
 
 def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
-    """Replaces the meshes of a link by converted ones, collision meshes by their hulls."""
+    """Converts the meshes of a link that Drake cannot read to .obj files; a collision mesh becomes
+    its convex hulls.
+    """
     for shape in [*link.findall("collision"), *link.findall("visual")]:
         mesh = shape.find("geometry/mesh")
         if mesh is None:
@@ -70,7 +72,9 @@ def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
 
 
 def _fix_linkage(model: Element) -> None:
-    """Fixes rotational mimic joints and their leading joints, and removes their transmissions."""
+    """Fixes rotational joints that mimic another joint, and the mimicked joints, and removes the
+    transmissions of both.
+    """
     joints = {joint.get("name"): joint for joint in model.findall("joint")}
     fixed = set()
     for name, joint in joints.items():
@@ -88,7 +92,7 @@ def _fix_linkage(model: Element) -> None:
 
 
 def _add_transmission(model: Element, joint: str) -> None:
-    """Adds a transmission and an actuator to a joint."""
+    """Adds a transmission and an actuator to the joint of a URDF with a given name."""
     transmission = SubElement(model, "transmission", name=f"{joint}_transmission")
     SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
     SubElement(transmission, "joint", name=joint)
