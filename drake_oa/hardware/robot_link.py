@@ -232,11 +232,14 @@ class CommandStream(LeafSystem):
       - robot_state
       - obstacles_W (optional)
 
+    - robot_state: (2n,) positions and velocities of the simulated robot [rad, m, rad/s, m/s]. The
+      positions of its arm are the planned positions.
+    - obstacles_W (optional): abstract `ObstacleClouds`, the observation that contains the perceived
+      table. This table is compared with the configured one at initialization (`check_table`). Not
+      connected: the table is not checked.
+
     The system writes positions every `COMMAND_PERIOD`, and waits while simulated time is more than
     `LEAD` ahead of the arm.
-
-    The system publishes every `COMMAND_PERIOD`, and waits while simulated time is more than `LEAD`
-    ahead of the arm.
     """
 
     def __init__(

@@ -48,6 +48,16 @@ class MeshcatOverlay(LeafSystem):
       - cloud (optional)
       - body_poses (optional)
 
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, the ellipsoids around the obstacles dilated
+      by the tool, in the world frame. Not connected: no ellipsoids are drawn.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - route (optional): abstract `Route`, the selected side of each obstacle, with the costs of all
+      sides. Not connected: no cost rings are drawn.
+    - cloud (optional): `pydrake.perception.PointCloud` in the world frame [m]. Not connected: no
+      cloud is drawn.
+    - body_poses (optional): list of `RigidTransform` with the poses of the plant's bodies in the
+      world. Not connected: the executed path is that of p_WE in `policy_state`.
+
     Ellipsoids are rose, the planned path is blue, and the executed path is red. A cost ring shows
     the costs of passing an obstacle in each direction around the baseline, the line from start to
     goal. The rings of an obstacle are centered at the point of the baseline closest to the
@@ -59,11 +69,6 @@ class MeshcatOverlay(LeafSystem):
     recording of Meshcat stores transforms and properties, but no objects. Therefore each change of
     shape (cloud, rings, executed path) is a new object that is visible for some frames only. The
     discrete state stores the time of the first frame and the end point of the executed path.
-
-    The objects are under "/drake_oa" in the scene tree, in one folder per layer of `LAYERS`. A
-    recording of Meshcat holds transforms and properties, but no objects. Therefore each change of
-    shape (cloud, rings, executed path) is a new object that is visible for some frames only. The
-    discrete state holds the time of the first frame and the end of the executed path.
     """
 
     def __init__(

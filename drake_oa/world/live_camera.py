@@ -107,6 +107,15 @@ class LiveCamera(TimedCamera):
       - image_time
       - plant_state
 
+    - plant_state (in): (n,) present state [q, v] of the plant, measured or simulated.
+    - depth_image: ImageDepth32F along the optical axis [m]; inf is too far, NaN is missing. Before
+      the first image, all pixels are NaN.
+    - camera_pose: RigidTransform X_WC of the camera, constant.
+    - image_time: (1,) capture time of the image by the clock of the Context [s]; -inf before the
+      first image. This time never decreases, and is never later than the reception of the image.
+    - plant_state (out): (n,) state of the plant at the capture time, interpolated between recent
+      states.
+
     At initialization, or at an earlier evaluation of a port, the camera subscribes to the images
     and waits for the first one. Every 5 ms it stores the newest image in the Context. An invalid
     image is rejected; the first and the last rejection of a series are logged.
@@ -114,10 +123,6 @@ class LiveCamera(TimedCamera):
     Without `ExternalInputs.to_simulated`, the capture time is the image's wall-clock stamp plus the
     largest recent difference between the Context's time and the wall clock. The largest difference
     is used because a simulator at real time may lag for some time, while the camera continues.
-
-    Without `ExternalInputs.to_simulated`, the capture time is the wall clock's stamp plus the
-    largest recent difference between the Context's time and the wall clock. The largest one counts
-    because a simulator at real time may fall behind for some time, while the camera continues.
     """
 
     def __init__(
