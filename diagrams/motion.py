@@ -64,7 +64,8 @@ def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel
     signals.export("desired_position", "phase", "policy_state")
     held = None if station is None else tool_orientation(scenario)
     if held is None and station is not None and "demonstration" in signals:
-        # A motion that imitates a joint path turns the tool; before it the orientation is constant.
+        # A motion that imitates a joint path rotates the tool. Before such a motion the orientation
+        # is constant.
         R_WE = end_rotations(scenario)[0].matrix()
         held = ToolOrientation(minimum_jerk_orientation(alpha_k=policy.alpha_k), R_WE, R_WE)
     if held is not None:
@@ -105,7 +106,7 @@ def add_route(
     station: StationModel | None,
     rings: Rings = None,
 ) -> None:
-    """Adds the system cost_ring_selector, which selects the side to pass each obstacle on.
+    """Adds the system cost_ring_selector, which selects the side on which each obstacle is passed.
 
     The inputs are ellipsoids_W, policy_state and goal. The output is route, or with
     `inference: !Verified` proposed_route. With `inference: !Paper`, the system is added only if the
@@ -163,7 +164,7 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
     chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_start)
     orientation = orientation_of_motion(scenario)
 
-    # Paths among resting obstacles repeat from decision to decision.
+    # Results are cached, because paths among resting obstacles repeat in successive decisions.
     @lru_cache(maxsize=16)
     def margins(data: bytes, legs: int) -> FloatArray:
         corners = np.frombuffer(data).reshape(-1, legs + 1, 3)

@@ -42,7 +42,7 @@ from drake_oa.scenario.sources import (
 )
 
 PIXEL_CENTER = 0.5
-"""Image coordinate of the center of the first pixel, as Drake's VTK renderer samples it [pixel]."""
+"""Image coordinate of the center of the first pixel in images of Drake's VTK renderer [pixel]."""
 
 
 AddSource = Callable[..., None]

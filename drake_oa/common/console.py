@@ -141,7 +141,7 @@ def progress_bar(total: float) -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppresses log messages up to level WARNING in the block."""
+    """Suppresses log messages up to level WARNING in a `with` block."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

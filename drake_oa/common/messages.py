@@ -156,7 +156,7 @@ class HoldReason(StrEnum):
     SPEED_SCALE = "speed_scale"
     """Hold because the input `speed_scale` of the policy is 0."""
     SUPERVISOR = "supervisor"
-    """Hold by the supervisor, set by the run monitor where the policy reports SPEED_SCALE."""
+    """Hold by the supervisor; the run monitor sets this reason, the policy reports SPEED_SCALE."""
     OBSTACLES = "obstacles"
     """Hold because obstacles are not observed, contain the tool or goal, or cannot be passed."""
 

@@ -136,7 +136,7 @@ class SignalBuilder:
         inputs: Names | None = None,
         outputs: Names | None = None,
     ) -> _Added:
-        """Adds a system that reads and outputs the signals named as its ports.
+        """Adds a system whose ports read and output the signals of the same names by default.
 
         Args:
             name: name of the subsystem.
@@ -146,7 +146,7 @@ class SignalBuilder:
             outputs: signal name by output port, likewise.
 
         Returns:
-            The system.
+            The argument `system`.
 
         Raises:
             ValueError: if the name is in use, or a signal already has a source.
@@ -171,7 +171,7 @@ class SignalBuilder:
             outputs: signal name by output port, as for `add`; None: those of the replaced system.
 
         Returns:
-            The new system.
+            The argument `system`.
 
         Raises:
             ValueError: if no system has that name, or a signal already has another source.
@@ -210,7 +210,7 @@ class SignalBuilder:
             outputs: signal name by output port, as for `add`.
 
         Returns:
-            The system.
+            The argument `system`.
 
         Raises:
             ValueError: if the name is in use, or the system does not output the signal.

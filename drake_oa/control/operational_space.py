@@ -55,9 +55,9 @@ def damped_task_force(
     """Computes the spatial force (J M^-1 J^T)^-1 A at the tool, damped near singularities.
 
     A is the commanded spatial acceleration of the tool. Let u_i and w_i be eigenvectors and
-    eigenvalues of S (J M^-1 J^T) S, where S multiplies angles by a length. w_i is the inverse
-    of the effective mass in direction u_i. The damped inverse is S sum_i u_i u_i^T / (w_i +
-    mu_i) S with
+    eigenvalues of S (J M^-1 J^T) S, where S multiplies angles by a length. w_i is the inverse of
+    the effective mass in direction u_i. The damped inverse is
+    S sum_i u_i u_i^T / (w_i + mu_i) S with
 
         mu_i = w_0 (1 - w_i / w_0)^2 if w_i < w_0 = 1 / max_mass, else 0.
 

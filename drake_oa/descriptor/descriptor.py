@@ -22,7 +22,7 @@ HALVINGS = (1, 2, 3)
 
 They are tried in this order until the ellipsoids of the parts do not contain start or goal."""
 _FEWEST = 8
-"""Number of points below which a cloud is not halved."""
+"""Number of points below which the cloud of an obstacle is not halved into parts."""
 _MERGED = 1.3
 """Maximum ratio of two merged tool parts' bounding box to the sum of both parts' boxes, by volume.
 
@@ -132,7 +132,7 @@ def describe(
         if not len(points):
             notes.append(f"obstacle {track} omitted: none of its {len(cloud)} points is finite")
             continue
-        # Cached: the cloud of an obstacle does not change until it is observed again.
+        # The result is cached, as the cloud of an obstacle does not change between observations.
         ellipsoids = [_ellipsoid(_key(points), tool, method)]
         room = math.inf if method == "least_squares" else _room(free, ellipsoids)
         for halvings in HALVINGS:

@@ -10,12 +10,15 @@ Systems, updated each `policy.period` (125 Hz by default):
 - `DmpIntegrator`: position of the tool point. Between two steps the velocity is linear in time.
 - `OrientationIntegrator`: orientation of the tool, a function of the phase k of `DmpIntegrator`.
 
-In normalized time s = t / (tau T), with the demonstrated duration T and the temporal scaling tau,
+With the position x, the scaled velocity z, the goal g, the phase k, and normalized time
+s = t / (tau T), where T is the demonstrated duration and tau the temporal scaling, the equations
+are
 
-    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C,    dx/ds = z,    dk/ds = -alpha_k k,
+    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C,    dx/ds = z,    dk/ds = -alpha_k k.
 
-the dynamic movement primitives of Ijspeert et al. (2013) in the form of Pairet et al. (RA-L 2019),
-with the coupling term C = Omega x z, which rotates z and leaves its length unchanged. A step
+These are the dynamic movement primitives of Ijspeert et al. (2013) in the form of Pairet et al.
+(RA-L 2019). f is the forcing term, learned from a demonstration. The coupling term
+C = Omega x z avoids obstacles: it rotates z and leaves its length unchanged. A step
 consists of half a step of the spring, the rotation, and the other half step of the spring. Each of
 these three parts is integrated exactly (docs/theory/integration.md).
 

@@ -132,7 +132,7 @@ def average_orientations(
 def _regressed(
     values: Sequence[FloatArray], stamps: Sequence[FloatArray], n_basis: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fits the penalized spline of the module docstring to several recordings.
+    """Computes the mean of several recordings as a penalized spline fitted to all samples.
 
     Args:
         values: for each recording d, values (T_d, D) of D quantities.
@@ -150,12 +150,12 @@ def _regressed(
             x, s = interpolant(s, x)(at), at
         times.append(s)
         parts.append(x)
-        # The bound prevents a large weight of the samples beside a gap.
+        # The bound prevents that samples beside a gap of the recording get a large weight.
         shares.append(np.minimum(np.gradient(s), 5.0 / len(s)))
     breaks = np.linspace(0.0, 1.0, max(round(_SPANS_PER_BASIS * n_basis), 1) + 1)
     knots = np.concatenate([np.zeros(5), breaks, np.ones(5)])
     count = len(breaks) + 4
-    # Three equal coefficients at each end: the spline is at rest there.
+    # With three equal coefficients at each end, the spline is at rest there.
     coefficients = np.zeros((count, values[0].shape[1]))
     coefficients[:3] = np.mean([x[0] for x in values], axis=0)
     coefficients[-3:] = np.mean([x[-1] for x in values], axis=0)

@@ -37,7 +37,7 @@ ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
 
 A coupling term is a row of 12 numbers. Columns 0 to 2 contain its center, the obstacle's center."""
 N_COLUMNS = 12
-"""Number of columns of an array of coupling terms."""
+"""Number of columns of an array of coupling terms, of which each row is one term."""
 
 _MAX_STIFFNESS = 1e4
 """Maximum of the ratio (initial rate times step) / (exact rotation) of a coupling term [-].
@@ -68,7 +68,8 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
         beta: decay with the angle [1/rad].
 
     Returns:
-        Turning rate [rad per time], positive away from the obstacle, broadcast.
+        Turning rate [rad per time], positive away from the obstacle, in the broadcast shape of the
+        arguments.
     """
     return gamma * theta * np.exp(-beta * np.abs(theta))
 
@@ -90,7 +91,8 @@ def dead_zone_free_rate(
         kappa: decay with the squared distance [1/m^2].
 
     Returns:
-        Turning rate [rad per time], positive away from the obstacle, broadcast.
+        Turning rate [rad per time], positive away from the obstacle, in the broadcast shape of the
+        arguments.
     """
     return np.copysign(alpha, theta) * np.exp(-((theta / psi) ** 2) - kappa * d**2)
 
@@ -203,9 +205,10 @@ def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
     """Computes the rotation by the avoidance term over a step, if the term acts alone.
 
     The angle theta from the center of the obstacle to the heading obeys
-    d theta/ds = A exp(-theta^2 / psi^2). The result is within 2.5 % of the exact solution. With
-    u = theta / psi, c = rate step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after
-    the step is psi sqrt(u^2 + log(1 + c g)), at most pi.
+    d theta/ds = A exp(-theta^2 / psi^2), with A constant over the step. The result is within 2.5 %
+    of the exact solution. With u = theta / psi, c = rate step / psi and
+    g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after the step is psi sqrt(u^2 + log(1 + c g)),
+    at most pi.
 
     Args:
         rate: d theta/ds at the beginning of the step [rad per normalized time].

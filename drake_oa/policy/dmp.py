@@ -461,7 +461,7 @@ class OrientationDmp(Frozen):
             difference of the rotation vectors of goal and start, and the forcing term f (3,) [rad].
         total: (3,) difference of the rotation vectors at the end and at the start of the
             demonstration; zero without a demonstration [rad]. Rotation vectors are continuous along
-            the samples, so that it may be longer than pi.
+            the samples, so that this difference may be longer than pi.
         first: (3, 3) orientation at the start of the demonstration.
         last: (3, 3) orientation at the end of the demonstration.
         offset: (3,) rotation vector r(0) from the orientation in the middle of the demonstration to
@@ -563,7 +563,7 @@ def imitate_orientation(
 
 
 def vectors_from(R: FloatArray, origin: int) -> FloatArray:
-    """Computes the rotation vectors from one orientation of a sequence to all of them.
+    """Computes the rotation vectors from one orientation of a sequence to each of the sequence.
 
     The rotation vectors are continuous along the sequence, so that they may be longer than pi.
 

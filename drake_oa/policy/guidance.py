@@ -113,7 +113,8 @@ def guide(
                 mean += length**2 / 3.0
             enters = b > 0.0 and b * b > a * c
             if enters and b - math.sqrt(b * b - a * c) < a * distance_G:
-                # An ellipse that contains the projection grown by the clearance.
+                # b11 + more, b12, b22 + more: an ellipse that contains the projection grown by
+                # the clearance.
                 k = clearance / math.sqrt(mean)
                 b11, b12, b22 = (1.0 + k) * b11, (1.0 + k) * b12, (1.0 + k) * b22
                 more = (1.0 + 1.0 / k) * clearance**2

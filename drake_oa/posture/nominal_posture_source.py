@@ -90,7 +90,8 @@ class NominalPostureSource(LeafSystem):
         policy = self._policy.read(context)
         time = context.get_time()
         if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():
-            # The policy has restarted since: the sample nearest to its position, at rest.
+            # The policy has restarted since this plan was made. Until there is a new plan, the
+            # posture rests at the planned sample nearest to the current position.
             off = np.linalg.norm(motion.p_WE - policy.p_WE, axis=1)
             return float(motion.s[off.argmin()]), 0.0, time
         s = normalized_time(policy.phase, self._alpha_k)

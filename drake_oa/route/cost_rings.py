@@ -40,15 +40,16 @@ from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArr
 from drake_oa.geometry.ellipsoid import signed_distance
 
 FORBIDDEN = 1.0
-"""Cost at or above which a cost ring forbids to pass an obstacle in a direction [-]."""
+"""Cost from which a cost ring forbids a direction of passing an obstacle [-]."""
 JOINT_MARGIN = 0.1
 """Distance from a joint limit below which a path past an obstacle is forbidden [rad]."""
 _HYSTERESIS = 0.2
 """Minimum reduction of the total cost for which the passing side of obstacles changes [-]."""
 LEAST_SPREAD = 0.1
-"""Minimum difference of path lengths that is scaled to costs from 0 to 1 [-].
+"""Minimum difference of path lengths that the length ring scales to costs from 0 to 1 [-].
 
-The unit is the distance from start to goal. Smaller differences are thus rated with lower costs."""
+The difference is divided by the distance from start to goal. Smaller differences give costs
+below 1."""
 
 
 @dataclass(frozen=True, eq=False)
