@@ -291,9 +291,10 @@ def mbm(
     The demonstration is a straight minimum-jerk motion of the tool from FK(start) to FK(goal) in
     5 s, with the rotation between them. The nominal posture leads from the start configuration to
     the goal configuration. Obstacles are known exactly, or with --perception depth perceived by
-    two cameras, 1.2 m to the left, to the right and above the center between start and goal. An
+    two cameras, 1.2 m above and 1.2 m left and right of the center between start and goal. An
     object that the goal grasps (the tool point is inside) is omitted. The requested clearance is
-    3 cm, or the clearance of the whole robot at start or goal if that is less.
+    3 cm, or the clearance of the whole robot at start or goal if that is less; the motion guard
+    requires no more.
 
     Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each
     joint at most 1 mrad beyond its limit. Methods:

@@ -112,10 +112,8 @@ def motion_report(
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if achievable_clearance is None:
         achievable_clearance = achievable_clearance_of(scenario)
-    resting, nearest = (
-        min_clearance(metrics.resting_clearance),
-        min_clearance(metrics.robot_clearance),
-    )
+    resting = min_clearance(metrics.resting_clearance)
+    nearest = min_clearance(metrics.robot_clearance)
     shortfall = 0.0 if resting is None else max(achievable_clearance - resting, 0.0)
     is_verified = log.inference == "Verified"
     is_measured = nearest is not None or not isinstance(scenario.perception, LcmCamera)

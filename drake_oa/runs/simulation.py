@@ -498,11 +498,8 @@ def collect_log(
         avoid_obstacles: value of this key in the log.
         wall_time: wall-clock time of the simulation [s].
     """
-    diagram, outcome = (
-        simulator.get_system(),
-        monitor.outcome or MotionOutcome(MotionEnd.INTERRUPTED, ""),
-    )
-    t, signals = logged_signals(diagram, simulator.get_context())
+    outcome = monitor.outcome or MotionOutcome(MotionEnd.INTERRUPTED, "")
+    t, signals = logged_signals(simulator.get_system(), simulator.get_context())
     return make_log(
         scenario,
         t,
