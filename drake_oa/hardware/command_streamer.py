@@ -45,16 +45,18 @@ _BLOCKED_MODES = {
     lcmt_panda_status.kUserStopped: "stopped by its user",
     lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
 }
-"""Robot modes of a status in which the arm does not follow commands, with descriptions for
-messages."""
+"""Descriptions of the robot modes in which the arm does not follow commands, by their number in a
+status message."""
 
 _ROWS = 4096
-"""Capacity in rows of the shared buffers of planned and of measured joint positions."""
+"""Capacity of each buffer of joint positions in a `SharedTrajectory`, planned and measured [rows].
+"""
 _NOTE_SIZE = 400
-"""Maximum size of the shared text that states why the arm is stopped or holds [byte]."""
+"""Maximum size of the text `SharedTrajectory.note`, which states why the arm is stopped or holds
+[byte]."""
 _SENT_COUNT = 400
-"""Number of recently sent commands that the streamer stores, to compare them with received commands
-and statuses."""
+"""Number of recently sent commands that a `CommandStreamer` stores, to compare them with received
+commands and statuses."""
 
 
 COMMAND_PERIOD = 0.004
@@ -360,7 +362,8 @@ class CommandStreamer:
 
 
 def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, parent: int) -> None:
-    """Sends commands to the arm until the end is requested or the parent process has ended.
+    """Sends the commands of a shared trajectory to the arm until the end is requested or the parent
+    process has ended.
 
     This function is the entry point of the streamer's process.
 

@@ -59,6 +59,7 @@ class _ImageSender:
     """Sender of the depth images of one simulated camera as LCM messages."""
 
     def __init__(self, name: str, camera: Camera, period: float) -> None:
+        """Initializes the sender of a camera with a given name and period [s]."""
         self._name, self._camera, self._period = name, camera, period
         self._system = camera.depth_image.get_system()
         self._count, self._sent = 0, -math.inf

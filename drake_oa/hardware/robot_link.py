@@ -138,7 +138,7 @@ class RobotLink:
 
         Args:
             q_start: (7,) start configuration of the scenario [rad].
-            limits: limits of these joints.
+            limits: limits of these joints, in the same order.
 
         Returns:
             (7,) measured positions [rad].
@@ -182,7 +182,7 @@ class RobotLink:
 
         Args:
             t: simulated time [s].
-            q: (7,) planned positions [rad].
+            q: (7,) planned positions of the arm's joints [rad].
 
         Raises:
             HardwareError: if the command streamer has stopped the arm or has ended.

@@ -1,5 +1,6 @@
-"""Plant of the robot alone, used by the controller and the self filter, and the limits of the
-robot's joints.
+"""Plant of the robot alone, and limits of its joints.
+
+The controller and the self filter, which removes the robot from depth images, use the plant.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Rob
     The arm's joints are the first moving joints of the model.
 
     Raises:
-        ScenarioError: for a wrong number of speeds.
+        ScenarioError: if the number of speeds is not the number of the arm's joints.
     """
     if robot.joint_speed is None:
         return

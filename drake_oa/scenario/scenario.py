@@ -46,8 +46,8 @@ class View:
     """Configuration block of a viewer's initial settings, which its user can change."""
 
     show: list[Layer] | None = None
-    """Names of the layers that are displayed at first; null: decision and motion, and also the
-    descriptor for `inference: !Paper`."""
+    """Names of the layers that are displayed at first; null: "decision" and "motion", and for
+    `inference: !Paper` also "descriptor", the ellipsoids of the obstacles."""
 
 
 @dataclass(config=BLOCK)

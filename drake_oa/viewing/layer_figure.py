@@ -22,16 +22,17 @@ LAYERS = (
     "controller",
     "plant",
 )
-"""Names of the subsystems that the chart shows, in the order of data flow. Subsystems that a
+"""Names of the subsystems that `layer_figure` draws, in the order of data flow. Subsystems that a
 diagram lacks are skipped."""
 _WIDTH, _HEIGHT, _LINE = 170, 76, 15
-"""Width and height of one field of the chart, and height of a text line [pixel]."""
+"""Width and height of one field of the N2 chart that `layer_figure` draws, and height of a text
+line [pixel]."""
 _STYLE = (
     "<style>text { font: 13px sans-serif; fill: #222; text-anchor: middle }"
     " .name { font-weight: bold } .small { font-size: 11px; fill: #555 }"
     " rect { fill: #eef3fa; stroke: #456 } .signal { fill: #fff; stroke: #cdd }</style>"
 )
-"""CSS style of the chart's texts and fields, as SVG element."""
+"""CSS style of texts and fields in the N2 chart that `layer_figure` draws, as SVG element."""
 
 
 def layer_figure(diagram: Diagram) -> str:

@@ -17,13 +17,13 @@ from pydrake.geometry import Meshcat
 from drake_oa.viewing import drawing
 
 _MAX_LAG = 0.15
-"""Time in which a page should draw a frame; after this time the next frame waits until the frame is
-drawn [s]."""
+"""Time in which a live page should draw a frame; after this time the next frame waits until the
+frame is drawn [s]."""
 _PAGE_TIMEOUT = 10.0
-"""Time without a request of a page after which the page counts as closed [s]."""
+"""Time without a request from a live page after which this page counts as closed [s]."""
 _FRAME = "/drake_oa_frame"
-"""Path of an empty node in the scene tree, whose render order is set to the number of the last sent
-frame."""
+"""Path of an empty node in Meshcat's scene tree, whose render order is set to the number of the
+last frame sent to a live page."""
 
 
 class Reading(NamedTuple):
@@ -41,7 +41,7 @@ class Reading(NamedTuple):
 
 
 def _css(color: drawing.Color) -> str:
-    """Returns a color as text in CSS, for styles of the panel."""
+    """Returns a color as CSS text, for the style of the panel's legend."""
     return f"rgb{tuple(round(255 * part) for part in color)}"
 
 
@@ -57,7 +57,7 @@ _LEGEND = (
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
     ("#777", "observed points", "perception/cloud"),
 )
-"""Rows of the panel's legend: CSS color, text, and path pattern in the scene tree. A row is
+"""Rows of the panel's legend: CSS color, text, and path pattern in Meshcat's scene tree. A row is
 displayed while an object at a matching path is visible."""
 _STYLE = """
 <style>
@@ -71,7 +71,7 @@ _STYLE = """
   #drake-oa-alert { color: #b00; font-weight: bold; white-space: pre-line; }
   .dg.main { max-height: 100vh; overflow: hidden auto !important; }
 </style>"""
-"""CSS style of the panel, as HTML element."""
+"""CSS style of the panel on Meshcat's page, as HTML element."""
 _PANEL = Template("""
 <div id="drake-oa"><b>$title</b> <span>$description</span><div id="drake-oa-now"></div>
 <div id="drake-oa-alert"></div>$legend</div>
@@ -99,7 +99,8 @@ _PANEL = Template("""
   $script
 </script>
 </body>""")
-"""HTML template of the panel, with the script that updates its readings and legend."""
+"""HTML template of the panel on Meshcat's page, with the script that updates its readings and
+legend."""
 _RECORDED = Template("""
   const drakeOa = $readings;
   setInterval(() => {
@@ -108,8 +109,8 @@ _RECORDED = Template("""
     while (row + 1 < drakeOa.length && drakeOa[row + 1][0] <= time + 1e-6) row += 1;
     drakeOaShow(drakeOa[row]);
   }, 50);""")
-"""Script template of a recorded page, which displays the reading at the present time of the
-recording's player."""
+"""Script template of the page of a recording, which displays the reading at the present time of the
+playback."""
 _LIVE = """
   let drakeOaAsked = 0;
   function drakeOaAsk(now) {

@@ -62,6 +62,7 @@ class _CameraWorld:
     """
 
     def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
+        """Builds the diagram of a scenario's world and one camera."""
         builder = DiagramBuilder()
         self._sensor = add_camera(builder, scenario, config)
         # `AdvanceTo` releases Python's global lock while it renders; evaluating a port would not.
@@ -160,8 +161,8 @@ class BackgroundCamera:
 
 
 _numbers = itertools.count()
-"""Counter of the background cameras in this process, used to give each camera's rendered world a
-name."""
+"""Counter of the background cameras in this process; each camera's rendered world is named by a
+number of the counter."""
 _render_thread = ThreadPoolExecutor(1, "render")
 """Thread that creates, uses and destroys the rendered worlds of all cameras."""
 _worlds = threading.local()

@@ -47,8 +47,8 @@ the depth z by z^2 / (8 f baseline), which is 2.9 mm at 1 m with a focal length 
 _UNIT = 0.001
 """Resolution of the depth values that the camera's driver outputs (OpenNI) [m]."""
 _NEAR = 0.5
-"""Depth below which the camera measures no pixels; minimum depth in the scans of real_scans.md [m].
-"""
+"""Depth below which the camera measures no pixels; minimum depth in the real scans of
+docs/results/real_scans.md [m]."""
 _FAR = 5.0
 """Depth above which the camera measures no pixels (Khoshelham and Oude Elberink) [m]."""
 _GRAZING_START = math.radians(70.0)
@@ -60,16 +60,17 @@ _EDGE_JUMP = 0.02
 """Minimum relative difference of inverse depth at which two neighboring pixels form a depth edge;
 that of a plane at an angle of incidence of 85 deg [-]."""
 _EDGE_DROPOUT = 0.2
-"""Fraction of the pixels at depth edges that are missing, in patches; value from the scans of
-real_scans.md [-]."""
+"""Fraction of the pixels at depth edges that are missing, in patches [-]. The value is estimated
+from the real scans of docs/results/real_scans.md."""
 _FLYING = 0.1
-"""Fraction of the pixels at depth edges whose depth is between both surfaces; value from the scans
-of real_scans.md [-]."""
+"""Fraction of the pixels at depth edges whose depth is between both surfaces [-]. The value is
+estimated from the real scans of docs/results/real_scans.md."""
 _SMOOTH = 3, 5
 """Widths of the filter that correlates the depth noise, along columns and along rows [pixel]. The
-values reproduce the scans of real_scans.md. There, residuals after subtraction of their mean over
-21 x 21 pixels are correlated along a row by 0.72 at one pixel, 0.38 at four and 0.08 at eight.
-Along a column, the correlation is 0.57 at one pixel, 0.12 at three and -0.02 at four."""
+values reproduce the real scans of docs/results/real_scans.md. There, residuals after subtraction of
+their mean over 21 x 21 pixels are correlated along a row by 0.72 at one pixel, 0.38 at four and
+0.08 at eight. Along a column, the correlation is 0.57 at one pixel, 0.12 at three and -0.02 at
+four."""
 _PATCH = 4
 """Side length of square patches whose pixels are displaced together at depth edges, or are missing
 together [pixel]."""

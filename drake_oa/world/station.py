@@ -2,8 +2,8 @@
 cameras.
 
 `make_station` adds the arm on its base, the table, the obstacles, and the depth cameras. In
-contrast, `make_robot_plant` of `drake_oa.robot` builds the robot alone, for the controller and the
-self filter.
+contrast, `make_robot_plant` of `drake_oa.robot` builds the robot alone, for the controller and for
+the self filter, which removes the robot from depth images.
 """
 
 from __future__ import annotations
