@@ -6,9 +6,9 @@ all layers from camera images to joint torques, and loggers.
 Layers, in the order of the data flow: station, perception, collision_scene, descriptor, inference,
 route, verification, policy, posture, safety, control; in addition faults and view. A function
 `add_<layer>(signals, scenario, station)` creates the systems of a layer from the blocks of the
-scenario and adds them to a `SignalBuilder` (`drake_oa.common.signal_builder`), which connects ports
-by the names of their signals. The packages of the layers import neither scenarios nor the station;
-only the modules of `drake_oa.diagrams` do.
+scenario, and adds these systems to a `SignalBuilder` (`drake_oa.common.signal_builder`). This
+builder connects ports by the names of their signals. The packages of the layers import neither
+scenarios nor the station; only the modules of `drake_oa.diagrams` do.
 
 Signals and the systems that output them (`avoidance.Layers` lists the inputs of each layer):
 

@@ -67,9 +67,9 @@ def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationMode
     """Adds systems that output desired_posture, the nominal posture of the arm's null space.
 
     With MotionVerifier this is the system nominal_posture_source, which follows the planned motion.
-    Without MotionVerifier, and if the task has a configuration at the goal, these are the systems
-    posture_guide and guide_follower; the posture then leads from the configuration at the start to
-    the configuration at the goal.
+    Without MotionVerifier these are the systems posture_guide and guide_follower, if the task has a
+    configuration at the goal. The posture then leads from the configuration at the start to the
+    configuration at the goal.
     """
     if station is None:
         return

@@ -243,7 +243,7 @@ def package_folder(name: str) -> Path:
 
 
 def package_file(url_or_file: str) -> Path:
-    """Returns the file of a `package://drake_oa/...` URL, or the path itself."""
+    """Returns the path of a file that is given as a path or as a `package://drake_oa/...` URL."""
     name = url_or_file.removeprefix("package://drake_oa/")
     return package_folder("drake_oa.models") / name if name != url_or_file else Path(name)
 

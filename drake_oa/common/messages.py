@@ -2,8 +2,8 @@
 
 A message is a frozen dataclass of read-only arrays. Copying it is free (``__deepcopy__`` returns
 the message itself): a Drake Context that contains a message clones in constant time, and no
-receiver can change the input of another. The suffix _W means "in the world frame W". p_WO is the
-position and R_WO the orientation of an obstacle O in W, E the tool point, and S and G are start and
+receiver can change the input of another. The suffix _W means "in the world frame W": p_WO is the
+position and R_WO the orientation of an obstacle O in W. E is the tool point, S the start and G the
 goal of the motion.
 """
 
@@ -292,9 +292,8 @@ OUT_OF_WORLD = 25.0
 class CouplingParameters(Frozen):
     """Parameters of M coupling terms, which turn the motion away from obstacles.
 
-    With the angle theta from the direction to the obstacle's center to the heading, and the
-    distance d from this center, the turning rate is
-    alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2).
+    The turning rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2). theta is the angle
+    from the direction of the obstacle's center to the heading, and d the distance from this center.
 
     Attributes:
         alpha: (M,) strength: turning rate in units of 1/T, with the demonstrated duration T.
@@ -313,8 +312,8 @@ class CouplingParameters(Frozen):
         note: explanation of `hold`.
         restart: whether a motion at rest restarts from its current position.
         verified: whether roll-outs (simulations) have verified the motion. The coupling terms then
-            act about `center_W` and do not belong to the perceived ellipsoids, and a tool or goal
-            inside a perceived ellipsoid does not hold the motion.
+            act about `center_W` and do not belong to the perceived ellipsoids. A tool or goal
+            inside a perceived ellipsoid then does not hold the motion.
         ellipsoids: ellipsoids that belong to verified coupling terms, past which guidance turns the
             motion.
     """

@@ -143,7 +143,7 @@ class SignalBuilder:
             system: system to add.
             inputs: signal name by input port, for signals with another name than the port; a port
                 mapped to None is not connected.
-            outputs: signal name by output port, likewise.
+            outputs: signal name by output port, with the same meaning as `inputs`.
 
         Returns:
             The argument `system`.

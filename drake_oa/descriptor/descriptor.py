@@ -111,9 +111,9 @@ def describe(
             ellipsoid, fitted to the support points of the dilated cloud; parts of the obstacle stay
             outside.
         free_W: (F, 3) positions of the tool point E in the world frame that are known to be free,
-            such as start and goal [m]. If the ellipsoid of an obstacle contains one of these
-            positions, or is closer than 2 cm, the obstacle is divided into parts if the ellipsoids
-            of the parts have a larger distance. Method "enclosing" only.
+            such as start and goal [m]. An obstacle is divided into parts if the ellipsoid contains
+            one of these positions or is closer than 2 cm, and if the ellipsoids of the parts have a
+            larger distance. Method "enclosing" only.
         tool_parts: vertices (K_i, 3) of each convex part of the tool, which dilate divided
             obstacles [m]; empty: the whole tool dilates them.
 

@@ -24,9 +24,9 @@ class Paper:
     """Ellipsoid that describes an obstacle dilated by the tool: `superquadric` is the least-squares
     fit (11) of the paper, `enclosing` the ellipsoid of minimum volume that contains all points."""
     guided: bool = True
-    """Whether cost rings select the side on which each obstacle is passed, heading guidance (9) of
-    the paper turns the motion toward this side, and the duration is scaled with the length of the
-    avoiding path (section IV-E). If false, the avoidance term alone determines the side."""
+    """Whether cost rings select the side on which each obstacle is passed. Heading guidance (9) of
+    the paper then turns the motion toward this side, and the duration is scaled with the length of
+    the avoiding path (section IV-E). If false, the avoidance term alone determines the side."""
 
 
 @dataclass(config=BLOCK)
@@ -34,9 +34,9 @@ class Verified:
     """Configuration of the search for a motion, verified by roll-outs (simulations) of the arm."""
 
     chain: str | None = "package://drake_oa/weights/paper_chain_running.safetensors"
-    """Weights file of the paper's regressor chain, whose coupling terms for all obstacles together
-    are one candidate motion, and for each obstacle alone a seed of the search: a package:// URL, or
-    a file relative to the scenario; null: no such candidates."""
+    """Weights file of the paper's regressor chain: a package:// URL, or a file relative to the
+    scenario; null: none. The chain's coupling terms for all obstacles together are one candidate
+    motion, and the coupling term for each obstacle alone is a seed of the search."""
     candidates: int = Field(default=32, ge=8, le=4096)
     """Number of candidate motions that each iteration of the search simulates [-]. Raising it
     searches more widely."""
@@ -65,7 +65,7 @@ class Verified:
     Raising it gives later and better decisions; keep it below the frame period of the camera."""
     configurations: int = Field(default=20_000, ge=0, le=10_000_000)
     """Maximum number of configurations of the arm that the joint-space planner checks if the search
-    has found no feasible motion [-]. Raising it finds more paths and requires more time."""
+    finds no feasible motion [-]. Raising it finds more paths and requires more time."""
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
     """Maximum number of configurations of the arm that the joint-space planner checks at the
     reduced clearance, its last resort [-]. Raising it finds more paths and requires more time."""

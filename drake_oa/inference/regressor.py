@@ -9,12 +9,12 @@ Three small networks are evaluated in sequence (section IV-C of Pairet et al., R
 The input is h = (lambda1', lambda2', Delta), with the half-extents lambda' of the obstacle's
 section by the plane of motion, and the requested clearance Delta. A chain of two inputs omits
 Delta. The outputs are the parameters of the turning rate
-alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2), with the angle theta between heading and
-obstacle, and the distance d from the center of the obstacle.
+alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2). theta is the angle between heading and
+obstacle, and d the distance from the center of the obstacle.
 
 The coupling term is scale invariant: with lengths divided by the baseline L (distance from start to
-goal), h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is a turning rate in units of
-1/T, with the demonstrated duration T.
+goal), h/L -> (kappa L^2, psi, alpha) is one map for every L. The unit of alpha is 1/T, with the
+demonstrated duration T.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class RegressorChain(LeafSystem):
         """Declares the ports.
 
         Args:
-            weights: trained chain, see `drake_oa.inference.regressor.load_chain`.
+            weights: trained chain, as read by `drake_oa.inference.regressor.load_chain`.
             requested_clearance: requested clearance Delta between tool and obstacles [m].
         """
         super().__init__()

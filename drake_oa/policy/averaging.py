@@ -3,8 +3,8 @@
 The spline removes hand tremor and averages repetitions sampled at different, uneven times. Each
 recording is expressed over normalized time s = (t - t_0) / (t_1 - t_0), from 0 at its start t_0 to
 1 at its end t_1. Positions are expressed in the recording's local frame L (x from start to goal, z
-up) and divided by its baseline (distance from start to goal), as `drake_oa.policy.dmp` describes.
-The mean motion is the quintic spline with evenly spaced knots whose coefficients c minimize
+up) and divided by the distance from start to goal, as in `drake_oa.policy.dmp`. The mean motion is
+the quintic spline with evenly spaced knots whose coefficients c minimize
 
     mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 

@@ -32,7 +32,7 @@ class Policy:
     farther from the goal."""
     table_height: float = Field(default=0.05, ge=0.0, le=10.0)
     """Minimum height of the tool point above the table where the motion passes an obstacle [m].
-    Raising it forbids more of the directions that pass an obstacle close to the table."""
+    Raising it forbids more directions of passing an obstacle close to the table."""
     max_observation_age: float = Field(default=0.5, gt=0.0, le=1e6)
     """Age of the last valid observation of the obstacles above which the motion is held [s].
     Raising it tolerates longer gaps in perception."""

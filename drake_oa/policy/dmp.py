@@ -22,18 +22,17 @@ has the orientation of S. r obeys, with the phase k of the position,
     dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) (g - r(0)) + f(k),    dr/ds = z,
 
 with g the rotation vector of the goal. f_0 is fitted to the minimum-jerk profile m(s), which rises
-from 0 to 1, and f to the remainder of the demonstration, r(s) - m(s) r(1), with r relative to r(0).
-A motion to another goal is thus r(0) + m(s) (g - r(0)) + (r(s) - m(s) r(1)), also if start and
-goal have the same orientation. As for the position, a step is exact. The exponential map has no
-singularity; only learning and setting a goal compute logarithms. Along r(t),
+from 0 to 1. f is fitted to the remainder r(s) - m(s) r(1) of the demonstration, in which r is
+relative to r(0). A motion to another goal is thus r(0) + m(s) (g - r(0)) + (r(s) - m(s) r(1)), also
+if start and goal have the same orientation. As for the position, a step is exact. The exponential
+map has no singularity; logarithms are computed only when a primitive is learned or a goal is set.
+The angular velocity in A is the left Jacobian of the exponential map times r',
 
     w_A = r' + a r x r' + b r x (r x r'),   a = (1 - cos |r|) / |r|^2,
-                                            b = (|r| - sin |r|) / |r|^3,
+                                            b = (|r| - sin |r|) / |r|^3.
 
-the left Jacobian of the exponential map times r', is the angular velocity in A.
-
-Departure from Ude et al. (ICRA 2014), whose spring acts on 2 log(g q*): their system is not linear,
-so that it has no closed-form step.
+This differs from Ude et al. (ICRA 2014), whose spring acts on 2 log(g q*): their system is not
+linear, so that it has no closed-form step.
 """
 
 from __future__ import annotations

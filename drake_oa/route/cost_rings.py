@@ -1,8 +1,8 @@
 """Cost rings, and the selection of the sides on which obstacles are passed.
 
-Each cost ring rates, for each obstacle, directions omega on a circle around the line from start to
-goal, in the YZ plane of the local frame L (x from start to goal, z up). The direction with the
-minimum total cost is the side on which the obstacle is passed, by (12) of Pairet et al., RA-L 2019:
+A cost ring rates directions omega in which an obstacle can be passed. The directions form a circle
+around the line from start to goal, in the YZ plane of the local frame L (x from start to goal, z
+up). The direction with the minimum total cost is selected, by (12) of Pairet et al., RA-L 2019:
 
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
@@ -20,11 +20,11 @@ baseline, and the direction omega_i of group i, the selection minimizes
           + 2 sum over the legs of their obstruction.
 
 eta_i is the sum of the rings of group i except the length ring. l is the length of the path from
-start via the passing points to the goal, with the minimum l_min and the maximum l_max over all
-combinations, and L the length of the baseline. The obstruction of a leg is computed by
-`obstruction`. With one obstacle no leg is obstructed, and the sum is that of (12) of the paper.
-Each term depends on consecutive groups only, so that dynamic programming (Viterbi) finds the
-minimum of all K^N combinations of K directions in N K^2 steps.
+start via the passing points to the goal. l_min and l_max are its minimum and maximum over all
+combinations of directions, and L is the length of the baseline. The obstruction of a leg is
+computed by `obstruction`. With one obstacle no leg is obstructed, and the sum equals that of (12).
+Each term depends on consecutive groups only. Dynamic programming (Viterbi) thus finds the minimum
+of all K^N combinations of K directions in N K^2 steps.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class RingScene:
         table: support plane, or None.
         angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
         directions_W: (K, 3) directions omega, unit vectors orthogonal to the baseline.
-        p_WP: (M, K, 3) passing points of the path past each obstacle in each direction, which have
-            the requested clearance from the obstacle and are displaced from the baseline along
-            omega [m].
+        p_WP: (M, K, 3) passing points of paths past each obstacle in each direction [m]. They have
+            the requested clearance from the obstacle, and are displaced from the baseline along
+            omega.
         detour: (M, K) distances of the passing points from the baseline [m].
         requested_clearance: requested clearance Delta [m].
         joint_margin: (M, K) minimum distance of the joints from their limits on the path via the
@@ -96,8 +96,8 @@ JointMargins = Callable[[FloatArray], FloatArray]
 """Function that computes the joint margins along N paths of the tool point.
 
 The argument contains P corners of each path, (N, P, 3) [m]. The result (N, P) [rad] contains for
-each corner the minimum distance of the joints from their limits on the leg to this corner, and -inf
-from the first corner on that the arm cannot reach."""
+each corner the minimum distance of the joints from their limits on the leg to this corner. It is
+-inf from the first corner on that the arm cannot reach."""
 
 
 def ring_scene(
@@ -166,11 +166,11 @@ def ring_scene(
 def length_ring(scene: RingScene) -> FloatArray:
     """Computes the length ring: costs (M, K) of the path length via each passing point.
 
-    With the length l from start via the passing point to the goal, its range [l_min, l_max] over
-    the directions, and the distance L from start to goal, the cost is
-    (l - l_min) / max(l_max - l_min, 0.1 L). Without the term 0.1 L the passing side of an obstacle
-    on the baseline, for which all lengths are about equal, would change with each millimeter of
-    motion in spite of the hysteresis.
+    The cost is (l - l_min) / max(l_max - l_min, 0.1 L). l is the length from start via the passing
+    point to the goal, [l_min, l_max] its range over the directions, and L the distance from start
+    to goal. For an obstacle on the line from start to goal, all lengths are about equal. Without
+    the term 0.1 L its passing side would change with each millimeter of motion, in spite of the
+    hysteresis.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -391,9 +391,9 @@ def sequence_costs(
 ) -> tuple[FloatArray, FloatArray]:
     """Computes the costs of passing N groups of obstacles on K sides each, for `best_sequence`.
 
-    The passing point of a group is that of the member with the largest detour. The group at the
-    end of the first leg does not obstruct this leg, and the group at the beginning of the last leg
-    does not obstruct the last leg, because the coupling terms bend the motion around it.
+    The passing point of a group is that of the member with the largest detour. The first group does
+    not obstruct the leg from the start, and the last group does not obstruct the leg to the goal,
+    because coupling terms bend the motion around them.
 
     Args:
         scene: obstacles and directions.
