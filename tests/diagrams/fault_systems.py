@@ -1,4 +1,4 @@
-"""Faults of cameras and observations that tests put into a diagram by `customize=`."""
+"""Faults of cameras and observations, inserted into a diagram by its argument `customize`."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,10 +15,11 @@ from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene
 from tests.builders import depth_image
 
 Customize = Callable[[SignalBuilder], None]
+"""Function that changes a diagram before it is built."""
 
 
 class ChangedMessages(LeafSystem):
-    """Messages of one signal as a function of time [s] and message changes them."""
+    """System that applies a function of time [s] and message to the messages of a signal."""
 
     def __init__(self, signal: str, model: object, change: Callable[[float, Any], object]) -> None:
         super().__init__()
@@ -31,7 +32,7 @@ class ChangedMessages(LeafSystem):
 
 
 class DelayedMessages(LeafSystem):
-    """Messages of one signal, each a time [s] after its stamp."""
+    """System that outputs each message of a signal at a delay [s] after its stamp."""
 
     PERIOD = 1.0 / 60.0
 
@@ -39,44 +40,44 @@ class DelayedMessages(LeafSystem):
         super().__init__()
         self._delay, self._model = delay, model
         self._port = self.DeclareAbstractInputPort(signal, Value(model))
-        self._kept = self.DeclareAbstractState(Value(()))
+        self._messages = self.DeclareAbstractState(Value(()))
         self.DeclareAbstractOutputPort(signal, lambda: Value(model), self._calc)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self.PERIOD, 0.0, self._keep)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self.PERIOD, 0.0, self._store)
 
-    def _keep(self, context: Context, state: State) -> None:
+    def _store(self, context: Context, state: State) -> None:
         new = self._port.Eval(context)
-        kept = context.get_abstract_state(self._kept).get_value()
-        if not kept or new.stamp > kept[-1].stamp:
-            state.get_mutable_abstract_state(self._kept).set_value((*kept, new))
+        messages = context.get_abstract_state(self._messages).get_value()
+        if not messages or new.stamp > messages[-1].stamp:
+            state.get_mutable_abstract_state(self._messages).set_value((*messages, new))
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        kept = context.get_abstract_state(self._kept).get_value()
-        arrived = [one for one in kept if one.stamp <= context.get_time() - self._delay]
+        messages = context.get_abstract_state(self._messages).get_value()
+        arrived = [one for one in messages if one.stamp <= context.get_time() - self._delay]
         output.set_value(arrived[-1] if arrived else self._model)
 
 
-def late_observations(delay: float) -> Customize:
-    """Delays obstacles and solids by a time [s]."""
+def delayed_observations(delay: float) -> Customize:
+    """Delays obstacles and collision scene by a time [s]."""
 
     def customize(signals: SignalBuilder) -> None:
         for signal, model in (
             ("obstacles_W", ObstacleClouds()),
             ("collision_scene_W", CollisionScene()),
         ):
-            signals.interpose(signal, f"late_{signal}", DelayedMessages(signal, model, delay))
+            signals.interpose(signal, f"delayed_{signal}", DelayedMessages(signal, model, delay))
 
     return customize
 
 
 def changed(signal: str, model: object, change: Callable[[Any], object], *when: float) -> Customize:
-    """Changes the messages of a signal from a first to a last time [s]."""
+    """Changes the messages of a signal from the first to the second time in `when` [s]."""
     first, last = when
     system = ChangedMessages(signal, model, lambda t, m: change(m) if first <= t < last else m)
     return lambda signals: signals.interpose(signal, f"changed_{signal}", system)
 
 
 def nan_frames(*when: float) -> Customize:
-    """Makes all depths NaN."""
+    """Replaces all depths of images by NaN within a time span [s]."""
     return changed(
         "depth_image",
         ImageDepth32F(),
@@ -86,7 +87,7 @@ def nan_frames(*when: float) -> Customize:
 
 
 def raised_table(start: float, height: float) -> Customize:
-    """Raises the table, and all solids that are no obstacle, by a height [m]."""
+    """Raises table and environment by a height [m] from a start time [s] on."""
 
     def change(scene: CollisionScene) -> CollisionScene:
         if not len(scene):
@@ -101,7 +102,7 @@ def raised_table(start: float, height: float) -> Customize:
 
 
 def nan_clouds(*when: float) -> Customize:
-    """Makes every third point and all velocities of obstacles NaN."""
+    """Replaces every third point and all velocities of obstacles by NaN in a time span [s]."""
 
     def change(seen: ObstacleClouds) -> ObstacleClouds:
         clouds = tuple(
@@ -113,8 +114,8 @@ def nan_clouds(*when: float) -> Customize:
     return changed("obstacles_W", ObstacleClouds(), change, *when)
 
 
-def nan_solids(*when: float) -> Customize:
-    """Makes poses and velocities of all solids NaN."""
+def nan_geometries(*when: float) -> Customize:
+    """Replaces the poses of all collision geometries by NaN within a time span [s]."""
 
     def change(scene: CollisionScene) -> CollisionScene:
         if not len(scene):

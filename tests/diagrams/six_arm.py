@@ -1,11 +1,9 @@
-"""An arm of six joints without fingers, which shares nothing with the Panda."""
+"""Robot arm with six joints and without fingers, independent of the Panda."""
 
 from pathlib import Path
 
 from drake_oa.robot.config import Robot
 
-# Joints of the size of a UR5e's: name, xyz and rpy in the link before, and the size of the box
-# that is the link, from its joint along x, y or z to the next.
 _LINKS = [
     ("pan", "0 0 0.1625", "0 0 0", "0.12 0.12 0.12", "0 0 0"),
     ("lift", "0 0 0", "1.5707963 0 0", "0.425 0.1 0.1", "-0.2125 0 0.13"),
@@ -14,6 +12,8 @@ _LINKS = [
     ("wrist2", "0 -0.0997 0", "1.5707963 0 0", "0.08 0.1 0.08", "0 0.02 0"),
     ("wrist3", "0 0.0996 0", "1.5707963 3.1415927 3.1415927", "0.08 0.08 0.04", "0 0 -0.02"),
 ]
+"""Joints with the dimensions of a UR5e: name, xyz and rpy in the parent link, and size and center
+of the link's box."""
 
 SIX_ARM = """
 task: {start: [0.5, -0.3, 0.35], goal: [0.5, 0.3, 0.35], duration: 2.0, clearance: 0.08}
@@ -28,10 +28,11 @@ robot:
   tool_links: [wrist3]
   q_seed: [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
 """
-"""Task and robot of a scenario; `six.urdf` beside it holds `arm_text()`."""
+"""Scenario with task and robot; its model file `six.urdf` has the text `arm_text()`."""
 
 
 def _body(name: str, size: str, at: str) -> str:
+    """Returns the URDF of a link: a box with its size and center."""
     shape = f'<origin xyz="{at}"/><geometry><box size="{size}"/></geometry>'
     return f"""
   <link name="{name}">
@@ -44,10 +45,11 @@ def _body(name: str, size: str, at: str) -> str:
 
 
 SIX_HOME = [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
+"""Home positions of the six joints [rad]."""
 
 
 def six_robot(folder: Path) -> Robot:
-    """Returns the block of the arm, whose model it writes to a folder."""
+    """Writes the arm's model to a folder and returns its robot configuration."""
     file = folder / "six.urdf"
     file.write_text(arm_text())
     return Robot(

@@ -1,4 +1,4 @@
-"""The whole diagram: it runs, reaches what it must, and runs the same way again."""
+"""Tests of the whole diagram: perception sources, clearance, and reproducibility."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -17,7 +17,8 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = (GROUND_TRUTH, "inference=!Paper {}")  # Nothing is searched for.
+QUICK = (GROUND_TRUTH, "inference=!Paper {}")
+"""Overrides of a run without the motion search."""
 PRESENT = (
     "{name: box, shapes: [!Box {size: [0.12, 0.1, 0.31]}], translation: [0.46, 0.0, 0.155], "
     "present: [0.3, 0.4]}"
@@ -25,7 +26,7 @@ PRESENT = (
 
 
 @pytest.mark.parametrize("kind", ["GroundTruth", "DepthCamera", "RecordedClouds"])
-def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: Path) -> None:
+def test_perception_source_is_selected_by_its_block(kind: str, recording_folder: Path) -> None:
     block = {"RecordedClouds": f"{{folder: {recording_folder}}}"}.get(kind, "{}")
     scenario = load_scenario("tabletop_box", [f"perception=!{kind} {block}"])
     log = simulate(scenario, duration=0.2)
@@ -36,8 +37,8 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
     assert log.event == (DECIDING, "")
 
 
-def test_the_avoiding_motion_keeps_the_clearance_and_is_not_held_up() -> None:
-    # The latency would let the motion begin later.
+def test_avoiding_motion_has_the_requested_clearance_without_holds() -> None:
+    # With the compute latency the motion would begin later.
     scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "compute_latency=null"])
     log = simulate(scenario)
     report = motion_report(scenario, log)
@@ -50,9 +51,6 @@ def test_the_avoiding_motion_keeps_the_clearance_and_is_not_held_up() -> None:
     np.testing.assert_allclose(p_WE, log.desired_position[::20], atol=0.01)
 
 
-# The same again.
-
-
 @pytest.mark.parametrize(
     ("name", "overrides", "duration"),
     [
@@ -60,9 +58,7 @@ def test_the_avoiding_motion_keeps_the_clearance_and_is_not_held_up() -> None:
         ("free_space", [], 3.0),
     ],
 )
-def test_two_runs_are_the_same_to_the_last_bit(
-    name: str, overrides: list[str], duration: float
-) -> None:
+def test_repeated_runs_are_bitwise_equal(name: str, overrides: list[str], duration: float) -> None:
     first, second = (simulate(load_scenario(name, overrides), duration=duration) for _ in range(2))
     for item in fields(MotionLog):
         if item.name != "wall_time":
@@ -71,7 +67,8 @@ def test_two_runs_are_the_same_to_the_last_bit(
 
 
 def motion(diagram: Diagram, root: Context) -> FloatArray:
-    found = []
+    """Returns desired motion, state and torque of a diagram in a context."""
+    values = []
     for system, port in (
         ("dmp_integrator", "desired_position"),
         ("dmp_integrator", "desired_velocity"),
@@ -81,8 +78,8 @@ def motion(diagram: Diagram, root: Context) -> FloatArray:
     ):
         if diagram.HasSubsystemNamed(system):
             part = diagram.GetSubsystemByName(system)
-            found.append(part.GetOutputPort(port).Eval(part.GetMyContextFromRoot(root)))
-    return np.concatenate(found)
+            values.append(part.GetOutputPort(port).Eval(part.GetMyContextFromRoot(root)))
+    return np.concatenate(values)
 
 
 @pytest.mark.parametrize(
@@ -96,14 +93,14 @@ def motion(diagram: Diagram, root: Context) -> FloatArray:
         ("pushed_robot", [*QUICK, "faults=[!Push {start: 0.3}]"], 0.2, 0.6),
     ],
 )
-def test_a_cloned_context_goes_on_in_the_same_way(
+def test_cloned_context_continues_equally(
     name: str, overrides: list[str], when: float, until: float
 ) -> None:
     diagram = build_avoidance(load_scenario(name, overrides))
     simulator = Simulator(diagram)
     simulator.AdvanceTo(when)
     other = Simulator(diagram, simulator.get_context().Clone())
-    # Everything is in the context: nothing is initialized again.
+    # All state is in the context, hence initialization events are suppressed.
     params = InitializeParams()
     params.suppress_initialization_events = True
     other.Initialize(params)

@@ -1,4 +1,4 @@
-"""World that changes during the motion, in the whole diagram."""
+"""Tests of the whole diagram in a world that changes during the motion."""
 
 import numpy as np
 import pytest
@@ -15,10 +15,7 @@ GROUND_TRUTH = "perception=!GroundTruth {}"
 FRAME = 1.0 / 30.0
 
 
-# What appears, and what vanishes.
-
-
-def test_a_box_that_appears_is_seen_at_once_and_avoided() -> None:
+def test_appearing_box_is_perceived_at_once_and_avoided() -> None:
     scenario = load_scenario("sudden_obstacle", [GROUND_TRUTH])
     log = simulate(scenario)
     (box,) = scenario.obstacles
@@ -36,17 +33,14 @@ def test_a_box_that_appears_is_seen_at_once_and_avoided() -> None:
     seen = np.isfinite(log.p_WO).all(axis=2).any(axis=1)
     first = log.observation_time[np.argmax(seen)]
     turning = np.linalg.norm(log.desired_acceleration, axis=1) > 1.0
-    bent = log.t[np.argmax(turning & (log.t > begin))]
+    turn_time = log.t[np.argmax(turning & (log.t > begin))]
     # Ground truth and decisions have 15 frames a second.
     assert begin <= first <= begin + 2.0 * FRAME + 0.01
-    assert first <= bent <= first + 2.0 * FRAME + 0.02
+    assert first <= turn_time <= first + 2.0 * FRAME + 0.02
     assert not log.v_WO[seen].any()
 
 
-# A goal that moves.
-
-
-def test_a_motion_continues_to_where_the_goal_is_moved() -> None:
+def test_motion_follows_a_moving_goal() -> None:
     moves = ["task.goal_moves=[[2.5, 1.0, 0.2, 0.0]]", "perception=!GivenEllipsoids {}"]
     scenario = load_scenario("free_space", moves)
     log = simulate(scenario, avoid_obstacles=False)
@@ -55,16 +49,13 @@ def test_a_motion_continues_to_where_the_goal_is_moved() -> None:
         np.testing.assert_array_equal(goal, goal_at(scenario.task, log.t[row]))
     # The velocity is continuous; the spring answers d by a = alpha beta d / (tau T)^2.
     dmp = make_dmp(scenario)
-    most = 1.2 * dmp.alpha_x * dmp.beta_x * 0.2 / dmp.duration**2
-    assert np.linalg.norm(log.desired_acceleration, axis=1).max() < most
+    max_acceleration = 1.2 * dmp.alpha_x * dmp.beta_x * 0.2 / dmp.duration**2
+    assert np.linalg.norm(log.desired_acceleration, axis=1).max() < max_acceleration
     jump = np.linalg.norm(np.diff(log.desired_velocity, axis=0), axis=1)
-    assert jump.max() < most * 0.0041
+    assert jump.max() < max_acceleration * 0.0041
 
 
-# A push.
-
-
-def test_a_hard_push_slows_the_motion_and_is_said() -> None:
+def test_hard_push_holds_the_motion_and_is_logged() -> None:
     push = "faults=[!Push {start: 0.2, force: [0.0, 0.0, 120.0]}]"
     log = simulate(load_scenario("pushed_robot", [GROUND_TRUTH, push]), duration=4.0)
     assert log.supervision_action[0] == "hold"
@@ -72,11 +63,8 @@ def test_a_hard_push_slows_the_motion_and_is_said() -> None:
     assert log.tracking_error[-1] < 1e-3
 
 
-# Moving obstacles.
-
-
 @pytest.mark.slow
-def test_what_comes_to_the_goal_after_the_arm_counts() -> None:
+def test_obstacle_that_arrives_at_the_goal_later_ends_the_success() -> None:
     scenario = load_scenario("tabletop_box", [GROUND_TRUTH])
     scenario.obstacles = [
         Obstacle(
@@ -89,6 +77,6 @@ def test_what_comes_to_the_goal_after_the_arm_counts() -> None:
     log = simulate(scenario)
     assert log.motion_end < 8.0
     assert log.simulated_time >= 8.8 + REST_TIME
-    # It has to leave, and the ball stays.
+    # The arm has to leave the goal, as the ball stays there.
     assert log.stop_reason.startswith("goal left by")
     assert motion_report(scenario, log)["goal_error"] > AT_GOAL

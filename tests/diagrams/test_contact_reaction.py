@@ -1,4 +1,4 @@
-"""A driven box pushes a resting arm whose guard does not see it."""
+"""Tests of the contact reaction: a box pushes a resting arm whose guard does not perceive it."""
 
 import numpy as np
 import pytest
@@ -24,12 +24,16 @@ directives:
 - add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
 perception: !GroundTruth {}
 """
-PUSH, RETREAT, REACH = 2.5, 0.4, 0.2
-"""Time at which the box meets the link [s], time in which it goes back [s], and its way [m]."""
+PUSH = 2.5
+"""Time at which the box touches the link [s]."""
+RETREAT = 0.4
+"""Time in which the box moves back [s]."""
+REACH = 0.2
+"""Distance that the box travels after the first touch [m]."""
 
 
 def blind(signals: SignalBuilder) -> None:
-    """Replaces the solids by none, as of now."""
+    """Replaces the collision scene by a current one without geometries."""
     system = ChangedMessages(
         "collision_scene_W", CollisionScene(), lambda t, scene: CollisionScene.of(t, [])
     )
@@ -37,21 +41,21 @@ def blind(signals: SignalBuilder) -> None:
 
 
 def pushed(scenario: Scenario, link: str, speed: float) -> Scenario:
-    """The scenario with a box that pushes a link of the arm at its goal along y, and goes back."""
+    """Adds a box to a scenario that pushes a link of the resting arm along y and moves back."""
     robot = make_robot_plant(scenario.robot)
     context = robot.plant.CreateDefaultContext()
     robot.plant.SetPositions(context, start_positions(scenario))
     p_WL = robot.plant.GetBodyByName(link).EvalPoseInWorld(context).translation()
-    away = 0.3
-    begin, end = PUSH - away / speed, PUSH + REACH / speed
+    distance = 0.3
+    begin, end = PUSH - distance / speed, PUSH + REACH / speed
     scenario.obstacles = [
         Obstacle(
             name="box",
             shapes=[Box(size=[0.1, 0.1, 0.1])],
-            translation=(p_WL + [0.0, away, 0.0]).tolist(),
+            translation=(p_WL + [0.0, distance, 0.0]).tolist(),
             waypoints=[
                 [max(begin, 0.0), 0.0, 0.0, 0.0],
-                [end, 0.0, -away - REACH, 0.0],
+                [end, 0.0, -distance - REACH, 0.0],
                 [end + RETREAT, 0.0, 0.0, 0.0],
             ],
         )
@@ -61,30 +65,30 @@ def pushed(scenario: Scenario, link: str, speed: float) -> Scenario:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("link", "speed"), [("panda_link3", 0.8), ("panda_hand", 0.3)])
-def test_the_command_yields_and_the_arm_returns(link: str, speed: float) -> None:
+def test_command_yields_to_the_push_and_the_arm_returns(link: str, speed: float) -> None:
     scenario = pushed(parse_scenario(REST), link, speed)
     diagram = build_avoidance(scenario, customize=blind)
     guard, commands, times = diagram.GetSubsystemByName("motion_guard"), [], []
 
-    def look(monitor: MotionMonitor, root: Context) -> None:
+    def record(monitor: MotionMonitor, root: Context) -> None:
         own = guard.GetMyContextFromRoot(root)
         commands.append(np.array(guard.GetOutputPort("desired_joint_state").Eval(own)))
         times.append(root.get_time())
 
-    log = simulate(scenario, diagram=diagram, duration=10.0, on_step=look)
-    found = robot_metrics(scenario, log.q, log.q_world)
-    assert found.contacts
+    log = simulate(scenario, diagram=diagram, duration=10.0, on_step=record)
+    metrics = robot_metrics(scenario, log.q, log.q_world)
+    assert metrics.contacts
     t, x = np.array(times), np.array(commands)
     limits = log.velocity_limit[:7]
     assert (np.abs(x[:, 7:]) <= limits + 1e-6).all()
     steps = np.diff(t) > 1e-6
-    # The command begins anew at rest at a contact; else it is continuous, its acceleration bounded.
+    # The command restarts at rest at a contact; otherwise its acceleration is bounded.
     dt, v = np.diff(t)[steps, None], x[:, 7:]
     rate = np.abs(np.diff(v, axis=0))[steps] / dt
     jump = np.diff(x[:, :7], axis=0)[steps] - 0.5 * dt * (v[1:] + v[:-1])[steps]
-    begun_anew = np.abs(jump).max(axis=1) > 1e-3
-    assert rate[~begun_anew].max() <= 1.01 * GuardParameters().acceleration_limit
-    touching = log.t[found.robot_clearance <= 1e-3]
+    is_restart = np.abs(jump).max(axis=1) > 1e-3
+    assert rate[~is_restart].max() <= 1.01 * GuardParameters().acceleration_limit
+    touching = log.t[metrics.robot_clearance <= 1e-3]
     fast = log.t[(np.abs(log.v[:, :7]) > limits).any(axis=1)]
     assert not len(fast) or fast.max() <= touching.max() + 0.1
     assert np.abs(log.v[-1]).max() < 0.01

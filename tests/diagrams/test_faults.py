@@ -1,7 +1,7 @@
-"""Faults: a motion that goes on, or is brought to rest and says why; bad input: a clear error.
+"""Tests of faults: the motion continues, or is held or stopped with a reason in the log.
 
-Observations are switched by small source systems and frames by those of `fault_systems`;
-everything behind them is real.
+Faults of observations are inserted by small source systems, those of images by `fault_systems`; all
+other systems are those of the product.
 """
 
 import logging
@@ -26,25 +26,24 @@ from tests.builders import balls
 from tests.diagrams.fault_systems import nan_frames
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = "inference=!Paper {}"  # Nothing is searched for.
+QUICK = "inference=!Paper {}"
+"""Override of a run without the motion search."""
 FRAME = 1.0 / 15.0
 AGE, HOLD = 0.5, 0.25
 POLICY_STEP = 0.008
-
-# Whole runs of `tabletop_box`, each with one fault.
 
 UNSEEN = "obstacles not seen"
 PLATE = (
     "obstacles=[{name: plate, shapes: [!Box {size: [0.05, 0.006, 0.03]}], stiffness: 1000, "
     "translation: [0.45, -0.4845, 0.37015]}]"
 )
-"""A thin soft plate that touches the hand, where it starts, from behind by 0.5 mm."""
+"""Override with a thin soft plate that penetrates the hand at the start by 0.5 mm."""
 
 
 def blocked_goal(start: float) -> str:
-    """A ball that comes from beyond the goal, stays over it for 2 s and leaves again."""
-    course = [(-0.4, 1.2), (0.0, 0.0), (2.0, 0.0), (2.4, 1.2)]
-    waypoints = [[start + t, 0.0, y, 0.0] for t, y in course]
+    """Returns an override with a ball that moves to the goal, stays for 2 s and leaves."""
+    offsets = [(-0.4, 1.2), (0.0, 0.0), (2.0, 0.0), (2.4, 1.2)]
+    waypoints = [[start + t, 0.0, y, 0.0] for t, y in offsets]
     return (
         "obstacles=[{name: ball, shapes: [!Sphere {radius: 0.06}], "
         f"translation: [0.45, 0.45, 0.3], waypoints: {waypoints}}}]"
@@ -58,18 +57,18 @@ CASES = {
     "goal blocked, near it": (blocked_goal(3.5), None, "at its goal the arm would touch"),
     "start in contact": (PLATE, None, ""),
 }
-"""Override, system, and part of the log."""
+"""Name of a fault -> override, inserted system, and expected part of the log."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_each_fault_ends_as_it_should_without_a_contact(
+def test_motion_with_a_fault_reaches_the_goal_without_contact(
     name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    override, customize, told = CASES[name]
+    override, customize, log_text = CASES[name]
     scenario = load_scenario("tabletop_box", [override])
     if customize is not None:
-        # Only of frames that come as they are taken is the time known at which they change.
+        # Without a delay of the images, the time of the fault is exact.
         scenario.cameras[0].output_delay = 0.0
     log = simulate(scenario, customize=customize)
     report = motion_report(scenario, log)
@@ -78,54 +77,51 @@ def test_each_fault_ends_as_it_should_without_a_contact(
     assert report["goal_error"] <= 1e-3
     if override != PLATE:
         assert report["contacts"] == []
-    assert told in "; ".join((*log.supervision_reason, *log.event, caplog.text))
-
-
-# Observations that a source system switches.
+    assert log_text in "; ".join((*log.supervision_reason, *log.event, caplog.text))
 
 
 class Scripted(LeafSystem):
-    """One abstract output `name` that is a function of time, as a source that looks every frame."""
+    """Source whose abstract output `name` is a function of time, updated every frame."""
 
     def __init__(self, name: str, script: Callable[[float], object], model: object) -> None:
         super().__init__()
         self._script = script
-        self._seen = self.DeclareAbstractState(Value(model))
-        self.DeclareStateOutputPort(name, self._seen)
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._look)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(FRAME, 0.0, self._look)
+        self._message = self.DeclareAbstractState(Value(model))
+        self.DeclareStateOutputPort(name, self._message)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(FRAME, 0.0, self._update)
 
-    def _look(self, context: Context, state: State) -> None:
+    def _update(self, context: Context, state: State) -> None:
         seen = self._script(context.get_time())
-        state.get_mutable_abstract_state(self._seen).set_value(seen)
+        state.get_mutable_abstract_state(self._message).set_value(seen)
 
 
-def seen_by(source: LeafSystem) -> Layers:
-    """The layers, with a perception source of one's own."""
+def with_source(source: LeafSystem) -> Layers:
+    """Returns the layers with a custom perception source."""
     return replace(Layers(), perception=lambda signals, *_: signals.add("perception", source))
 
 
 @pytest.fixture
 def free_motion() -> Callable[..., MotionLog]:
-    """Runs `free_space` (from x = 0 to x = 1 m in 5 s) on scripted ellipsoids."""
+    """Function that runs `free_space` (x = 0 to 1 m in 5 s) with scripted ellipsoids."""
 
     def run(script: Callable[[float], EllipsoidSet], *overrides: str, **options: object) -> object:
         source = Scripted("ellipsoids_W", script, EllipsoidSet())
         scenario = load_scenario("free_space", list(overrides))
-        return simulate(scenario, layers=seen_by(source), **options)
+        return simulate(scenario, layers=with_source(source), **options)
 
     return run
 
 
 def assert_sound(log: MotionLog) -> None:
-    """No number that is not finite, and no jump of the desired motion."""
+    """Checks that all values are finite and the desired motion has no jump."""
     for name in ("q", "v", "torque", "desired_position", "desired_velocity"):
         assert np.isfinite(getattr(log, name)).all(), name
     step = np.linalg.norm(np.diff(log.desired_position, axis=0), axis=1)
     assert step.max(initial=0.0) < 0.02
 
 
-def test_a_stale_observation_holds_the_motion_on_its_path_and_a_fresh_one_resumes_it(
+def test_stale_observation_holds_the_motion_and_a_fresh_one_resumes_it(
     free_motion: Callable[..., MotionLog], caplog: pytest.LogCaptureFixture
 ) -> None:
     def stops_for_two_seconds(time: float) -> EllipsoidSet:
@@ -152,7 +148,7 @@ def test_a_stale_observation_holds_the_motion_on_its_path_and_a_fresh_one_resume
         (EllipsoidSet(note="no valid pixel"), [], "no observation yet (no valid pixel)"),
         (balls((0.05, 0.0, 0.0), radius=0.12), [], "tool inside obstacle 0"),
         (balls((0.95, 0.0, 0.0), radius=0.12), [], "goal inside obstacle 0"),
-        # An obstacle so big that any way past it is far outside the table's height.
+        # Every path past this large obstacle is below the table or too high.
         (
             balls((0.5, 0.0, 0.0), radius=0.12, table=TablePlane(offset=5.0)),
             [QUICK],
@@ -160,7 +156,7 @@ def test_a_stale_observation_holds_the_motion_on_its_path_and_a_fresh_one_resume
         ),
     ],
 )
-def test_where_no_motion_is_possible_the_start_is_held(
+def test_motion_is_held_at_the_start_if_none_is_possible(
     seen: EllipsoidSet,
     overrides: list[str],
     why: str,
@@ -175,6 +171,6 @@ def test_where_no_motion_is_possible_the_start_is_held(
     assert log.stop_reason == f"held for 5 s: {why}"
     assert f"held: {why}" in caplog.text
     assert_sound(log)
-    # The desired motion comes to rest at the policy's first step after.
+    # The desired motion comes to rest at the next step of the policy.
     assert not log.desired_velocity[log.t >= HOLD + POLICY_STEP - 1e-9].any()
     assert np.linalg.norm(log.desired_position[-1]) < 0.01

@@ -1,4 +1,4 @@
-"""Faults among moving obstacles: no link moves into one, and the arm arrives or rests."""
+"""Tests of faults among moving obstacles: no link moves into an obstacle."""
 
 from dataclasses import dataclass
 
@@ -13,29 +13,33 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from tests.diagrams.fault_systems import (
     Customize,
-    late_observations,
+    delayed_observations,
     nan_clouds,
-    nan_solids,
+    nan_geometries,
     raised_table,
 )
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-AT_REST, APPROACH = 0.05, 0.02
-"""Joint speed of an arm at rest [rad/s], and speed at which a link moves into an obstacle [m/s]."""
+AT_REST = 0.05
+"""Maximum joint speed of an arm at rest [rad/s]."""
+APPROACH = 0.02
+"""Maximum speed of a link toward an obstacle at a contact [m/s]."""
 SAFE = (MotionEnd.STOPPED, MotionEnd.HELD)
+"""Ends of a motion that a fault prevents from reaching the goal."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A fault by overrides or a system, how its motion may end, and part of the log."""
+    """Fault by overrides or an inserted system, accepted ends, and expected part of the log."""
 
     overrides: tuple[str, ...] = (GROUND_TRUTH,)
     customize: Customize | None = None
     ends: tuple[MotionEnd, ...] = (MotionEnd.GOAL,)
-    told: str = "evades obstacle"
+    log_text: str = "evades obstacle"
 
 
 def dropouts(*starts: float, duration: float) -> str:
+    """Returns an override with camera dropouts at start times [s]."""
     faults = ", ".join(f"!CameraDropout {{start: {t}, duration: {duration}}}" for t in starts)
     return f"faults=[{faults}]"
 
@@ -43,23 +47,27 @@ def dropouts(*starts: float, duration: float) -> str:
 UNSEEN = "obstacles not seen"
 CASES = {
     "dropped frames": Case(
-        (dropouts(*np.arange(0.4, 8.0, 0.4).round(1), duration=0.2),), told="no new image"
+        (dropouts(*np.arange(0.4, 8.0, 0.4).round(1), duration=0.2),), log_text="no new image"
     ),
-    "a camera that dies": Case((dropouts(1.0, duration=1000.0),), None, SAFE, UNSEEN),
-    "late images": Case(customize=late_observations(0.2), told=UNSEEN),
+    "a camera stops for good": Case((dropouts(1.0, duration=1000.0),), None, SAFE, UNSEEN),
+    "delayed observations": Case(customize=delayed_observations(0.2), log_text=UNSEEN),
     "a step in the table's height": Case(
-        customize=raised_table(1.5, 0.3), ends=SAFE, told="brakes for an obstacle"
+        customize=raised_table(1.5, 0.3), ends=SAFE, log_text="brakes for an obstacle"
     ),
-    "solids with NaN": Case(customize=nan_solids(1.0, 2.0), told="the solids are not finite"),
-    "obstacle data with NaN": Case((), nan_clouds(1.0, 2.0), told="obstacles_W holds what is not"),
+    "collision scene with NaN": Case(
+        customize=nan_geometries(1.0, 2.0), log_text="the solids are not finite"
+    ),
+    "obstacle data with NaN": Case(
+        (), nan_clouds(1.0, 2.0), log_text="obstacles_W holds what is not"
+    ),
 }
 
 
 def approach_at_contacts(scenario: Scenario, log: MotionLog) -> list[float]:
-    """Returns the speeds [m/s] at which the robot moves towards what comes to touch it.
+    """Computes the robot's speeds toward obstacles at the beginning of contacts [m/s].
 
-    They are the decrease of the least distance by the robot's own motion, the obstacles being
-    where they were, in the log's interval before each contact.
+    A speed is the decrease of the minimum distance in the logged interval before the contact, due
+    to the robot's motion alone: with the obstacles at their previous positions.
     """
     evaluator = clearance_evaluator(scenario)
     distance = evaluator.metrics(log.q, log.q_world).robot_clearance
@@ -78,7 +86,7 @@ def test_no_link_moves_into_a_moving_obstacle(name: str, caplog: pytest.LogCaptu
     for key in ("q", "v", "torque", "desired_position", "desired_velocity"):
         assert np.isfinite(getattr(log, key)).all(), key
     assert max(approach_at_contacts(scenario, log), default=0.0) <= APPROACH
-    assert case.told in "; ".join((*log.supervision_reason, *log.event, caplog.text))
+    assert case.log_text in "; ".join((*log.supervision_reason, *log.event, caplog.text))
     assert report["ended"] in case.ends, report["stop_reason"]
     if report["ended"] == MotionEnd.GOAL:
         assert report["goal_error"] <= 1e-3

@@ -1,8 +1,8 @@
-"""What the shipped scenarios did when last somebody meant to change it.
+"""Tests of the shipped scenarios against stored connections and logs (golden files).
 
-Each has a table of its diagram's connections and a log of its first two seconds beside this
-folder, in `tests/golden`. Where a change is meant, `GOLDEN=write python -m pytest
-tests/diagrams/test_golden.py -m ''` writes them anew, and their difference is part of the change.
+`tests/golden` has, for each scenario, the connections of its diagram and the log of its first two
+seconds. After an intended change, `GOLDEN=write python -m pytest tests/diagrams/test_golden.py -m
+''` replaces the files, and their difference is part of the commit.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from drake_oa.scenario.shipped import shipped_scenarios
 _GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 _WRITES = os.environ.get("GOLDEN") == "write"
 _SAMPLED = 40
-"""Of an array over time every so many rows are kept."""
+"""Stride of the rows of a time series in a golden file."""
 _NOT_COMPARED = {
     "wall_time",
     "versions",
@@ -39,60 +39,61 @@ _NOT_COMPARED = {
     "settled",
 }
 _TRUTH = "tabletop_box-truth"
-# Those of packages are other versions elsewhere.
+# Models of other packages may have other versions elsewhere.
 _OURS = [name for name in shipped_scenarios() if not name.startswith(("gen3_", "ur5e_"))]
 _NAMES = [*_OURS, _TRUTH]
-# Another processor rounds otherwise, and what is decided by the last bit goes another way.
+# Other processors round differently, and decisions may depend on the last bit.
 _PROCESSOR = llvm.get_host_cpu_name() + "," + llvm.get_host_cpu_features().flatten()
 _ELSEWHERE = 0.1
-"""For how long another processor's run is compared [s]."""
+"""Compared time of a run on another processor [s]."""
 
 
 def _scenario(name: str) -> Scenario:
+    """Loads a shipped scenario, or `tabletop_box` with ground-truth perception."""
     if name == _TRUTH:
         return replace(load_scenario("tabletop_box"), perception=GroundTruth())
     return load_scenario(name)
 
 
 @pytest.mark.parametrize("name", _NAMES)
-def test_is_wired_as_before(name: str) -> None:
+def test_connections_equal_the_golden_file(name: str) -> None:
     diagram = build_avoidance(_scenario(name))
-    found = "".join(f"{source} -> {reader}\n" for source, reader in connections(diagram))
+    result = "".join(f"{source} -> {reader}\n" for source, reader in connections(diagram))
     path = _GOLDEN / f"{name}.connections.txt"
     if _WRITES:
-        path.write_text(found)
-    assert found == path.read_text()
+        path.write_text(result)
+    assert result == path.read_text()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", _NAMES)
-def test_moves_as_before(name: str) -> None:
+def test_motion_equals_the_golden_log(name: str) -> None:
     scenario = _scenario(name)
     log = simulate(scenario, duration=2.0)
     if not scenario.faults and len(log.guard_action):
-        # The joints that are commanded have the tool at the desired pose.
+        # At the commanded joints the tool is at the desired pose.
         follows = log.guard_action == ACTIONS.index("follow")
         assert log.tracking_error[follows].max() <= 1e-3
         assert np.linalg.norm(log.orientation_error[follows], axis=1).max() <= np.radians(0.5)
-    found = {"processor": np.array(_PROCESSOR)}
+    result = {"processor": np.array(_PROCESSOR)}
     for key, value in log.arrays().items():
         if key not in _NOT_COMPARED:
             is_series = value.ndim and len(value) == len(log.t)
-            found[key] = value[::_SAMPLED] if is_series else value
+            result[key] = value[::_SAMPLED] if is_series else value
     path = _GOLDEN / f"{name}.npz"
     if _WRITES:
-        np.savez_compressed(path, **found)
+        np.savez_compressed(path, **result)
     with np.load(path) as archive:
         golden = {key: value for key, value in archive.items() if key not in _NOT_COMPARED}
-    assert found.keys() == golden.keys()
+    assert result.keys() == golden.keys()
     same = str(golden.pop("processor")) == _PROCESSOR
     soon = int(np.sum(golden["t"] <= _ELSEWHERE))
     for key, value in golden.items():
         if same and value.dtype.kind != "f":
-            np.testing.assert_array_equal(found[key], value, err_msg=key)
+            np.testing.assert_array_equal(result[key], value, err_msg=key)
         elif same or (value.ndim and len(value) == len(golden["t"])):
             rows = slice(None) if same or not value.ndim else slice(soon)
-            # Not to the bit: a kernel that is compiled from another place may round otherwise.
+            # Not bitwise: a kernel that is compiled elsewhere may round differently.
             rtol, atol = (1e-9, 1e-10) if same else (1e-6, 1e-9)
-            one, other = np.atleast_1d(found[key])[rows], np.atleast_1d(value)[rows]
+            one, other = np.atleast_1d(result[key])[rows], np.atleast_1d(value)[rows]
             np.testing.assert_allclose(one, other, rtol=rtol, atol=atol, err_msg=key)

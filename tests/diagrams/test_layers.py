@@ -1,4 +1,4 @@
-"""Layers and blocks of one's own: what goes wrong is told, and nothing else changes."""
+"""Tests of custom layers and of registered configuration blocks."""
 
 import dataclasses as dc
 
@@ -19,7 +19,7 @@ from drake_oa.scenario.scenario import Scenario
 
 @dataclass(config=BLOCK)
 class Nobody:
-    """A source that sees nothing."""
+    """Perception source without obstacles."""
 
     period: float = Field(default=0.1, ge=1e-3, le=1.0)
     """Time between two observations [s]."""
@@ -27,9 +27,9 @@ class Nobody:
 
 @pytest.fixture
 def nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The block, known while the test runs."""
+    """Registers the block `Nobody` for the duration of a test."""
     field = next(item for item in dc.fields(Scenario) if item.name == "perception")
-    # Set to themselves, so that what registering changes is undone afterwards.
+    # Set to their own values, so that monkeypatch restores them after registration.
     monkeypatch.setattr(field, "type", field.type)
     for name in ("fields", "core_schema", "validator", "serializer"):
         name = f"__pydantic_{name}__"
@@ -44,7 +44,7 @@ def nobody(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("nobody")
-def test_a_registered_block_is_read_checked_written_and_built() -> None:
+def test_registered_block_is_parsed_validated_written_and_built() -> None:
     scenario = load_scenario("tabletop_box", ["perception=!Nobody {period: 0.2}"])
     assert scenario.perception == Nobody(period=0.2)
     assert parse_scenario(scenario_text(scenario)).perception == scenario.perception
@@ -53,12 +53,12 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
     assert json_schema(Scenario)["properties"]["seed"]["description"]
     edges = connections(build_avoidance(scenario))
     assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
-    # Of what it sees solids are made, for what watches.
+    # The collision scene for the guard is built from its obstacles.
     assert ("perception.y0", "collision_scene.obstacles_W") in edges
     assert ("collision_scene.collision_scene_W", "motion_guard.collision_scene_W") in edges
 
 
-def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:
+def test_empty_layer_leaves_its_signals_unconnected() -> None:
     layers = dc.replace(Layers(), safety=no_op, posture=no_op)
     diagram = build_avoidance(
         load_scenario("tabletop_box", ["perception=!GroundTruth {}"]), layers=layers

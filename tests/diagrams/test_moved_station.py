@@ -1,7 +1,7 @@
-"""The whole cell elsewhere, and turned: the arm moves as it does at the world's origin.
+"""Tests of a displaced and rotated station: the motion equals that at the world's origin.
 
-What is decided from given ellipsoids is the same to rounding. From clouds it is not: an enclosing
-ellipsoid is found to about a millimeter, and each rounding finds another one.
+Decisions from given ellipsoids are equal up to rounding. Decisions from clouds are not: enclosing
+ellipsoids are computed to about a millimeter, which amplifies rounding.
 """
 
 import numpy as np
@@ -17,9 +17,9 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 TURNED = RigidTransform(RollPitchYaw(0.0, 0.0, 2.2), [1.5, -0.7, 0.4])
-"""Where the cell's origin is moved to."""
+"""Pose of the displaced station's origin in the world."""
 
-_CELL = """
+_STATION = """
 task: {{start: [0.45, -0.4, 0.3], goal: [0.45, 0.4, 0.3], duration: 2.0, clearance: 0.1}}
 compute_latency: null
 table_height: {height}
@@ -45,14 +45,13 @@ obstacles:
 - {name: ball, shapes: [!Sphere {radius: 0.1}], translation: [0.52, 0.03, 0.25]}
 """
 
-# Of motions that are nearly as good a search ends at any, and a rounding decides at which: the
-# longer it goes on, the less they differ.
 _THOROUGH = """
 inference: !Verified
   candidates: 256
   generations: 24
   compute_budget: 10
 """
+"""Search that is long enough to converge; a short one ends at one of many similar motions."""
 
 _SEEN = """
 perception: !DepthCamera {camera: camera}
@@ -75,9 +74,9 @@ cameras:
 
 
 def station(X_WN: RigidTransform, blocks: str) -> Scenario:
-    """A cell whose robot, table, camera, task and obstacles are moved."""
+    """Returns a scenario whose robot, table, camera, task and obstacles are displaced by X_WN."""
     p, yaw = X_WN.translation().tolist(), float(RollPitchYaw(X_WN.rotation()).yaw_angle())
-    text = _CELL.format(
+    text = _STATION.format(
         place=p,
         height=p[2],
         degrees=float(np.rad2deg(yaw)),
@@ -87,7 +86,7 @@ def station(X_WN: RigidTransform, blocks: str) -> Scenario:
     scenario = parse_scenario(text + blocks)
     task, robot = scenario.task, scenario.robot
     assert robot is not None
-    # Else inverse kinematics chooses, to its own tolerance.
+    # Otherwise inverse kinematics would compute the start to its own tolerance.
     task.q_start = start_positions(scenario)[: len(robot.q_seed)].tolist()
     task.start, task.goal = ((X_WN @ np.array(place)).tolist() for place in (task.start, task.goal))
     robot.X_WB = BasePose(p, [0.0, 0.0, yaw])
@@ -102,6 +101,7 @@ def station(X_WN: RigidTransform, blocks: str) -> Scenario:
 
 
 def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
+    """Returns translation [m] and roll, pitch, yaw [rad] of a pose."""
     return X.translation().tolist(), RollPitchYaw(X.rotation()).vector().tolist()
 
 
@@ -113,12 +113,16 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
         (_TRUTH + _THOROUGH, 0.6, 5e-3, 1e-2),
     ],
 )
-def test_the_arm_moves_alike(blocks: str, duration: float, apart: float, joints: float) -> None:
-    here = simulate(station(RigidTransform(), blocks), duration=duration)
-    away = simulate(station(TURNED, blocks), duration=duration)
-    p_WE, p_WO = ((TURNED @ p.reshape(-1, 3).T).T.reshape(p.shape) for p in (here.p_WE, here.p_WO))
-    np.testing.assert_allclose(away.p_WO, p_WO, atol=2e-3)
-    np.testing.assert_allclose(away.p_WE, p_WE, atol=apart)
-    np.testing.assert_allclose(away.q, here.q, atol=joints)
-    assert np.ptp(here.p_WE, axis=0).max() > 0.01
-    assert away.event == here.event
+def test_displaced_station_has_the_same_motion(
+    blocks: str, duration: float, apart: float, joints: float
+) -> None:
+    original = simulate(station(RigidTransform(), blocks), duration=duration)
+    displaced = simulate(station(TURNED, blocks), duration=duration)
+    p_WE, p_WO = (
+        (TURNED @ p.reshape(-1, 3).T).T.reshape(p.shape) for p in (original.p_WE, original.p_WO)
+    )
+    np.testing.assert_allclose(displaced.p_WO, p_WO, atol=2e-3)
+    np.testing.assert_allclose(displaced.p_WE, p_WE, atol=apart)
+    np.testing.assert_allclose(displaced.q, original.q, atol=joints)
+    assert np.ptp(original.p_WE, axis=0).max() > 0.01
+    assert displaced.event == original.event

@@ -1,4 +1,4 @@
-"""The whole diagram with a tool that turns during the motion, as asked or as demonstrated."""
+"""Tests of the whole diagram with a tool that rotates during the motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drake_oa.scenario.loading import load_scenario
 GROUND_TRUTH = "perception=!GroundTruth {}"
 
 
-def test_the_tool_arrives_turned_and_the_report_shows_the_error() -> None:
+def test_tool_reaches_the_goal_orientation_and_the_error_is_reported() -> None:
     scenario = load_scenario("tilted_goal", [GROUND_TRUTH])
     log = simulate(scenario)
     report = run_report("x", scenario, {"avoiding": log})
@@ -33,25 +33,27 @@ def test_the_tool_arrives_turned_and_the_report_shows_the_error() -> None:
     assert np.degrees(np.linalg.norm(turned)) == pytest.approx(44.5, abs=0.5)
 
 
-def test_the_arm_follows_a_recording() -> None:
+def test_arm_follows_a_demonstration() -> None:
     scenario = load_scenario("demonstrated_pour", [GROUND_TRUTH, "obstacles=[]", "cameras=[]"])
     log = simulate(scenario, avoid_obstacles=False)
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"
     assert report["goal_error"] < 1e-3
     assert report["torque_saturation"] == 0.0
-    dmp, task, held = make_dmp(scenario), scenario.task, tool_orientation(scenario)
-    # It arrives when the hand did.
+    dmp, task, orientation = make_dmp(scenario), scenario.task, tool_orientation(scenario)
+    # The arm arrives at the time of the demonstration.
     assert log.duration == pytest.approx(dmp.duration, abs=0.1)
     path = trajectory(dmp, task.start, task.goal, steps=5000).p
     assert KDTree(path).query(log.p_WE)[0].max() < 2e-3
     assert KDTree(log.p_WE).query(path)[0].max() < 2e-3
-    assert held is not None
+    assert orientation is not None
     s = np.maximum(log.t - 2.0 * scenario.policy.period, 0.0) / dmp.duration
-    shown = orientation_along(held.primitive, held.R_WS, held.R_WG, np.minimum(s, 1.2))
+    demonstrated = orientation_along(
+        orientation.primitive, orientation.R_WS, orientation.R_WG, np.minimum(s, 1.2)
+    )
     errors = [
         np.linalg.norm(goal_vector(rotation_matrix(q), R))
-        for q, R in zip(log.desired_orientation[::50], shown[::50], strict=True)
+        for q, R in zip(log.desired_orientation[::50], demonstrated[::50], strict=True)
     ]
     assert max(errors) < np.radians(0.5)
     assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)

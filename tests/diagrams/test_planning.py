@@ -1,4 +1,4 @@
-"""Verified motions of the whole arm: where shapes come from, and what is executed."""
+"""Tests of verified motions of the whole arm in the diagram: collision scene, holds, ends."""
 
 import math
 import re
@@ -20,7 +20,8 @@ GROUND_TRUTH = "perception=!GroundTruth {}"
 WHOLE_ARM = ["inference=!Verified {}"]
 
 
-def solids_seen(scenario: Scenario, seconds: float = 0.01) -> CollisionScene:
+def collision_scene(scenario: Scenario, seconds: float = 0.01) -> CollisionScene:
+    """Returns the collision scene of a diagram after a time [s]."""
     diagram = build_avoidance(scenario)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(seconds)
@@ -37,35 +38,35 @@ directives:
 """
 
 
-def among_a_carton(*lines: str) -> Scenario:
-    """`tabletop_box` with a carton in place of the box, which is not named as an obstacle."""
+def with_carton(*lines: str) -> Scenario:
+    """Returns `tabletop_box` with a carton that is not named as an obstacle in place of its box."""
     name = "directives:\n- add_directives:\n    file: package://drake_oa/scenes/tabletop_box.dmd.yaml\n"
     text = shipped_scenarios()["tabletop_box"].read_text()
     assert name in text
     return parse_scenario(text.replace(name, CARTON.lstrip()), [*WHOLE_ARM, *lines])
 
 
-def test_whatever_is_in_the_world_is_a_solid_whatever_its_name(caplog):
-    scene = solids_seen(among_a_carton(GROUND_TRUTH))
+def test_collision_scene_contains_models_of_any_name(caplog):
+    scene = collision_scene(with_carton(GROUND_TRUTH))
     assert {label.split("::")[0] for label in scene.labels} == {"table", "carton"}
-    # Of what is not named as an obstacle the tool keeps what the links keep.
+    # For the environment, the clearance of the tool is that of the links.
     assert (scene.geometries.layout[:, 5] == ENVIRONMENT).all()
     assert not caplog.text
 
 
-def an_arm(tmp_path, old="", new="") -> Scenario:
-    """An arm of six joints whose model has one text in place of another."""
+def with_six_arm(tmp_path, old="", new="") -> Scenario:
+    """Returns a scenario with the arm of six joints, `old` replaced by `new` in its model."""
     (tmp_path / "six.urdf").write_text(re.sub(old, new, arm_text(), flags=re.DOTALL))
     return parse_scenario(SIX_ARM, [GROUND_TRUTH], folder=tmp_path)
 
 
-def test_a_link_without_shape_is_told_of_and_joints_without_limits_are_turned(tmp_path, caplog):
-    def changed(found: re.Match) -> str:
-        return {"t": 'type="continuous"', "l": "", "<": found[1] or ""}[found[0][0]]
+def test_link_without_geometry_is_logged_and_joints_without_limits_move(tmp_path, caplog):
+    def changed(match: re.Match) -> str:
+        return {"t": 'type="continuous"', "l": "", "<": match[1] or ""}[match[0][0]]
 
     elbow = '(<link name="elbow">.*?)<collision>.*?</collision>'
     limits = f'{elbow}|type="revolute"|lower="-6.28" upper="6.28"'
-    log = simulate(an_arm(tmp_path, limits, changed), duration=0.5)
+    log = simulate(with_six_arm(tmp_path, limits, changed), duration=0.5)
     assert (
         "robot.model: no collision geometry of elbow: its clearance is not checked" in caplog.text
     )
@@ -88,7 +89,7 @@ inference: !Verified {}
 """
 
 
-def test_it_waits_for_what_leaves_no_way_and_goes_on_when_that_leaves():
+def test_motion_is_held_while_no_path_exists_and_resumes_afterwards():
     log = simulate(parse_scenario(CRATE), duration=1.0)
     held = np.array([cause == HoldReason.OBSTACLES for cause in log.event_hold])
     assert any("would touch obstacle" in event for event in log.event)
@@ -98,20 +99,24 @@ def test_it_waits_for_what_leaves_no_way_and_goes_on_when_that_leaves():
     assert speed[log.t > 0.6].max() > 0.02
 
 
-def test_a_motion_ends_when_it_has_arrived_not_before() -> None:
-    # A stiff spring overcomes a coarse forcing term after s = 1 and a slow phase does not fade.
+def test_motion_ends_on_arrival_or_at_the_latest_end() -> None:
+    # A stiff spring overcomes a coarse forcing term after s = 1 and a missing phase does not fade.
     empty = "perception=!GivenEllipsoids {}"
-    late = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
-    assert (late.stop_reason, late.inference) == ("goal", "Paper")
-    assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < MAX_NORMALIZED_TIME
-    assert np.linalg.norm(late.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
-    slow = simulate(load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty]))
-    assert -math.log(slow.phase[slow.moving][-1]) / 2.0 == pytest.approx(
+    arriving = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
+    assert (arriving.stop_reason, arriving.inference) == ("goal", "Paper")
+    assert (
+        1.0 < -math.log(arriving.phase[arriving.moving][-1]) / math.log(100.0) < MAX_NORMALIZED_TIME
+    )
+    assert np.linalg.norm(arriving.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
+    missing = simulate(
+        load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty])
+    )
+    assert -math.log(missing.phase[missing.moving][-1]) / 2.0 == pytest.approx(
         MAX_NORMALIZED_TIME, abs=0.02
     )
-    left = slow.desired_position[slow.moving][-1] - [1.0, 0.0, 0.0]
-    error = 1e3 * float(np.linalg.norm(left))
+    offset = missing.desired_position[missing.moving][-1] - [1.0, 0.0, 0.0]
+    error = 1e3 * float(np.linalg.norm(offset))
     assert error > 1.0
-    reason = re.fullmatch(r"goal missed by (\d+\.\d) mm at s = 2\.2", slow.stop_reason)
+    reason = re.fullmatch(r"goal missed by (\d+\.\d) mm at s = 2\.2", missing.stop_reason)
     assert reason
     assert float(reason[1]) == pytest.approx(error, rel=0.05)

@@ -1,4 +1,4 @@
-"""Scenarios that cannot run are refused by the field, before anything runs."""
+"""Tests of the errors for scenarios that cannot run, which name the field."""
 
 from pathlib import Path
 
@@ -50,7 +50,7 @@ PAPER = "inference.weights=package://drake_oa/weights/paper_chain.safetensors"
         ),
     ],
 )
-def test_a_scenario_that_cannot_run_is_refused(
+def test_invalid_scenario_is_rejected_with_its_field(
     name: str, overrides: list[str], words: list[str]
 ) -> None:
     with pytest.raises(ScenarioError) as error:
@@ -59,7 +59,7 @@ def test_a_scenario_that_cannot_run_is_refused(
         assert word in str(error.value)
 
 
-def test_a_recording_needs_the_pose_of_its_camera(recording_folder: Path, tmp_path: Path) -> None:
+def test_recording_requires_the_pose_of_its_camera(recording_folder: Path, tmp_path: Path) -> None:
     with np.load(recording_folder / "cloud_0.000.npz") as archive:
         np.savez(tmp_path / "cloud.npz", points=archive["points"])
 

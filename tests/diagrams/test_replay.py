@@ -1,4 +1,4 @@
-"""The diagram that shows a log."""
+"""Tests of the diagram that replays a log."""
 
 from collections.abc import Callable
 
@@ -15,10 +15,11 @@ from drake_oa.scenario.loading import load_scenario
 
 @pytest.fixture(scope="module")
 def meshcat() -> Meshcat:
+    """Meshcat server for the replays."""
     return Meshcat()
 
 
-def test_the_robot_is_where_the_log_has_it(
+def test_replayed_robot_has_the_logged_pose(
     meshcat: Meshcat, straight_log: Callable[..., MotionLog]
 ) -> None:
     scenario = load_scenario("tabletop_box")
@@ -46,7 +47,7 @@ def test_the_robot_is_where_the_log_has_it(
     )
 
 
-def test_a_free_point_has_the_overlay_alone(
+def test_replay_of_a_point_has_only_the_overlay(
     meshcat: Meshcat, straight_log: Callable[..., MotionLog]
 ) -> None:
     diagram = build_replay(load_scenario("free_space"), straight_log(), meshcat)

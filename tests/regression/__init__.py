@@ -1,9 +1,9 @@
-"""Regression checks of the avoiding motion against stored results.
+"""Regression checks of avoiding motions against stored results.
 
 `make regression` runs every shipped scenario with a robot to its end: seeds 0 to 2 from the
 scenario's own perception, seed 0 from ground truth. `make regression-suites` runs random scenes,
 benchmark problems and the paper's tables. Both compare run by run with the files beside this
-module, and continue where they were interrupted.
+module, and resume after an interruption.
 
     python -m tests.regression scenarios    compare with scenarios.json
     python -m tests.regression suites       compare with suites.json and tables.json

@@ -1,4 +1,4 @@
-"""Command line of the regression checks; see the package."""
+"""Command line of the regression checks; see the package's docstring."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from drake_oa.evaluation.results import Task, resumed
 from tests.regression import comparison, runs
 
 _HERE = Path(__file__).parent
+"""Folder of the stored results."""
 _RESULTS = Path("build/regression")
-"""Folder of finished runs: an interrupted check continues from them."""
+"""Folder of completed runs, from which an interrupted check resumes."""
 _JOBS = 2
-"""Worker processes."""
+"""Default number of worker processes."""
 
 
 def main() -> int:
@@ -30,26 +31,26 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=_JOBS, help="worker processes")
     options = parser.parse_args()
     if options.checks == "scenarios":
-        found = {"scenarios": _results(runs.scenario_calls(), options.jobs)}
+        result_sets = {"scenarios": _results(runs.scenario_calls(), options.jobs)}
     else:
-        found = {
+        result_sets = {
             "suites": _results(runs.suite_calls(), options.jobs),
             "points": _results(runs.point_calls(), options.jobs),
             "tables": _results(runs.table_calls(), options.jobs),
         }
     if options.write:
-        for name, results in found.items():
+        for name, results in result_sets.items():
             _write(name, results)
         return 0
-    failures = [text for name, results in found.items() for text in _compared(name, results)]
+    failures = [text for name, results in result_sets.items() for text in _compare(name, results)]
     for text in failures:
         print(f"FAILED {text}")
-    print(f"{len(failures)} failed, {sum(map(len, found.values()))} results compared")
+    print(f"{len(failures)} failed, {sum(map(len, result_sets.values()))} results compared")
     return 1 if failures else 0
 
 
 def _results(calls: Mapping[str, runs.Call], jobs: int) -> dict[str, Any]:
-    """Carries out the calls that have no result of the present source yet."""
+    """Returns name -> result of calls, and carries out those without a result of this source."""
     tasks = {
         name: Task(name.replace("/", "-"), partial(runs.carry_out_call, *call))
         for name, call in calls.items()
@@ -58,28 +59,28 @@ def _results(calls: Mapping[str, runs.Call], jobs: int) -> dict[str, Any]:
     return dict(sorted(results.items()))
 
 
-def _compared(name: str, results: dict[str, Any]) -> list[str]:
-    """Prints each changed result of a set; returns what fails."""
+def _compare(name: str, results: dict[str, Any]) -> list[str]:
+    """Prints each changed result of a set and returns messages of the failures."""
     stored = json.loads((_HERE / f"{name}.json").read_text())["results"]
     if name == "tables":
-        return list(comparison.figure_failures(stored, results, "tables"))
+        return list(comparison.metric_failures(stored, results, "tables"))
     if name == "points":
-        stored, results = _expanded(stored), _expanded(results)
+        stored, results = _expand(stored), _expand(results)
     if name == "suites" and not runs.ARCHIVE.is_file():
-        print("skipped: the problems of MotionBenchMaker are not here")
+        print("skipped: the archive of MotionBenchMaker problems is not available")
         stored = {key: run for key, run in stored.items() if not key.startswith("mbm-")}
     for text in comparison.changes(stored, results):
         print(f"changed {text}")
     if name == "scenarios":
-        # Scenarios of robots whose package is not installed are left out.
-        there = {key.partition("/")[0] for key in results}
-        stored = {key: run for key, run in stored.items() if key.partition("/")[0] in there}
+        # Without the package of a robot's model, its scenarios are not compared.
+        installed = {key.partition("/")[0] for key in results}
+        stored = {key: run for key, run in stored.items() if key.partition("/")[0] in installed}
         return list(comparison.scenario_failures(stored, results))
     return [f"{name}: {text}" for text in comparison.suite_failures(stored, results)]
 
 
-def _expanded(results: Mapping[str, Mapping[str, list[Any]]]) -> dict[str, dict[str, Any]]:
-    """Results by scene in place of lists over scenes."""
+def _expand(results: Mapping[str, Mapping[str, list[Any]]]) -> dict[str, dict[str, Any]]:
+    """Converts lists over scenes to one result per scene."""
     return {
         f"{name}/{number}": {
             **dict(zip(columns, row, strict=True)),
@@ -91,7 +92,7 @@ def _expanded(results: Mapping[str, Mapping[str, list[Any]]]) -> dict[str, dict[
 
 
 def _write(name: str, results: Mapping[str, Any]) -> None:
-    """Replaces the stored results of a set, one line a result."""
+    """Replaces the stored results of a set, one result per line."""
     head = {
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "source_digest": source_digest(),

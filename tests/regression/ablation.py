@@ -1,10 +1,10 @@
-"""Ablation of MotionGuard in random scenes with moving obstacles.
+"""Ablation study of MotionGuard in random scenes with moving obstacles.
 
     python -m tests.regression.ablation --suite moving_hard --scenes 20 --seed 1000 \\
         --perception truth --jobs 2 --results ablation
 
-runs `verified` and the variants below in the same scenes, and prints a table. Each run is on disk
-as soon as it is done, and the same command resumes.
+runs `verified` and the variants below in the same scenes, and prints a table. Each result is stored
+on completion, and the same command resumes an interrupted ablation.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ VARIANTS: dict[str, dict[str, dict[str, float]]] = {
     "fixed orientation": {"task": {"turn_limit": 0.05}},
     "half the candidates": {"guard": {"candidates": 48, "refinements": 24}},
 }
-"""Name of a variant -> block of the scenario -> fields and their values."""
+"""Name of a variant -> block of the scenario -> changed fields and their values."""
 
 
 def variant_text(seed: int, index: int, kind: str, variant: str) -> str:
-    """Draws a scene and returns its text with the fields of a variant."""
+    """Draws a scene and returns its text with the changed fields of a variant."""
     scenario, blocks = draw_panda_scene(seed, index, kind=kind), VARIANTS[variant].items()
     fields = {of: replace(getattr(scenario, of), **to) for of, to in blocks}
     return scenario_text(replace(scenario, **fields))
@@ -48,20 +48,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--perception", default="truth")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--results", type=Path, default=Path("drake_oa_runs/ablation"))
-    given = parser.parse_args(arguments)
-    suite = panda_suite(given.suite, given.scenes, given.seed, ["verified"], given.perception)
-    found = []
+    options = parser.parse_args(arguments)
+    suite = panda_suite(
+        options.suite, options.scenes, options.seed, ["verified"], options.perception
+    )
+    metrics = []
     for variant in VARIANTS:
         drawings = {
             scene: partial(variant_text, *draw.args, variant)
             for scene, draw in suite.drawings.items()
         }
         of_variant = replace(suite, drawings=drawings)
-        folder = given.results / f"{given.suite}-{variant.replace(' ', '_')}"
-        results = evaluate_panda(of_variant, workers=given.jobs, folder=folder)
-        found.append(panda_metrics(results) | {"kind": variant})
-        print(f"{variant}: done", flush=True)
-    show(panda_table(found))
+        folder = options.results / f"{options.suite}-{variant.replace(' ', '_')}"
+        results = evaluate_panda(of_variant, workers=options.jobs, folder=folder)
+        metrics.append(panda_metrics(results) | {"kind": variant})
+        print(f"{variant}: completed", flush=True)
+    show(panda_table(metrics))
     print(f"source digest: {source_digest()[:12]}")
 
 

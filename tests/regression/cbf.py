@@ -1,15 +1,15 @@
-"""Evaluation of a control barrier function filter of the package CBFpy, as a peer.
+"""Baseline: evaluation of a control barrier function filter of the package CBFpy.
 
     python -m tests.regression.cbf --suite moving_hard --scenes 20 --seed 0 --json cbf.json
     python -m tests.regression.cbf --suite drp --levels floating1 floating2 --seed 0 --json f.json
 
-runs the filter in the scenes of `drake-oa evaluate panda` and judges the runs by the same
-functions. Each result is stored when it is known; the same command resumes. CBFpy is no dependency
-of this project: `pip install cbfpy elastiqp` in a virtual environment of its own, and set
+runs the filter in the scenes of `drake-oa evaluate panda` and evaluates the runs by the same
+functions. Each result is stored on completion; the same command resumes. CBFpy is not a dependency
+of this project: `pip install cbfpy elastiqp` in a separate virtual environment, and set
 JAX_ENABLE_X64=1, XLA_FLAGS=--xla_cpu_multi_thread_eigen=false and OPENBLAS_NUM_THREADS=1.
 
-The nominal joint velocity u_des tracks the planned tool pose by damped least squares, and the
-planned posture in the null space. The filter solves, every period of the policy,
+The nominal joint velocity u_des tracks the nominal tool pose by damped least squares, and the
+nominal posture in the null space. The filter solves, every period of the policy,
 
     min_u |J (u - u_des)|^2 + w |u - u_des|^2    subject to    dh/dt + dh/dq u >= -alpha h
 
@@ -17,11 +17,11 @@ and the joint speed limits, each relaxed by a penalty (D. Morton and M. Pavone, 
 the joint positions and the exact positions of the obstacles, which move at their exact velocities.
 The barriers h(q, p) are
 
-- for each link and shape of an obstacle: signed distances of the nearest spheres that enclose the
-  link, less a margin;
-- for each link: its height over the table, less a margin;
-- for each pair of links: the distance between the nearest of their spheres, less a margin;
-- for each joint: the distance to either limit.
+- for each link and shape of an obstacle: signed distances of the nearest enclosing spheres of the
+  link, minus a margin;
+- for each link: its height above the table, minus a margin;
+- for each pair of links: the distance between their nearest spheres, minus a margin;
+- for each joint: the distances to both limits.
 """
 
 from __future__ import annotations
@@ -71,16 +71,16 @@ jax.config.update("jax_enable_x64", True)
 METHOD = "ControlBarrierFunction"
 """Name of the method in logs."""
 NEAREST = 2
-"""Barriers for each link and shape."""
+"""Number of barriers for each link and shape."""
 _TINY = 1e-12
-"""Added to squares, so that their roots have a derivative [m^2]."""
+"""Constant added to squares, so that their roots are differentiable [m^2]."""
 _STEP = 1e-3
-"""Time step of the obstacles' velocities [s]."""
+"""Time step of the finite differences of the obstacles' velocities [s]."""
 
 
 @dataclass(frozen=True)
 class Filter:
-    """Parameters of the filter.
+    """Parameters of the control barrier function filter.
 
     Attributes:
         alpha: decay rate of the barriers [1/s].
@@ -104,10 +104,11 @@ class Filter:
 
 
 class Shapes:
-    """The K shapes of a scenario's obstacles.
+    """Struct of arrays of the K shapes of a scenario's obstacles.
 
-    Each is a box of points with |x_i| <= half_i in the shape's frame G, and within a radius of
-    these: a sphere has no box. A cylinder has the distance to its axis for a first coordinate.
+    A shape is the set of points within a radius of a box |x_i| <= half_i in the shape's frame G;
+    the box of a sphere is a point. For a cylinder the first coordinate is the distance from its
+    axis.
 
     Attributes:
         R_WG: (K, 3, 3) orientations.
@@ -118,7 +119,7 @@ class Shapes:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Reads the shapes."""
+        """Reads the shapes of a scenario's obstacles."""
         items = [(item, shape) for item in scenario.obstacles for shape in item.shapes]
         poses = [pose(item) @ pose(shape) for item, shape in items]
         self.R_WG = np.array([X_WG.rotation().matrix() for X_WG in poses])
@@ -132,8 +133,8 @@ class Shapes:
         """Computes (K, 3) positions [m] and velocities [m/s] at a time [s]."""
         offsets, velocities = [], []
         for item in self.obstacles:
-            course = replace(item, present=[])
-            step = course.offset_at(time + _STEP) - course.offset_at(time)
+            trajectory_item = replace(item, present=[])
+            step = trajectory_item.offset_at(time + _STEP) - trajectory_item.offset_at(time)
             offsets.append(item.offset_at(time))
             velocities.append(step / _STEP)
         return self.p_WG + offsets, np.array(velocities)
@@ -149,6 +150,7 @@ class Shapes:
 
 
 def _half_size(shape: Any) -> list[float]:
+    """Returns the half edge lengths of a shape's box [m]."""
     if isinstance(shape, Sphere):
         return [0.0, 0.0, 0.0]
     if isinstance(shape, Cylinder):
@@ -157,6 +159,7 @@ def _half_size(shape: Any) -> list[float]:
 
 
 def _norm(x: Any) -> Any:
+    """Computes a differentiable norm over the last axis."""
     return jnp.sqrt((x**2).sum(axis=-1) + _TINY)
 
 
@@ -168,7 +171,7 @@ class ArmConfig(CBFConfig):
     """
 
     def __init__(self, scenario: Scenario, parameters: Filter) -> None:
-        """Reads the arm and the shapes."""
+        """Reads the arm and the shapes of a scenario."""
         robot, self.parameters, self.shapes = robot_of(scenario), parameters, Shapes(scenario)
         plant, self.spheres = make_robot_plant(robot), covered_arm(robot).arrays
         self.chain = make_chain(plant.plant, plant.tool_frame, start_positions(scenario))
@@ -193,7 +196,7 @@ class ArmConfig(CBFConfig):
         return jnp.eye(len(z), self.joints)
 
     def alpha(self, h: Any, v_WG: Any) -> Any:
-        """Computes the class K function."""
+        """Computes the class K function alpha(h) of the barriers."""
         return self.parameters.alpha * h
 
     def P(self, z: Any, u_des: Any, v_WG: Any) -> Any:
@@ -221,7 +224,7 @@ class ArmConfig(CBFConfig):
         return X[-1], jnp.concatenate([jnp.cross(axes, arms), axes], axis=1).T
 
     def h_1(self, z: Any, v_WG: Any) -> Any:
-        """Computes the barriers."""
+        """Computes the barriers h, see the module's docstring."""
         q, p_WG = z[: self.joints], z[self.joints :].reshape(-1, 3)
         spheres, margins, rows = self.spheres, self.parameters, np.arange(len(p_WG))
         X, radius = self.poses(q)[spheres.joint + 1], jnp.asarray(spheres.radius)
@@ -250,7 +253,7 @@ class ArmConfig(CBFConfig):
 
 
 class SafetyFilter(LeafSystem):
-    """Nominal joint velocity toward the desired pose of the tool, and its filter.
+    """Filter of the nominal joint velocity toward the desired tool pose.
 
     .. pydrake_system::
 
@@ -266,12 +269,12 @@ class SafetyFilter(LeafSystem):
     """
 
     def __init__(self, scenario: Scenario, plant: MultibodyPlant, parameters: Filter) -> None:
-        """Compiles the filter for the scenario's obstacles.
+        """Declares the ports and prepares the filter for the scenario's obstacles.
 
         Args:
-            scenario: with a robot.
-            plant: of the world; its positions are those of the ports.
-            parameters: of the filter.
+            scenario: scenario with a robot.
+            plant: plant of the world, whose positions are those of the ports.
+            parameters: parameters of the filter.
         """
         super().__init__()
         tool_frame, self._plant = plant.GetFrameByName(TOOL_FRAME), plant
@@ -291,7 +294,7 @@ class SafetyFilter(LeafSystem):
         self.DeclareVectorOutputPort("commanded_velocity", size, self._calc)
 
     def _solve(self, q: Any, posture: Any, X_WD: Any, p_WG: Any, v_WG: Any) -> Any:
-        """Computes the filtered joint velocity (n,) [rad/s]."""
+        """Computes the filtered joint velocity (n,) toward a tool pose X_WD [rad/s]."""
         parameters = self._config.parameters
         X_WE, J = self._config.tool(q)
         turn = 0.5 * jnp.cross(X_WE[:3, :3], X_WD[:3, :3], axis=0).sum(axis=1)
@@ -315,7 +318,7 @@ class SafetyFilter(LeafSystem):
 
 
 def simulate_filter(scenario: Scenario, parameters: Filter) -> MotionLog:
-    """Runs a motion as `simulate_differential_ik`, with the filter in place of its program."""
+    """Simulates a motion as `simulate_differential_ik`, with the filter in place of IK."""
 
     def make_filter(scenario: Scenario, checker: Any, *_: object) -> SafetyFilter:
         return SafetyFilter(scenario, checker.plant(), parameters)
@@ -325,11 +328,11 @@ def simulate_filter(scenario: Scenario, parameters: Filter) -> MotionLog:
 
 
 def run_scene(draw: Callable[[], str], criteria: Any, parameters: Filter) -> dict[str, Any]:
-    """Draws a scene, runs the filter in it and judges the run.
+    """Draws a scene, runs the filter in it and evaluates the run.
 
-    The result has, besides the keys of `run_and_evaluate`, `at_rest_error`: the distance of the tool
-    from the goal at the end of the run [m]. `goal_error` is the greater one of this and of that at
-    the log's last instant before arrival, which may exceed the tolerance while the tool approaches.
+    The result has the keys of `run_and_evaluate` and `at_rest_error`, the distance of the tool from
+    the goal at the end of the run [m]. `goal_error` is the maximum of `at_rest_error` and of the
+    distance at the end of the motion, which may exceed the tolerance while the tool approaches.
     """
 
     logs: list[MotionLog] = []
@@ -375,6 +378,7 @@ def run_suite(
 
 
 def _row(kind: str, results: Sequence[dict[str, Any]]) -> str:
+    """Returns a table's row with the numbers of outcomes of a kind of scenes."""
     outcomes = [result["outcome"] for result in results]
     has_drp_rules = [result["drp_outcome"] for result in results]
     counts = [outcomes.count(name) for name in ("contact", "success", "stopped")]
@@ -389,7 +393,7 @@ def _row(kind: str, results: Sequence[dict[str, Any]]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints a row for each kind of scenes."""
+    """Prints the table, a row for each kind of scenes."""
     parser = argparse.ArgumentParser(prog="python -m tests.regression.cbf")
     parser.add_argument("--suite", default="moving_hard")
     parser.add_argument("--levels", nargs="*", default=[])
@@ -401,8 +405,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     parameters = Filter(**{name: getattr(options, name) for name in asdict(Filter())})
     logging.disable(logging.WARNING)
-    heads = ["kind", "scenes", "touched", "success", "stopped", "at the goal at rest"]
-    heads += ["DRPBench touched", "DRPBench success"]
+    heads = ["kind", "scenes", "contacts", "success", "stopped", "at the goal at rest"]
+    heads += ["DRPBench contacts", "DRPBench success"]
     rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for kind in suite_kinds([options.suite], options.levels):
         suite = evaluation.panda_suite(kind, options.scenes, options.seed, ["nominal"], "truth")

@@ -1,4 +1,4 @@
-"""Comparison of two sets of results, run by run."""
+"""Comparison of results with stored results, run by run."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from typing import Any
 from scipy.stats import binomtest
 
 CLEARANCE_TOLERANCE = 2e-3
-"""Largest accepted decrease of a minimum clearance [m]."""
+"""Maximum accepted decrease of a minimum clearance [m]."""
 DURATION_TOLERANCE = 0.03
-"""Largest accepted increase of a duration, as a fraction."""
+"""Maximum accepted increase of a duration, as a fraction."""
 SIGNIFICANCE = 0.05
 """Significance level of the test on lost successes."""
 MAX_GAINED_CONTACTS = 1
-"""Scenes over all suites that may gain a contact."""
-FIGURE_TOLERANCE = 1e-6
-"""Largest accepted relative difference of a figure in a table."""
+"""Maximum accepted number of scenes of all suites that gain a contact."""
+METRIC_TOLERANCE = 1e-6
+"""Maximum accepted relative difference of a metric in a table."""
 ERROR_TOLERANCE = 0.01
-"""Largest accepted relative difference of a goal error in Table II.
+"""Maximum accepted relative difference of a goal error in Table II.
 
-BLAS rounds the chain's outputs by how an array lies in memory, and motions that turn near an
-obstacle's center amplify it: between two runs of one version the means differ by 0.3 %.
+BLAS rounds the chain's outputs depending on the memory alignment of arrays, and motions near an
+obstacle's center amplify the difference: means of two runs of one version differ by 0.3 %.
 """
 
 Run = Mapping[str, Any]
+"""Result of a run: quantity -> value."""
 Runs = Mapping[str, Run]
 """Name of a run -> its result."""
 
@@ -35,7 +36,7 @@ def new_contacts(stored: Run, run: Run) -> list[str]:
 
 
 def run_failures(stored: Run, run: Run) -> Iterator[str]:
-    """Yields each way in which a run of a shipped scenario is worse than the stored one."""
+    """Yields a message for each quantity of a scenario's run that is worse than the stored one."""
     if pairs := new_contacts(stored, run):
         yield f"new contact: {', '.join(pairs)}"
     if run["ended"] != stored["ended"]:
@@ -55,14 +56,14 @@ def missing_runs(stored: Runs, runs: Runs) -> Iterator[str]:
 
 
 def scenario_failures(stored: Runs, runs: Runs) -> Iterator[str]:
-    """Yields a message for each difference of `run_failures`."""
+    """Yields the messages of `run_failures` for all runs, and of `missing_runs`."""
     yield from missing_runs(stored, runs)
     for name in sorted(stored.keys() & runs.keys()):
         yield from (f"{name}: {text}" for text in run_failures(stored[name], runs[name]))
 
 
 def changes(stored: Runs, runs: Runs) -> Iterator[str]:
-    """Yields a line for each run whose result differs in any way."""
+    """Yields a line for each run whose result differs from the stored one."""
     for name in sorted(stored.keys() & runs.keys()):
         before, after = stored[name], runs[name]
         keys = [key for key in after if before.get(key) != after[key]]
@@ -71,10 +72,10 @@ def changes(stored: Runs, runs: Runs) -> Iterator[str]:
 
 
 def suite_failures(stored: Runs, runs: Runs) -> Iterator[str]:
-    """Yields the reasons why a set of scenes as a whole is worse than the stored one.
+    """Yields a message for each statistic of a suite that is worse than the stored one.
 
-    Lost successes exceed gained ones in a one-sided exact McNemar test, or more than
-    `MAX_GAINED_CONTACTS` scenes gain a contact.
+    A suite is worse if lost successes exceed gained ones in a one-sided exact McNemar test, or if
+    more than `MAX_GAINED_CONTACTS` scenes gain a contact.
     """
     yield from missing_runs(stored, runs)
     shared = sorted(stored.keys() & runs.keys())
@@ -89,17 +90,17 @@ def suite_failures(stored: Runs, runs: Runs) -> Iterator[str]:
         yield f"{len(touched)} scenes gained a contact: {', '.join(touched)}"
 
 
-def figure_failures(stored: Any, metrics: Any, path: str = "") -> Iterator[str]:
-    """Yields each figure of nested tables that differs by more than `FIGURE_TOLERANCE`."""
+def metric_failures(stored: Any, metrics: Any, path: str = "") -> Iterator[str]:
+    """Yields a message for each metric of nested tables that differs by more than its tolerance."""
     if isinstance(stored, dict) and isinstance(metrics, dict):
         for key in sorted(stored.keys() | metrics.keys()):
-            yield from figure_failures(stored.get(key), metrics.get(key), f"{path}/{key}")
+            yield from metric_failures(stored.get(key), metrics.get(key), f"{path}/{key}")
     elif isinstance(stored, list) and isinstance(metrics, list) and len(stored) == len(metrics):
         for place, (before, after) in enumerate(zip(stored, metrics, strict=True)):
-            yield from figure_failures(before, after, f"{path}/{place}")
+            yield from metric_failures(before, after, f"{path}/{place}")
     elif isinstance(stored, float) and isinstance(metrics, (int, float)):
         is_error = path.endswith(("goal_error_mean", "goal_error_max"))
-        tolerance = ERROR_TOLERANCE if is_error else FIGURE_TOLERANCE
+        tolerance = ERROR_TOLERANCE if is_error else METRIC_TOLERANCE
         if abs(metrics - stored) > tolerance * max(abs(stored), 1e-3):
             yield f"{path}: {stored} -> {metrics}"
     elif stored != metrics:

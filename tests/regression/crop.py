@@ -1,20 +1,21 @@
-"""Time and errors of perception with the narrow and the wide crop, on the same images.
+"""Computing times and errors of perception with a narrow and a wide crop of the same images.
 
     python -m tests.regression.crop --scenes 6 --seed 0 --place 0 35
     python -m tests.regression.crop --scenes 6 --seed 0 --place 90 20 --place -90 20
     python -m tests.regression.crop --scenes 6 --seed 0
 
-simulates `verified` in scenes of a suite that are seen from some places (azimuth and elevation in
-degrees; none: from the camera at the table). One crop is that of the run; each of its frames is
-segmented and tracked by the other crop too. A row for each of them says:
+simulates `verified` in scenes of a suite with cameras at given positions (azimuth and elevation in
+degrees; none: the camera at the table). The crop is the part of the space that perception uses. One
+crop is that of the run; each frame is also segmented and tracked with the other crop. Columns of
+the table, with a row for each scene and crop:
 
-- ms: mean, and 95 % of the frames, of segmentation and tracking: the update of DepthPerception
-  without what it waits for images;
-- false: obstacles perceived in a frame that are more than 5 cm from all true ones, by frames; of
-  these, those within 1 m of the robot's base;
-- velocities: obstacles at rest that are perceived with a velocity, of those perceived, by frames;
-- missed: true obstacles within 0.4 m of the robot with no perceived point nearer than 3 cm, of
-  all those, by frames.
+- ms: mean and 95th percentile of the time of segmentation and tracking, the update of
+  DepthPerception without waiting for images;
+- false: number of perceived obstacles more than 5 cm from all true ones, summed over frames, and
+  number of those within 1 m of the robot's base;
+- velocities: number of perceived resting obstacles with a nonzero velocity, of all perceived ones;
+- missed: number of true obstacles within 0.4 m of the robot without a perceived point within 3 cm,
+  of all true obstacles within 0.4 m.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import numpy as np
 
 from drake_oa.common.files import source_digest
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.evaluation.cameras import TABLE_MARGIN, MAX_DEPTH, with_workspace_cameras
+from drake_oa.evaluation.cameras import MAX_DEPTH, TABLE_MARGIN, with_workspace_cameras
 from drake_oa.evaluation.panda.scene_arm import base_scenario
 from drake_oa.evaluation.panda.scene_parts import bounding_ball
 from drake_oa.evaluation.panda.scenes import draw_panda_scene
@@ -54,51 +55,57 @@ CROPS = {
     "narrow": {"far": 2.5, "table_margin": 0.02},
     "wide": {"far": MAX_DEPTH, "table_margin": TABLE_MARGIN},
 }
-_FALSE, _MISSED, _NEAR = 0.05, 0.03, 0.4
-"""Distances from the description above [m]."""
+"""Crop -> maximum depth and table margin of the segmentation [m]."""
+_FALSE = 0.05
+"""Minimum distance of a false obstacle from all true ones [m]."""
+_MISSED = 0.03
+"""Minimum distance of a missed obstacle from all perceived points [m]."""
+_NEAR = 0.4
+"""Maximum distance of an obstacle from the robot to count as missed [m]."""
 _COMPILED = 5
-"""Frames of a run that are not timed."""
+"""Number of initial frames that are not timed, as kernels may be compiled."""
 
 
 @dataclass
-class Chain:
-    """Tracking by one crop, and what it cost and missed, summed over the frames."""
+class CropStatistics:
+    """Tracker state of one crop, with times of all frames [s] and numbers of errors."""
 
-    memory: TrackerState = field(default_factory=TrackerState)
+    tracks: TrackerState = field(default_factory=TrackerState)
     seconds: list[float] = field(default_factory=list)
     counts: np.ndarray = field(default_factory=lambda: np.zeros(6, dtype=int))
-    """False, false near the base, with velocity, at rest, missed, near the robot."""
+    """Numbers of false obstacles, of these near the base, of resting obstacles with velocity, of
+    all resting ones, of missed ones, and of obstacles near the robot, summed over frames."""
 
 
-class Comparison:
-    """Stands in for segmentation and tracking in DepthPerception, and runs both crops."""
+class CropComparison:
+    """Replacement of segmentation and tracking in DepthPerception that runs both crops."""
 
     def __init__(self, scenario: Scenario, other: str) -> None:
         self._scenario, self._other = scenario, CROPS[other]
-        self.chains = (Chain(), Chain())
+        self.chains = (CropStatistics(), CropStatistics())
 
     def segment_views(self, views: Any, config: SegmentationConfig, robot: Any) -> Any:
         begin = time.perf_counter()
         frame = segment_views(views, config, robot)
-        self._took, self._views = time.perf_counter() - begin, views
+        self._segmentation_time, self._views = time.perf_counter() - begin, views
         return frame
 
     def update_tracks(
         self, previous: Any, frame: Any, stamp: float, config: Any, robot: Any, *, complete: bool
     ) -> TrackerState:
         begin = time.perf_counter()
-        memory = update_tracks(previous, frame, stamp, config, robot, complete=complete)
+        tracks = update_tracks(previous, frame, stamp, config, robot, complete=complete)
         own, other = self.chains
-        own.memory = memory
-        own.seconds.append(self._took + time.perf_counter() - begin)
+        own.tracks = tracks
+        own.seconds.append(self._segmentation_time + time.perf_counter() - begin)
         config = replace(config, **self._other)
         begin = time.perf_counter()
         frame = segment_views(self._views, config, robot)
-        other.memory = update_tracks(other.memory, frame, stamp, config, robot, complete=complete)
+        other.tracks = update_tracks(other.tracks, frame, stamp, config, robot, complete=complete)
         other.seconds.append(time.perf_counter() - begin)
         for chain in self.chains:
-            chain.counts += self._counts(chain.memory.obstacles, stamp, robot)
-        return memory
+            chain.counts += self._counts(chain.tracks.obstacles, stamp, robot)
+        return tracks
 
     def _counts(self, seen: ObstacleClouds, stamp: float, robot: CollisionGeometries) -> np.ndarray:
         counts, clouds = np.zeros(6, dtype=int), [c for c in seen.clouds_W if len(c)]
@@ -129,12 +136,16 @@ def _distance(geometries: CollisionGeometries, points: np.ndarray) -> float:
     return float(least_distances(geometries, points, 0.0, 1.0, 1.0).min())
 
 
-def compare(scenario: Scenario, crop: str, other: str) -> tuple[Comparison, str]:
-    """Runs a scenario with a crop, and the other one beside it; says how it ended."""
+def compare(scenario: Scenario, crop: str, other: str) -> tuple[CropComparison, str]:
+    """Runs a scenario with one crop, and the other one on the same frames.
+
+    Returns:
+        The statistics of both crops, and the end of the run.
+    """
     source = scenario.perception
     config = replace(source.segmentation, **CROPS[crop])
     scenario = replace(scenario, perception=replace(source, segmentation=config))
-    both = Comparison(scenario, other)
+    both = CropComparison(scenario, other)
     with (
         patch.object(depth_perception, "segment_views", both.segment_views),
         patch.object(depth_perception, "update_tracks", both.update_tracks),
@@ -145,7 +156,7 @@ def compare(scenario: Scenario, crop: str, other: str) -> tuple[Comparison, str]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints a row for each scene and crop, and their sums."""
+    """Prints a row for each scene and crop, and their sums over scenes."""
     parser = argparse.ArgumentParser(prog="python -m tests.regression.crop")
     parser.add_argument("--suite", default="moving_hard")
     parser.add_argument("--scenes", type=int, default=6)
@@ -155,8 +166,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     crop, other = ("wide", "narrow") if options.place else ("narrow", "wide")
     places = {f"camera{row}": tuple(place) for row, place in enumerate(options.place)}
     logging.disable(logging.WARNING)
-    print(f"source digest {source_digest()[:12]}, seen from {options.place or 'the table'}")
-    print("| scene | crop | frames | ms | false | velocities | missed | end |")
+    print(f"source digest {source_digest()[:12]}, cameras at {options.place or 'the table'}")
+    print("| scene | crop | frames | ms | false | velocities | missed | termination |")
     total = {crop: (0, [], np.zeros(6, dtype=int)), other: (0, [], np.zeros(6, dtype=int))}
     for scene in range(options.scenes):
         scenario = draw_panda_scene(options.seed, scene, kind=options.suite)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.regression.comparison import figure_failures, run_failures, suite_failures
+from tests.regression.comparison import metric_failures, run_failures, suite_failures
 
 _RUN: dict[str, Any] = {
     "ended": "goal",
@@ -29,11 +29,12 @@ _RUN: dict[str, Any] = {
         ({"duration": 5.16}, "duration: 5.0 -> 5.16 s"),
     ],
 )
-def test_a_worse_run_fails(change: dict[str, Any], failure: str) -> None:
+def test_worse_run_fails(change: dict[str, Any], failure: str) -> None:
     assert "".join(run_failures(_RUN, _RUN | change)) == failure
 
 
 def _suite(*, successes: int, touched: int = 0, scenes: int = 20) -> dict[str, Any]:
+    """Returns results of a suite, the first scenes successful or in contact."""
     return {
         f"scene{number}": {
             "success": number < successes,
@@ -55,12 +56,12 @@ def _suite(*, successes: int, touched: int = 0, scenes: int = 20) -> dict[str, A
         (_suite(successes=15), _suite(successes=15, scenes=19), True),
     ],
 )
-def test_a_worse_suite_fails(before: dict[str, Any], after: dict[str, Any], fails: bool) -> None:
+def test_worse_suite_fails(before: dict[str, Any], after: dict[str, Any], fails: bool) -> None:
     assert bool(list(suite_failures(before, after))) == fails
 
 
-def test_a_changed_table_fails() -> None:
+def test_changed_table_fails() -> None:
     table = {"a": {"nmse": 0.5, "signs": [1, -1]}}
-    assert not list(figure_failures(table, {"a": {"nmse": 0.5 + 1e-8, "signs": [1, -1]}}))
-    assert list(figure_failures(table, {"a": {"nmse": 0.51, "signs": [1, -1]}}))
-    assert list(figure_failures(table, {"a": {"nmse": 0.5, "signs": [1, 1]}}))
+    assert not list(metric_failures(table, {"a": {"nmse": 0.5 + 1e-8, "signs": [1, -1]}}))
+    assert list(metric_failures(table, {"a": {"nmse": 0.51, "signs": [1, -1]}}))
+    assert list(metric_failures(table, {"a": {"nmse": 0.5, "signs": [1, 1]}}))

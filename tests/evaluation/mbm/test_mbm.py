@@ -132,7 +132,11 @@ def test_invalid_archive_is_rejected(tmp_path, texts, message):
             "sphere is not supported; valid: box, cyl",
         ),
         ("[" * 5000, None, "not valid YAML"),
-        (SCENE, request(["shoulder"], [0.1]), "joints shoulder.* are not those of the robot, .*--robot SCENARIO"),
+        (
+            SCENE,
+            request(["shoulder"], [0.1]),
+            "joints shoulder.* are not those of the robot, .*--robot SCENARIO",
+        ),
     ],
 )
 def test_invalid_problem_is_named_in_the_error(tmp_path, scene_text, request_text, message):
