@@ -1,4 +1,4 @@
-"""System of the control layer for the tool: operational-space inverse dynamics, as in the paper."""
+"""System of the control layer that tracks a tool motion by operational-space inverse dynamics."""
 
 from __future__ import annotations
 

@@ -107,9 +107,9 @@ def describe(
         tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point E, in world
             orientation [m].
         method: "enclosing": the ellipsoid of minimum volume (`ellipsoid.enclosing_ellipsoid`).
-            "least_squares": the superquadric of (11) of the paper with exponents of 1, an
-            ellipsoid, fitted to the support points of the dilated cloud; parts of the obstacle stay
-            outside.
+            "least_squares": the superquadric (11) of Pairet et al., RA-L 2019, with exponents of 1,
+            an ellipsoid, fitted to the support points of the dilated cloud; parts of the obstacle
+            stay outside.
         free_W: (F, 3) positions of the tool point E in the world frame that are known to be free,
             such as start and goal [m]. An obstacle is divided into parts if the ellipsoid contains
             one of these positions or is closer than 2 cm, and if the ellipsoids of the parts have a

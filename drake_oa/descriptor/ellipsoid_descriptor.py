@@ -55,7 +55,8 @@ class EllipsoidDescriptor(LeafSystem):
             tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point, in world
                 orientation [m]. The orientation is assumed constant. [[0, 0, 0]] for a point.
             method: "enclosing": the minimum-volume ellipsoid that contains all dilated points.
-                "least_squares": the superquadric fitted as in the paper; some points stay outside.
+                "least_squares": the least-squares ellipsoid of Pairet et al., RA-L 2019; some
+                points stay outside.
             free_W: (F, 3) positions of the tool point in the world frame that are known to be free,
                 such as the start [m].
             tool_parts: vertices (K_i, 3) of each convex part of the tool, which dilate obstacles
@@ -102,8 +103,8 @@ class GivenEllipsoidSource(LeafSystem):
 
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame.
 
-    Drake marks the output of its `ConstantValueSource` as changed at each time step, so that all
-    dependent values are computed again. The output of this system has no prerequisites.
+    The system replaces Drake's `ConstantValueSource`, whose output counts as changed at each time
+    step, so that all dependent values are computed again. The output of this system never changes.
     """
 
     def __init__(self, ellipsoids: EllipsoidSet) -> None:

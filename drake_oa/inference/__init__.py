@@ -1,4 +1,4 @@
-"""Inference layer: computes the parameters of coupling terms by the paper's regressor chain.
+"""Inference layer: computes the parameters of coupling terms by a regressor chain.
 
 A coupling term is a turning rate that steers the motion away from one obstacle.
 

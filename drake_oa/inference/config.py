@@ -10,23 +10,25 @@ from drake_oa.common.config import BLOCK
 
 @dataclass(config=BLOCK)
 class Paper:
-    """Configuration of the paper's method: a regressor chain computes the coupling parameters.
+    """Configuration of the method of Pairet et al., RA-L 2019, with coupling parameters by a chain.
 
-    The fields select between interpretations of the paper (Pairet et al., RA-L 2019). The field
-    `policy.fade` also selects an interpretation.
+    The regressor chain consists of three networks. The fields select between interpretations of the
+    paper. The field `policy.fade` also selects an interpretation.
     """
 
     weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
     """Weights file of the regressor chain, which computes coupling parameters from the section of
     an obstacle: a package:// URL, or a file relative to the scenario. The default file is trained
-    by the paper's procedure with this package's integrator."""
+    by the procedure of Pairet et al., RA-L 2019, with this package's integrator."""
     shape: Literal["superquadric", "enclosing"] = "superquadric"
     """Ellipsoid that describes an obstacle dilated by the tool: `superquadric` is the least-squares
-    fit (11) of the paper, `enclosing` the ellipsoid of minimum volume that contains all points."""
+    fit (11) of Pairet et al., RA-L 2019, and `enclosing` the ellipsoid of minimum volume that
+    contains all points."""
     guided: bool = True
-    """Whether cost rings select the side on which each obstacle is passed. Heading guidance (9) of
-    the paper then turns the motion toward this side, and the duration is scaled with the length of
-    the avoiding path (section IV-E). If false, the avoidance term alone determines the side."""
+    """Whether cost rings (costs of the directions of passing) select the side on which each
+    obstacle is passed. Heading guidance then turns the motion toward this side, and the duration is
+    scaled with the length of the avoiding path, as in (9) and section IV-E of Pairet et al., RA-L
+    2019. If false, the avoidance term alone determines the side."""
 
 
 @dataclass(config=BLOCK)
@@ -34,9 +36,9 @@ class Verified:
     """Configuration of the search for a motion, verified by roll-outs (simulations) of the arm."""
 
     chain: str | None = "package://drake_oa/weights/paper_chain_running.safetensors"
-    """Weights file of the paper's regressor chain: a package:// URL, or a file relative to the
-    scenario; null: none. The chain's coupling terms for all obstacles together are one candidate
-    motion, and the coupling term for each obstacle alone is a seed of the search."""
+    """Weights file of the regressor chain of Pairet et al., RA-L 2019: a package:// URL, or a file
+    relative to the scenario; null: none. The chain's coupling terms for all obstacles together are
+    one candidate motion, and the coupling term for each obstacle alone is a seed of the search."""
     candidates: int = Field(default=32, ge=8, le=4096)
     """Number of candidate motions that each iteration of the search simulates [-]. Raising it
     searches more widely."""

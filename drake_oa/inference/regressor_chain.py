@@ -12,7 +12,7 @@ from drake_oa.inference.regressor import ChainWeights, section_extents
 
 
 class RegressorChain(LeafSystem):
-    """Evaluator of the paper's regressor chain, which maps ellipsoids to coupling parameters.
+    """Evaluator of a regressor chain, three networks that map ellipsoids to coupling parameters.
 
     .. pydrake_system::
 
@@ -31,8 +31,9 @@ class RegressorChain(LeafSystem):
       coupling terms about the centers of the obstacles, and whether the input of the chain was in
       the trained range.
 
-    The system has no state. The output is cached until an input changes. While start and goal
-    coincide (before the first motion) alpha is 0 and no row is in range.
+    The networks are those of Pairet et al., RA-L 2019 (`drake_oa.inference.regressor`). The system
+    has no state. The output is cached until an input changes. While start and goal coincide, as
+    before the first motion, alpha is 0 and no row is in range.
     """
 
     def __init__(self, weights: ChainWeights, requested_clearance: float) -> None:

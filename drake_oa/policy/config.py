@@ -28,8 +28,8 @@ class Policy:
     it reproduces finer details of the demonstration."""
     fade: float = Field(default=0.3, ge=0.0, le=1.0)
     """Distance from the goal within which the coupling terms fade to zero, as a fraction of the
-    distance from start to goal [-]; 0: no fading, as in the paper. Raising it ends avoidance
-    farther from the goal."""
+    distance from start to goal [-]; 0: no fading, as in Pairet et al., RA-L 2019. Raising it ends
+    avoidance farther from the goal."""
     table_height: float = Field(default=0.05, ge=0.0, le=10.0)
     """Minimum height of the tool point above the table where the motion passes an obstacle [m].
     Raising it forbids more directions of passing an obstacle close to the table."""

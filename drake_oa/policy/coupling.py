@@ -58,9 +58,10 @@ _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 
 
 def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> FloatArray:
-    """Computes the turning rate of the coupling term of Hoffmann et al., (7) of the paper.
+    """Computes the turning rate of the coupling term of Hoffmann et al., which has a dead zone.
 
-    The rate is gamma theta exp(-beta |theta|). It vanishes for a heading straight at the obstacle.
+    The rate is gamma theta exp(-beta |theta|), (7) of Pairet et al., RA-L 2019. It vanishes for a
+    heading straight at the obstacle.
 
     Args:
         theta: signed angle from the obstacle's center to the heading [rad].
@@ -77,11 +78,11 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
 def dead_zone_free_rate(
     theta: FloatArray, d: FloatArray, alpha: FloatArray, psi: FloatArray, kappa: FloatArray
 ) -> FloatArray:
-    """Computes the turning rate of the avoidance term (8) of the paper, which has no dead zone.
+    """Computes the turning rate of the avoidance term, which has no dead zone straight ahead.
 
-    The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1. A heading
-    straight at the obstacle thus turns fastest; the normal of the plane of rotation then determines
-    the side.
+    The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1, (8) of
+    Pairet et al., RA-L 2019. A heading straight at the obstacle thus turns fastest; the normal of
+    the plane of rotation then determines the side.
 
     Args:
         theta: signed angle from the obstacle's center to the heading [rad].
@@ -233,7 +234,9 @@ def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
 def avoidance_term(
     o: Triple, e: Triple, normal: Triple, alpha: float, psi: float, kappa: float, step: float
 ) -> Term:
-    """Computes the rotation of the motion away from an obstacle over a step, (8) of the paper.
+    """Computes the rotation of the motion away from an obstacle over a step.
+
+    The turning rate is that of the avoidance term (8) of Pairet et al., RA-L 2019.
 
     Args:
         o: vector from the tool point E to the center of the obstacle [m].
@@ -269,8 +272,8 @@ def guidance_term(
     """Computes the rotation of the motion toward a guidance heading over a step.
 
     The gain (rate over angle) is alpha (1 - exp(-kappa d^2)), which is bounded and vanishes at the
-    obstacle. This gain replaces that of (9) of the paper, which grows without bound with the
-    distance d from the center of the obstacle.
+    obstacle. This gain replaces that of (9) of Pairet et al., RA-L 2019, which grows without bound
+    with the distance d from the center of the obstacle.
 
     Args:
         v: guidance heading, unit vector; zero: no guidance.

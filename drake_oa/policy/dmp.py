@@ -94,14 +94,14 @@ class Dmp(Frozen):
     duration: float = 1.0
 
     def phase(self, s: ArrayLike) -> FloatArray:
-        """Computes the phase k = exp(-alpha_k s), the solution of (5), at normalized times s."""
+        """Computes the phase k = exp(-alpha_k s), which decays from 1, at normalized times s."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
     def forcing(self, k: FloatArray) -> FloatArray:
         """Computes the forcing term (T, D) in the local frame at phases k (T,).
 
-        It is (3) of the paper, f(k) = k sum_i w_i psi_i(k) / sum_i psi_i(k), for a distance of 1
-        from start to goal.
+        The forcing term is f(k) = k sum_i w_i psi_i(k) / sum_i psi_i(k), (3) of Pairet et al.,
+        RA-L 2019, for a distance of 1 from start to goal.
         """
         return np.asarray(activations(k, self.centers, self.widths) @ self.weights.T)
 
@@ -129,8 +129,8 @@ class Dmp(Frozen):
 def activations(k: FloatArray, centers: FloatArray, widths: FloatArray) -> FloatArray:
     """Computes the activations k psi_i(k) / sum_j psi_j(k) of N basis functions at phases k (T,).
 
-    psi_i(k) = exp(-h_i (k - c_i)^2) is (4) of the paper. The forcing term is linear in the
-    activations.
+    The basis functions are psi_i(k) = exp(-h_i (k - c_i)^2), (4) of Pairet et al., RA-L 2019. The
+    forcing term is linear in the activations.
 
     Args:
         k: (T,) phases.
@@ -152,10 +152,11 @@ def normalized_time(k: float, alpha_k: float) -> float:
 
 
 def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
-    """Computes the orientation R_WL of the local frame L of a motion (section II-A of the paper).
+    """Computes the orientation R_WL of the local frame L of a motion from its start and goal.
 
     x points from start to goal, z upward and orthogonal to x, and y completes the right-handed
-    frame. If start and goal lie on a vertical line, y is the world's y axis.
+    frame (section II-A of Pairet et al., RA-L 2019). If start and goal lie on a vertical line, y is
+    the world's y axis.
 
     Args:
         p_WS: (3,) start [m].

@@ -41,7 +41,8 @@ _SUCCEEDED = EventStatus.Succeeded()
 class OrientationSegment(Frozen):
     """Motion of the tool's orientation between two consecutive steps of its integrator.
 
-    The orientation is R_WE = R_WA exp([r]) with a rotation vector r, expressed in a frame A.
+    The orientation is R_WE = R_WA exp([r]), with a reference frame A that is fixed in the world
+    during a motion, and the rotation vector r from A, expressed in A.
 
     Attributes:
         primitive: movement primitive of the orientation.

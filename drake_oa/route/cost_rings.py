@@ -185,7 +185,7 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
     """Computes the table ring: costs (M, K), 1 for a passing point too close to the table, else 0.
 
     Args:
-        scene: obstacles and directions.
+        scene: M obstacles and K directions in which they can be passed.
         height: minimum height of the tool point E above the table [m]: extent of the tool below E
             plus a margin.
     """
@@ -197,7 +197,8 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
 def reach_ring(scene: RingScene) -> FloatArray:
     """Computes the workspace ring: costs (M, K), 1 if the arm cannot follow the path, else 0.
 
-    The path leads from the start via the passing point of an obstacle to the goal.
+    The path leads from the start via the passing point of one of M obstacles, in one of K
+    directions, to the goal.
     """
     return np.isneginf(scene.joint_margin).astype(float)
 
@@ -236,12 +237,14 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
 
 
 def path_length(scene: RingScene, index: IntArray) -> float:
-    """Computes the path length from start via the selected passing points to the goal [m].
+    """Computes the length of the path from start via the selected passing points to the goal [m].
 
-    In section IV-E of the paper this length is called length(pi-hat) and scales the duration.
+    Each obstacle has one passing point on the selected side; points on the line from start to goal
+    are left out. The length is length(pi-hat) in section IV-E of Pairet et al., RA-L 2019, and
+    scales the duration of the motion.
 
     Args:
-        scene: obstacles and directions.
+        scene: M obstacles and K directions in which they can be passed.
         index: (M,) index of the selected direction for each obstacle.
     """
     rows = np.flatnonzero(scene.detour[np.arange(len(index)), index] > 0.0)
@@ -266,7 +269,7 @@ def select_directions(
     directions of equal cost the one with the lowest angle is selected.
 
     Args:
-        scene: obstacles and directions.
+        scene: M obstacles and K directions in which they can be passed.
         rings: cost rings by name.
         previous: (M,) index of each obstacle's direction in the last decision, -1 for new
             obstacles. A group changes its side only if this side is forbidden, or if another side
@@ -396,7 +399,7 @@ def sequence_costs(
     because coupling terms bend the motion around them.
 
     Args:
-        scene: obstacles and directions.
+        scene: M obstacles and K directions in which they can be passed.
         groups: row numbers of the obstacles in each group, from start to goal.
         rings: (N, K) sums of the cost rings of each group except the length ring.
         shut: (N, K) whether a cost ring forbids the direction, which then costs more than all other
