@@ -172,8 +172,8 @@ class InverseDynamics(LeafSystem):
             correction: (k,) acceleration by the integral of the error [m/s^2 or rad/s^2].
 
         Returns:
-            Torques tau - h (n,) [N m], not finite if an input is not; and control error (k,) [rad
-            or m].
+            Torques (n,) without those against gravity and velocity terms [N m], not finite if an
+            input is not; and control error (k,) [rad or m].
         """
 
     def _integrate(self, context: Context, values: DiscreteValues) -> None:

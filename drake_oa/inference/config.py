@@ -58,9 +58,9 @@ class Verified:
     """Requested clearance of the links from all collision geometry, and of the tool from the
     environment [m]. Raising it makes the arm pass at a larger distance."""
     ring_weight: float = Field(default=0.5, ge=0.0, le=100.0)
-    """Cost of passing obstacles on a side that a user-supplied cost ring rates with 1, as
-    additional path length over the distance from start to goal [-]. Raising it accepts longer
-    detours to avoid such sides."""
+    """Cost of passing obstacles on a side that a user-supplied cost ring rates just below 1, the
+    cost that forbids the side; as additional path length over the distance from start to goal [-].
+    Raising it accepts longer detours to avoid such sides."""
     compute_budget: float = Field(default=0.028, ge=0.0, le=100.0)
     """Maximum compute latency of one search while the robot or an obstacle moves [s], estimated by
     the model of `drake_oa.common.latency`; a longer search continues with the next observation.

@@ -31,12 +31,12 @@ from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.inference.weights_file import array_of, read_weights, write_weights
 
 _ROUNDING = 1e-12
-"""Tolerance for rounding by which an input of the chain may be outside the trained range [-].
+"""Rounding tolerance by which an input of a regressor chain may leave the trained range [-].
 
 Inputs are lengths divided by the distance from start to goal."""
 
 _NARROWEST = 1e-3
-"""Minimum psi that the chain outputs, the width of a coupling term's response to heading [rad]."""
+"""Minimum output psi of a regressor chain, the width of the response to the heading [rad]."""
 
 _PARALLEL = 1e-6
 """Sine of the angle between two directions below which they do not span a plane [-]."""
@@ -169,7 +169,7 @@ class ChainWeights(Frozen):
 
 
 def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> FloatArray:
-    """Computes the axes along which sections of M obstacles, each by a plane, are measured.
+    """Computes the axes along which the half-extents of M planar obstacle sections are measured.
 
     Args:
         baseline: (3,) unit vector from start to goal, the baseline.

@@ -27,7 +27,7 @@ LATEST = 2.0
 ARRIVED = 6e-4
 """Default distance from the goal below which a simulated motion counts as arrived [m]."""
 _EACH = 8
-"""Number of candidate motions for which the simulation uses one more thread."""
+"""Number of candidate motions per additional thread of their simulation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArr
 from drake_oa.geometry.ellipsoid import signed_distance
 
 FORBIDDEN = 1.0
-"""Cost from which a cost ring forbids a direction of passing an obstacle [-]."""
+"""Smallest cost by which a cost ring forbids a direction of passing an obstacle [-]."""
 JOINT_MARGIN = 0.1
 """Distance from a joint limit below which a path past an obstacle is forbidden [rad]."""
 _HYSTERESIS = 0.2
