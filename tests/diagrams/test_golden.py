@@ -28,16 +28,10 @@ _GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 _WRITES = os.environ.get("GOLDEN") == "write"
 _SAMPLED = 40
 """Stride of the rows of a time series in a golden file."""
-_NOT_COMPARED = {
-    "wall_time",
-    "versions",
-    "scenario",
-    "stop_reason",
-    "ended",
-    "event_hold",
-    "motion_end",
-    "settled",
-}
+_NOT_COMPARED = set(
+    "wall_time versions scenario stop_reason ended event_hold motion_end settled".split()
+)
+"""Fields of a log that are not compared."""
 _TRUTH = "tabletop_box-truth"
 # Models of other packages may have other versions elsewhere.
 _OURS = [name for name in shipped_scenarios() if not name.startswith(("gen3_", "ur5e_"))]

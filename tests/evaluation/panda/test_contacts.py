@@ -16,19 +16,8 @@ from drake_oa.runs.simulation import make_log
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
 
-KEYS = [
-    "time",
-    "link",
-    "obstacle",
-    "closing_speed",
-    "closing_speed_max",
-    "arm_at_rest",
-    "receding",
-    "energy",
-    "avoidable_by_physics",
-    "avoidable_by_view",
-    "parked_contact",
-]
+KEYS = """time link obstacle closing_speed closing_speed_max arm_at_rest receding energy
+avoidable_by_physics avoidable_by_view parked_contact""".split()
 
 
 def _scenario(waypoints, radius=0.1, at=(0.5, -1.5, 0.5)):
