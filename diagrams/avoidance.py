@@ -72,9 +72,9 @@ class Layers:
                       or of the tool                               tracking_error
     ================= ============================================ ================================
 
-    With `perception: !GroundTruth` the perception layer also outputs collision_scene_W, and with
-    `!GivenEllipsoids` it outputs ellipsoids_W only. With `inference: !Paper` the layers
-    verification and safety are empty, and inference and route output coupling_parameters and route.
+    With `perception: !GroundTruth` the perception layer outputs collision_scene_W, too, and with
+    `!GivenEllipsoids` ellipsoids_W only. With `inference: !Paper` the layers collision_scene,
+    verification and safety add no system; inference and route output coupling_parameters and route.
     """
 
     perception: AddLayer = add_perception

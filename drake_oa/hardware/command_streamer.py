@@ -80,7 +80,7 @@ _MAX_TRACKING_ERROR, _TRACKING_WINDOW = 0.1, 0.2
 a recent command [s]. A larger distance stops the arm."""
 COMMAND_TIMEOUT = 0.1
 """Time for which the arm follows a command, and maximum difference between the command's stamp and
-the wall clock [s]. The value is the same as in the driver of the arm's vendor."""
+the wall clock [s]. The driver of the arm's vendor uses an equal value."""
 MAX_SPEED_RATIO = 1.2
 """Maximum ratio of the speed between two valid commands to the speed limit of each joint [-]."""
 STEP_TOLERANCE = 0.01

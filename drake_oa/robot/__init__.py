@@ -3,11 +3,11 @@ robot.
 
 Input: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool and gains). Its
 defaults are those of the Panda; no other code here is specific to one arm. One output is a
-finalized `MultibodyPlant` of the robot alone (`plant.RobotPlant`), with its base link welded to the
-world at X_WB and the tool frame E at the tool point. The other output is `arm.Chain`, the same arm
-as arrays for compiled kernels, with six or more revolute joints in series. Configurations q [rad,
-m] are in the order of the plant, with the arm's joints first. Poses X_WE are in the world. The
-package has no systems.
+finalized `MultibodyPlant` of the robot alone (`plant.RobotPlant`). Its base link is welded to the
+world at X_WB, and its tool frame E is at the tool point. The other output is `arm.Chain`, the same
+arm as arrays for compiled kernels, with six or more revolute joints in series. Configurations q
+[rad, m] are in the order of the plant, with the arm's joints first. Poses X_WE are in the world.
+The package has no systems.
 
 - `plant`, `grasped_object`: parsing of the model, once per process; base pose, limits, grasped
   object, and corners of the tool. `formats`: conversion of models that Drake cannot read.

@@ -49,8 +49,9 @@ class ToolOrientation:
     R_WG: FloatArray
 
     def along(self, s: FloatArray) -> FloatArray:
-        """Returns the orientations R_WE (T, 3, 3) of the tool frame at normalized times s (T,),
-        which are 0 at the start and 1 at the end of the motion.
+        """Returns the orientations R_WE (T, 3, 3) of the tool frame at normalized times s (T,).
+
+        The normalized time is 0 at the start and 1 at the end of the motion.
         """
         return orientation_along(self.primitive, self.R_WS, self.R_WG, s)
 
@@ -213,8 +214,8 @@ def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> Flo
     """Computes nominal postures (T, n), which the arm tracks in its null space, at normalized times
     s (T,) [rad].
 
-    q(s) = q_start + m(s) (q_goal - q_start), where m is the minimum-jerk profile from 0 to 1 and s
-    is 0 at the start and 1 at the end of the motion.
+    q(s) = q_start + m(s) (q_goal - q_start), with the minimum-jerk profile m from 0 to 1. The
+    normalized time s is 0 at the start and 1 at the end of the motion.
     """
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)

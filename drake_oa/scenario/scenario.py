@@ -36,9 +36,9 @@ Layer = Literal["perception", "descriptor", "decision", "motion"]
 LAYERS = typing.get_args(Layer)
 """Names of the layers whose results a viewer can display, in the order of the diagram.
 
-The viewer draws point clouds and cameras for "perception", ellipsoids and their sections for
-"descriptor", cost rings (costs of passing an obstacle on each side) and selected sides for
-"decision", and the planned and executed path for "motion"."""
+The viewer draws point clouds and cameras for "perception", and ellipsoids with their sections for
+"descriptor". For "decision" it draws cost rings (costs of passing an obstacle on each side) and
+selected sides. For "motion" it draws the planned and the executed path."""
 
 
 @dataclass(config=BLOCK)

@@ -75,8 +75,10 @@ _MIN_TRAVEL = 1e-3
 
 
 def goal_problems(task: Task) -> Iterator[str]:
-    """Yields one error line for each goal that is too close to the start, and for each move of the
-    goal that is not later than the previous one.
+    """Yields one error line for each invalid goal of a task.
+
+    A goal is invalid if it is too close to the start, or if it moves no later than the previous
+    goal.
     """
     if math.dist(task.start, task.goal) < _MIN_TRAVEL:
         yield f"task.goal: {task.goal} is the start; they must be at least 1 mm apart"

@@ -42,9 +42,9 @@ def ring_mesh(
     """Computes a triangle mesh of the cost rings of one obstacle, as concentric colored bands.
 
     A cost ring shows the costs of passing the obstacle in each direction around the baseline, the
-    line from start to goal. The bands are in the YZ plane of the local frame (x from start to goal,
-    z up), around its origin, in the order of `costs` from the inside out. Each sector has the color
-    of its cost on the scale `COST_COLORS`.
+    line from start to goal. The bands are around the origin in the YZ plane of the local frame (x
+    from start to goal, z up). They are in the order of `costs` from the inside out. Each sector has
+    the color of its cost on the scale `COST_COLORS`.
 
     Args:
         costs: cost (K,) in [0, 1] of each direction, by name of the ring; at least one ring.

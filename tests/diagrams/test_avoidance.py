@@ -52,11 +52,7 @@ def test_avoiding_motion_has_the_requested_clearance_without_holds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "overrides", "duration"),
-    [
-        ("tabletop_box", [], 0.5),
-        ("free_space", [], 3.0),
-    ],
+    ("name", "overrides", "duration"), [("tabletop_box", [], 0.5), ("free_space", [], 3.0)]
 )
 def test_repeated_runs_are_bitwise_equal(name: str, overrides: list[str], duration: float) -> None:
     first, second = (simulate(load_scenario(name, overrides), duration=duration) for _ in range(2))

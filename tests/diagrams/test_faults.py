@@ -13,10 +13,7 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from drake_oa.common.messages import (
-    EllipsoidSet,
-    TablePlane,
-)
+from drake_oa.common.messages import EllipsoidSet, TablePlane
 from drake_oa.diagrams.avoidance import Layers
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.report import motion_report
@@ -65,7 +62,7 @@ CASES = {
 def test_motion_with_a_fault_reaches_the_goal_without_contact(
     name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    override, customize, log_text = CASES[name]
+    override, customize, logs = CASES[name]
     scenario = load_scenario("tabletop_box", [override])
     if customize is not None:
         # Without a delay of the images, the time of the fault is exact.
@@ -77,7 +74,7 @@ def test_motion_with_a_fault_reaches_the_goal_without_contact(
     assert report["goal_error"] <= 1e-3
     if override != PLATE:
         assert report["contacts"] == []
-    assert log_text in "; ".join((*log.supervision_reason, *log.event, caplog.text))
+    assert logs in "; ".join((*log.supervision_reason, *log.event, caplog.text))
 
 
 class Scripted(LeafSystem):

@@ -35,7 +35,7 @@ class Case:
     overrides: tuple[str, ...] = (GROUND_TRUTH,)
     customize: Customize | None = None
     ends: tuple[MotionEnd, ...] = (MotionEnd.GOAL,)
-    log_text: str = "evades obstacle"
+    logs: str = "evades obstacle"
 
 
 def dropouts(*starts: float, duration: float) -> str:
@@ -47,19 +47,17 @@ def dropouts(*starts: float, duration: float) -> str:
 UNSEEN = "obstacles not seen"
 CASES = {
     "dropped frames": Case(
-        (dropouts(*np.arange(0.4, 8.0, 0.4).round(1), duration=0.2),), log_text="no new image"
+        (dropouts(*np.arange(0.4, 8.0, 0.4).round(1), duration=0.2),), logs="no new image"
     ),
     "a camera stops for good": Case((dropouts(1.0, duration=1000.0),), None, SAFE, UNSEEN),
-    "delayed observations": Case(customize=delayed_observations(0.2), log_text=UNSEEN),
+    "delayed observations": Case(customize=delayed_observations(0.2), logs=UNSEEN),
     "a step in the table's height": Case(
-        customize=raised_table(1.5, 0.3), ends=SAFE, log_text="brakes for an obstacle"
+        customize=raised_table(1.5, 0.3), ends=SAFE, logs="brakes for an obstacle"
     ),
     "collision scene with NaN": Case(
-        customize=nan_geometries(1.0, 2.0), log_text="the solids are not finite"
+        customize=nan_geometries(1.0, 2.0), logs="the solids are not finite"
     ),
-    "obstacle data with NaN": Case(
-        (), nan_clouds(1.0, 2.0), log_text="obstacles_W holds what is not"
-    ),
+    "obstacle data with NaN": Case((), nan_clouds(1.0, 2.0), logs="obstacles_W holds what is not"),
 }
 
 
@@ -86,7 +84,7 @@ def test_no_link_moves_into_a_moving_obstacle(name: str, caplog: pytest.LogCaptu
     for key in ("q", "v", "torque", "desired_position", "desired_velocity"):
         assert np.isfinite(getattr(log, key)).all(), key
     assert max(approach_at_contacts(scenario, log), default=0.0) <= APPROACH
-    assert case.log_text in "; ".join((*log.supervision_reason, *log.event, caplog.text))
+    assert case.logs in "; ".join((*log.supervision_reason, *log.event, caplog.text))
     assert report["ended"] in case.ends, report["stop_reason"]
     if report["ended"] == MotionEnd.GOAL:
         assert report["goal_error"] <= 1e-3

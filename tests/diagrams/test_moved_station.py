@@ -116,13 +116,11 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
 def test_displaced_station_has_the_same_motion(
     blocks: str, duration: float, apart: float, joints: float
 ) -> None:
-    original = simulate(station(RigidTransform(), blocks), duration=duration)
-    displaced = simulate(station(TURNED, blocks), duration=duration)
-    p_WE, p_WO = (
-        (TURNED @ p.reshape(-1, 3).T).T.reshape(p.shape) for p in (original.p_WE, original.p_WO)
-    )
-    np.testing.assert_allclose(displaced.p_WO, p_WO, atol=2e-3)
-    np.testing.assert_allclose(displaced.p_WE, p_WE, atol=apart)
-    np.testing.assert_allclose(displaced.q, original.q, atol=joints)
-    assert np.ptp(original.p_WE, axis=0).max() > 0.01
-    assert displaced.event == original.event
+    base = simulate(station(RigidTransform(), blocks), duration=duration)
+    other = simulate(station(TURNED, blocks), duration=duration)
+    p_WE, p_WO = ((TURNED @ p.reshape(-1, 3).T).T.reshape(p.shape) for p in (base.p_WE, base.p_WO))
+    np.testing.assert_allclose(other.p_WO, p_WO, atol=2e-3)
+    np.testing.assert_allclose(other.p_WE, p_WE, atol=apart)
+    np.testing.assert_allclose(other.q, base.q, atol=joints)
+    assert np.ptp(base.p_WE, axis=0).max() > 0.01
+    assert other.event == base.event

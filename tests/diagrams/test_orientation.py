@@ -40,20 +40,18 @@ def test_arm_follows_a_demonstration() -> None:
     assert report["stop_reason"] == "goal"
     assert report["goal_error"] < 1e-3
     assert report["torque_saturation"] == 0.0
-    dmp, task, orientation = make_dmp(scenario), scenario.task, tool_orientation(scenario)
+    dmp, task, tool = make_dmp(scenario), scenario.task, tool_orientation(scenario)
     # The arm arrives at the time of the demonstration.
     assert log.duration == pytest.approx(dmp.duration, abs=0.1)
     path = trajectory(dmp, task.start, task.goal, steps=5000).p
     assert KDTree(path).query(log.p_WE)[0].max() < 2e-3
     assert KDTree(log.p_WE).query(path)[0].max() < 2e-3
-    assert orientation is not None
+    assert tool is not None
     s = np.maximum(log.t - 2.0 * scenario.policy.period, 0.0) / dmp.duration
-    demonstrated = orientation_along(
-        orientation.primitive, orientation.R_WS, orientation.R_WG, np.minimum(s, 1.2)
-    )
+    rotations = orientation_along(tool.primitive, tool.R_WS, tool.R_WG, np.minimum(s, 1.2))
     errors = [
         np.linalg.norm(goal_vector(rotation_matrix(q), R))
-        for q, R in zip(log.desired_orientation[::50], demonstrated[::50], strict=True)
+        for q, R in zip(log.desired_orientation[::50], rotations[::50], strict=True)
     ]
     assert max(errors) < np.radians(0.5)
     assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)

@@ -100,23 +100,18 @@ def test_motion_is_held_while_no_path_exists_and_resumes_afterwards():
 
 
 def test_motion_ends_on_arrival_or_at_the_latest_end() -> None:
-    # A stiff spring overcomes a coarse forcing term after s = 1 and a missing phase does not fade.
+    # A stiff spring overcomes a coarse forcing term after s = 1 and a slow phase does not fade.
     empty = "perception=!GivenEllipsoids {}"
-    arriving = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
-    assert (arriving.stop_reason, arriving.inference) == ("goal", "Paper")
-    assert (
-        1.0 < -math.log(arriving.phase[arriving.moving][-1]) / math.log(100.0) < MAX_NORMALIZED_TIME
-    )
-    assert np.linalg.norm(arriving.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
-    missing = simulate(
-        load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty])
-    )
-    assert -math.log(missing.phase[missing.moving][-1]) / 2.0 == pytest.approx(
-        MAX_NORMALIZED_TIME, abs=0.02
-    )
-    offset = missing.desired_position[missing.moving][-1] - [1.0, 0.0, 0.0]
+    late = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
+    assert (late.stop_reason, late.inference) == ("goal", "Paper")
+    assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < MAX_NORMALIZED_TIME
+    assert np.linalg.norm(late.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
+    slow = simulate(load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty]))
+    end = -math.log(slow.phase[slow.moving][-1]) / 2.0
+    assert end == pytest.approx(MAX_NORMALIZED_TIME, abs=0.02)
+    offset = slow.desired_position[slow.moving][-1] - [1.0, 0.0, 0.0]
     error = 1e3 * float(np.linalg.norm(offset))
     assert error > 1.0
-    reason = re.fullmatch(r"goal missed by (\d+\.\d) mm at s = 2\.2", missing.stop_reason)
+    reason = re.fullmatch(r"goal missed by (\d+\.\d) mm at s = 2\.2", slow.stop_reason)
     assert reason
     assert float(reason[1]) == pytest.approx(error, rel=0.05)

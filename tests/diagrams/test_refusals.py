@@ -43,11 +43,7 @@ PAPER = "inference.weights=package://drake_oa/weights/paper_chain.safetensors"
         ),
         (BOX, ["obstacles=[{name: box, shapes: [!Sphere {}]}]"], ["obstacle_box"]),
         (BOX, ["cameras=[{name: camera, output_delay: 0.5}]"], ["camera 'camera'"]),
-        (
-            "free_space",
-            [PAPER],
-            ["inference.weights: ", "rad/s", "paper_running"],
-        ),
+        ("free_space", [PAPER], ["inference.weights: ", "rad/s", "paper_running"]),
     ],
 )
 def test_invalid_scenario_is_rejected_with_its_field(

@@ -2,12 +2,7 @@
 
 import pytest
 
-from drake_oa.evaluation.cameras import (
-    ONE_CAMERA,
-    TWO_CAMERAS,
-    with_task_cameras,
-    with_workspace_cameras,
-)
+from drake_oa.evaluation import cameras
 from drake_oa.geometry.shapes import Box
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
@@ -15,10 +10,8 @@ from drake_oa.scenario.obstacles import Obstacle
 
 def camera_poses(scenario):
     """Returns camera name -> pose in the world of the cameras beside a task."""
-    return {
-        camera.name: camera.X_PB.GetDeterministicValue()
-        for camera in with_task_cameras(scenario).cameras
-    }
+    items = cameras.with_task_cameras(scenario).cameras
+    return {item.name: item.X_PB.GetDeterministicValue() for item in items}
 
 
 def test_camera_is_raised_if_an_obstacle_is_in_its_place():
@@ -33,11 +26,11 @@ def test_camera_is_raised_if_an_obstacle_is_in_its_place():
 
 def test_workspace_cameras_change_only_the_perception():
     scenario = load_scenario("tabletop_clutter")
-    for places in (ONE_CAMERA, TWO_CAMERAS):
-        seen = with_workspace_cameras(scenario, places)
+    for places in (cameras.ONE_CAMERA, cameras.TWO_CAMERAS):
+        seen = cameras.with_workspace_cameras(scenario, places)
         assert seen.perception.names == tuple(places)
         assert seen.obstacles == scenario.obstacles
         text = scenario_text(seen)
         assert scenario_text(parse_scenario(text)) == text
     with pytest.raises(ValueError, match="must be !DepthCamera"):
-        with_workspace_cameras(load_scenario("free_space"), ONE_CAMERA)
+        cameras.with_workspace_cameras(load_scenario("free_space"), cameras.ONE_CAMERA)

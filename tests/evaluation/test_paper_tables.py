@@ -48,7 +48,7 @@ def test_shipped_chains_reach_the_published_errors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "differing"),
+    ("changes", "misses"),
     [
         ({}, set()),
         ({"clearance_mean": 0.195, "clearance_min": 0.02}, {"clearance_mean", "clearance_min"}),
@@ -57,11 +57,9 @@ def test_shipped_chains_reach_the_published_errors() -> None:
         ({"scenes": 0}, set(TABLE_TWO[1.0])),
     ],
 )
-def test_metrics_agree_within_their_tolerances(
-    changes: dict[str, Any], differing: set[str]
-) -> None:
+def test_metrics_agree_within_their_tolerances(changes: dict[str, Any], misses: set[str]) -> None:
     metrics = agrees({"scenes": 5, **TABLE_TWO[1.0], **changes}, TABLE_TWO[1.0])
-    assert {key for key, same in metrics.items() if not same} == differing
+    assert {key for key, same in metrics.items() if not same} == misses
 
 
 def test_paper_method_reproduces_table_two_approximately() -> None:
@@ -96,11 +94,8 @@ def test_trial_metrics_have_published_values_beside_them() -> None:
         3: run(None, 0.9),
     }
     metrics = trial_metrics(runs, TABLE_THREE["box", "paper"])
-    assert (metrics["trials"], metrics["obstacles_touched"], metrics["shortfall_count"]) == (
-        4,
-        1,
-        2,
-    )
+    assert (metrics["trials"], metrics["obstacles_touched"]) == (4, 1)
+    assert metrics["shortfall_count"] == 2
     assert metrics["clearance_mean"] == pytest.approx(0.29 / 3)
     assert (metrics["clearance_min"], metrics["goal_error_max"]) == (-0.01, 0.5)
     assert (metrics["clearance_published"], metrics["goal_error_published"]) == (0.168, 9.58e-3)

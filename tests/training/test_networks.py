@@ -5,13 +5,7 @@ import itertools
 import numpy as np
 import torch
 
-from drake_oa.training.networks import (
-    Round,
-    fit,
-    make_perceptron,
-    nmse,
-    train_network,
-)
+from drake_oa.training.networks import Round, fit, make_perceptron, nmse, train_network
 
 
 def test_each_step_lowers_the_loss_and_the_fit_ends_at_the_minimum():

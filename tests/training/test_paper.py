@@ -7,13 +7,7 @@ from drake_oa.common.files import source_digest
 from drake_oa.inference.regressor import load_chain, save_chain
 from drake_oa.training.lattice import PaperLattice
 from drake_oa.training.networks import Round
-from drake_oa.training.paper import (
-    CHAINS,
-    MIN_CLEARANCE,
-    PaperRecipe,
-    build_paper_set,
-    train_paper,
-)
+from drake_oa.training.paper import CHAINS, MIN_CLEARANCE, PaperRecipe, build_paper_set, train_paper
 
 FULL = PaperLattice()
 SMALL = PaperRecipe(

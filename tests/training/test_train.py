@@ -27,10 +27,7 @@ def test_recipe_writes_its_chains(recipe, tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (["--iterations", "0"], "Must be >= 1"),
-        (["--seed", "-1"], "Must be >= 0"),
-    ],
+    [(["--iterations", "0"], "Must be >= 1"), (["--seed", "-1"], "Must be >= 0")],
 )
 def test_invalid_arguments_are_named(arguments, message, tmp_path, capsys):
     assert main(["train", "--out", str(tmp_path), *arguments]) == 2

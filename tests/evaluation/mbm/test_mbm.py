@@ -126,17 +126,9 @@ def test_invalid_archive_is_rejected(tmp_path, texts, message):
 @pytest.mark.parametrize(
     ("scene_text", "request_text", "message"),
     [
-        (
-            scene(object("ball", "sphere", [0.1], [0, 0, 1])),
-            None,
-            "sphere is not supported; valid: box, cyl",
-        ),
+        (scene(object("ball", "sphere", [0.1], [0, 0, 1])), None, "not supported; valid: box, cyl"),
         ("[" * 5000, None, "not valid YAML"),
-        (
-            SCENE,
-            request(["shoulder"], [0.1]),
-            "joints shoulder.* are not those of the robot, .*--robot SCENARIO",
-        ),
+        (SCENE, request(["shoulder"], [0.1]), "joints shoulder.* are not those .*--robot SCENARIO"),
     ],
 )
 def test_invalid_problem_is_named_in_the_error(tmp_path, scene_text, request_text, message):

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_oa.evaluation.panda.differential_ik import (
-    METHOD,
-    simulate_differential_ik,
-)
+from drake_oa.evaluation.panda.differential_ik import METHOD, simulate_differential_ik
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.loading import load_scenario

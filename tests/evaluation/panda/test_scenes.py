@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from drake_oa.evaluation.panda.scene_arm import scene_arm
-from drake_oa.evaluation.panda.scene_parts import (
-    MIN_END_CLEARANCE,
-    footprint_radius,
-)
+from drake_oa.evaluation.panda.scene_parts import MIN_END_CLEARANCE, footprint_radius
 from drake_oa.evaluation.panda.scenes import KINDS, draw_panda_scene
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.metrics import robot_metrics

@@ -58,10 +58,7 @@ def test_familiar_has_six_models_with_and_without_scaling() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (("nowhere",), "unknown suite 'nowhere'; valid: novel, hit"),
-        (("familiar", 10), "square"),
-    ],
+    [(("nowhere",), "unknown suite 'nowhere'; valid: novel, hit"), (("familiar", 10), "square")],
 )
 def test_invalid_arguments_are_rejected(arguments: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
