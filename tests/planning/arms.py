@@ -29,7 +29,7 @@ class ArmAlone:
 
     config: Robot
     robot: RobotPlant
-    covered: ArmSpheres
+    arm_spheres: ArmSpheres
     chain: Chain
     q_full: FloatArray  # (nq,) [rad, m]
 
@@ -49,8 +49,8 @@ class ArmAlone:
     @property
     def protrusion(self) -> float:
         """How far any sphere of a body that moves sticks out at most [m]."""
-        covered = self.covered
-        return float(covered.protrusion[covered.arrays.group_joint >= 0].max())
+        arm_spheres = self.arm_spheres
+        return float(arm_spheres.protrusion[arm_spheres.arrays.group_joint >= 0].max())
 
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 2, 12) as `chain_poses` leaves them."""
@@ -60,7 +60,7 @@ class ArmAlone:
 
     def centers(self, q: FloatArray) -> FloatArray:
         """(S, 3) of the spheres, in the world [m]."""
-        X, spheres = self.poses(q), self.covered.arrays
+        X, spheres = self.poses(q), self.arm_spheres.arrays
         R, p = X[spheres.joint + 1, :9].reshape(-1, 3, 3), X[spheres.joint + 1, 9:]
         return np.asarray(np.einsum("sij,sj->si", R, spheres.p_JS) + p)
 
@@ -73,7 +73,7 @@ class ArmAlone:
         now: float = 0.0,
     ) -> ArmCollisionModel:
         """Among solids, of which tool and links are to keep so much [m]."""
-        spheres = self.covered.arrays
+        spheres = self.arm_spheres.arrays
         is_tool = spheres.of_tool[spheres.first[:-1]]
         table = np.tile(np.where(is_tool, tool, links)[:, None], (1, len(geometries)))
         table[spheres.group_joint < 0] = -np.inf

@@ -10,14 +10,14 @@ from scipy.spatial.distance import cdist
 from drake_oa.geometry.collision_scene import geometry_distance, geometry_of, hull
 from drake_oa.planning.collision_model import (
     FAR,
-    STRIDE,
+    SPHERE_STRIDE,
     ArmCollisionModel,
+    free_fraction,
     group_distances,
     is_collision_free,
     lower_clearance_margins,
     min_clearance_margin,
     self_distance,
-    share_clear,
 )
 from tests.planning.arms import ArmAlone, random_solids
 
@@ -93,11 +93,11 @@ def test_a_clear_way_is_clear_between_its_samples(panda_arm: ArmAlone, seed: int
     one = panda_arm.random_q(random)
     assume(is_collision_free(world, one))
     other = one + random.normal(size=7) * random.uniform(0.05, 0.6)
-    share, checked = share_clear(world, one, other)
+    share, checked = free_fraction(world, one, other)
     assert 0.0 <= share <= 1.0
     assert checked >= 1
     along = one + np.linspace(0.0, share, 200)[:, None] * (other - one)
-    assert min_clearance_margin(world, along) >= -0.5 * STRIDE - 1e-9
+    assert min_clearance_margin(world, along) >= -0.5 * SPHERE_STRIDE - 1e-9
     # No sphere moves farther than the joints reach.
     moved = np.linalg.norm(panda_arm.centers(other) - panda_arm.centers(one), axis=1)
     assert moved.max() <= panda_arm.chain.reach @ np.abs(other - one) + 1e-12

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drake_oa.planning.collision_model import min_clearance_margin
-from drake_oa.planning.imitation import SPEED_SHARE, demonstration
+from drake_oa.planning.imitation import SPEED_FRACTION, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.policy.dmp import orientation_along, trajectory
 from drake_oa.robot.arm import tool_poses
@@ -18,8 +18,10 @@ MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
 @pytest.mark.parametrize("gap", [0.3, 0.5])
 def test_the_primitives_go_where_the_plan_goes(panda_arm: ArmAlone, gap: float) -> None:
     world = panda_arm.among(wall_with_gap(gap), 0.03, 0.03)
-    corners = plan_path(world, panda_arm.q, (panda_arm.q * MIRROR)[None], most=60_000, seed=1)
-    shown = demonstration(world, corners, pace=PACE)
+    corners = plan_path(
+        world, panda_arm.q, (panda_arm.q * MIRROR)[None], max_configurations=60_000, seed=1
+    )
+    shown = demonstration(world, corners, seconds_per_meter=PACE)
     X_WE = tool_poses(world.chain, shown.q)
     way = trajectory(shown.position, X_WE[0, 9:], X_WE[-1, 9:], steps=800)
     p_WE = np.stack([np.interp(shown.s, np.linspace(0.0, 1.0, 801), p) for p in way.p.T], axis=1)
@@ -37,14 +39,14 @@ def test_the_primitives_go_where_the_plan_goes(panda_arm: ArmAlone, gap: float) 
     # As slow as the pace asks, or as a joint makes it.
     seconds = shown.position.duration
     fastest = (steps / (seconds * np.diff(shown.s)[:, None]) / world.chain.speed).max()
-    assert fastest <= SPEED_SHARE + 1e-9
+    assert fastest <= SPEED_FRACTION + 1e-9
     length = np.linalg.norm(np.diff(X_WE[:, 9:], axis=0), axis=1).sum()
-    assert fastest == pytest.approx(SPEED_SHARE) or seconds == pytest.approx(PACE * length)
+    assert fastest == pytest.approx(SPEED_FRACTION) or seconds == pytest.approx(PACE * length)
 
 
 def test_free_corners_are_rounded(panda_arm: ArmAlone) -> None:
     corners = np.tile(panda_arm.q, (3, 1))
     corners[1, :2] += [0.5, -0.3]
     corners[2, 0] += 1.0
-    free = demonstration(panda_arm.among(own=-1.0), corners, pace=PACE)
+    free = demonstration(panda_arm.among(own=-1.0), corners, seconds_per_meter=PACE)
     assert np.abs(free.q - corners[1]).max(axis=1).min() > 0.01

@@ -72,12 +72,12 @@ class Bench:
             self.dmp,
             CLEARANCE,
             arm.chain,
-            arm.covered.arrays,
+            arm.arm_spheres.arrays,
             parameters=parameters,
             policy=Policy(period=5.0 / 250, fade=0.1),
             orientation=lambda s: np.tile(R_WE, (len(s), 1, 1)),
             posture=lambda s: np.tile(arm.q, (len(s), 1)),
-            protrusion=arm.covered.protrusion,
+            protrusion=arm.arm_spheres.protrusion,
         )
         m = len(arm.q_full)
         self.system = MotionVerifier(
@@ -145,7 +145,7 @@ class Bench:
 
     def kept(self, q: FloatArray) -> FloatArray:
         """(2,) least distances of tool and moving links to all solids along joints (T, n) [m]."""
-        spheres, geometries = self.arm.covered.arrays, self.scene.geometries
+        spheres, geometries = self.arm.arm_spheres.arrays, self.scene.geometries
         is_tool, moves = spheres.of_tool[spheres.first[:-1]], spheres.group_joint >= 0
         d = group_distances(self.arm.chain, spheres, geometries, np.array(q), 0.0, np.inf)
         return np.array([d[of].min(initial=np.inf) for of in (is_tool, ~is_tool & moves)])
@@ -249,7 +249,7 @@ def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
         found = bench.chosen()
     assert found.restart
     assert found.note == ""
-    assert "a path of the whole arm is imitated" in caplog.text
+    assert "motion restarts and imitates a joint-space path" in caplog.text
     shown: Demonstration = bench.output("demonstration")
     assert shown.position is not None
     assert shown.orientation is not None
@@ -280,7 +280,7 @@ def test_a_motion_that_ends_away_from_its_goal_names_both(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Every end counts as away.
-    monkeypatch.setattr(motion_search, "ASTRAY", -1.0)
+    monkeypatch.setattr(motion_search, "MAX_GOAL_ERROR", -1.0)
     note = "no motion to the goal [0.45, 0.4, 0.3] m found: one ends 0 mm away"
     assert make().chosen().note == note
     assert re.fullmatch(rf"{re.escape(note)}, \d+ mm from box", make(BOX).chosen().note)
@@ -295,7 +295,7 @@ def test_a_tool_in_contact_may_leave_it(make: Make, caplog: pytest.LogCaptureFix
     assert deep < -bench.arm.protrusion
     with caplog.at_level(logging.WARNING, "drake_oa"):
         found = bench.chosen()
-    assert "t=0.000 s: the arm touches plate, and may only leave it" in caplog.text
+    assert "t=0.000 s: arm in contact with plate; only retreating motions allowed" in caplog.text
     assert found.note == ""
     assert bench.kept(bench.motion.q).min() >= deep - 1e-3
     assert bench.kept(bench.motion.q[-1:]).min() > CLEARANCE

@@ -15,8 +15,8 @@ from drake_oa.perception.visibility import ImageRange, with_occluded_extents
 from drake_oa.planning.perceived_scene import (
     PerceivedScene,
     PerceivedSceneState,
-    looked_at,
     seen_free,
+    update_scene,
 )
 from tests.reference.depth_images import SIZE, K, look_at, ray_cast
 
@@ -47,70 +47,71 @@ def distance(geometries: CollisionGeometries, row: int, point, time=0.0):
 
 
 def test_noise_leaves_the_arrays_as_they_are():
-    first = looked_at(PerceivedSceneState(), seen(box(noise=0.0012)), CAMERA[None])
+    first = update_scene(PerceivedSceneState(), seen(box(noise=0.0012)), CAMERA[None])
     now = first
     for frame in range(2, 12):
         table = replace(TABLE, offset=1e-3 * RNG.uniform(-1.0, 1.0))
         cloud = RNG.permutation(box(noise=0.0012))[100:]
-        now = looked_at(now, seen(cloud, stamp=float(frame), table=table), CAMERA[None])
+        now = update_scene(now, seen(cloud, stamp=float(frame), table=table), CAMERA[None])
         assert now.scene.same_as(first.scene)
     assert now.scene.stamp == 11.0
-    turned = looked_at(now, seen(box(), stamp=12.0), np.array([[0.4, 1.2, 0.8]]))
+    turned = update_scene(now, seen(box(), stamp=12.0), np.array([[0.4, 1.2, 0.8]]))
     assert not turned.scene.same_as(first.scene)
 
 
 def test_what_grows_or_goes_is_made_anew():
-    first = looked_at(PerceivedSceneState(), seen(box()), CAMERA[None])
+    first = update_scene(PerceivedSceneState(), seen(box()), CAMERA[None])
     stick = CENTER + np.linspace([0.0, 0.0, 0.1], [0.0, 0.0, 0.14], 9)
-    grown = looked_at(first, seen(np.concatenate([box(), stick])), CAMERA[None])
+    grown = update_scene(first, seen(np.concatenate([box(), stick])), CAMERA[None])
     assert distance(grown.scene.geometries, 0, stick[-1]) <= VOXEL
     short = box(HALF - [0.0, 0.0, 0.02], CENTER - [0.0, 0.0, 0.02])
-    less = looked_at(first, seen(short), CAMERA[None])
+    less = update_scene(first, seen(short), CAMERA[None])
     assert distance(less.scene.geometries, 0, CENTER + [0.0, 0.0, 0.15]) > 0.06
-    assert looked_at(first, seen(), CAMERA[None]).scene.labels == ("the table",)
+    assert update_scene(first, seen(), CAMERA[None]).scene.labels == ("the table",)
 
 
 def test_a_moving_obstacle_keeps_its_field_and_is_deeper():
     broad, behind = np.array([0.005, 0.15, 0.1]), CENTER - [0.12, 0.0, 0.0]
     v_WO = np.array([0.0, 0.15, 0.0])
-    now = looked_at(PerceivedSceneState(), seen(box(broad)), CAMERA[None])
+    now = update_scene(PerceivedSceneState(), seen(box(broad)), CAMERA[None])
     assert distance(now.scene.geometries, 0, behind) > 0.02
-    now = first = looked_at(now, seen(box(broad), v_WO=[v_WO]), CAMERA[None])
+    now = first = update_scene(now, seen(box(broad), v_WO=[v_WO]), CAMERA[None])
     assert now.scene.moves
     for time, noise in ((1.1, 0.0), (1.2, 0.001), (1.3, 0.0)):
         way = (time - 1.0) * v_WO
-        now = looked_at(
+        now = update_scene(
             now, seen(box(broad, CENTER + way, noise=noise), stamp=time, v_WO=[v_WO]), CAMERA[None]
         )
         assert now.fields[0].grid is first.fields[0].grid
         assert distance(now.scene.geometries, 0, behind + way, time) < 0.0
     # It rests again: still deep, as it has moved.
-    rests = looked_at(now, seen(box(broad, CENTER + way), stamp=2.0), CAMERA[None])
+    rests = update_scene(now, seen(box(broad, CENTER + way), stamp=2.0), CAMERA[None])
     assert not rests.scene.moves
     assert rests.moved == {0}
     # Where it was not expected it is made anew.
-    elsewhere = looked_at(rests, seen(box(broad), stamp=3.0), CAMERA[None])
+    elsewhere = update_scene(rests, seen(box(broad), stamp=3.0), CAMERA[None])
     assert elsewhere.fields[0].grid is not first.fields[0].grid
 
 
 @pytest.mark.parametrize("bad", [np.nan, 1e7])
 def test_what_is_not_finite_changes_nothing(bad):
-    first = looked_at(PerceivedSceneState(), seen(box(), v_WO=[[0.1, 0.0, 0.0]]), CAMERA[None])
+    first = update_scene(PerceivedSceneState(), seen(box(), v_WO=[[0.1, 0.0, 0.0]]), CAMERA[None])
     cloud = box()
     cloud[3, 1] = bad
     for given in (seen(cloud, stamp=2.0), seen(box(), stamp=2.0, v_WO=[[0.0, bad, 0.0]])):
-        now = looked_at(first, given, CAMERA[None])
+        now = update_scene(first, given, CAMERA[None])
         assert (now.scene.geometries is first.scene.geometries, now.scene.stamp) == (True, 1.0)
         assert "not finite" in now.scene.note
-    assert not looked_at(now, seen(box(), stamp=3.0), CAMERA[None]).scene.note
+    assert not update_scene(now, seen(box(), stamp=3.0), CAMERA[None]).scene.note
 
 
 def test_a_late_observation_or_one_without_a_table_keeps_the_scene():
-    first = looked_at(PerceivedSceneState(), seen(box()), CAMERA[None])
+    first = update_scene(PerceivedSceneState(), seen(box()), CAMERA[None])
     assert (
-        looked_at(first, seen(stamp=0.5), CAMERA[None]).scene.geometries is first.scene.geometries
+        update_scene(first, seen(stamp=0.5), CAMERA[None]).scene.geometries
+        is first.scene.geometries
     )
-    after = looked_at(first, seen(box(), stamp=2.0, table=None), CAMERA[None])
+    after = update_scene(first, seen(box(), stamp=2.0, table=None), CAMERA[None])
     assert after.scene.labels == ("obstacle 0", "the table")
 
 
@@ -154,7 +155,7 @@ def test_what_is_hidden_from_all_cameras_is_filled():
         (1.2, [BOARD, post], True),
     ):
         views = [image(eye, *objects) for eye in eyes]
-        found = looked_at(found, seen(box(THIN), stamp=stamp), eyes, views)
+        found = update_scene(found, seen(box(THIN), stamp=stamp), eyes, views)
         assert (distance(found.scene.geometries, 0, BEHIND) > 0.02) == is_free
     assert distance(found.scene.geometries, 0, CENTER) <= 0.0
 

@@ -11,7 +11,7 @@ from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.inference.config import Verified
 from drake_oa.planning.point_search import PointSearch
-from drake_oa.planning.search import ALPHA, Ranked
+from drake_oa.planning.search import ALPHA, Ranking
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
@@ -39,7 +39,7 @@ def scene_of(
     return Scene(START, np.zeros(3), GOAL, np.eye(3), 1.0, seen, np.full(count, 0.1))
 
 
-def searched(scene: Scene) -> tuple[Ranked, FloatArray, FloatArray]:
+def searched(scene: Scene) -> tuple[Ranking, FloatArray, FloatArray]:
     """The best candidate, its path (n, 3) and stamps (n,)."""
     policy = Policy(period=DURATION / 500)
     search = PointSearch(scene, dmp=DMP, policy=policy, parameters=QUICK)
@@ -81,8 +81,8 @@ def test_the_requested_clearance_is_achieved_and_not_much_more(
     found, path, stamps = searched(scene)
     free = min(least_distance(scene, end[None], np.zeros(1)) for end in (START, GOAL))
     # A term turns a motion that begins nearer than requested too late by 0.7 mm at most.
-    assert found.solved or free < 0.1
-    lost = 5e-4 if found.solved else 1e-3
+    assert found.is_feasible or free < 0.1
+    lost = 5e-4 if found.is_feasible else 1e-3
     assert min(0.0995, free - lost) <= least_distance(scene, path, stamps) <= 0.11
     assert np.linalg.norm(path[-1] - GOAL) <= 7e-4
 
@@ -91,19 +91,19 @@ def test_a_moving_obstacle_is_avoided_where_it_will_be() -> None:
     # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
     scene = scene_of([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
     found, path, stamps = searched(scene)
-    assert found.solved
+    assert found.is_feasible
     assert found.params[0, ALPHA] > -np.inf
     assert least_distance(scene, path, stamps) >= 0.0995
     # From the middle of the motion, too.
     search = PointSearch(scene, dmp=DMP, policy=Policy(period=DURATION / 500), parameters=QUICK)
     tool = search.tool_paths(found.params)
     half = replace(scene, p_WE=tool.path[0, 100], z_W=tool.velocity[0, 100], s=0.2)
-    assert searched(half)[0].solved
+    assert searched(half)[0].is_feasible
 
 
 def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible() -> None:
     # Walls all around, and 0.1 m requested in a gap of 0.12 m.
     scene = scene_of([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 50.0])
     found, path, stamps = searched(scene)
-    assert not found.solved
+    assert not found.is_feasible
     assert 0.04 < least_distance(scene, path, stamps) < 0.07

@@ -74,8 +74,8 @@ def test_each_is_as_alone_and_followed_as_far_as_needed(panda_arm: ArmAlone, see
         for one, other in zip(again, found, strict=True):
             np.testing.assert_array_equal(one[0], other[i])
         count = found.samples[i]
-        is_part = whole.least[i] < enough[i]
-        assert (found.least[i] < enough[i]) == is_part
+        is_part = whole.min_margin[i] < enough[i]
+        assert (found.min_margin[i] < enough[i]) == is_part
         assert is_part or count == whole.samples[i]
         np.testing.assert_array_equal(found.q[i, :count], whole.q[i, :count])
         # It stays where it was left.

@@ -23,7 +23,7 @@ from drake_oa.robot.plant import (
     home_positions,
     make_robot_plant,
 )
-from drake_oa.robot.sphere_cover import SHIPPED, cover, cover_key, known_cover
+from drake_oa.robot.sphere_cover import SHIPPED, compute_cover, cover_key, load_cover
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres, sphere_centers
 
 COARSE = SphereParameters(protrusion=0.015, max_tool_protrusion=0.012, max_fixed_protrusion=0.03)
@@ -62,7 +62,7 @@ def test_a_cover_encloses_and_exceeds_by_no_more_than_it_states(
 ) -> None:
     X = RigidTransform(RollPitchYaw(*rpy), [0.1, -0.2, 0.3]).GetAsMatrix4()
     shape = replace(one_of(kind, size), X_WO=X)
-    found = cover([shape], 0.012)
+    found = compute_cover([shape], 0.012)
     check_encloses(shape, np.column_stack([found.centers, found.radii]))
     directions = np.random.default_rng(0).normal(size=(len(found.radii), 300, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
@@ -77,16 +77,16 @@ def test_a_cover_encloses_and_exceeds_by_no_more_than_it_states(
 
 def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     geometries = [geometry.geometry_of(drake.Box(0.05, 0.1, 0.06))]
-    expected = cover(geometries, 0.01)
+    expected = compute_cover(geometries, 0.01)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
-        found = known_cover(geometries, 0.01, 200, "covering")
+        found = load_cover(geometries, 0.01, 200, "covering")
         np.testing.assert_array_equal(found.radii, expected.radii)
         (file,) = (tmp_path / "drake_oa" / "spheres").iterdir()
     # Unreadable files are replaced, and a cover that cannot be written is not kept.
     file.write_bytes(b"PK")
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
-    np.testing.assert_array_equal(known_cover(geometries, 0.01, 200, "").radii, expected.radii)
+    np.testing.assert_array_equal(load_cover(geometries, 0.01, 200, "").radii, expected.radii)
 
 
 def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: RobotPlant) -> None:
@@ -108,7 +108,7 @@ def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: Ro
         spheres = shipped.pop(cover_key(geometries, protrusion))
         for shape in geometries:
             check_encloses(shape, spheres)
-        assert known_cover(geometries, protrusion, 200, "").protrusion <= 1.25 * protrusion
+        assert load_cover(geometries, protrusion, 200, "").protrusion <= 1.25 * protrusion
     assert not shipped
 
 

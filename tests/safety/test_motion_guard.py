@@ -38,7 +38,7 @@ class Bench:
         self.system = MotionGuard(
             panda.robot,
             panda.chain,
-            panda.covered,
+            panda.arm_spheres,
             5.0,
             self.q,
             config=Policy(alpha_k=0.5, period=STEP),
@@ -101,7 +101,11 @@ class Bench:
 
     def gap(self, x: np.ndarray, ball: CollisionGeometry) -> float:
         """Least distance of the moving links to a ball along joint states (T, 2n) [m]."""
-        chain, spheres, q = self.arm.chain, self.arm.covered.arrays, np.ascontiguousarray(x[:, :7])
+        chain, spheres, q = (
+            self.arm.chain,
+            self.arm.arm_spheres.arrays,
+            np.ascontiguousarray(x[:, :7]),
+        )
         geometries, moves = geometries_of([ball]), spheres.group_joint >= 0
         return min(
             group_distances(chain, spheres, geometries, q[k : k + 1], STEP * (k + 1), np.inf)[

@@ -29,7 +29,7 @@ def claim_of(
     way = rate * np.minimum(t, 0.1) + rate * braked - np.sign(rate) * 0.5 * BRAKING * braked**2
     course = np.tile(arm.q, (len(t), 1))
     course[:, 0] += way
-    spheres = arm.covered.arrays
+    spheres = arm.arm_spheres.arrays
     return violated_claim(arm.chain, spheres, t, course, scene, space, V=0.8, v_unseen=0.25)
 
 
@@ -62,7 +62,7 @@ def test_claim_a_counts_at_all_times_of_a_step(panda: ArmAlone, way: float) -> N
     for count in (2, 25):
         t, course = np.linspace(0.0, 0.048, count), np.tile(panda.q, (count, 1))
         course[:, 0] += t
-        spheres = panda.covered.arrays
+        spheres = panda.arm_spheres.arrays
         found.append(
             violated_claim(panda.chain, spheres, t, course, scene, None, V=0.8, v_unseen=1)
         )

@@ -22,9 +22,9 @@ STEP = 0.008
 def test_guard_path_and_old_observations_slow() -> None:
     for action, scale, reason in (("follow", 1.0, ""), ("slow", 0.3, "near 4, contact in 0.50 s")):
         decision = GuardDecision(action, scale, contact=1.5, obstacle="4")
-        limit = monitor_guard(decision, 1.0, late=False, moves=True)
-        assert (limit.scale, limit.reason, limit.lasting) == (scale, reason, False)
-        assert monitor_guard(decision, 1.0, late=True, moves=True).scale == 0.0
+        limit = monitor_guard(decision, 1.0, is_late=False, has_moving=True)
+        assert (limit.scale, limit.reason, limit.is_lasting) == (scale, reason, False)
+        assert monitor_guard(decision, 1.0, is_late=True, has_moving=True).scale == 0.0
     assert [monitor_path(d).scale for d in (0.0, 0.02, 0.06, 0.2)] == pytest.approx([1, 1, 0.5, 0])
     seen = CollisionScene(1.0)
     scales = [monitor_observation(seen, 1.0 + age, 0.1, 0.5).scale for age in (0.1, 0.3, 0.5, 0.51)]
@@ -50,7 +50,7 @@ def run(
 ) -> list[Supervision]:
     found = [state]
     for step in range(count):
-        found.append(supervise(found[-1], limits, begin + step * STEP, STEP, waits=waits))
+        found.append(supervise(found[-1], limits, begin + step * STEP, STEP, is_waiting=waits))
     return found[1:]
 
 
@@ -86,7 +86,7 @@ def test_flickering_demands_and_new_causes_are_told_after_a_while() -> None:
     [(True, False, "stop"), (False, False, "hold"), (True, True, "hold")],
 )
 def test_a_lasting_hold_becomes_a_stop(lasting: bool, waits: bool, action: str) -> None:
-    held = run([SpeedLimit(0.0, "why", "why", lasting)], 400, Supervision(), waits=waits)
+    held = run([SpeedLimit(0.0, "why", "why", lasting)], 400, Supervision(), is_waiting=waits)
     assert held[-1].action == action
     after = run([SpeedLimit()], 300, held[-1], 10.0)
     assert (after[0].action, after[-1].action) == ("slow", "run")
