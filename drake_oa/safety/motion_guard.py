@@ -272,7 +272,8 @@ class MotionGuard(LeafSystem):
             parameters.stale_frames * period, 0.9 * config.max_observation_age
         )
         self._search = GuardSearch(
-            chain, arm_spheres, config=config, period=period, padding=padding, turn_limit=turn_limit,
+            chain, arm_spheres, config=config, period=period, padding=padding,
+            turn_limit=turn_limit,
             parameters=parameters,
         )  # fmt: skip
         reach = float(chain.reach @ self._search.speed)

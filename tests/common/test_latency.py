@@ -8,11 +8,7 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.latency import LatencyModel, count, counted
-from drake_oa.common.messages import (
-    DECIDING,
-    CouplingParameters,
-    PolicyState,
-)
+from drake_oa.common.messages import DECIDING, CouplingParameters, PolicyState
 from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.planning.motion_search import PlanningInputs, SelectedMotion
 from drake_oa.planning.motion_verifier import MotionVerifier
