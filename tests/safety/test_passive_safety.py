@@ -42,7 +42,7 @@ def moving_ball(panda: ArmAlone, distance: float, speed: float) -> CollisionScen
 
 
 @pytest.mark.parametrize(
-    ("way", "rate", "speed", "claim"),
+    ("distance", "rate", "speed", "claim"),
     [
         (0.3, 1.0, 0.3, "A"),
         (0.3, -1.0, 0.3, ""),
@@ -56,7 +56,7 @@ def test_claim_a(panda: ArmAlone, distance: float, rate: float, speed: float, cl
     assert claim_of(panda, rate, moving_ball(panda, distance, speed)) == claim
 
 
-@pytest.mark.parametrize("way", np.linspace(0.15, 0.35, 9))
+@pytest.mark.parametrize("distance", np.linspace(0.15, 0.35, 9))
 def test_claim_a_does_not_depend_on_the_time_step(panda: ArmAlone, distance: float) -> None:
     scene, claims = moving_ball(panda, distance, 0.3), []
     for count in (2, 25):

@@ -48,11 +48,13 @@ def run(
     count: int,
     state: Supervision,
     begin: float = 0.0,
-    waits: bool = False,
+    is_waiting: bool = False,
 ) -> list[Supervision]:
     states = [state]
     for step in range(count):
-        states.append(supervise(states[-1], limits, begin + step * STEP, STEP, is_waiting=waits))
+        states.append(
+            supervise(states[-1], limits, begin + step * STEP, STEP, is_waiting=is_waiting)
+        )
     return states[1:]
 
 
@@ -84,11 +86,13 @@ def test_flickering_limits_and_new_causes_are_debounced() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lasting", "waits", "action"),
+    ("is_lasting", "is_waiting", "action"),
     [(True, False, "stop"), (False, False, "hold"), (True, True, "hold")],
 )
-def test_a_lasting_hold_becomes_a_stop(lasting: bool, waits: bool, action: str) -> None:
-    hold = run([SpeedLimit(0.0, "why", "why", lasting)], 400, Supervision(), is_waiting=waits)
+def test_a_lasting_hold_becomes_a_stop(is_lasting: bool, is_waiting: bool, action: str) -> None:
+    hold = run(
+        [SpeedLimit(0.0, "why", "why", is_lasting)], 400, Supervision(), is_waiting=is_waiting
+    )
     assert hold[-1].action == action
     after = run([SpeedLimit()], 300, hold[-1], 10.0)
     assert (after[0].action, after[-1].action) == ("slow", "run")
