@@ -87,23 +87,23 @@ class PendingDecision(Frozen, Generic[T]):
     =========  ===========================  ================================================
     idle       `pending` is None            `start`: computing; without latency model: idle,
                                             and the new decision is active at once
-    computing  `pending` set, time < due    `discarded`: idle
-    completed  `pending` set, time >= due   `activated` or `discarded`: idle
+    computing  `pending` set, time < due    `discard`: idle
+    completed  `pending` set, time >= due   `activate` or `discard`: idle
     =========  ===========================  ================================================
 
     Attributes:
         active: decision that is executed.
         pending: decision in progress; None: no decision is in progress.
         due: time at which the pending decision is completed [s]; inf without one.
-        begun: start of the last decision [s]; NaN before the first.
-        cost: compute latency of the last decision [s].
+        start_time: start of the last decision [s]; NaN before the first.
+        latency: compute latency of the last decision [s].
     """
 
     active: T
     pending: T | None = None
     due: float = math.inf
-    begun: float = math.nan
-    cost: float = 0.0
+    start_time: float = math.nan
+    latency: float = 0.0
 
     def start(
         self, decide: Callable[[T], T], time: float, compute_latency: LatencyModel | None
@@ -118,27 +118,28 @@ class PendingDecision(Frozen, Generic[T]):
         if self.pending is not None:
             return self
         with counted() as work:
-            after = decide(self.active)
+            result = decide(self.active)
         if compute_latency is None:
-            return dc.replace(self, active=after)
-        cost = compute_latency.seconds(work)
-        return dc.replace(self, pending=after, due=time + cost, begun=time, cost=cost)
+            return dc.replace(self, active=result)
+        latency = compute_latency.seconds(work)
+        due = time + latency
+        return dc.replace(self, pending=result, due=due, start_time=time, latency=latency)
 
-    def completed(self, time: float) -> T | None:
+    def result_at(self, time: float) -> T | None:
         """Returns the pending decision if it is completed at a time [s], otherwise None."""
         return self.pending if self.due <= time else None
 
-    def activated(self) -> Self:
+    def activate(self) -> Self:
         """Returns the state in which the pending decision, if any, is active."""
         if self.pending is None:
             return self
         return dc.replace(self, active=self.pending, pending=None, due=math.inf)
 
-    def discarded(self) -> Self:
+    def discard(self) -> Self:
         """Returns the state without the pending decision."""
         return dc.replace(self, pending=None, due=math.inf)
 
     @property
-    def last(self) -> tuple[float, float]:
+    def timing(self) -> tuple[float, float]:
         """Start time and compute latency of the last decision [s]."""
-        return (self.begun, self.cost)
+        return (self.start_time, self.latency)

@@ -1,8 +1,9 @@
-"""Clearance of the whole arm among solids, beyond the requested clearances.
+"""Clearance margins of the whole arm: distances to collision geometry minus required clearances.
 
-The robot is spheres in groups, a group a body (`drake_oa.robot.spheres`); the world is solids that
-may move (`drake_oa.geometry.collision_scene`). What is asked is a table of clearances, a row a group and a
-column a solid, so that what start and goal leave of one pair lowers no other.
+The robot is covered by spheres in groups, one group per body (`drake_oa.robot.spheres`). The
+environment is a collision scene whose geometries may move (`drake_oa.geometry.collision_scene`).
+The required clearances are a table with one row per group and one column per geometry, so that a
+requirement reduced at start or goal does not affect other pairs.
 """
 
 from __future__ import annotations
@@ -18,18 +19,19 @@ from drake_oa.geometry.collision_scene import CollisionGeometries, ball_bound, g
 from drake_oa.robot.arm import Chain, Spheres, chain_poses
 
 FAR = 0.3
-"""By how much more than asked a clearance need not be known [m]."""
-STRIDE = 0.012
-"""Bound on how far any sphere moves between two configurations that are looked at [m]."""
+"""Upper bound up to which clearance margins are computed exactly [m]."""
+SPHERE_STRIDE = 0.012
+"""Maximum displacement of any sphere between two checked configurations of an edge [m]."""
 
 
 class ClearanceRequirements(NamedTuple):
-    """Requested clearances of the G groups of spheres.
+    """Required clearances of the G groups of robot spheres.
 
     Attributes:
-        of_geometries: (G, K) clearance of each group to each solid [m]; -inf: they may touch.
-        of_self: clearance of the groups to each other [m].
-        is_tool: (G,) whether a group is of the tool, else of the links.
+        of_geometries: (G, K) clearance of each group to each collision geometry [m]; -inf: contact
+            is allowed.
+        of_self: clearance between groups [m].
+        is_tool: (G,) whether a group belongs to the tool; else to the links.
     """
 
     of_geometries: FloatArray
@@ -38,7 +40,14 @@ class ClearanceRequirements(NamedTuple):
 
 
 class ArmCollisionModel(NamedTuple):
-    """Arm of spheres among solids, with requested clearances; now: the time [s]."""
+    """Collision model of an arm: spheres, collision geometries, and required clearances.
+
+    Attributes:
+        chain, spheres: kinematics and spheres of the arm.
+        geometries: collision geometries of the environment and the obstacles.
+        required: required clearances.
+        now: time at which moving geometries are evaluated [s].
+    """
 
     chain: Chain
     spheres: Spheres
@@ -48,8 +57,8 @@ class ArmCollisionModel(NamedTuple):
 
 
 @leaf
-def placed(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[float, float, float]:
-    """The point p[i] of frame X[row], in the world."""
+def transform_point(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[float, float, float]:
+    """Returns the world position of point p[i] (N, 3), given in frame X[row] (M, 12) [m]."""
     x, y, z = p[i, 0], p[i, 1], p[i, 2]
     return (
         X[row, 0] * x + X[row, 1] * y + X[row, 2] * z + X[row, 9],
@@ -59,63 +68,67 @@ def placed(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[float, float
 
 
 TOOL, LINKS, SELF = range(3)
-"""Rows of clearances: of the tool and the links to solids, and of all to each other."""
+"""Indices of clearance margins: tool to geometries, links to geometries, and self-distance."""
 
 
 @leaf
 def place_bounds(X: FloatArray, spheres: Spheres, center: FloatArray) -> None:
-    """Sets center (G, 3) to those of the groups' bounds in the world [m]."""
+    """Writes the world positions of the groups' bounding spheres into center (G, 3) [m]."""
     for g in range(len(center)):
-        x, y, z = placed(X, spheres.group_joint[g] + 1, spheres.bound, g)
+        x, y, z = transform_point(X, spheres.group_joint[g] + 1, spheres.bound, g)
         center[g, 0], center[g, 1], center[g, 2] = x, y, z
 
 
 @leaf
 def geometry_gap(
-    X: FloatArray, spheres: Spheres, center: FloatArray, g: int, geometries: CollisionGeometries, k: int, t: float,
-    keep: float, least: float, enough: float,
+    X: FloatArray, spheres: Spheres, center: FloatArray, g: int,
+    geometries: CollisionGeometries, k: int, t: float,
+    clearance: float, upper_bound: float, stop_below: float,
 ) -> float:  # fmt: skip
-    """Computes the distance of group g to solid k less `keep`, or `least` if that is less [m].
+    """Computes min(distance of group g to geometry k - clearance, upper_bound) [m].
+
+    Bounding spheres of groups and clusters skip spheres that cannot lower the result.
 
     Args:
-        X: (n + 2, 12) as `chain_poses` leaves them.
-        spheres: of the arm.
-        center: (G, 3), see `place_bounds`.
-        g: row of the group.
-        geometries: of the world.
-        k: row of the solid.
+        X: (n + 2, 12) link poses of `chain_poses`.
+        spheres: spheres of the arm.
+        center: (G, 3) centers of bounding spheres, see `place_bounds` [m].
+        g: index of the group.
+        geometries: collision geometries.
+        k: index of the geometry.
         t: time [s].
-        keep: clearance that is subtracted [m].
-        least: value up to which the result is needed [m].
-        enough: value below which any result does [m].
+        clearance: clearance that is subtracted [m].
+        upper_bound: upper bound of the result [m].
+        stop_below: value below which the first result is returned, even if it is not the minimum
+            [m].
     """
     x, y, z = center[g, 0], center[g, 1], center[g, 2]
-    far = spheres.bound[g, 3] + keep + least
-    if ball_bound(geometries, k, x, y, z, t) >= far:
-        return least
-    of_group = geometry_distance(geometries, k, x, y, z, t)
-    if of_group >= far:
-        return least
+    cutoff = spheres.bound[g, 3] + clearance + upper_bound
+    if ball_bound(geometries, k, x, y, z, t) >= cutoff:
+        return upper_bound
+    center_distance = geometry_distance(geometries, k, x, y, z, t)
+    if center_distance >= cutoff:
+        return upper_bound
     frame = spheres.group_joint[g] + 1
     for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
-        u, v, w = placed(X, frame, spheres.cluster_bound, c)
-        far = spheres.cluster_bound[c, 3] + keep + least
-        # No point is nearer by more than it is away.
-        if of_group - far > 0.0:
+        u, v, w = transform_point(X, frame, spheres.cluster_bound, c)
+        cutoff = spheres.cluster_bound[c, 3] + clearance + upper_bound
+        # The distance function has Lipschitz constant 1: within this radius it exceeds the cutoff.
+        if center_distance - cutoff > 0.0:
             square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
-            if square <= (of_group - far) ** 2:
+            if square <= (center_distance - cutoff) ** 2:
                 continue
-        if geometry_distance(geometries, k, u, v, w, t) >= far:
+        if geometry_distance(geometries, k, u, v, w, t) >= cutoff:
             continue
         for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
-            u, v, w = placed(X, frame, spheres.p_JS, i)
+            u, v, w = transform_point(X, frame, spheres.p_JS, i)
             d = geometry_distance(geometries, k, u, v, w, t)
-            d -= spheres.radius[i] + keep
-            if d < least:
-                least = d
-                if d < enough:
-                    return least
-    return least
+            d -= spheres.radius[i] + clearance
+            if d < upper_bound:
+                upper_bound = d
+                if d < stop_below:
+                    return upper_bound
+    return upper_bound
 
 
 @leaf
@@ -124,20 +137,21 @@ def pair_distance(
     spheres: Spheres,
     center: FloatArray,
     m: int,
-    off: float,
-    least: float,
-    enough: float,
+    offset: float,
+    upper_bound: float,
+    stop_below: float,
 ) -> float:
-    """The distance of pair m of groups and `off`, or `least` if that is less [m].
+    """Computes min(distance between the groups of pair m + offset, upper_bound) [m].
 
     Args:
-        X: (n + 2, 12) as `chain_poses` leaves them.
-        spheres: of the arm.
-        center: (G, 3) of the groups' bounds, in the world [m].
-        m: which pair.
-        off: what is added to the distance [m].
-        least: up to which it need be known.
-        enough: it need not be known where it is below.
+        X: (n + 2, 12) link poses of `chain_poses`.
+        spheres: spheres of the arm.
+        center: (G, 3) centers of bounding spheres, see `place_bounds` [m].
+        m: index of the pair.
+        offset: offset added to the distance [m].
+        upper_bound: upper bound of the result [m].
+        stop_below: value below which the first result is returned, even if it is not the minimum
+            [m].
     """
     a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
     x, y, z = (
@@ -145,26 +159,26 @@ def pair_distance(
         center[b, 1] - center[a, 1],
         center[b, 2] - center[a, 2],
     )
-    most = least - off + spheres.bound[a, 3] + spheres.bound[b, 3]
-    if most <= 0.0 or x * x + y * y + z * z >= most * most:
-        return least
-    one, other = spheres.group_joint[a] + 1, spheres.group_joint[b] + 1
+    cutoff = upper_bound - offset + spheres.bound[a, 3] + spheres.bound[b, 3]
+    if cutoff <= 0.0 or x * x + y * y + z * z >= cutoff * cutoff:
+        return upper_bound
+    frame_a, frame_b = spheres.group_joint[a] + 1, spheres.group_joint[b] + 1
     for i in range(spheres.first[a], spheres.first[a + 1]):
-        x, y, z = placed(X, one, spheres.p_JS, i)
+        x, y, z = transform_point(X, frame_a, spheres.p_JS, i)
         u, v, w = x - center[b, 0], y - center[b, 1], z - center[b, 2]
-        most = least - off + spheres.radius[i] + spheres.bound[b, 3]
-        if most <= 0.0 or u * u + v * v + w * w >= most * most:
+        cutoff = upper_bound - offset + spheres.radius[i] + spheres.bound[b, 3]
+        if cutoff <= 0.0 or u * u + v * v + w * w >= cutoff * cutoff:
             continue
         for j in range(spheres.first[b], spheres.first[b + 1]):
-            u, v, w = placed(X, other, spheres.p_JS, j)
+            u, v, w = transform_point(X, frame_b, spheres.p_JS, j)
             u, v, w = u - x, v - y, w - z
-            touching = spheres.radius[i] + spheres.radius[j] - off
-            most, square = least + touching, u * u + v * v + w * w
-            if most > 0.0 and square < most * most:
-                least = math.sqrt(square) - touching
-                if least < enough:
-                    return least
-    return least
+            contact_distance = spheres.radius[i] + spheres.radius[j] - offset
+            cutoff, square = upper_bound + contact_distance, u * u + v * v + w * w
+            if cutoff > 0.0 and square < cutoff * cutoff:
+                upper_bound = math.sqrt(square) - contact_distance
+                if upper_bound < stop_below:
+                    return upper_bound
+    return upper_bound
 
 
 @leaf
@@ -175,110 +189,118 @@ def lower_clearance_margins(
     geometries: CollisionGeometries,
     required: ClearanceRequirements,
     center: FloatArray,
-    least: FloatArray,
-    enough: float,
+    margins: FloatArray,
+    stop_below: float,
 ) -> None:
-    """Lowers least (3,) to the clearance_margin of a configuration over the requested clearances [m].
+    """Lowers margins (3,), in place, to the clearance margins of a configuration.
 
     Args:
-        X: (n + 2, 12) as `chain_poses` leaves them.
-        t: when [s].
-        spheres, geometries, required: see `ArmCollisionModel`.
-        center: (G, 3) to work in.
-        least: (3,) of `TOOL`, `LINKS` and `SELF`.
-        enough: where one of them is below it, the others need not be known.
+        X: (n + 2, 12) link poses of `chain_poses`.
+        t: time [s].
+        spheres, geometries, required: attributes of `ArmCollisionModel`.
+        center: (G, 3) work array.
+        margins: (3,) margins `TOOL`, `LINKS`, `SELF` so far, upper bounds of the result [m].
+        stop_below: margin below which the computation stops [m].
     """
     place_bounds(X, spheres, center)
     for g in range(len(center)):
         row = TOOL if required.is_tool[g] else LINKS
         for k in range(len(geometries.ball)):
-            keep = required.of_geometries[g, k]
-            least[row] = geometry_gap(
-                X, spheres, center, g, geometries, k, t, keep, least[row], enough
+            clearance = required.of_geometries[g, k]
+            margins[row] = geometry_gap(
+                X, spheres, center, g, geometries, k, t, clearance, margins[row], stop_below
             )  # fmt: skip
-            if least[row] < enough:
+            if margins[row] < stop_below:
                 return
     for m in range(len(spheres.pairs)):
-        off = spheres.allowance[m] - required.of_self
-        least[SELF] = pair_distance(X, spheres, center, m, off, least[SELF], enough)
-        if least[SELF] < enough:
+        offset = spheres.allowance[m] - required.of_self
+        margins[SELF] = pair_distance(X, spheres, center, m, offset, margins[SELF], stop_below)
+        if margins[SELF] < stop_below:
             return
 
 
 @compiled
 def clearance_margin(
-    world: ArmCollisionModel, q: FloatArray, far: float, X: FloatArray, center: FloatArray
+    world: ArmCollisionModel, q: FloatArray, max_margin: float, X: FloatArray, center: FloatArray
 ) -> float:
-    """Computes the clearance_margin of a configuration over the requested clearances, at most `far` [m]."""
-    least = np.full(3, far)
+    """Computes the minimum clearance margin of a configuration, at most `max_margin` [m].
+
+    Args:
+        world: collision model.
+        q: (n,) configuration [rad].
+        max_margin: upper bound of the result [m].
+        X, center: (n + 2, 12) and (G, 3) work arrays.
+    """
+    margins = np.full(3, max_margin)
     chain_poses(q, world.chain.X_PJ, X)
     lower_clearance_margins(
-        X, world.now, world.spheres, world.geometries, world.required, center, least, 0.0
+        X, world.now, world.spheres, world.geometries, world.required, center, margins, 0.0
     )
-    return min(least[0], min(least[1], least[2]))
+    return min(margins[0], min(margins[1], margins[2]))
 
 
 def is_collision_free(world: ArmCollisionModel, q: FloatArray) -> bool:
-    """Checks whether a configuration (n,) keeps the limits and the requested clearances now."""
+    """Checks whether a configuration (n,) satisfies joint limits and required clearances."""
     is_within = (world.chain.lower <= q).all() and (q <= world.chain.upper).all()
     return bool(is_within and min_clearance_margin(world, q[None]) >= 0.0)
 
 
 @compiled
-def share_clear(
-    world: ArmCollisionModel, one: FloatArray, other: FloatArray, stride: float = STRIDE
+def free_fraction(
+    world: ArmCollisionModel, q_start: FloatArray, q_end: FloatArray, stride: float = SPHERE_STRIDE
 ) -> tuple[float, int]:
-    """Computes the share of the straight way between two configurations (n,) that is clear.
+    """Computes the collision-free fraction of the straight edge between two configurations (n,).
 
-    No step moves a sphere by more than the clearance_margin over the requested clearances, or by `stride`
-    [m]: at most half of it can be lost between two steps.
+    Between two checked configurations, no sphere moves by more than the clearance margin of the
+    first one, or by `stride` [m] if that is larger. The clearance can be violated by at most half
+    of `stride`.
 
     Returns:
-        The share, 1 for all of it, and the number of checked configurations.
+        Fraction from `q_start` on, 1 for the entire edge, and number of checked configurations.
     """
-    n = len(one)
+    n = len(q_start)
     X, center, q = np.empty((n + 2, 12)), np.empty((len(world.spheres.group_joint), 3)), np.empty(n)
     bound = 0.0
     for i in range(n):
-        bound += world.chain.reach[i] * abs(other[i] - one[i])
+        bound += world.chain.reach[i] * abs(q_end[i] - q_start[i])
     if bound == 0.0:
         return 1.0, 0
     step = stride / bound
-    share, clear, checked = min(step, 1.0), 0.0, 0
+    fraction, free, checked = min(step, 1.0), 0.0, 0
     while True:
         for i in range(n):
-            q[i] = one[i] + share * (other[i] - one[i])
-        kept = clearance_margin(world, q, FAR, X, center)
+            q[i] = q_start[i] + fraction * (q_end[i] - q_start[i])
+        margin = clearance_margin(world, q, FAR, X, center)
         checked += 1
-        if kept < 0.0:
-            return clear, checked
-        if share == 1.0:
+        if margin < 0.0:
+            return free, checked
+        if fraction == 1.0:
             return 1.0, checked
-        clear, share = share, min(share + max(step, kept / bound), 1.0)
+        free, fraction = fraction, min(fraction + max(step, margin / bound), 1.0)
 
 
 @compiled
 def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
-    """The least `clearance_margin` of configurations (T, n) now [m]."""
+    """Computes the minimum clearance margin over configurations (T, n), at most `FAR` [m]."""
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
-    least = FAR
+    margin = FAR
     for row in range(len(q)):
-        least = min(least, clearance_margin(world, q[row], FAR, X, center))
-    return least
+        margin = min(margin, clearance_margin(world, q[row], FAR, X, center))
+    return margin
 
 
 @compiled
 def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
-    """Computes the distance of the arm to itself at a configuration (n,), at most `FAR` [m].
+    """Computes the minimum distance between the arm's groups at a configuration (n,) [m].
 
-    Exact where it is negative, where `clearance_margin` ends at the first that is.
+    At most `FAR`. Negative distances are exact, whereas `clearance_margin` stops at the first one.
     """
-    X, center, least = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
+    X, center, distance = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
     chain_poses(q, chain.X_PJ, X)
     place_bounds(X, spheres, center)
     for m in range(len(spheres.pairs)):
-        least = pair_distance(X, spheres, center, m, spheres.allowance[m], least, -np.inf)
-    return least
+        distance = pair_distance(X, spheres, center, m, spheres.allowance[m], distance, -np.inf)
+    return distance
 
 
 @compiled
@@ -288,25 +310,25 @@ def group_distances(
     geometries: CollisionGeometries,
     q: FloatArray,
     t: float,
-    most: float,
+    max_distance: float,
 ) -> FloatArray:
-    """Computes the least distances (G, K) of groups to solids along configurations (T, n) [m].
+    """Computes minimum distances (G, K) of groups to geometries over configurations (T, n) [m].
 
     Args:
-        chain, spheres, geometries: see `ArmCollisionModel`.
+        chain, spheres, geometries: attributes of `ArmCollisionModel`.
         q: (T, n) configurations [rad].
-        t: time at which the solids are where they are [s].
-        most: distance above which none is computed exactly [m].
+        t: time at which the geometries are evaluated [s].
+        max_distance: upper bound of the distances [m].
     """
-    found = np.full((len(spheres.group_joint), len(geometries.ball)), most)
+    distances = np.full((len(spheres.group_joint), len(geometries.ball)), max_distance)
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(spheres.group_joint), 3))
     for row in range(len(q)):
         chain_poses(q[row], chain.X_PJ, X)
         place_bounds(X, spheres, center)
         for g in range(len(center)):
             for k in range(len(geometries.ball)):
-                least = found[g, k]
-                found[g, k] = geometry_gap(
-                    X, spheres, center, g, geometries, k, t, 0.0, least, -np.inf
+                upper_bound = distances[g, k]
+                distances[g, k] = geometry_gap(
+                    X, spheres, center, g, geometries, k, t, 0.0, upper_bound, -np.inf
                 )  # fmt: skip
-    return found
+    return distances

@@ -1,4 +1,4 @@
-"""Collision geometry of the simulated world, known exactly."""
+"""Collision scene of the simulated world, from ground truth."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from drake_oa.geometry.collision_scene import (
 )
 
 _AT_REST = 1e-3
-"""A slower body is taken to rest [m/s]: contact lets a standing one tremble."""
+"""Speed below which a body counts as at rest [m/s]: simulated contact lets bodies jitter."""
 
 
 class GroundTruthScene(LeafSystem):
-    """Knows the collision geometry of bodies, and asks SceneGraph where they are.
+    """System that outputs the collision geometry of bodies at their poses in SceneGraph.
 
     .. pydrake_system::
 
@@ -36,12 +36,12 @@ class GroundTruthScene(LeafSystem):
       output_ports:
       - collision_scene_W
 
-    - query_object: of the scene graph that holds the bodies.
-    - collision_scene_W: abstract `CollisionScene`: their solids, with the velocity of each body's origin since
-      the reading before, 0 below 1 mm/s; those farther from the world's origin than
-      `messages.OUT_OF_WORLD` are left out.
+    - query_object: `QueryObject` of the scene graph with the bodies.
+    - collision_scene_W: abstract `CollisionScene`: collision geometries of the bodies. Their
+      velocity is that of the body's origin since the previous update, and 0 below 1 mm/s. Bodies
+      farther from the world origin than `messages.OUT_OF_WORLD` are omitted.
 
-    The poses are read at initialization and then every `period`.
+    The scene is updated at initialization and then every `period`.
     """
 
     def __init__(
@@ -53,19 +53,19 @@ class GroundTruthScene(LeafSystem):
         names: Mapping[BodyIndex, int],
         period: float = 1.0 / 15.0,
     ) -> None:
-        """Reads the geometry.
+        """Reads the collision geometry and declares the ports.
 
         Args:
-            plant: finalized plant that holds the bodies.
-            inspector: of its scene graph.
-            bodies: which; what has no collision geometry adds nothing.
-            names: of the obstacles that bodies belong to, as perception names them; the others
-                are `drake_oa.geometry.collision_scene.ENVIRONMENT`.
-            period: time between readings [s].
+            plant: finalized plant with the bodies.
+            inspector: inspector of the plant's scene graph.
+            bodies: indices of the bodies; bodies without collision geometry have no effect.
+            names: body -> track ID of its obstacle; other bodies belong to
+                `drake_oa.geometry.collision_scene.ENVIRONMENT`.
+            period: time between updates [s].
 
         Raises:
-            ValueError: naming the geometry, for a shape that is no solid, or for a period that is
-                not positive.
+            ValueError: for an unsupported shape, named in the message, or a period that is not
+                positive.
         """
         super().__init__()
         self._bodies = []
@@ -74,8 +74,8 @@ class GroundTruthScene(LeafSystem):
             name = names.get(index, ENVIRONMENT)
             label = f"obstacle {name}" if name >= 0 else body.scoped_name().get_full()
             geometry_ids = plant.GetCollisionGeometriesForBody(body)
-            read = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids]
-            of_body = [replace(geometry, name=name, label=label) for geometry in read]
+            geometries = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids]
+            of_body = [replace(geometry, name=name, label=label) for geometry in geometries]
             self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
         period = valid_period(period)
         self._query = AbstractInput(self, "query_object", QueryObject)
@@ -88,19 +88,19 @@ class GroundTruthScene(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         query = self._query.read(context)
         time = context.get_time()
-        before: CollisionScene = context.get_abstract_state(self._scene).get_value()
-        was = context.get_discrete_state(self._origins).value().reshape(-1, 3)
-        dt = time - before.stamp
-        origins, geometries = np.array(was), []
+        previous: CollisionScene = context.get_abstract_state(self._scene).get_value()
+        previous_origins = context.get_discrete_state(self._origins).value().reshape(-1, 3)
+        dt = time - previous.stamp
+        origins, geometries = np.array(previous_origins), []
         for row, (frame, of_body) in enumerate(self._bodies):
             X_WB = query.GetPoseInWorld(frame).GetAsMatrix4()
             origins[row] = X_WB[:3, 3]
             if np.abs(origins[row]).max() > OUT_OF_WORLD:
                 continue
             velocity = np.zeros(3)
-            appeared = np.abs(was[row]).max() > OUT_OF_WORLD
-            if 0.0 < dt < math.inf and not appeared:
-                velocity = (origins[row] - was[row]) / dt
+            has_appeared = np.abs(previous_origins[row]).max() > OUT_OF_WORLD
+            if 0.0 < dt < math.inf and not has_appeared:
+                velocity = (origins[row] - previous_origins[row]) / dt
             if np.linalg.norm(velocity) < _AT_REST:
                 velocity = np.zeros(3)
             geometries += [

@@ -1,8 +1,8 @@
-"""A path of the whole arm as a demonstration, which the primitives imitate.
+"""Conversion of a joint-space path to a demonstration that the movement primitives imitate.
 
-So a plan is one more demonstration, and the coupling terms stay the reaction around it: the tool's
-position and orientation become primitives of their own (`drake_oa.policy`), and the posture is led
-along the path by their common phase.
+A plan thus is a further demonstration, and coupling terms react to obstacles along it. Position and
+orientation of the tool become movement primitives (`drake_oa.policy`), and their common phase moves
+the nominal posture along the path.
 """
 
 from __future__ import annotations
@@ -25,47 +25,47 @@ from drake_oa.policy.dmp import (
 from drake_oa.robot.arm import tool_poses
 
 SAMPLES = 201
-"""Number of samples of a path that is imitated."""
-LONGEST = 2.0
-"""Longest time of a motion that imitates a path, if the joints can, in demonstrated durations."""
-SPEED_SHARE = 0.5
-"""Greatest share of the speed limits of the joints in a motion that imitates a path."""
-_SMOOTH = (0.04, 0.02, 0.01)
-"""Widths of the filter that rounds a path's corners, in shares of it, the widest first."""
+"""Number of samples of an imitated path."""
+MAX_DURATION_RATIO = 2.0
+"""Maximum duration of an imitated path over the task's demonstrated duration, unless the joint
+speeds require more."""
+SPEED_FRACTION = 0.5
+"""Maximum joint speed of an imitated path, as a fraction of the speed limits."""
+_FILTER_WIDTHS = (0.04, 0.02, 0.01)
+"""Standard deviations of the filter that rounds corners, as fractions of the path, widest first."""
 _N_BASIS = 100
-"""Basis functions of a plan: it has corners where a demonstrated motion has none. 35 leave up to
-15 mm, 100 up to 1 mm of the 21 paths that were tried."""
+"""Number of basis functions of an imitated path: 35 reproduce its corners to 15 mm, 100 to 1 mm."""
 
 
 def demonstration(
     world: ArmCollisionModel,
     corners: FloatArray,
     *,
-    pace: float,
-    longest: float = math.inf,
+    seconds_per_meter: float,
+    max_duration: float = math.inf,
     alpha_k: float = ALPHA_K,
 ) -> Demonstration:
-    """Imitates a path of corners, rounded and in minimum-jerk time.
+    """Converts a polyline in joint space to a demonstration with minimum-jerk timing.
 
     Args:
-        world: in which its corners may be rounded as far as the clearance is kept.
-        corners: (C, n) of the path [rad].
-        pace: time a meter of the tool's way [s/m].
-        longest: it takes no longer where the joints can [s].
-        alpha_k: decay of the phase.
+        world: collision model that limits the rounding of corners.
+        corners: (C, n) corners of the path [rad].
+        seconds_per_meter: duration per meter of the tool's path [s/m].
+        max_duration: maximum duration, unless the joint speeds require more [s].
+        alpha_k: decay rate of the phase.
 
     Raises:
-        ValueError: if the tool turns too far for a primitive of its orientation, or ends where
-            it began.
+        ValueError: if the tool turns too far for an orientation primitive, or start and end of
+            its path coincide.
     """
-    q = _rounded(world, _evenly(corners))
+    q = _smooth(world, _resample(corners))
     s = np.linspace(0.0, 1.0, SAMPLES)
     q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_share(s)))
     X_WE = tool_poses(world.chain, q)
-    seconds = min(pace * _length(X_WE[:, 9:]), longest)
+    duration = min(seconds_per_meter * _path_length(X_WE[:, 9:]), max_duration)
     rate = np.abs(np.diff(q, axis=0)) / np.diff(s)[:, None]
-    seconds = max(seconds, float((rate / (SPEED_SHARE * world.chain.speed)).max()))
-    t, R_WE = seconds * s, X_WE[:, :9].reshape(-1, 3, 3)
+    duration = max(duration, float((rate / (SPEED_FRACTION * world.chain.speed)).max()))
+    t, R_WE = duration * s, X_WE[:, :9].reshape(-1, 3, 3)
     return Demonstration(
         imitate(X_WE[:, 9:], t, n_basis=_N_BASIS, alpha_k=alpha_k),
         imitate_orientation(R_WE, t, n_basis=_N_BASIS, alpha_k=alpha_k),
@@ -76,28 +76,32 @@ def demonstration(
     )
 
 
-def _evenly(corners: FloatArray) -> FloatArray:
-    """(SAMPLES, n) at equal distances along a polyline."""
+def _resample(corners: FloatArray) -> FloatArray:
+    """Resamples a polyline (C, n) at `SAMPLES` points of equal spacing."""
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     corners = corners[np.append(True, steps > 1e-9)]
     u = np.append(0.0, np.cumsum(steps[steps > 1e-9]))
-    at = np.linspace(0.0, u[-1], SAMPLES)
-    return np.stack([np.interp(at, u, joint) for joint in corners.T], axis=1)
+    positions = np.linspace(0.0, u[-1], SAMPLES)
+    return np.stack([np.interp(positions, u, joint) for joint in corners.T], axis=1)
 
 
-def _rounded(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
-    """The path with its corners rounded as much as the clearance allows, its ends as they are."""
-    least = min(min_clearance_margin(world, q), 0.0)
-    for width in _SMOOTH:
+def _smooth(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
+    """Rounds the corners of a path (T, n) by the widest filter that preserves the clearance margin.
+
+    The ends do not change; without such a filter the path is returned unchanged.
+    """
+    min_margin = min(min_clearance_margin(world, q), 0.0)
+    for width in _FILTER_WIDTHS:
         sigma = width * len(q)
-        far = min(int(4.0 * sigma) + 1, len(q) - 1)
-        # Mirrored through the ends, so that these stay.
-        longer = np.pad(q, ((far, far), (0, 0)), mode="reflect", reflect_type="odd")
-        smooth = gaussian_filter1d(longer, sigma, axis=0)[far:-far]
-        if min_clearance_margin(world, smooth) >= least:
+        pad = min(int(4.0 * sigma) + 1, len(q) - 1)
+        # Point reflection at both ends leaves the ends fixed under the filter.
+        padded = np.pad(q, ((pad, pad), (0, 0)), mode="reflect", reflect_type="odd")
+        smooth = gaussian_filter1d(padded, sigma, axis=0)[pad:-pad]
+        if min_clearance_margin(world, smooth) >= min_margin:
             return np.asarray(smooth)
     return q
 
 
-def _length(p: FloatArray) -> float:
+def _path_length(p: FloatArray) -> float:
+    """Computes the length of a polyline (T, 3) [m]."""
     return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())

@@ -1,11 +1,11 @@
-"""Joint-space planner: a path of the whole arm where no motion of the tool is clear.
+"""Joint-space planner for the whole arm, used if no motion of the tool is feasible.
 
-RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000), and random shortcuts of its path (R.
-Geraerts and M. H. Overmars, IJRR 2007). A straight way between two configurations is checked in
-steps as long as its clearance allows. While the trees grow the steps are coarse; a path is checked
-in full where the trees meet, and what is not clear is cut off.
+The planner is RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000) with random shortcuts (R.
+Geraerts and M. H. Overmars, IJRR 2007). Edges are checked in steps whose length depends on the
+clearance margin. While the trees grow, edges are checked coarsely. When the trees meet, the path
+is checked finely, and nodes behind an edge in collision are removed (lazy collision checking).
 
-The same world, ends, seed and limit give the same path: the limit counts configurations.
+The same collision model, ends, seed and limit give the same path: the limit counts configurations.
 """
 
 from __future__ import annotations
@@ -17,129 +17,157 @@ import numpy as np
 from drake_oa.common.latency import count, counted
 from drake_oa.common.messages import FloatArray
 from drake_oa.planning.collision_model import (
-    STRIDE,
+    SPHERE_STRIDE,
     ArmCollisionModel,
+    free_fraction,
     is_collision_free,
-    share_clear,
 )
 
-_RANGE, _LEAST = 0.8, 0.05
-"""Longest and shortest step of the trees [rad]."""
-_COARSE = 0.1
-"""Distance between two checked configurations of an edge while the trees grow [m]."""
-_BESIDE, _WIDE = 0.8, 1.0
-"""Share of the samples near the straight way, and their standard deviation from it [rad]."""
-_SHORTCUTS = 100
-"""Number of shortcuts that are tried on a path."""
+_MAX_STEP = 0.8
+"""Maximum length of a tree edge in joint space [rad]."""
+_MIN_STEP = 0.05
+"""Minimum length of a tree edge in joint space [rad]."""
+_COARSE_STRIDE = 0.1
+"""Maximum displacement of a sphere between checked configurations while the trees grow [m]."""
+_NEAR_LINE_FRACTION = 0.8
+"""Fraction of the samples that are drawn near the line from start to goal."""
+_LINE_DEVIATION = 1.0
+"""Standard deviation of samples from the line from start to goal [rad]."""
+_MAX_SHORTCUTS = 100
+"""Number of random shortcuts that are tried on a path."""
 
 
-def _share_clear(
-    world: ArmCollisionModel, one: FloatArray, other: FloatArray, stride: float = STRIDE
+def _counted_free_fraction(
+    world: ArmCollisionModel, q_start: FloatArray, q_end: FloatArray, stride: float = SPHERE_STRIDE
 ) -> float:
-    """Returns the share of a straight way that is clear, and counts the checked configurations."""
-    share, checked = share_clear(world, one, other, stride)
+    """Computes the collision-free fraction of an edge, and counts the checked configurations."""
+    fraction, checked = free_fraction(world, q_start, q_end, stride)
     count(configurations=checked)
-    return share
+    return fraction
 
 
 class _Tree:
-    """Tree of configurations (N, n), of which `used` are set [rad]."""
+    """Tree of configurations in joint space.
 
-    def __init__(self, world: ArmCollisionModel, roots: FloatArray, size: int) -> None:
-        self.world, self.used = world, len(roots)
-        self.q = np.empty((size, roots.shape[1]))
-        self.q[: self.used] = roots
-        self.parent = [-1] * self.used
+    Attributes:
+        world: collision model.
+        size: number of nodes.
+        q: (capacity, n) configurations of the nodes; the first `size` rows are valid [rad].
+        parent: row of the parent of each node; -1: root.
+    """
 
-    def extend(self, row: int, aim: FloatArray) -> tuple[int, bool]:
-        """Adds a node toward `aim`, as far as the way is clear and no farther than `_RANGE`.
+    def __init__(self, world: ArmCollisionModel, roots: FloatArray, capacity: int) -> None:
+        self.world, self.size = world, len(roots)
+        self.q = np.empty((capacity, roots.shape[1]))
+        self.q[: self.size] = roots
+        self.parent = [-1] * self.size
+
+    def extend(self, row: int, target: FloatArray) -> tuple[int, bool]:
+        """Adds a node on the collision-free part of the edge from a node toward a target.
+
+        Args:
+            row: index of the node.
+            target: (n,) target configuration; the new node is at most `_MAX_STEP` away [rad].
 
         Returns:
-            The new node, or -1, and whether it is the aim.
+            Index of the new node, or -1 if the edge is too short; and whether the node is the
+            target.
         """
         q = self.q[row]
-        d = math.dist(q, aim)
-        share = min(1.0, _RANGE / max(d, _RANGE))
-        share *= _share_clear(self.world, q, q + share * (aim - q), _COARSE)
-        if share * d < min(_LEAST, 0.5 * d):
+        distance = math.dist(q, target)
+        fraction = min(1.0, _MAX_STEP / max(distance, _MAX_STEP))
+        fraction *= _counted_free_fraction(
+            self.world, q, q + fraction * (target - q), _COARSE_STRIDE
+        )
+        if fraction * distance < min(_MIN_STEP, 0.5 * distance):
             return -1, False
-        self.q[self.used] = q + share * (aim - q)
+        self.q[self.size] = q + fraction * (target - q)
         self.parent.append(row)
-        self.used += 1
-        return self.used - 1, share == 1.0
+        self.size += 1
+        return self.size - 1, fraction == 1.0
 
     def nearest(self, q: FloatArray) -> int:
-        """Returns the row of the nearest node."""
-        return int(((self.q[: self.used] - q) ** 2).sum(axis=1).argmin())
+        """Returns the index of the node nearest to a configuration (n,)."""
+        return int(((self.q[: self.size] - q) ** 2).sum(axis=1).argmin())
 
     def branch(self, row: int) -> list[int]:
-        """Returns the nodes from one back to its root; empty if a way between them is not clear.
+        """Returns the indices of the nodes from a node to its root.
 
-        Nodes beyond such a way are moved to infinity.
+        The result is empty if an edge of the branch is in collision. The nodes behind that edge
+        are invalidated: their configurations become inf.
         """
         rows = [row]
         while self.parent[rows[-1]] >= 0:
             row = rows[-1]
             rows.append(self.parent[row])
-            if _share_clear(self.world, self.q[rows[-1]], self.q[row]) < 1.0:
-                lost = {row}
-                for k in range(row, self.used):
-                    if self.parent[k] in lost:
-                        lost.add(k)
-                self.q[list(lost)] = np.inf
+            if _counted_free_fraction(self.world, self.q[rows[-1]], self.q[row]) < 1.0:
+                invalid = {row}
+                for k in range(row, self.size):
+                    if self.parent[k] in invalid:
+                        invalid.add(k)
+                self.q[list(invalid)] = np.inf
                 return []
         return rows
 
 
-def _shorten(world: ArmCollisionModel, path: list[FloatArray], random: np.random.Generator) -> None:
-    """Takes random shortcuts of a path."""
-    for _ in range(_SHORTCUTS):
+def _shorten(world: ArmCollisionModel, path: list[FloatArray], rng: np.random.Generator) -> None:
+    """Shortens a path of configurations, in place, by random collision-free shortcuts."""
+    for _ in range(_MAX_SHORTCUTS):
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-        places = np.sort(random.uniform(0.0, length[-1], 2))
+        places = np.sort(rng.uniform(0.0, length[-1], 2))
         first, last = np.searchsorted(length[:-1], places, "right") - 1
         ends = np.stack([np.interp(places, length, q) for q in np.transpose(path)], axis=1)
         is_shorter = first < last and math.dist(*ends) < places[1] - places[0] - 1e-3
-        if is_shorter and _share_clear(world, *ends) == 1.0:
+        if is_shorter and _counted_free_fraction(world, *ends) == 1.0:
             path[first + 1 : last + 1] = ends
 
 
 def plan_path(
-    world: ArmCollisionModel, q_start: FloatArray, goals: FloatArray, *, most: int, seed: int = 0
+    world: ArmCollisionModel,
+    q_start: FloatArray,
+    goals: FloatArray,
+    *,
+    max_configurations: int,
+    seed: int = 0,
 ) -> FloatArray:
-    """Plans a path that keeps the requested clearances.
+    """Plans a joint-space path that achieves the required clearances.
 
     Args:
-        world: the arm among the solids, with the requested clearances.
-        q_start: (n,) start [rad].
-        goals: (m, n) possible ends [rad].
-        most: number of configurations that may be checked.
-        seed: of the random trees.
+        world: collision model of the arm, with the required clearances.
+        q_start: (n,) start configuration [rad].
+        goals: (m, n) possible goal configurations [rad].
+        max_configurations: maximum number of checked configurations.
+        seed: seed of the random samples.
 
     Returns:
-        (T, n) corners of the path, from start to goal [rad]; (0, n): none was found.
+        (T, n) corners of the path, from start to goal [rad]; (0, n): no path was found.
     """
     goals = goals[[is_collision_free(world, q) for q in goals]]
     path: list[FloatArray] = []
     if not (len(goals) and is_collision_free(world, q_start)):
         return np.zeros((0, len(q_start)))
-    random, size = np.random.default_rng(seed), most + len(goals) + 2
-    start = tree = _Tree(world, q_start[None], size)
-    other = _Tree(world, goals, size)
-    aim = goals[0]
+    rng, capacity = np.random.default_rng(seed), max_configurations + len(goals) + 2
+    start_tree = tree = _Tree(world, q_start[None], capacity)
+    other_tree = _Tree(world, goals, capacity)
+    target = goals[0]
     with counted() as work:
-        while work["configurations"] < most and not path:
-            new, _ = tree.extend(tree.nearest(aim), aim)
-            row, reached = other.nearest(tree.q[new]) if new >= 0 else -1, False
-            while row >= 0 and not reached and work["configurations"] < most:
-                row, reached = other.extend(row, tree.q[new])
-            if reached and (one := tree.branch(new)) and (two := other.branch(row)):
-                path = [*tree.q[one[::-1]], *other.q[two[1:]]]
-                path = path if tree is start else path[::-1]
-                _shorten(world, path, random)
-            tree, other = other, tree
-            aim = random.uniform(world.chain.lower, world.chain.upper)
-            if random.random() < _BESIDE:
-                aim = q_start + random.random() * (goals[0] - q_start)
-                aim = aim + _WIDE * random.normal(size=len(q_start))
-                aim = np.clip(aim, world.chain.lower, world.chain.upper)
+        while work["configurations"] < max_configurations and not path:
+            new, _ = tree.extend(tree.nearest(target), target)
+            row, reached = other_tree.nearest(tree.q[new]) if new >= 0 else -1, False
+            while row >= 0 and not reached and work["configurations"] < max_configurations:
+                row, reached = other_tree.extend(row, tree.q[new])
+            if (
+                reached
+                and (branch := tree.branch(new))
+                and (other_branch := other_tree.branch(row))
+            ):
+                path = [*tree.q[branch[::-1]], *other_tree.q[other_branch[1:]]]
+                path = path if tree is start_tree else path[::-1]
+                _shorten(world, path, rng)
+            tree, other_tree = other_tree, tree
+            target = rng.uniform(world.chain.lower, world.chain.upper)
+            if rng.random() < _NEAR_LINE_FRACTION:
+                target = q_start + rng.random() * (goals[0] - q_start)
+                target = target + _LINE_DEVIATION * rng.normal(size=len(q_start))
+                target = np.clip(target, world.chain.lower, world.chain.upper)
     return np.array(path).reshape(-1, len(q_start))

@@ -1,13 +1,18 @@
-"""Selection of the whole arm's motion, from one observation to the next.
+"""Selection of the whole-arm motion, re-evaluated at every observation.
 
-Candidates, in this order: the nominal motion; the rows of the paper's chain together, with heading
-guidance; the local search (`drake_oa.planning.search`), which each of these rows alone seeds; and
-once the motion rests and none is feasible, a path in the joints (`drake_oa.planning.joint_planner`)
-that the primitives imitate (`drake_oa.planning.imitation`) and that is rolled out like any other.
-The shortest one that achieves the requested clearance is selected; one in use stays while it does.
-Where none does, the one with the least shortfall is executed and the shortfall reported, but no
-motion touches anything: an arm in contact may only leave it, and one whose goal is in contact
-holds, and reports the nearest free goal.
+Candidates, in this order:
+
+1. the nominal motion, without coupling terms;
+2. all rows of the paper's regressor chain together, with heading guidance;
+3. the evolution strategy of `drake_oa.planning.search`, seeded by each of these rows alone;
+4. if the arm is at rest and no candidate is feasible, a joint-space path
+   (`drake_oa.planning.joint_planner`). The movement primitives imitate it
+   (`drake_oa.planning.imitation`), and it is rolled out like every other candidate.
+
+The shortest candidate that achieves the requested clearance is selected, and remains selected while
+it achieves it. If no candidate achieves it, the one with the least clearance shortfall is executed
+and the shortfall is reported. Predicted contact holds the motion; an arm in contact may only
+retreat from the obstacle.
 """
 
 from __future__ import annotations
@@ -42,7 +47,7 @@ from drake_oa.planning.collision_model import (
     group_distances,
     self_distance,
 )
-from drake_oa.planning.imitation import LONGEST, demonstration
+from drake_oa.planning.imitation import MAX_DURATION_RATIO, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import ALPHA as LN_ALPHA
 from drake_oa.planning.search import (
@@ -70,31 +75,36 @@ from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.robot.arm import Chain, Spheres, inverse_kinematics, tool_poses
 
-_LED = 201
-"""Samples by which the arm is led along a motion."""
-_SELF_CLEARANCE, _LEAST_KEPT = 0.005, 1e-3
-"""Requested distance of the arm to itself, and least distance to anything [m]."""
-_SEEK_PERIOD = 0.5
-"""Time between searches for a path in the joints while no motion will do [s]."""
-_LEFT, _NEAR_TOOL = 0.015, 2e-3
-"""Distance of a joint from the motion in use above which the arm has left it [rad], and distance of
-the desired position from the tool below which it has been displaced there [m]."""
-_CLEARANCE_FRACTIONS, _GOAL_SEEDS = (1.0, 0.5, 0.2), 128
-"""Shares of the requested clearances that are tried in turn, and random seeds of goal postures."""
+_REFERENCE_SAMPLES = 201
+"""Number of samples of the references of orientation and nominal posture along a motion."""
+_SELF_CLEARANCE = 0.005
+"""Requested clearance between links of the arm [m]."""
+_MIN_ACCEPTABLE_DISTANCE = 1e-3
+"""Distance to obstacles or between links at or below which a motion counts as contact [m]."""
+_REPLAN_PERIOD = 0.5
+"""Minimum time between two plans in joint space while no candidate is feasible [s]."""
+_MAX_DEVIATION = 0.015
+"""Deviation of a joint from the selected motion above which the arm has left the motion [rad]."""
+_TOOL_TOLERANCE = 2e-3
+"""Distance between desired and actual tool position below which both coincide [m]."""
+_CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
+"""Fractions of the requested clearance for which joint-space paths are planned, in this order."""
+_GOAL_SEEDS = 128
+"""Number of random seeds of the inverse kinematics at the goal."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningInputs(Frozen):
-    """Input of a decision.
+    """Inputs of one planning decision.
 
     Attributes:
-        policy: the motion under way.
-        p_WG: (3,) its goal [m].
-        q: (n,) the arm's joints [rad].
-        scene: the solids, all of which rest.
+        policy: state of the movement primitive.
+        p_WG: (3,) goal of the motion [m].
+        q: (n,) configuration of the arm [rad].
+        scene: collision scene, with all obstacles at rest.
         ellipsoids: descriptors of the obstacles.
-        coupling: parameters of the regressor chain, of the obstacles.
-        route: sides of the obstacles.
+        coupling: coupling parameters of the regressor chain, one row per obstacle.
+        route: sides on which obstacles are passed, and their costs.
     """
 
     policy: PolicyState
@@ -107,7 +117,18 @@ class PlanningInputs(Frozen):
 
 
 class MotionSearch:
-    """Chooses motions of one arm and one movement primitive."""
+    """Planner that selects the motions of one arm with one movement primitive.
+
+    With the groups g of robot spheres (one per body) and the collision geometries k, a motion
+    must achieve the clearances
+
+        required_gk = min( fraction * requested_g,
+                           min( d_gk(q_now), max( d_gk(q_goal), touch_g + slack ) ) - slack )
+
+    d_gk(q) is the distance of group g to geometry k at configuration q, touch_g the distance
+    below which group g may be in contact, and slack a tolerance. The current and the goal
+    configuration thus reduce the requirement of their own pairs (g, k) only.
+    """
 
     def __init__(
         self,
@@ -123,171 +144,179 @@ class MotionSearch:
         protrusion: FloatArray,
         q_goal: FloatArray | None = None,
     ) -> None:
-        """Stores the constants.
+        """Stores the constants of the search.
 
         Args:
-            dmp: the movement primitive that the task demonstrates.
-            clearance: asked distance Delta of the tool to every solid [m].
-            chain, spheres: the arm.
-            parameters: how far the search goes.
-            policy: time step and fade of the action level.
-            orientation: (T, 3, 3) of the tool at normalized times (T,).
-            posture: (T, n) that the null space is drawn to at normalized times (T,) [rad].
-            protrusion: (G,) how far the spheres of each group stick out of the robot [m].
-            q_goal: (n,) joints at the goal, where the task gives them [rad].
+            dmp: movement primitive of the task's demonstration.
+            clearance: requested clearance Delta of the tool to every collision geometry [m].
+            chain, spheres: kinematics and spheres of the arm.
+            parameters: parameters of the search.
+            policy: configuration of the action level: time step, fade.
+            orientation: function from normalized times (T,) to tool orientations R_WE (T, 3, 3).
+            posture: function from normalized times (T,) to nominal postures (T, n) [rad].
+            protrusion: (G,) maximum protrusion of the spheres of each group from its body [m].
+            q_goal: (n,) configuration at the goal [rad]; None: any.
         """
         self._dmp, self._clearance = dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
         self._policy = policy
-        s = np.linspace(0.0, 1.0, _LED)
-        self._task = references(s, orientation(s), posture(s))
+        s = np.linspace(0.0, 1.0, _REFERENCE_SAMPLES)
+        self._task_references = references(s, orientation(s), posture(s))
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
-        # Spheres nearer than that may touch something.
-        self._touch = _LEAST_KEPT - protrusion
+        # Spheres protrude from their body: a body is in contact only below this distance.
+        self._contact_distance = _MIN_ACCEPTABLE_DISTANCE - protrusion
 
-    def decide(self, before: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
-        """Checks the motion under way, and selects another one if there is reason to.
+    def decide(self, previous: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
+        """Re-evaluates the current motion, and selects another one if necessary.
 
-        ======== ========= ======= =========================================================
-        same     tau > 0   at rest result
-        scene    no note
-        ======== ========= ======= =========================================================
-        yes      yes       any     unchanged
-        yes      no        any     hold, if the goal has no feasible posture
-        any      any       no      search; without result: hold, if the least shortfall is a
-                                   contact
-        any      any       yes     the same, with a path in the joints after the search
-        ======== ========= ======= =========================================================
+        ========= ======== ======= =============================================================
+        scene     feasible at rest result
+        unchanged motion
+        ========= ======== ======= =============================================================
+        yes       yes      any     keep the motion
+        yes       no       any     keep the hold, if no goal configuration is collision-free
+        any       any      no      re-evaluate and search; hold on predicted contact
+        any       any      yes     the same; then plan in joint space, if no candidate is feasible
+        ========= ======== ======= =============================================================
 
-        Where the arm rests away from the motion, after a maneuver of `MotionGuard`, a path in the
-        joints from there comes first. Paths are planned every `_SEEK_PERIOD` at most.
+        If the arm rests away from the motion, after a maneuver of `MotionGuard`, the joint-space
+        plan precedes the search. The time between two plans is at least `_REPLAN_PERIOD`.
 
-        A motion with another start or goal starts from an empty memory, unless it is the restart
-        that was commanded.
+        A motion with another start or goal starts with an empty search memory, except for a
+        commanded restart.
 
         Args:
-            before: result of the decision before.
-            inputs: input.
+            previous: result of the previous decision.
+            inputs: inputs of this decision.
+
+        Returns:
+            The selected motion; an empty one before the first observation.
         """
         policy = inputs.policy
         if inputs.scene.stamp == -math.inf or np.array_equal(inputs.p_WG, policy.p_WS):
             return SelectedMotion()
-        if before.command.restart and np.array_equal(before.p_WG, inputs.p_WG):
-            if not before.fits(policy, inputs.p_WG):
-                # It has restarted as commanded, where it came to rest.
-                motion = replace(before.prediction.motion, p_WS=policy.p_WS)
-                before = replace(before, traveled=0.0).changed(
+        if previous.command.restart and np.array_equal(previous.p_WG, inputs.p_WG):
+            if not previous.matches(policy, inputs.p_WG):
+                # The policy has restarted as commanded; the start is where the arm came to rest.
+                motion = replace(previous.prediction.motion, p_WS=policy.p_WS)
+                previous = replace(previous, traveled=0.0).with_changes(
                     command={"restart": False}, prediction={"motion": motion}
                 )
-        elif not before.fits(policy, inputs.p_WG):
-            before = SelectedMotion(last_plan=before.last_plan, p_WE=policy.p_WS)
-        here = replace(
-            before,
+        elif not previous.matches(policy, inputs.p_WG):
+            previous = SelectedMotion(last_plan=previous.last_plan, p_WE=policy.p_WS)
+        current = replace(
+            previous,
             p_WS=policy.p_WS,
             p_WG=np.array(inputs.p_WG, dtype=float),
             p_WE=policy.p_WE,
-            traveled=before.traveled + math.dist(policy.p_WE, before.p_WE),
-        ).changed(command={"restart": before.command.restart and policy.speed == 0.0})
-        same = here.scene.same_as(inputs.scene)
-        rests = policy.speed == 0.0 or policy.phase == 1.0
-        plans = rests and inputs.policy.stamp - here.last_plan >= _SEEK_PERIOD
-        is_left = plans and self._is_left(here, inputs)
-        is_settled = here.command.tau > 0.0 and not here.command.note and not is_left
-        if same and (is_settled or here.prediction.goal_note):
-            return here
-        touches = self._touched(inputs)
-        here = replace(here, scene=inputs.scene).changed(
-            prediction={"touches": touches, "goal_note": ""}
+            traveled=previous.traveled + math.dist(policy.p_WE, previous.p_WE),
+        ).with_changes(command={"restart": previous.command.restart and policy.speed == 0.0})
+        is_scene_unchanged = current.scene.same_as(inputs.scene)
+        is_at_rest = policy.speed == 0.0 or policy.phase == 1.0
+        is_plan_due = is_at_rest and inputs.policy.stamp - current.last_plan >= _REPLAN_PERIOD
+        has_left = is_plan_due and self._has_left_motion(current, inputs)
+        is_settled = current.command.tau > 0.0 and not current.command.note and not has_left
+        if is_scene_unchanged and (is_settled or current.prediction.goal_note):
+            return current
+        contact = self._contact_label(inputs)
+        current = replace(current, scene=inputs.scene).with_changes(
+            prediction={"contact": contact, "goal_note": ""}
         )
-        if not is_left:
-            here = self._avoiding_motion(here, inputs)
-            if here.prediction.can_follow and here.prediction.shortfall == 0.0:
-                return here.changed(command={"note": ""})
-            sides = here.prediction.sides
+        if not has_left:
+            current = self._search_motion(current, inputs)
+            if current.prediction.can_follow and current.prediction.shortfall == 0.0:
+                return current.with_changes(command={"note": ""})
+            sides = current.prediction.sides
             if sides.blocked:
-                return here.changed(command={"note": sides.note})
-        if plans:
-            here = replace(here, last_plan=inputs.policy.stamp)
-            planned = self._planned(here, inputs)
-            if planned is not None:
-                return planned
-            here = self._avoiding_motion(here, inputs) if is_left else here
-            if note := self._no_goal(inputs):
-                return here.changed(command={"note": note}, prediction={"goal_note": note})
-        return here
+                return current.with_changes(command={"note": sides.note})
+        if is_plan_due:
+            current = replace(current, last_plan=inputs.policy.stamp)
+            candidate = self._plan_motion(current, inputs)
+            if candidate is not None:
+                return candidate
+            current = self._search_motion(current, inputs) if has_left else current
+            if note := self._goal_note(inputs):
+                return current.with_changes(command={"note": note}, prediction={"goal_note": note})
+        return current
 
-    def _is_left(self, here: SelectedMotion, inputs: PlanningInputs) -> bool:
-        """Returns whether the arm rests away from the motion in use, with its tool where this is.
+    def _has_left_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> bool:
+        """Checks whether the arm rests in a configuration that is not on the current motion.
 
-        After a maneuver of `MotionGuard` the desired position goes to the tool.
+        This is the case after a maneuver of `MotionGuard`, once the desired position coincides
+        with the tool.
         """
-        motion, policy = here.prediction.motion, inputs.policy
+        motion, policy = current.prediction.motion, inputs.policy
         if policy.speed > 0.0 or not len(motion.q):
             return False
         s = normalized_time(policy.phase, self._dmp.alpha_k)
         p_WE = tool_poses(self._chain, inputs.q[None])[0, 9:]
-        is_near = math.dist(p_WE, policy.p_WE) < _NEAR_TOOL
-        return is_near and bool(np.abs(motion.joints(s) - inputs.q).max() > _LEFT)
+        is_tool_near = math.dist(p_WE, policy.p_WE) < _TOOL_TOLERANCE
+        return is_tool_near and bool(np.abs(motion.joints(s) - inputs.q).max() > _MAX_DEVIATION)
 
-    def still_holds(self, made: SelectedMotion, inputs: PlanningInputs) -> bool:
-        """Returns whether a motion still achieves its predicted clearance from now on.
+    def is_still_valid(self, candidate: SelectedMotion, inputs: PlanningInputs) -> bool:
+        """Checks whether a candidate achieves its predicted clearance from the current state.
 
-        Since then the one in use has continued: straight toward an obstacle, small differences
-        decide its side.
+        The arm has moved since the start of the decision. Directly in front of an obstacle, a
+        small displacement can change the side on which the candidate passes.
         """
-        motion, params = made.prediction.motion, made.params if len(made.params) else NOMINAL_PARAMS
+        motion, params = (
+            candidate.prediction.motion,
+            candidate.params if len(candidate.params) else NOMINAL_PARAMS,
+        )
         if inputs.policy.phase == 1.0 or not motion.s.size:
             return True
-        search = self._search(made, inputs, self._world(inputs, motion.q[-1:]))
-        found = self._predicted(made, inputs, search, params, 0.0).prediction
-        allowed = made.prediction.shortfall + self._parameters.slack
-        return found.can_follow and found.shortfall <= allowed
+        search = self._search(candidate, inputs, self._collision_model(inputs, motion.q[-1:]))
+        prediction = self._predict(candidate, inputs, search, params, 0.0).prediction
+        max_shortfall = candidate.prediction.shortfall + self._parameters.slack
+        return prediction.can_follow and prediction.shortfall <= max_shortfall
 
-    def _world(
-        self, inputs: PlanningInputs, ends: FloatArray, share: float = 1.0
+    def _collision_model(
+        self, inputs: PlanningInputs, ends: FloatArray, fraction: float = 1.0
     ) -> ArmCollisionModel:
-        """Returns the arm among the solids, with the required clearances.
+        """Builds the collision model with the required clearance of every pair (g, k).
 
-        Of the pair of the spheres of group g and solid k, with the configurations now and at the
-        ends (m, n):
-
-            required_gk = min(share * requested_g, min(d_now_gk, max(d_end_gk, touch_g + slack))
-                              - slack)
+        Args:
+            inputs: inputs of the decision.
+            ends: (m, n) possible goal configurations; the largest of their distances counts [rad].
+            fraction: fraction of the requested clearance, see the class.
         """
         geometries, p, is_tool = inputs.scene.geometries, self._parameters, self._is_tool
         requested = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
-        table = np.tile(share * requested[:, None], (1, len(geometries.ball)))
-        around = geometries.layout[:, 5] == ENVIRONMENT
-        table[:, around] = np.minimum(table[:, around], share * p.link_clearance)
-        left = self._distances(inputs, inputs.q[None])
+        required_clearance = np.tile(fraction * requested[:, None], (1, len(geometries.ball)))
+        is_environment = geometries.layout[:, 5] == ENVIRONMENT
+        required_clearance[:, is_environment] = np.minimum(
+            required_clearance[:, is_environment], fraction * p.link_clearance
+        )
+        distance = self._distances(inputs, inputs.q[None])
         if len(ends):
             at_end = [self._distances(inputs, q[None]) for q in ends]
-            left = np.minimum(
-                left, np.maximum(np.max(at_end, axis=0), self._touch[:, None] + p.slack)
+            distance = np.minimum(
+                distance,
+                np.maximum(np.max(at_end, axis=0), self._contact_distance[:, None] + p.slack),
             )
-        table = np.minimum(table, left - p.slack)
-        table[self._spheres.group_joint < 0] = -np.inf
-        of_self = min(_SELF_CLEARANCE, self._own(inputs.q) - p.slack)
+        required_clearance = np.minimum(required_clearance, distance - p.slack)
+        required_clearance[self._spheres.group_joint < 0] = -np.inf
+        of_self = min(_SELF_CLEARANCE, self._self_distance(inputs.q) - p.slack)
         if len(ends):
-            own = max(self._own(q) for q in ends)
-            of_self = min(of_self, max(own, _LEAST_KEPT) - p.slack)
-        required = ClearanceRequirements(table, of_self, is_tool)
-        return ArmCollisionModel(self._chain, self._spheres, geometries, required, 0.0)
+            self_distance_at_end = max(self._self_distance(q) for q in ends)
+            of_self = min(of_self, max(self_distance_at_end, _MIN_ACCEPTABLE_DISTANCE) - p.slack)
+        requirements = ClearanceRequirements(required_clearance, of_self, is_tool)
+        return ArmCollisionModel(self._chain, self._spheres, geometries, requirements, 0.0)
 
     def _null_space_reference(self, command: MotionCommand) -> BSpline:
-        """Returns the references of the arm along the motion that is under way."""
-        shown, s = command.demonstration, np.linspace(0.0, 1.0, _LED)
-        if shown.orientation is None:
-            return self._task
-        R_WE = orientation_along(shown.orientation, shown.R_WS, shown.R_WG, s)
-        return references(s, R_WE, shown.posture(s))
+        """Returns the references of orientation and nominal posture along a commanded motion."""
+        demo, s = command.demonstration, np.linspace(0.0, 1.0, _REFERENCE_SAMPLES)
+        if demo.orientation is None:
+            return self._task_references
+        R_WE = orientation_along(demo.orientation, demo.R_WS, demo.R_WG, s)
+        return references(s, R_WE, demo.posture(s))
 
     def _search(
-        self, here: SelectedMotion, inputs: PlanningInputs, world: ArmCollisionModel, **more: Any
+        self, current: SelectedMotion, inputs: PlanningInputs, model: ArmCollisionModel, **more: Any
     ) -> ArmSearch:
-        """Returns the search for a motion with the demonstration of another one."""
-        shown = here.command.demonstration
-        dmp = shown.position or self._dmp
+        """Builds the search for motions with the demonstration of the current motion."""
+        demo = current.command.demonstration
+        dmp = demo.position or self._dmp
         scene = scene_under_way(
             inputs.policy,
             inputs.p_WG,
@@ -297,217 +326,242 @@ class MotionSearch:
         )
         return ArmSearch(
             scene,
-            world,
+            model,
             inputs.q,
-            self._null_space_reference(here.command),
-            samples=SAMPLES if shown.position is None else _LED,
+            self._null_space_reference(current.command),
+            samples=SAMPLES if demo.position is None else _REFERENCE_SAMPLES,
             dmp=dmp,
             policy=self._policy,
             parameters=self._parameters,
             **more,
         )
 
-    def _avoiding_motion(self, here: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
-        """Returns the best motion by coupling terms."""
-        command, end = here.command, self._null_space_reference(here.command)(1.0)
+    def _search_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
+        """Searches for the best motion with coupling terms (candidates 1 to 3)."""
+        command, end = current.command, self._null_space_reference(current.command)(1.0)
         target = np.append(end[:9], inputs.p_WG)
         at_goal = inverse_kinematics(self._chain, target, end[9:], seeds=4)
-        world = self._world(inputs, at_goal[:1])
+        model = self._collision_model(inputs, at_goal[:1])
         route = inputs.route
         search = self._search(
-            here,
+            current,
             inputs,
-            world,
+            model,
             side_cost=route.side_cost,
-            previous=here.params,
-            elites=here.elites,
-            generations=here.generations,
-            most=math.inf if inputs.policy.phase == 1.0 else self._parameters.compute_budget,
+            previous=current.params,
+            elites=current.elites,
+            generations=current.generations,
+            max_latency=math.inf if inputs.policy.phase == 1.0 else self._parameters.compute_budget,
         )
         scene = search.scene
-        chain = _guided_command(inputs.coupling, route, scene)
-        found = search.run(
-            guided=chain.guides,
+        chain = _chain_command(inputs.coupling, route, scene)
+        best = search.run(
+            guides=chain.guides,
             seeds=_seeds(scene, chain),
             source=max(command.source, NOMINAL),
         )
-        source = int(found.source[0])
+        source = int(best.source[0])
         if source == CHAIN:
-            chosen, params, shown = chain, NO_ELITES, chain.route
+            selected, params, sides = chain, NO_ELITES, chain.route
         else:
-            terms = avoidance_terms(scene, found.params)
-            shown = _shown_sides(route, terms, found.params[0, ANGLE])
-            acts = terms[:, ALPHA] > 0.0
+            terms = avoidance_terms(scene, best.params)
+            sides = _sides_of_term(route, terms, best.params[0, ANGLE])
+            is_active = terms[:, ALPHA] > 0.0
             if source == NOMINAL and command.demonstration.position is not None:
                 source = JOINT_PATH
-            chosen, params = MotionCommand(source, rows_of(terms[acts])), found.params[acts]
-        chosen = replace(chosen, demonstration=command.demonstration, restart=command.restart)
-        here = replace(
-            here,
-            command=chosen,
+            selected, params = (
+                MotionCommand(source, rows_of(terms[is_active])),
+                best.params[is_active],
+            )
+        selected = replace(selected, demonstration=command.demonstration, restart=command.restart)
+        current = replace(
+            current,
+            command=selected,
             params=params,
             counts=search.counts,
             elites=search.elites,
             generations=search.generations,
-        ).changed(prediction={"sides": shown})
-        return self._predicted(here, inputs, search, found.params, float(found.length[0]))
+        ).with_changes(prediction={"sides": sides})
+        return self._predict(current, inputs, search, best.params, float(best.length[0]))
 
-    def _predicted(
+    def _predict(
         self,
-        here: SelectedMotion,
+        current: SelectedMotion,
         inputs: PlanningInputs,
         search: ArmSearch,
         params: FloatArray,
         length: float,
     ) -> SelectedMotion:
-        """Returns a motion with its prediction: the command is rolled out.
+        """Rolls out a commanded motion, and returns it with its prediction and note.
 
         Args:
-            here: the motion.
-            inputs: input of the decision.
-            search: scene, arm and solids.
-            params: (1, 6) of the motion.
-            length: of the tool's path from now on [m].
+            current: motion to roll out.
+            inputs: inputs of the decision.
+            search: search that rolls out candidates.
+            params: (1, 6) candidate parameters of the motion.
+            length: remaining length of the tool's path [m].
         """
         required = search.world.required
-        tool = search.tool_paths(params, guided=here.command.guides)
+        tool = search.tool_paths(params, guides=current.command.guides)
         arm = search.follow(params, tool, -math.inf)
         count = int(arm.samples[0])
         s, q = search.sample_times(count), arm.q[0, :count]
-        # Every second: they are a few millimeters apart.
+        # Every second sample suffices: samples are a few millimeters apart.
         d = self._distances(inputs, q[::2])
         is_self = arm.clearance_margin[0].argmin() == SELF
-        limiting = "the arm itself" if is_self else self._nearest(inputs, d)
-        follows = (
+        limiting = "the arm itself" if is_self else self._nearest_label(inputs, d)
+        can_follow = (
             float(arm.error[0]) <= MAX_POSE_ERROR and float(arm.max_joint_speed_ratio[0]) <= 1.0
         )
-        away = float(tool.goal_error[0])
-        arrives = away <= MAX_GOAL_ERROR * search.scene.baseline
-        own = float(arm.clearance_margin[0, SELF]) + required.of_self
+        goal_error = float(tool.goal_error[0])
+        reaches_goal = goal_error <= MAX_GOAL_ERROR * search.scene.baseline
+        self_clearance = float(arm.clearance_margin[0, SELF]) + required.of_self
         note = ""
-        if not follows:
+        if not can_follow:
             note = "no motion that the arm can follow found"
-        elif not arrives:
-            near = f", {1e3 * d.min():.0f} mm from {self._nearest(inputs, d)}" if d.size else ""
+        elif not reaches_goal:
             goal = np.round(inputs.p_WG, 3).tolist()
-            note = f"no motion to the goal {goal} m found: one ends {1e3 * away:.0f} mm away{near}"
-        elif self._touches(d):
+            note = f"no motion to the goal {goal} m found: one ends {1e3 * goal_error:.0f} mm away"
+            if d.size:
+                note += f", {1e3 * d.min():.0f} mm from {self._nearest_label(inputs, d)}"
+        elif self._is_contact(d):
             note = f"no motion that clears {limiting} found"
-        elif own <= min(_LEAST_KEPT, self._own(inputs.q) - self._parameters.slack):
+        elif self_clearance <= min(
+            _MIN_ACCEPTABLE_DISTANCE, self._self_distance(inputs.q) - self._parameters.slack
+        ):
             note = "no motion that clears the arm itself found"
         clearance_reduction = self._clearance - float(required.of_geometries.max(initial=-np.inf))
-        return here.changed(
+        return current.with_changes(
             command={
-                "tau": max(1.0, (here.traveled + length) / max(search.planned_length, 1e-9)),
+                "tau": max(1.0, (current.traveled + length) / max(search.planned_length, 1e-9)),
                 "note": note,
             },
             prediction={
-                "motion": PlannedMotion(s, tool.path[0, :count], q, here.p_WS),
-                "shortfall": max(-float(arm.least[0]) - self._parameters.slack, 0.0),
+                "motion": PlannedMotion(s, tool.path[0, :count], q, current.p_WS),
+                "shortfall": max(-float(arm.min_margin[0]) - self._parameters.slack, 0.0),
                 "limiting_obstacle": limiting,
-                "can_follow": follows and arrives,
+                "can_follow": can_follow and reaches_goal,
                 "clearance_reduction": max(clearance_reduction, 0.0) if len(inputs.scene) else 0.0,
             },
         )
 
-    # --- a path in the joints -------------------------------------------------------------
+    # --- joint-space paths ----------------------------------------------------------------
 
     def _goal_configurations(self, inputs: PlanningInputs, seeds: int) -> FloatArray:
-        """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
-        X_WG, first = self._goal(inputs)
-        found = inverse_kinematics(self._chain, X_WG, first, seeds=seeds)
-        free = [q for q in found if not self._touches(self._distances(inputs, q[None]))]
-        return np.array(free).reshape(-1, len(first))
+        """Returns collision-free goal configurations (m, n), the preferred one first [rad]."""
+        X_WG, preferred = self._goal(inputs)
+        solutions = inverse_kinematics(self._chain, X_WG, preferred, seeds=seeds)
+        free = [q for q in solutions if not self._is_contact(self._distances(inputs, q[None]))]
+        return np.array(free).reshape(-1, len(preferred))
 
     def _goal(self, inputs: PlanningInputs) -> tuple[FloatArray, FloatArray]:
-        """(12,) pose of the tool at the goal [m], and (n,) the joints that are asked for [rad]."""
-        end = self._task(1.0)
-        first = end[9:] if self._q_goal is None else self._q_goal
-        return np.append(end[:9], inputs.p_WG), first
+        """Returns tool pose (12,) [m] and preferred configuration (n,) [rad] at the goal."""
+        end = self._task_references(1.0)
+        preferred = end[9:] if self._q_goal is None else self._q_goal
+        return np.append(end[:9], inputs.p_WG), preferred
 
-    def _no_goal(self, inputs: PlanningInputs) -> str:
-        """Returns a note that names the obstacle at the goal.
+    def _goal_note(self, inputs: PlanningInputs) -> str:
+        """Returns a note that names the obstacle in contact at the goal.
 
-        "": the arm has a free posture there, or cannot be there at all.
+        The note is empty if a goal configuration is collision-free, or the goal is not reachable.
         """
         at_goal = inverse_kinematics(self._chain, *self._goal(inputs), seeds=_GOAL_SEEDS)
         d = [self._distances(inputs, q[None]) for q in at_goal]
-        if not all(map(self._touches, d)) or not d:
+        if not all(map(self._is_contact, d)) or not d:
             return ""
-        return f"at its goal the arm would touch {self._nearest(inputs, d[0])}"
+        return f"at its goal the arm would touch {self._nearest_label(inputs, d[0])}"
 
-    def _planned(self, here: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion | None:
-        """Plans a path in the joints, for the whole requested clearance or a share of it."""
+    def _plan_motion(
+        self, current: SelectedMotion, inputs: PlanningInputs
+    ) -> SelectedMotion | None:
+        """Plans a joint-space path for decreasing fractions of the requested clearance.
+
+        Returns:
+            Motion that imitates the path; None: no path was found that can be executed.
+        """
         p = self._parameters
-        # To the task's own posture first: the tool turns no farther than it has to.
+        # The preferred configuration comes first: with it the tool turns least.
         goals = [self._goal_configurations(inputs, 0)]
-        for share, most in (
-            *((share, p.configurations) for share in _CLEARANCE_FRACTIONS),
+        for fraction, max_count in (
+            *((fraction, p.configurations) for fraction in _CLEARANCE_FRACTIONS),
             (min(_CLEARANCE_FRACTIONS), p.last_configurations),
         ):
             for number in range(2):
                 if number == len(goals):
-                    # Of many seeds, which takes a while: only if no path to the own one is found.
+                    # Many seeds are slow: only if no path to the preferred configuration exists.
                     goals.append(self._goal_configurations(inputs, _GOAL_SEEDS)[len(goals[0]) :])
                 ends = goals[number]
-                world = self._world(inputs, ends, share)
-                corners = plan_path(world, inputs.q, ends, most=most)
-                choice = self._along(corners, here, inputs, world) if len(corners) else None
-                if choice is not None:
-                    return choice
+                model = self._collision_model(inputs, ends, fraction)
+                corners = plan_path(model, inputs.q, ends, max_configurations=max_count)
+                candidate = (
+                    self._imitate_path(corners, current, inputs, model) if len(corners) else None
+                )
+                if candidate is not None:
+                    return candidate
         return None
 
-    def _along(
+    def _imitate_path(
         self,
         corners: FloatArray,
-        here: SelectedMotion,
+        current: SelectedMotion,
         inputs: PlanningInputs,
-        world: ArmCollisionModel,
+        model: ArmCollisionModel,
     ) -> SelectedMotion | None:
-        """Returns the motion that imitates a path in the joints; None: it cannot be executed."""
+        """Returns the motion that imitates a joint-space path with corners (C, n) [rad].
+
+        None: the arm cannot follow the imitated motion, or is predicted to be in contact.
+        """
         duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
-        pace = duration / max(math.dist(inputs.p_WG, inputs.policy.p_WE), 1e-3)
+        seconds_per_meter = duration / max(math.dist(inputs.p_WG, inputs.policy.p_WE), 1e-3)
         try:
-            shown = demonstration(
-                world, corners, pace=pace, longest=LONGEST * duration, alpha_k=alpha_k
+            demo = demonstration(
+                model,
+                corners,
+                seconds_per_meter=seconds_per_meter,
+                max_duration=MAX_DURATION_RATIO * duration,
+                alpha_k=alpha_k,
             )
         except ValueError:
-            # The tool turns too far for one primitive.
+            # The tool turns too far for one orientation primitive.
             return None
         policy = inputs.policy
-        rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
-        inputs = replace(inputs, policy=rests)
+        at_rest = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
+        inputs = replace(inputs, policy=at_rest)
         start = replace(
-            here,
-            command=MotionCommand(JOINT_PATH, demonstration=shown),
+            current,
+            command=MotionCommand(JOINT_PATH, demonstration=demo),
             traveled=0.0,
             params=NO_ELITES,
             elites=NO_ELITES,
         )
-        search = self._search(start, inputs, world)
-        found = self._predicted(start, inputs, search, NOMINAL_PARAMS, 0.0)
-        # Of the whole requested clearance, not of the share that the path was planned for.
-        motion = found.prediction.motion
+        search = self._search(start, inputs, model)
+        candidate = self._predict(start, inputs, search, NOMINAL_PARAMS, 0.0)
+        # The shortfall refers to the full requested clearance, not to the planned fraction.
+        motion = candidate.prediction.motion
         d = self._distances(inputs, motion.q)
-        lacking = self._world(inputs, shown.q[-1:]).required.of_geometries - d
-        short = max(float(lacking.max(initial=-np.inf)) - self._parameters.slack, 0.0)
-        limiting = self._nearest(inputs, d) if short > 0.0 else found.prediction.limiting_obstacle
-        if found.command.note:
+        shortfalls = self._collision_model(inputs, demo.q[-1:]).required.of_geometries - d
+        shortfall = max(float(shortfalls.max(initial=-np.inf)) - self._parameters.slack, 0.0)
+        limiting = (
+            self._nearest_label(inputs, d)
+            if shortfall > 0.0
+            else candidate.prediction.limiting_obstacle
+        )
+        if candidate.command.note:
             return None
-        # The motion belongs to the one that starts there.
-        return found.changed(
+        # The prediction belongs to the motion that restarts at the current tool position.
+        return candidate.with_changes(
             command={"tau": 1.0, "restart": True},
             prediction={
-                "shortfall": short,
+                "shortfall": shortfall,
                 "limiting_obstacle": limiting,
-                "motion": replace(motion, p_WS=rests.p_WS),
+                "motion": replace(motion, p_WS=at_rest.p_WS),
             },
         )
 
     def _distances(self, inputs: PlanningInputs, q: FloatArray) -> FloatArray:
-        """Returns least distances (G, K) of the moving groups to the solids along q (T, n) [m].
+        """Computes minimum distances (G, K) of groups to geometries along q (T, n) [rad] in [m].
 
-        Those of fixed groups are inf.
+        Distances of groups fixed to the world are inf.
         """
         d = group_distances(
             self._chain,
@@ -520,54 +574,59 @@ class MotionSearch:
         d[self._spheres.group_joint < 0] = np.inf
         return np.asarray(d)
 
-    def _touches(self, d: FloatArray) -> bool:
-        """Returns whether the arm may touch a solid at distances (G, K) of its groups [m]."""
-        return bool((d <= self._touch[:, None]).any())
+    def _is_contact(self, d: FloatArray) -> bool:
+        """Checks whether distances (G, K) of groups to collision geometries [m] are a contact."""
+        return bool((d <= self._contact_distance[:, None]).any())
 
-    def _nearest(self, inputs: PlanningInputs, d: FloatArray) -> str:
-        """Returns the label of the solid with the least of distances (G, K); "": there is none."""
+    def _nearest_label(self, inputs: PlanningInputs, d: FloatArray) -> str:
+        """Returns the label of the nearest collision geometry by distances (G, K) [m]; "": none."""
         return inputs.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""
 
-    def _touched(self, inputs: PlanningInputs) -> str:
-        """Returns the label of the solid that the arm is certain to touch; "": none."""
-        d = self._distances(inputs, inputs.q[None]) - self._touch[:, None]
-        return self._nearest(inputs, d) if (d < -_LEAST_KEPT).any() else ""
+    def _contact_label(self, inputs: PlanningInputs) -> str:
+        """Returns the label of the geometry in certain contact with the arm; "": none."""
+        d = self._distances(inputs, inputs.q[None]) - self._contact_distance[:, None]
+        return self._nearest_label(inputs, d) if (d < -_MIN_ACCEPTABLE_DISTANCE).any() else ""
 
-    def _own(self, q: FloatArray) -> float:
-        """Returns the distance of the arm to itself at a configuration, at most `FAR` [m]."""
+    def _self_distance(self, q: FloatArray) -> float:
+        """Computes the self-distance of the arm at a configuration (n,), at most `FAR` [m]."""
         return float(self_distance(self._chain, self._spheres, q))
 
 
-def _guided_command(coupling: CouplingParameters, route: Route, scene: Scene) -> MotionCommand:
-    """Returns the rows of the paper's chain together as a command; without rows: none act."""
-    seen = scene.ellipsoids
-    fits = len(coupling) == len(seen) and np.array_equal(route.ids, seen.ids)
-    acts = (coupling.alpha > 0.0).any() and route.remaining_clearance.any()
-    # A forbidden side of an obstacle forbids the chain's motion, not every motion.
-    if not (fits and acts) or route.blocked:
+def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> MotionCommand:
+    """Returns the command with all coupling terms of the regressor chain together.
+
+    Without an active term, or with inconsistent inputs, the command has no rows.
+    """
+    ellipsoids = scene.ellipsoids
+    is_consistent = len(coupling) == len(ellipsoids) and np.array_equal(route.ids, ellipsoids.ids)
+    has_terms = (coupling.alpha > 0.0).any() and route.remaining_clearance.any()
+    # A forbidden side of an obstacle excludes this candidate only.
+    if not (is_consistent and has_terms) or route.blocked:
         return MotionCommand()
-    rows = replace(coupling, center_W=seen.p_WO, normal_W=np.zeros((0, 3)), ellipsoids=seen)
+    rows = replace(
+        coupling, center_W=ellipsoids.p_WO, normal_W=np.zeros((0, 3)), ellipsoids=ellipsoids
+    )
     return MotionCommand(CHAIN, rows, route, tau=1.0)
 
 
-_WEAKER = np.array([-3.0, -2.0, -1.0, 0.0])
-"""Differences in ln alpha between seeds of the search and a row of the chain."""
+_LN_ALPHA_OFFSETS = np.array([-3.0, -2.0, -1.0, 0.0])
+"""Offsets in ln alpha of the search's seeds from a row of the regressor chain."""
 
 
 def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
-    """Returns seeds (n, 6) of the search: each row of the chain alone, on the route's side."""
-    acts = chain.rows.alpha > 0.0
-    normal_W, center_W = chain.route.normal_W[acts], chain.rows.center_W[acts]
-    params = params_of(scene, center_W, normal_W, chain.rows.as_array()[acts])
-    seeds = np.repeat(params, len(_WEAKER), axis=0)
-    seeds[:, LN_ALPHA] += np.tile(_WEAKER, len(params))
+    """Returns seeds (n, 6) of the search: each row of the chain alone, with several strengths."""
+    is_active = chain.rows.alpha > 0.0
+    normal_W, center_W = chain.route.normal_W[is_active], chain.rows.center_W[is_active]
+    params = params_of(scene, center_W, normal_W, chain.rows.as_array()[is_active])
+    seeds = np.repeat(params, len(_LN_ALPHA_OFFSETS), axis=0)
+    seeds[:, LN_ALPHA] += np.tile(_LN_ALPHA_OFFSETS, len(params))
     return seeds
 
 
-def _shown_sides(route: Route, terms: FloatArray, angle: float) -> Route:
-    """Returns the rings of the obstacles, each with the side of a term (1, 13).
+def _sides_of_term(route: Route, terms: FloatArray, angle: float) -> Route:
+    """Returns the route whose sides are that of a coupling term (1, 13) at the given angle [rad].
 
-    It is blocked if user-supplied rings forbid every side.
+    The route is blocked if user-supplied cost rings forbid every side.
     """
     blocked = bool(np.isinf(route.side_cost).all())
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
@@ -579,7 +638,7 @@ def _shown_sides(route: Route, terms: FloatArray, angle: float) -> Route:
         index=rows + round(angle * count / (2.0 * np.pi)) % max(count, 1),
         direction_W=np.cross(normal_W, route.R_WL[:, 0])[rows],
         normal_W=normal_W[rows],
-        # The nominal motion passes on none.
+        # The nominal motion has no term, hence no side.
         remaining_clearance=route.remaining_clearance * (terms[0, ALPHA] > 0.0),
     )
 
@@ -590,12 +649,12 @@ class MotionCommand(Frozen):
 
     Attributes:
         source: row of `SOURCES`; -1: nothing was selected.
-        rows: coupling parameters of its terms, about their centers; empty: the nominal motion.
-        route: sides of the obstacles that lead the headings of the terms.
+        rows: coupling parameters of its terms, with centers; empty: the nominal motion.
+        route: sides of the obstacles that guide the headings of the terms.
         tau: temporal scaling; 0: nothing was selected.
-        demonstration: motion to imitate; empty: the task's.
-        restart: whether the motion is to restart with this demonstration where the arm rests.
-        note: "" or the reason for which the motion must not continue.
+        demonstration: motion to imitate; empty: demonstration of the task.
+        restart: whether the motion restarts with this demonstration from the resting arm.
+        note: reason for a hold; "": none.
     """
 
     source: int = -1
@@ -608,7 +667,7 @@ class MotionCommand(Frozen):
 
     @property
     def coupling(self) -> CouplingParameters:
-        """Command as DmpIntegrator reads it."""
+        """Command as an input of `DmpIntegrator`."""
         hold, note = HoldReason.NONE, self.note
         if self.tau == 0.0:
             hold, note = HoldReason.DECIDING, DECIDING
@@ -620,24 +679,29 @@ class MotionCommand(Frozen):
 
     @property
     def guides(self) -> Obstacles | None:
-        """Obstacles that lead the headings of the terms; None: none does."""
-        seen = self.rows.ellipsoids
-        return CouplingInputs.of(seen, self.coupling, self.route).obstacles if len(seen) else None
+        """Obstacles that guide the headings of the terms; None: no guidance."""
+        ellipsoids = self.rows.ellipsoids
+        return (
+            CouplingInputs.of(ellipsoids, self.coupling, self.route).obstacles
+            if len(ellipsoids)
+            else None
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPrediction(Frozen):
-    """Whole-arm motion that is expected from the selected motion.
+    """Predicted whole-arm motion and clearance of a selected motion.
 
     Attributes:
-        motion: of the arm, from when it was computed.
-        shortfall: of the requested clearance [m].
-        limiting_obstacle: label of the solid with the largest shortfall.
+        motion: motion of the arm from the time of the decision.
+        shortfall: clearance shortfall [m]; 0 if the requested clearance is achieved.
+        limiting_obstacle: label of the collision geometry with the largest shortfall.
         can_follow: whether the arm can follow the tool's motion to the goal.
-        clearance_reduction: reduction of the requested clearance, as start or goal leave no more [m].
-        goal_note: "" or the reason for which there is no feasible posture at the goal.
-        touches: label of the solid that the arm touches; "": none.
-        sides: sides of the obstacles with their costs, and the one of the motion; for a viewer.
+        clearance_reduction: reduction of the requested clearance, because the current or goal
+            configuration achieves no more [m].
+        goal_note: reason why no goal configuration is collision-free; "": one is.
+        contact: label of the collision geometry in contact with the arm; "": none.
+        sides: sides of the obstacles with their costs, and the selected side; for a viewer.
     """
 
     motion: PlannedMotion = field(default_factory=PlannedMotion)
@@ -646,7 +710,7 @@ class MotionPrediction(Frozen):
     can_follow: bool = True
     clearance_reduction: float = 0.0
     goal_note: str = ""
-    touches: str = ""
+    contact: str = ""
     sides: Route = field(default_factory=Route)
 
 
@@ -655,17 +719,17 @@ class SelectedMotion(Frozen):
     """Result of a decision of `MotionSearch`, and the memory of its search.
 
     Attributes:
-        command: motion that the action level executes.
-        prediction: whole-arm motion that is expected from it.
-        p_WS, p_WG: (3,) start and goal for which it was selected [m]; (0,): none yet.
-        scene: the solids for which it was selected.
-        params: (1, 6) of the motion in use; (0, 6): it has none.
-        elites: (k, 6) genes of the best candidates.
-        generations: number of rounds of the search so far.
-        last_plan: time of the last search for a path in the joints [s].
-        traveled: length of the path that the motion has covered [m].
-        p_WE: (3,) its end [m].
-        counts: (5,) numbers of candidates that the last search rolled out, by source.
+        command: motion for the action level.
+        prediction: predicted whole-arm motion and clearance.
+        p_WS, p_WG: (3,) start and goal of the motion [m]; (0,): no motion was selected.
+        scene: collision scene of the decision.
+        params: (1, 6) candidate parameters, see `drake_oa.planning.search`; (0, 6): no term.
+        elites: (k, 6) candidate parameters of the best candidates.
+        generations: number of generations of the search so far.
+        last_plan: time of the last joint-space plan [s].
+        traveled: length of the executed part of the path [m].
+        p_WE: (3,) end of the executed part of the path [m].
+        counts: (5,) numbers of candidates in the last search, by source.
     """
 
     command: MotionCommand = field(default_factory=MotionCommand)
@@ -681,11 +745,15 @@ class SelectedMotion(Frozen):
     p_WE: FloatArray = zeros(0)
     counts: IntArray = zeros(len(SOURCES), kind=np.int64)
 
-    def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
-        """Returns whether it is the motion under way."""
+    def matches(self, policy: PolicyState, p_WG: FloatArray) -> bool:
+        """Checks whether start and goal are those of the movement primitive and a goal (3,) [m]."""
         return np.array_equal(self.p_WS, policy.p_WS) and np.array_equal(self.p_WG, p_WG)
 
-    def changed(self, **parts: dict[str, Any]) -> SelectedMotion:
-        """Returns it with changed fields of its command or prediction."""
+    def with_changes(self, **parts: dict[str, Any]) -> SelectedMotion:
+        """Returns a copy with other values of fields of the command or the prediction.
+
+        Args:
+            parts: "command" or "prediction", with the fields to replace.
+        """
         new = {name: replace(getattr(self, name), **fields) for name, fields in parts.items()}
         return replace(self, **new)

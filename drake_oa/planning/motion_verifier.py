@@ -1,4 +1,4 @@
-"""Verification of proposed motions by roll-outs of the whole arm among the collision geometry."""
+"""Verification of proposed motions by whole-arm roll-outs among collision geometry."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 class MotionVerifier(LeafSystem):
-    """Selection of the whole arm's motion among candidates, which it verifies by roll-outs.
+    """System that selects the whole-arm motion among candidates verified by roll-outs.
 
     .. pydrake_system::
 
@@ -59,30 +59,35 @@ class MotionVerifier(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive.
     - goal: (3,) goal of the motion in the world frame [m].
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
-    - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot. Solids that
-      move are left to `MotionGuard`.
-    - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles.
-    - coupling_parameters (optional, input): abstract `CouplingParameters` of
-      `RegressorChain`.
-    - route (optional, input): abstract `Route`, the sides that `CostRingSelector` selects.
-    - coupling_parameters (output): abstract `CouplingParameters`, the verified terms or none, with
-      the temporal scaling, and a note that holds the motion if none was found.
+    - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot.
+      Moving geometries are treated as at rest; `MotionGuard` handles their motion.
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles. Not
+      connected: no candidate of the regressor chain.
+    - coupling_parameters (optional, input): abstract `CouplingParameters` of `RegressorChain`. Not
+      connected: no candidate of the regressor chain.
+    - route (optional, input): abstract `Route`: sides selected by `CostRingSelector`. Not
+      connected: all sides have the same cost.
+    - coupling_parameters (output): abstract `CouplingParameters`: the verified terms, if any, with
+      the temporal scaling, and a hold with a note if no candidate is feasible.
     - route (output): abstract `Route` that guides the verified terms of the regressor chain; empty
       for other motions.
     - demonstration: abstract `Demonstration` that a restarting motion imitates.
     - motion: abstract `PlannedMotion` of the whole arm, from the time of the decision.
-    - sides: abstract `Route`: the sides at the obstacle that the motion avoids, with their costs
-      and the selected one; for a viewer.
-    - shortfall: (1,) shortfall of the requested clearance [m]; 0 where it is achieved.
-    - clearance_reduction: (1,) reduction of the requested clearance, as start or goal leave no more [m].
-    - decision: (2,) when the last decision began and the time that it takes [s].
+    - sides: abstract `Route`: sides of the avoided obstacle with their costs, and the selected
+      side; for a viewer.
+    - shortfall: (1,) clearance shortfall [m]; 0 if the requested clearance is achieved.
+    - clearance_reduction: (1,) reduction of the requested clearance, because the current or goal
+      configuration achieves no more [m].
+    - decision: (2,) start time and compute latency of the last decision [s].
     - source: (1,) source of the motion, a row of `drake_oa.planning.search.SOURCES`; -1: nothing
       was selected.
-    - candidates: (5,) numbers of candidates that the last search rolled out, by source.
+    - candidates: (5,) numbers of candidates in the last search, by source.
 
-    A decision begins at initialization and every `period`, shortly after it so that an observation
-    of the same instant counts; with simulated decision latency it is in force from the first
-    `step` of the policy after its end, and no other begins before.
+    A decision starts at initialization and every `period`, with an offset so that it uses an
+    observation of the same instant. With simulated compute latency it becomes active at the first
+    `step` of the policy after its completion; meanwhile no other decision starts. A completed
+    decision is discarded if start or goal have changed, or if it is no longer valid from the
+    current state while the active one is.
     """
 
     def __init__(
@@ -98,12 +103,12 @@ class MotionVerifier(LeafSystem):
         """Declares the ports.
 
         Args:
-            search: selects the motion.
-            positions: where the arm's joints are in the robot's state.
-            num_states: size of that state.
-            period: time between choices [s].
-            compute_latency: what choices cost in simulated time; None: none.
-            step: of the policy, at which choices come into force then [s].
+            search: planner that selects the motion.
+            positions: indices of the arm's joints in the robot state.
+            num_states: size of the robot state.
+            period: time between decisions [s].
+            compute_latency: simulated compute latency; None: decisions are active at once.
+            step: period of the policy, at which decisions become active [s].
 
         Raises:
             ValueError: if a period is not positive.
@@ -114,14 +119,14 @@ class MotionVerifier(LeafSystem):
         self._policy = AbstractInput(self, "policy_state", PolicyState)
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._robot = self.DeclareVectorInputPort("robot_state", num_states)
-        self._solids = AbstractInput(self, "collision_scene_W", CollisionScene)
+        self._collision_scene = AbstractInput(self, "collision_scene_W", CollisionScene)
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
-        self._proposed = AbstractInput(self, "coupling_parameters", CouplingParameters)
+        self._coupling = AbstractInput(self, "coupling_parameters", CouplingParameters)
         self._route = AbstractInput(self, "route", Route)
-        self._chosen = self.DeclareAbstractState(Value(PendingDecision(SelectedMotion())))
+        self._decision = self.DeclareAbstractState(Value(PendingDecision(SelectedMotion())))
         declare_state_outputs(
             self,
-            self._chosen,
+            self._decision,
             ("coupling_parameters", CouplingParameters, "active.command.coupling"),
             ("route", Route, "active.command.route"),
             ("demonstration", Demonstration, "active.command.demonstration"),
@@ -129,93 +134,97 @@ class MotionVerifier(LeafSystem):
             ("sides", Route, "active.prediction.sides"),
             ("shortfall", 1, "active.prediction.shortfall"),
             ("clearance_reduction", 1, "active.prediction.clearance_reduction"),
-            ("decision", 2, "last"),
+            ("decision", 2, "timing"),
             ("source", 1, "active.command.source"),
             ("candidates", len(SOURCES), "active.counts"),
         )
         period = valid_period(period)
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._decide)
         if compute_latency is not None:
             step = valid_period(step)
-            # Just before the policy looks.
+            # Just before the policy reads the command.
             self.DeclarePeriodicUnrestrictedUpdateEvent(
-                step, step - min(DECISION_OFFSET, 0.5 * step), self._take_effect
+                step, step - min(DECISION_OFFSET, 0.5 * step), self._activate
             )
 
     def _read(self, context: Context) -> PendingDecision[SelectedMotion]:
-        return context.get_abstract_state(self._chosen).get_value()
+        return context.get_abstract_state(self._decision).get_value()
 
-    def _choose(self, context: Context, state: State) -> EventStatus:
-        # Not the Context's: the other event of the same instant may have come first.
-        held = state.get_mutable_abstract_state(self._chosen)
-        kept: PendingDecision[SelectedMotion] = held.get_value()
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        # Read `state`, not `context`: the other event of this instant may have updated it.
+        value = state.get_mutable_abstract_state(self._decision)
+        previous: PendingDecision[SelectedMotion] = value.get_value()
         time = context.get_time()
         policy = self._policy.read(context)
         if policy.baseline == 0.0:
-            # There is no motion yet to choose for.
+            # The policy has no start and goal yet.
             return EventStatus.DidNothing()
         inputs = self._inputs(context)
-        pending = kept.start(
-            lambda before: self._search.decide(before, inputs), time, self._compute_latency
+        decision = previous.start(
+            lambda active: self._search.decide(active, inputs), time, self._compute_latency
         )
-        if pending is kept:
+        if decision is previous:
             return EventStatus.DidNothing()
-        _log_change(kept.active, pending.active, time)
-        held.set_value(pending)
+        _log_change(previous.active, decision.active, time)
+        value.set_value(decision)
         return EventStatus.Succeeded()
 
     def _inputs(self, context: Context) -> PlanningInputs:
-        """Returns the input of a decision now."""
+        """Returns the inputs of a decision at the current time."""
         return PlanningInputs(
             self._policy.read(context),
             np.array(self._goal.Eval(context)),
             np.array(self._robot.Eval(context)[self._positions]),
-            self._solids.read(context).at_rest(),
+            self._collision_scene.read(context).at_rest(),
             self._ellipsoids.read_or_empty(context),
-            self._proposed.read_or_empty(context),
+            self._coupling.read_or_empty(context),
             self._route.read_or_empty(context),
         )
 
-    def _take_effect(self, context: Context, state: State) -> EventStatus:
-        held = state.get_mutable_abstract_state(self._chosen)
-        kept: PendingDecision[SelectedMotion] = held.get_value()
+    def _activate(self, context: Context, state: State) -> EventStatus:
+        value = state.get_mutable_abstract_state(self._decision)
+        previous: PendingDecision[SelectedMotion] = value.get_value()
         time = context.get_time()
-        made = kept.completed(time)
-        if made is None:
+        result = previous.result_at(time)
+        if result is None:
             return EventStatus.DidNothing()
         policy = self._policy.read(context)
-        fits = made.fits(policy, self._goal.Eval(context))
-        fits = fits and (policy.speed == 0.0 or not made.command.restart)
-        if fits and not self._is_late(made, kept.active, context):
-            _log_change(kept.active, made, time)
-            held.set_value(kept.activated())
+        is_current = result.matches(policy, self._goal.Eval(context))
+        is_current = is_current and (policy.speed == 0.0 or not result.command.restart)
+        if is_current and not self._is_outdated(result, previous.active, context):
+            _log_change(previous.active, result, time)
+            value.set_value(previous.activate())
         else:
-            _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.begun)
-            held.set_value(kept.discarded())
+            message = "t=%.3f s: discarded decision started at t=%.3f s: the motion has changed"
+            _logger.info(message, time, previous.start_time)
+            value.set_value(previous.discard())
         return EventStatus.Succeeded()
 
-    def _is_late(self, made: SelectedMotion, active: SelectedMotion, context: Context) -> bool:
-        """Whether a choice no more does from where the motion is now, and the one in force does."""
-        is_short = active.prediction.shortfall > 0.0 or active.command.note
-        if is_short or not active.scene.same_as(made.scene):
+    def _is_outdated(
+        self, result: SelectedMotion, active: SelectedMotion, context: Context
+    ) -> bool:
+        """Checks whether a completed decision is no longer valid, while the active one is."""
+        is_infeasible = active.prediction.shortfall > 0.0 or active.command.note
+        if is_infeasible or not active.scene.same_as(result.scene):
             return False
-        inputs, holds = self._inputs(context), self._search.still_holds
-        # During a maneuver of MotionGuard neither may.
-        return not holds(made, inputs) and holds(active, inputs)
+        inputs, is_valid = self._inputs(context), self._search.is_still_valid
+        # Both may be invalid during a maneuver of MotionGuard: the new decision is kept then.
+        return not is_valid(result, inputs) and is_valid(active, inputs)
 
 
-def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> None:
-    """Logs shortfalls and contacts of a new motion, once."""
-    was, now = before.prediction, after.prediction
-    if now.touches and now.touches != was.touches:
-        _logger.warning("t=%.3f s: the arm touches %s, and may only leave it", time, now.touches)
-    if now.shortfall > 0.0 and not after.command.note and not was.shortfall > 0.0:
+def _log_change(previous: SelectedMotion, current: SelectedMotion, time: float) -> None:
+    """Logs new contacts, clearance shortfalls and restarts of a selected motion."""
+    last, prediction = previous.prediction, current.prediction
+    if prediction.contact and prediction.contact != last.contact:
+        message = "t=%.3f s: arm in contact with %s; only retreating motions allowed"
+        _logger.warning(message, time, prediction.contact)
+    if prediction.shortfall > 0.0 and not current.command.note and not last.shortfall > 0.0:
         _logger.warning(
-            "t=%.3f s: %.1f mm of the clearance to %s cannot be kept",
+            "t=%.3f s: clearance shortfall of %.1f mm at %s; the motion continues",
             time,
-            1e3 * now.shortfall,
-            now.limiting_obstacle,
+            1e3 * prediction.shortfall,
+            prediction.limiting_obstacle,
         )
-    if after.command.restart and not before.command.restart:
-        _logger.info("t=%.3f s: a path of the whole arm is imitated", time)
+    if current.command.restart and not previous.command.restart:
+        _logger.info("t=%.3f s: motion restarts and imitates a joint-space path", time)

@@ -1,16 +1,15 @@
-"""Solids as perception sees them: a distance field an obstacle, made anew where it has to be.
+"""Collision scene of the perceived obstacles: one distance field per obstacle.
 
-A field costs some milliseconds, and with a new one every motion is searched again. Perception
-hands on other points in each frame, if only by its noise. So a field is kept, moved with its
-obstacle, as long as the new cloud says nothing that the field does not:
+The computation of a field requires some milliseconds, and a changed field restarts the motion
+search. The points of an obstacle differ in every frame, by the noise of the camera. A field is
+therefore reused, and moved with its obstacle, while it explains the new cloud:
 
-- no point is farther from it than a voxel: a point may be at least half a voxel from where it
-  was, which is three deviations of a camera's noise at 1 m;
-- of the points that it was made from, all but a few have a new one beside them;
-- what is hidden of it is still the same: the view has hardly turned, the table is where it was,
-  and it is as deep as before.
+- no point is farther from the field's surface than a voxel, which is at least three standard
+  deviations of a camera's noise at 1 m beyond the expected position;
+- all but 5 % of the field's own points have a new point nearby;
+- the occluded part is unchanged: same view direction, same table, same maximum depth.
 
-What errs then errs to the safe side: a little that is gone may count as there.
+The approximation is conservative: small parts that are no longer occupied may remain occupied.
 """
 
 from __future__ import annotations
@@ -50,189 +49,229 @@ from drake_oa.perception.visibility import ImageRange, with_occluded_extents
 
 _logger = logging.getLogger("drake_oa")
 
-_DEEPEST_MOVED = 0.15
-"""Depth of obstacles that move or have moved [m]: no link has to pass close behind them."""
-_GONE, _CHECKED = 0.05, 500
-"""Share of the points of a field that may have no new one beside them, and number of points that
-are checked."""
-_TURNED = 0.1
-"""A view that has turned by more shows another side [rad]."""
-_SEEN_FREE = 0.01
-"""Distance of the depth behind a point above which an image sees through it [m]."""
-_MOST_ASKED = 400
-"""Nodes within a field of which is asked whether they are seen to be free."""
-_FARTHEST = 1e3
-"""Points and speeds beyond this are none [m, m/s]."""
+_MAX_MOVING_DEPTH = 0.15
+"""Maximum depth of the occluded part of obstacles that move or have moved [m]."""
+_MAX_MISSING_FRACTION = 0.05
+"""Maximum fraction of a field's points without a new point nearby, for the field to be reused."""
+_MAX_CHECKED_POINTS = 500
+"""Approximate maximum number of a field's points that are compared with a new cloud."""
+_MAX_VIEW_CHANGE = 0.1
+"""Maximum change of a camera's view direction for which a field is reused [rad]."""
+_DEPTH_MARGIN = 0.01
+"""Minimum measured depth behind a point for which an image observes the point as free [m]."""
+_MAX_INSIDE_NODES = 400
+"""Approximate maximum number of nodes inside a field that are checked for free space."""
+_MAX_MAGNITUDE = 1e3
+"""Magnitude of positions and velocities above which an observation is invalid [m, m/s]."""
 
-_NOT_FINITE = "obstacles_W holds what is not finite"
-_UNKNOWN = np.zeros((0, 3))
+_NOT_FINITE = "obstacles_W is not finite"
+"""Note of an observation with NaN, inf, or too large values."""
+_NO_VIEWPOINTS = np.zeros((0, 3))
+"""(0, 3) positions of no cameras."""
 
 
 @dataclass(frozen=True, eq=False)
 class PerceivedField(Frozen):
-    """Field of one obstacle, and its source.
+    """Distance field of one obstacle, and the observation from which it was computed.
 
     Attributes:
-        geometry: where it is now, and how fast.
-        grid: its distances.
-        made_of: (N, 3) points [m].
-        view_W: (n, 3) unit directions in which it was seen, of each camera.
-        deepest: what is hidden was taken to be at most so deep [m].
-        inside: (K, 3) some nodes within it through which no image saw, in O [m]; none with one
-            camera.
+        geometry: collision geometry, with current pose and velocity.
+        grid: signed distances at the nodes of a grid.
+        points: (N, 3) observed points [m].
+        view_W: (n, 3) unit directions from each camera to the obstacle.
+        max_depth: maximum depth of the occluded part [m].
+        inside: (K, 3) sampled nodes inside the field that no image observed as free, in the frame
+            O of the obstacle [m]; (0, 3) with one camera.
     """
 
     geometry: CollisionGeometry
     grid: DistanceField
-    made_of: FloatArray
+    points: FloatArray
     view_W: FloatArray
-    deepest: float
+    max_depth: float
     inside: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class PerceivedSceneState(Frozen):
-    """Known world at one observation.
+    """Collision scene of one observation, with the data to update it.
 
     Attributes:
-        scene: its solids.
-        fields: those of the obstacles, as in `scene`, but for the table.
-        table: as in `scene`, or None.
-        moved: names of obstacles that move or have moved.
+        scene: collision scene.
+        fields: distance fields of the obstacles in `scene`, without the table.
+        table: supporting plane in `scene`; None: no plane.
+        moved_ids: track IDs of obstacles that move or have moved.
     """
 
     scene: CollisionScene = field(default_factory=CollisionScene)
     fields: tuple[PerceivedField, ...] = ()
     table: TablePlane | None = None
-    moved: frozenset[int] = frozenset()
+    moved_ids: frozenset[int] = frozenset()
 
 
-def looked_at(
-    before: PerceivedSceneState,
+def update_scene(
+    previous: PerceivedSceneState,
     obstacles: ObstacleClouds,
-    viewpoints_W: FloatArray = _UNKNOWN,
+    viewpoints_W: FloatArray = _NO_VIEWPOINTS,
     views: Sequence[View] = (),
 ) -> PerceivedSceneState:
-    """The solids of a new observation.
+    """Updates the collision scene with a new observation.
+
+    An observation that is not finite, or older than the previous one, is ignored: geometries and
+    stamp remain, so that the scene ages and moving geometries continue at constant velocity.
 
     Args:
-        before: of the observation before.
-        obstacles: what is seen now. What is not finite, or older than what was seen before, makes
-            it count as none: the solids and their stamp are left as they were, and so what moved
-            goes on, and all of it ages. Where it has no table, the one before stays.
-        viewpoints_W: (n, 3) from where, of each camera [m]; (0, 3): nothing that is hidden is
-            filled.
-        views: images of several cameras: what any of them sees through is not filled.
+        previous: state after the previous observation.
+        obstacles: new observation; without a table, the previous table remains.
+        viewpoints_W: (n, 3) positions of the cameras [m]; (0, 3): occluded space is not filled.
+        views: images of several cameras; space that any image observes as free is not filled.
     """
-    numbers = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
-    # NaN is not below anything.
-    if not all(np.abs(part).max(initial=0.0) <= _FARTHEST for part in numbers):
-        return replace(before, scene=replace(before.scene, note=_NOT_FINITE))
-    if obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
-        return replace(before, scene=replace(before.scene, note=obstacles.note))
-    table = select_output_table(before.table, obstacles.table) or before.table
-    known = {seen.geometry.name: seen for seen in before.fields}
-    since = max(0.0, obstacles.stamp - before.scene.stamp)
-    moved, fields = set(), []
+    inputs = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
+    # A comparison with NaN is false, so that NaN is rejected too.
+    if not all(np.abs(part).max(initial=0.0) <= _MAX_MAGNITUDE for part in inputs):
+        return replace(previous, scene=replace(previous.scene, note=_NOT_FINITE))
+    if obstacles.stamp < previous.scene.stamp or obstacles.stamp == -math.inf:
+        return replace(previous, scene=replace(previous.scene, note=obstacles.note))
+    table = select_output_table(previous.table, obstacles.table) or previous.table
+    previous_fields = {seen.geometry.name: seen for seen in previous.fields}
+    elapsed = max(0.0, obstacles.stamp - previous.scene.stamp)
+    moved_ids, fields = set(), []
     rows = zip(obstacles.ids.tolist(), obstacles.clouds_W, obstacles.v_WO, strict=True)
     for name, cloud, v_WO in rows:
-        if v_WO.any() or name in before.moved:
-            moved.add(name)
+        if v_WO.any() or name in previous.moved_ids:
+            moved_ids.add(name)
         if not len(cloud):
             continue
-        deepest, last = _DEEPEST_MOVED if name in moved else DEEPEST, known.get(name)
-        kept = None
-        if last is not None and table is before.table and last.deepest == deepest:
-            kept = _kept(last, cloud, since * v_WO, viewpoints_W, views)
-        made = kept or _made(name, cloud, viewpoints_W, deepest, table, views)
-        geometry = replace(made.geometry, v_WO=np.array(v_WO), stamp=obstacles.stamp)
-        fields.append(replace(made, geometry=geometry))
-    geometries = [seen.geometry for seen in fields] + _of_table(table)
+        max_depth, previous_field = (
+            _MAX_MOVING_DEPTH if name in moved_ids else DEEPEST,
+            previous_fields.get(name),
+        )
+        reused = None
+        if (
+            previous_field is not None
+            and table is previous.table
+            and previous_field.max_depth == max_depth
+        ):
+            reused = _reuse_field(previous_field, cloud, elapsed * v_WO, viewpoints_W, views)
+        current_field = reused or _create_field(name, cloud, viewpoints_W, max_depth, table, views)
+        geometry = replace(current_field.geometry, v_WO=np.array(v_WO), stamp=obstacles.stamp)
+        fields.append(replace(current_field, geometry=geometry))
+    geometries = [seen.geometry for seen in fields] + _table_geometries(table)
     scene = CollisionScene.of(obstacles.stamp, geometries, obstacles.note)
-    return PerceivedSceneState(scene, tuple(fields), table, frozenset(moved))
+    return PerceivedSceneState(scene, tuple(fields), table, frozenset(moved_ids))
 
 
-def _of_table(table: TablePlane | None) -> list[CollisionGeometry]:
+def _table_geometries(table: TablePlane | None) -> list[CollisionGeometry]:
+    """Returns the collision geometry of the supporting plane, as a list of at most one."""
     return [] if table is None else [table_geometry(table)]
 
 
-def _made(
+def _create_field(
     name: int,
     cloud: FloatArray,
     viewpoints_W: FloatArray,
-    deepest: float,
+    max_depth: float,
     table: TablePlane | None,
     views: Sequence[View],
 ) -> PerceivedField:
-    """A new field of a cloud."""
-    away = cloud[:, :2].mean(axis=0) - viewpoints_W[:, :2]
-    away /= np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
+    """Computes the distance field of an obstacle.
+
+    Args:
+        name: track ID of the obstacle.
+        cloud: (N, 3) observed points [m].
+        viewpoints_W: (n, 3) positions of the cameras [m].
+        max_depth: maximum depth of the occluded part [m].
+        table: supporting plane; None: no plane.
+        views: images of several cameras.
+    """
+    direction = cloud[:, :2].mean(axis=0) - viewpoints_W[:, :2]
+    direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None]
     # Horizontal depth along each view.
-    seen = np.ptp(cloud[:, :2] @ away.T, axis=0).max(initial=deepest)
+    visible_depth = np.ptp(cloud[:, :2] @ direction.T, axis=0).max(initial=max_depth)
     grid = field_of(
         cloud,
         viewpoints_W=viewpoints_W,
-        deepest=min(seen, _DEEPEST_MOVED),
+        deepest=min(visible_depth, _MAX_MOVING_DEPTH),
         table=table,
         seen_free=partial(seen_free, views) if views else None,
     )
     geometry = cloud_geometry(grid, name=name, label=f"obstacle {name}")
     nodes = np.flatnonzero((grid.values < 0.0) & (len(viewpoints_W) > 1))
-    nodes = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
+    nodes = nodes[:: max(1, len(nodes) // _MAX_INSIDE_NODES)]
     inside = grid.voxel * np.array(np.unravel_index(nodes, grid.values.shape), dtype=float).T
-    # Noise leaves some of its surface before what an image shows.
+    # By noise, some nodes at the surface are in front of the measured depth: leave them out.
     inside = inside[~seen_free(views, grid.p_WO + inside)]
-    return PerceivedField(geometry, grid, cloud, _view(geometry, viewpoints_W), deepest, inside)
+    return PerceivedField(
+        geometry, grid, cloud, _view_directions(geometry, viewpoints_W), max_depth, inside
+    )
 
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
-    """Checks which points (N, 3) [m] any of the images sees through."""
+    """Checks which points (N, 3) [m] are observed as free in any of the images."""
     free = np.zeros(len(p_WQ), dtype=bool)
     for view in views:
-        free |= classify_points(p_WQ, view, _SEEN_FREE)[0] == FREE
+        free |= classify_points(p_WQ, view, _DEPTH_MARGIN)[0] == FREE
     return free
 
 
-def _view(geometry: CollisionGeometry, viewpoints_W: FloatArray) -> FloatArray:
-    """(n, 3) unit directions to a solid from where it is seen."""
-    view = geometry.X_WO[:3, 3] + geometry.center - viewpoints_W
-    return np.asarray(view / np.maximum(np.linalg.norm(view, axis=1), 1e-9)[:, None])
+def _view_directions(geometry: CollisionGeometry, viewpoints_W: FloatArray) -> FloatArray:
+    """Computes unit directions (n, 3) from viewpoints (n, 3) to the center of a geometry."""
+    direction = geometry.X_WO[:3, 3] + geometry.center - viewpoints_W
+    return np.asarray(direction / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None])
 
 
-def _kept(
-    kept: PerceivedField,
+def _reuse_field(
+    previous: PerceivedField,
     cloud: FloatArray,
     expected: FloatArray,
     viewpoints_W: FloatArray,
     views: Sequence[View],
 ) -> PerceivedField | None:
-    """The field, moved to where its obstacle is now; None: it is no more that of it.
+    """Moves a field to the expected position of its obstacle, if it explains a new cloud.
 
     Args:
-        kept: of the observation before.
-        cloud: (M, 3) points of the obstacle [m].
-        expected: (3,) how far it should have moved [m].
-        viewpoints_W: (n, 3) from where it is seen [m].
-        views: images that may see through what was taken to be within it.
+        previous: field at the previous observation.
+        cloud: (M, 3) newly observed points of the obstacle [m].
+        expected: (3,) expected displacement of the obstacle since the previous observation [m].
+        viewpoints_W: (n, 3) positions of the cameras [m].
+        views: images of several cameras, which may observe the field's inside as free.
+
+    Returns:
+        The moved field; None: the cloud requires a new field.
     """
-    grid, X_WO = kept.grid, np.array(kept.geometry.X_WO)
+    grid, X_WO = previous.grid, np.array(previous.geometry.X_WO)
     X_WO[:3, 3] += expected
-    moved = replace(kept, geometry=replace(kept.geometry, X_WO=X_WO))
-    view = _view(moved.geometry, viewpoints_W)
-    if len(view) != len(kept.view_W) or np.abs(view - kept.view_W).max(initial=0.0) > _TURNED:
+    result = replace(previous, geometry=replace(previous.geometry, X_WO=X_WO))
+    view = _view_directions(result.geometry, viewpoints_W)
+    if (
+        len(view) != len(previous.view_W)
+        or np.abs(view - previous.view_W).max(initial=0.0) > _MAX_VIEW_CHANGE
+    ):
         return None
-    if views and np.sum(seen_free(views, X_WO[:3, 3] + kept.inside)) > _GONE * len(kept.inside):
+    if views and np.sum(
+        seen_free(views, X_WO[:3, 3] + previous.inside)
+    ) > _MAX_MISSING_FRACTION * len(previous.inside):
         return None
     nodes = (cloud - X_WO[:3, 3]).T / grid.voxel
-    if map_coordinates(grid.values, nodes, order=1, cval=_FARTHEST).max() > grid.voxel:
+    if map_coordinates(grid.values, nodes, order=1, cval=_MAX_MAGNITUDE).max() > grid.voxel:
         return None
-    was = kept.made_of[:: max(1, len(kept.made_of) // _CHECKED)] + X_WO[:3, 3] - grid.p_WO
-    beside, _ = KDTree(cloud).query(was, p=math.inf, distance_upper_bound=1.5 * grid.voxel)
-    return moved if np.isinf(beside).sum() <= _GONE * len(was) else None
+    expected_points = (
+        previous.points[:: max(1, len(previous.points) // _MAX_CHECKED_POINTS)]
+        + X_WO[:3, 3]
+        - grid.p_WO
+    )
+    distances, _ = KDTree(cloud).query(
+        expected_points, p=math.inf, distance_upper_bound=1.5 * grid.voxel
+    )
+    return (
+        result
+        if np.isinf(distances).sum() <= _MAX_MISSING_FRACTION * len(expected_points)
+        else None
+    )
 
 
 class PerceivedScene(LeafSystem):
-    """Makes solids of the clouds that perception sees.
+    """System that converts perceived obstacle clouds to a collision scene.
 
     .. pydrake_system::
 
@@ -243,23 +282,22 @@ class PerceivedScene(LeafSystem):
       output_ports:
       - collision_scene_W
 
-    Of several `cameras` the pose of each has a port, named by them, and there is one more:
-    `free_space_W` (optional), abstract `FreeSpace`, the images of the observation: where any of
-    them sees through what another one leaves open, nothing is filled. Those of another time do not
-    count.
+    With several `cameras`, the pose of each camera has its own port, named by `cameras`, and there
+    is a further port `free_space_W` (optional), abstract `FreeSpace`: the images of the
+    observation. Space that any of these images observes as free is not filled. Images of another
+    time are ignored.
 
     - obstacles_W: abstract `ObstacleClouds` of any source.
-    - camera_pose (optional): RigidTransform X_WC of the camera that sees them; without it nothing
-      is said of their hidden sides.
-    - collision_scene_W: abstract `CollisionScene`: a field an obstacle, with its velocity, what it hides of
-      itself from all cameras filled (`drake_oa.geometry.distance_field.field_of`), and what is
-      below the table, where it is known; what the image cuts off goes on beyond it
-      (`drake_oa.perception.visibility.with_occluded_extents`). While all rests and nothing new is seen
-      its arrays are the same.
+    - camera_pose (optional): RigidTransform X_WC of the camera. Not connected: the occluded part
+      of obstacles is not filled.
+    - collision_scene_W: abstract `CollisionScene`: one distance field per obstacle, with its
+      velocity, and the half space below the table, if known. Space that an obstacle occludes from
+      all cameras is filled (`drake_oa.geometry.distance_field.field_of`), and obstacles truncated
+      by an image are extended (`drake_oa.perception.visibility.with_occluded_extents`). The arrays
+      are the same objects while nothing changes.
 
-    The state is read every `period`, between an observation and the decision that goes by it. An
-    observation that is not finite changes nothing, and the log says so, as it does once of each
-    obstacle that is too large for fine voxels.
+    The state is updated every `period`, between an observation and the decision that uses it. An
+    observation that is not finite is ignored, with a warning.
     """
 
     def __init__(
@@ -273,12 +311,12 @@ class PerceivedScene(LeafSystem):
 
         Args:
             period: time between observations [s].
-            cameras: port of a camera's pose -> its image; what that cuts off goes on beyond it.
-                None: a port camera_pose, and no image is known.
-            table: the supporting plane until one is seen; None: none.
+            cameras: name of each camera's pose port -> image range, beyond which truncated
+                obstacles are extended; None: one port camera_pose, no image range.
+            table: supporting plane before the first observed one; None: no plane.
 
         Raises:
-            ValueError: if it is not positive and finite.
+            ValueError: if the period is not positive and finite.
         """
         super().__init__()
         period = valid_period(period)
@@ -287,57 +325,59 @@ class PerceivedScene(LeafSystem):
         self._poses = [
             AbstractInput(self, name, RigidTransform) for name in cameras or ("camera_pose",)
         ]
-        self._views = None
+        self._free_space = None
         if len(self._poses) > 1:
-            self._views = AbstractInput(self, "free_space_W", FreeSpace)
-        before = PerceivedSceneState(CollisionScene.of(-math.inf, _of_table(table)), table=table)
-        self._seen = self.DeclareAbstractState(Value(before))
+            self._free_space = AbstractInput(self, "free_space_W", FreeSpace)
+        initial = PerceivedSceneState(
+            CollisionScene.of(-math.inf, _table_geometries(table)), table=table
+        )
+        self._scene_state = self.DeclareAbstractState(Value(initial))
         self.DeclareAbstractOutputPort(
             "collision_scene_W",
             lambda: Value(CollisionScene()),
             self._calc,
             {
-                self.abstract_state_ticket(self._seen),
+                self.abstract_state_ticket(self._scene_state),
                 self._obstacles.ticket(),
                 *(port.ticket() for port in self._poses),
-                *([] if self._views is None else [self._views.ticket()]),
+                *([] if self._free_space is None else [self._free_space.ticket()]),
             },
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.5 * DECISION_OFFSET, self._update)
 
     def _read(self, context: Context) -> PerceivedSceneState:
-        seen: PerceivedSceneState = context.get_abstract_state(self._seen).get_value()
-        return seen
+        scene_state: PerceivedSceneState = context.get_abstract_state(self._scene_state).get_value()
+        return scene_state
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        seen = self._read(context)
-        if seen.scene.stamp == -math.inf:
-            # What is seen at initialization is in the state only after the first steps of others.
-            seen = self._looked_at(context, seen)
-        output.set_value(seen.scene)
+        scene_state = self._read(context)
+        if scene_state.scene.stamp == -math.inf:
+            # At initialization other systems read this output before the state is updated.
+            scene_state = self._updated(context, scene_state)
+        output.set_value(scene_state.scene)
 
     def _update(self, context: Context, state: State) -> None:
-        before = self._read(context)
-        after = self._looked_at(context, before)
-        if after.scene.note == _NOT_FINITE != before.scene.note:
-            message = "t=%.3f s: %s; the solids seen before are kept"
+        previous = self._read(context)
+        current = self._updated(context, previous)
+        if current.scene.note == _NOT_FINITE != previous.scene.note:
+            message = "t=%.3f s: %s; the previous collision scene remains in use"
             _logger.warning(message, context.get_time(), _NOT_FINITE)
-        state.get_mutable_abstract_state(self._seen).set_value(after)
+        state.get_mutable_abstract_state(self._scene_state).set_value(current)
 
-    def _looked_at(self, context: Context, before: PerceivedSceneState) -> PerceivedSceneState:
+    def _updated(self, context: Context, previous: PerceivedSceneState) -> PerceivedSceneState:
         obstacles = self._obstacles.read(context)
-        read = [port.find(context) for port in self._poses]
-        poses = [pose.GetAsMatrix4() for pose in read if pose is not None]
+        poses_or_none = [port.find(context) for port in self._poses]
+        poses = [pose.GetAsMatrix4() for pose in poses_or_none if pose is not None]
         views: list[View] = []
-        if self._views is not None:
-            seen = self._views.read_or_empty(context)
-            # Of another time they show what moves elsewhere.
-            if seen.stamp == obstacles.stamp:
-                views = [view for view in seen.views if view is not None]
+        if self._free_space is not None:
+            free_space = self._free_space.read_or_empty(context)
+            # In images of another time, moving obstacles are at other positions.
+            if free_space.stamp == obstacles.stamp:
+                views = [view for view in free_space.views if view is not None]
         if len(poses) == len(self._images):
-            free = partial(seen_free, views) if views else None
+            is_free = partial(seen_free, views) if views else None
             cameras = list(zip(poses, self._images, strict=True))
-            obstacles = with_occluded_extents(obstacles, cameras, free)
+            obstacles = with_occluded_extents(obstacles, cameras, is_free)
         viewpoints_W = np.array([X_WC[:3, 3] for X_WC in poses]).reshape(-1, 3)
-        return looked_at(before, obstacles, viewpoints_W, views)
+        return update_scene(previous, obstacles, viewpoints_W, views)

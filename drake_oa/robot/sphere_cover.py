@@ -1,4 +1,4 @@
-"""A few spheres that enclose a body's collision shapes, proven, and how far they stick out."""
+"""Covers of a body's collision shapes by few spheres, proven to enclose them."""
 
 from __future__ import annotations
 
@@ -28,28 +28,30 @@ from drake_oa.geometry.collision_scene import (
 )
 from drake_oa.geometry.directions import lattice
 
-_MOST_CENTERS, _MOST_SAMPLES = 3000, 12000
-"""Maximum numbers of candidate centers, and of points that must be covered, of a body."""
-_SURFACE = 600
-"""Points on the surface of a shape, about."""
-_ALONG_EDGE = 2.7
-"""Distance of balls along an edge, over the protrusion."""
-_ROUNDS = 4
-"""Maximum number of additions of bare points."""
-_CELLS = 40
-"""Cells along half of a body's longest extent that the proof begins with."""
-_MANY = 300
-"""Number of bare points from which the search restarts."""
-_CERTAIN = 1.0 / 16.0
-"""Half the edge of the smallest cells, over the protrusion."""
-_WIDER = 1.2
-"""Factor of the protrusion while the spheres are too many."""
+_MAX_CENTERS = 3000
+"""Maximum number of candidate centers of a body."""
+_MAX_SAMPLES = 12000
+"""Maximum number of sample points of a body that the spheres must cover."""
+_N_SURFACE_POINTS = 600
+"""Approximate number of sample points on the surface of a shape."""
+_EDGE_SPACING = 2.7
+"""Spacing of candidate centers over the protrusion, larger if there would be too many centers."""
+_MAX_ITERATIONS = 4
+"""Maximum number of times uncovered points are added to the sample points."""
+_INITIAL_CELLS = 40
+"""Number of initial cells of the proof along half of a body's longest extent."""
+_MAX_GAPS = 300
+"""Number of uncovered points above which the proof stops, and the spheres are selected again."""
+_MIN_CELL_RATIO = 1.0 / 16.0
+"""Half the edge of the smallest cells over the protrusion."""
+_PROTRUSION_GROWTH = 1.2
+"""Factor by which the protrusion grows while too many spheres are required."""
 _DIGITS = 9
-"""Decimals of lengths [m] that tell shapes apart: those of one model differ less by rounding."""
+"""Number of decimals of lengths [m] in the cache key, so that rounding errors do not change it."""
 _VERSION = 2
-"""Version of the algorithm, to be raised when covers change: earlier ones are computed again."""
+"""Version of the algorithm in the cache key; to be incremented when covers change."""
 SHIPPED = package_file("package://drake_oa/panda/spheres.npz")
-"""Covers of the Panda's bodies by `cover_key`: (K, 4) centers in the body's frame and radii [m]."""
+"""File with the covers of the Panda's bodies: `cover_key` -> (K, 4) centers and radii [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +59,9 @@ class Cover:
     """Spheres that enclose a body's shapes.
 
     Attributes:
-        centers: (K, 3) in the body's frame [m].
-        radii: (K,) [m].
-        protrusion: how far they stick out of the shapes at most [m].
+        centers: (K, 3) centers in the frame of the body [m].
+        radii: (K,) radii [m].
+        protrusion: maximum protrusion of the spheres from the shapes [m].
     """
 
     centers: FloatArray
@@ -67,19 +69,25 @@ class Cover:
     protrusion: float
 
 
-def cover(geometries: Sequence[CollisionGeometry], protrusion: float, most: int = 200) -> Cover:
-    """Spheres that enclose the union of a body's shapes.
+def compute_cover(
+    geometries: Sequence[CollisionGeometry], protrusion: float, max_spheres: int = 200
+) -> Cover:
+    """Computes spheres that enclose the union of a body's shapes.
 
-    Balls stand on a lattice in the shapes, each as large as sticks out by the asked protrusion: by
-    its radius less the depth of its center, in a convex shape. A greedy set cover of points in
-    the shapes takes few of them, and each becomes as small as these points let it. What lies
-    between the points is proven by cells, halved where no ball holds the ball round the cell:
-    what is found bare joins the points, and the last open cells have balls grow. Spheres stay.
+    1. Candidate balls are centered on a lattice in the shapes. The radius is the depth of the
+       center plus the requested protrusion (exact for a convex shape).
+    2. A greedy set cover selects few of them that cover sample points in the shapes, and each
+       selected ball shrinks to the points that only it covers.
+    3. Cells prove the space between the points to be covered: a cell is halved unless a ball
+       contains its circumscribed ball. Uncovered centers are added to the sample points; balls grow
+       over the last unproven cells.
+
+    A body of spheres only is covered by these spheres.
 
     Args:
-        geometries: the body's shapes, one at least, at their poses in the body.
-        protrusion: by how much the spheres may stick out, but for the proof's growth [m].
-        most: spheres at most; where more were needed the protrusion grows.
+        geometries: shapes of the body, at least one, at their poses in the body.
+        protrusion: requested protrusion of the spheres; the proof may enlarge it [m].
+        max_spheres: maximum number of spheres; the protrusion grows if more would be required.
 
     Raises:
         ValueError: for a shape that is not bounded.
@@ -87,229 +95,257 @@ def cover(geometries: Sequence[CollisionGeometry], protrusion: float, most: int 
     scene = geometries_of(geometries)
     if all(_is_rod(geometry) and geometry.size[2] == 0.0 for geometry in geometries):
         centers = np.array([geometry.X_WO[:3, 3] for geometry in geometries])
-        return _measured(scene, centers, np.array([geometry.radius for geometry in geometries]))
-    points, rounds, finer = _samples(geometries, scene, protrusion), 0, 0
+        return _make_cover(scene, centers, np.array([geometry.radius for geometry in geometries]))
+    points, iteration, refinement = _sample_shapes(geometries, scene, protrusion), 0, 0
     while True:
-        certain = _CERTAIN * protrusion
-        tried = (finer,) if finer else (1, 2, 3)
-        found = [_chosen(geometries, scene, protrusion, certain, f, points) for f in tried]
-        counts = [len(chosen) for *_, chosen in found]
-        finer = tried[int(np.argmin(counts))]
-        centers, depth, radii, chosen = found[int(np.argmin(counts))]
-        if len(chosen) > most:
-            protrusion, finer = protrusion * _WIDER, 0
+        min_half = _MIN_CELL_RATIO * protrusion
+        refinements = (refinement,) if refinement else (1, 2, 3)
+        candidates = [
+            _select_balls(geometries, scene, protrusion, min_half, f, points) for f in refinements
+        ]
+        counts = [len(chosen) for *_, chosen in candidates]
+        refinement = refinements[int(np.argmin(counts))]
+        centers, depth, radii, chosen = candidates[int(np.argmin(counts))]
+        if len(chosen) > max_spheres:
+            protrusion, refinement = protrusion * _PROTRUSION_GROWTH, 0
             continue
         centers, radii, depth = centers[chosen], radii[chosen], depth[chosen]
-        _tighten(centers, radii, points)
-        # A ball that is not needed for any point has become one of no size.
+        _shrink(centers, radii, points)
+        # A ball that is not required by any point has shrunk to radius 0.
         centers, depth = centers[radii > 0.0], depth[radii > 0.0]
-        radii = radii[radii > 0.0] + math.sqrt(3.0) * certain
-        many = _MANY if rounds < _ROUNDS else math.inf
-        gaps, half = _gaps(geometries, scene, _balls_of(centers, radii), certain, many)
-        if half <= certain:
-            _grow(gaps, math.sqrt(3.0) * half, centers, depth, radii)
-            if rounds >= _ROUNDS or (radii - depth).max() <= protrusion:
+        radii = radii[radii > 0.0] + math.sqrt(3.0) * min_half
+        max_gaps = _MAX_GAPS if iteration < _MAX_ITERATIONS else math.inf
+        gaps, half = _find_gaps(
+            geometries, scene, _ball_geometries(centers, radii), min_half, max_gaps
+        )
+        if half <= min_half:
+            _enlarge(gaps, math.sqrt(3.0) * half, centers, depth, radii)
+            if iteration >= _MAX_ITERATIONS or (radii - depth).max() <= protrusion:
                 break
-        points, rounds = np.concatenate([points, gaps]), rounds + 1
-    return _measured(scene, centers, radii)
+        points, iteration = np.concatenate([points, gaps]), iteration + 1
+    return _make_cover(scene, centers, radii)
 
 
-def _balls_of(centers: FloatArray, radii: FloatArray) -> CollisionGeometries:
-    """Makes the scene of balls with centers (K, 3) and radii (K,) [m]."""
+def _ball_geometries(centers: FloatArray, radii: FloatArray) -> CollisionGeometries:
+    """Returns the collision geometries of balls with centers (K, 3) and radii (K,) [m]."""
     X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
     X_BO[:, :3, 3] = centers
     balls = [geometry_of(drake.Sphere(radius)) for radius in radii]
     return geometries_of([replace(ball, X_WO=X) for ball, X in zip(balls, X_BO, strict=True)])
 
 
-def known_cover(
-    geometries: Sequence[CollisionGeometry], protrusion: float, most: int, announce: str
+def load_cover(
+    geometries: Sequence[CollisionGeometry], protrusion: float, max_spheres: int, message: str
 ) -> Cover:
-    """Reads a cover that is shipped or in the user's cache; else computes it, see `cover`.
+    """Loads the cover of a body, or computes it by `compute_cover`.
 
-    The Panda's bodies are in `SHIPPED`. The cache is the folder drake_oa/spheres; where it cannot
-    be written, the cover is computed each time, which takes seconds.
+    Covers of the Panda are in `SHIPPED`, others in the user's cache folder drake_oa/spheres. If the
+    cache is not writable, the cover is computed each time, which takes seconds.
+
+    Args:
+        geometries, protrusion, max_spheres: arguments of `compute_cover`.
+        message: message that announces the computation.
     """
 
     def compute() -> dict[str, FloatArray]:
-        announce_first_use(announce)
-        found = cover(geometries, protrusion, most)
-        return {"spheres": np.column_stack([found.centers, found.radii])}
+        announce_first_use(message)
+        result = compute_cover(geometries, protrusion, max_spheres)
+        return {"spheres": np.column_stack([result.centers, result.radii])}
 
-    key = cover_key(geometries, protrusion, most)
+    key = cover_key(geometries, protrusion, max_spheres)
     spheres = _shipped().get(key)
     if spheres is None:
         spheres = cached_arrays(f"spheres/{key}", compute)["spheres"]
-    return _measured(geometries_of(geometries), spheres[:, :3], spheres[:, 3])
+    return _make_cover(geometries_of(geometries), spheres[:, :3], spheres[:, 3])
 
 
 @cache
 def _shipped() -> dict[str, FloatArray]:
+    """Reads the file `SHIPPED`."""
     return read_arrays(SHIPPED)
 
 
-def cover_key(geometries: Sequence[CollisionGeometry], protrusion: float, most: int = 200) -> str:
-    """Computes a digest of a body's shapes and of the requested cover; arguments as of `cover`."""
-    found = hashlib.sha256(repr((_VERSION, protrusion, most)).encode())
+def cover_key(
+    geometries: Sequence[CollisionGeometry], protrusion: float, max_spheres: int = 200
+) -> str:
+    """Computes the cache key of a cover: a digest of the arguments of `compute_cover`."""
+    digest = hashlib.sha256(repr((_VERSION, protrusion, max_spheres)).encode())
     for geometry in geometries:
         corners = geometry.placed(outline_corners(geometry))
         for values in (geometry.size, corners):
-            # Without negative zeros.
-            found.update(repr((np.round(values, _DIGITS) + 0.0).tolist()).encode())
-    return found.hexdigest()[:32]
+            # Adding 0.0 removes negative zeros.
+            digest.update(repr((np.round(values, _DIGITS) + 0.0).tolist()).encode())
+    return digest.hexdigest()[:32]
 
 
 def _is_rod(geometry: CollisionGeometry) -> bool:
-    """Returns whether it is a sphere or a capsule: balls on its z axis are the deepest."""
+    """Checks whether a shape is a sphere or a capsule, which balls on its z axis cover best."""
     return geometry.kind == PRIMITIVE and not any(geometry.size[:2])
 
 
-def _measured(scene: CollisionGeometries, centers: FloatArray, radii: FloatArray) -> Cover:
-    """Balls that enclose shapes, with how near they fit."""
+def _make_cover(scene: CollisionGeometries, centers: FloatArray, radii: FloatArray) -> Cover:
+    """Returns the cover with given balls (K, 3), (K,) of a body's shapes, and its protrusion."""
     return Cover(centers, radii, max(0.0, float((radii + _distances(scene, centers)).max())))
 
 
 def _distances(scene: CollisionGeometries, points: FloatArray) -> FloatArray:
-    """Computes the signed distances (N,) of points (N, 3) to the nearest solid [m]."""
+    """Computes signed distances (N,) of points (N, 3) to the nearest collision geometry [m]."""
     return least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
 
 
-def _lattice(geometry: CollisionGeometry, inset: float, step: float, finer: int = 1) -> FloatArray:
-    """Points in a shape, in the body's frame, (K, 3).
+def _lattice(
+    geometry: CollisionGeometry, inset: float, step: float, refinement: int = 1
+) -> FloatArray:
+    """Computes lattice points (K, 3) inside a shape, in the frame of the body [m].
 
     Args:
-        geometry: the shape.
-        inset: how deep in the box round the shape the outermost are [m].
-        step: how far apart they are at most [m].
-        finer: into how many parts that is divided.
+        geometry: shape.
+        inset: distance of the outermost points from the bounding box of the shape [m].
+        step: maximum spacing of the points [m].
+        refinement: number of parts into which the spacing is divided.
     """
     half = np.maximum(geometry.half_extents - inset, 0.0)
     if _is_rod(geometry):
         half, step = np.array([0.0, 0.0, geometry.size[2]]), min(step, 0.005)
-    axes = [np.linspace(-h, h, 1 + finer * math.ceil(2.0 * h / step)) for h in half]
+    axes = [np.linspace(-h, h, 1 + refinement * math.ceil(2.0 * h / step)) for h in half]
     p_BQ = geometry.placed(lattice(*axes) + geometry.center)
     return np.asarray(p_BQ[_distances(geometries_of([geometry]), p_BQ) <= 1e-9])
 
 
-def _surface(geometry: CollisionGeometry) -> FloatArray:
-    """Points (K, 3) on a shape, in the body's frame [m]."""
-    return geometry.placed(surface_points(geometry, _SURFACE))
+def _surface_samples(geometry: CollisionGeometry) -> FloatArray:
+    """Computes sample points (K, 3) on the surface of a shape, in the frame of the body [m]."""
+    return geometry.placed(surface_points(geometry, _N_SURFACE_POINTS))
 
 
 def _below_surface(geometry: CollisionGeometry, depth: float) -> FloatArray:
-    """Points (K, 3) that far from those of the surface, towards their mean [m].
+    """Moves surface points of a shape by a depth toward their mean: (K, 3) [m].
 
-    Of a rod and of a box, the lattices of which have such points, there are none.
+    Spheres, capsules and boxes have none: their lattices contain such points.
     """
     if geometry.kind == PRIMITIVE and not geometry.size[4]:
         return np.zeros((0, 3))
-    surface = _surface(geometry)
-    inwards = surface.mean(axis=0) - surface
-    away = np.linalg.norm(inwards, axis=1, keepdims=True)
-    return np.asarray(surface + inwards * np.minimum(1.0, depth / np.maximum(away, 1e-9)))
+    surface = _surface_samples(geometry)
+    direction = surface.mean(axis=0) - surface
+    distance = np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(surface + direction * np.minimum(1.0, depth / np.maximum(distance, 1e-9)))
 
 
-def _chosen(
+def _select_balls(
     geometries: Sequence[CollisionGeometry],
     scene: CollisionGeometries,
     protrusion: float,
-    certain: float,
-    finer: int,
+    min_half: float,
+    refinement: int,
     points: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Balls (K, 3), their centers' depths and radii (K,), and which of them cover the points."""
-    # In a row along a box's edge, each a step from the next and as deep as they stick out, balls
-    # of twice the protrusion cover the edge with steps of up to 2 sqrt(2) of it.
-    step = max(_ALONG_EDGE * protrusion, finer * _least_step(geometries, _MOST_CENTERS))
+    """Selects balls that cover sample points.
+
+    Args:
+        geometries, scene: shapes of the body, as a sequence and as arrays.
+        protrusion: protrusion of the balls [m].
+        min_half: half the edge of the smallest cells of the proof [m].
+        refinement: number of parts into which the lattice spacing is divided.
+        points: (N, 3) sample points [m].
+
+    Returns:
+        Centers (K, 3), depths of the centers in the shapes (K,) and radii (K,) of candidate balls
+        [m], and the indices of the selected balls.
+    """
+    # Balls of radius 2 p at depth p below the edge of a box cover the edge if their spacing along
+    # it is at most 2 sqrt(2) p.
+    step = max(_EDGE_SPACING * protrusion, refinement * _lattice_step(geometries, _MAX_CENTERS))
     while True:
         centers = np.concatenate(
-            [_lattice(geometry, protrusion, step, finer) for geometry in geometries]
+            [_lattice(geometry, protrusion, step, refinement) for geometry in geometries]
             + [_below_surface(geometry, protrusion) for geometry in geometries]
         )
-        if len(centers) <= _MOST_CENTERS:
+        if len(centers) <= _MAX_CENTERS:
             break
         step *= 1.2
     depth = np.maximum(-_distances(scene, centers), 0.0)
-    radii = depth + protrusion - math.sqrt(3.0) * certain
-    return centers, depth, radii, _choose(cdist(points, centers) <= radii)
+    radii = depth + protrusion - math.sqrt(3.0) * min_half
+    return centers, depth, radii, _greedy_cover(cdist(points, centers) <= radii)
 
 
-def _choose(covers: BoolArray) -> IntArray:
-    """Rows of a few of K balls that cover N points, every point being in one at least.
+def _greedy_cover(covers: BoolArray) -> IntArray:
+    """Selects few of K balls that cover N points: a greedy set cover from the corners inward.
 
-    The point that the fewest balls cover is served first, by the ball that covers the most of
-    what is left; balls that turn out superfluous go. Greedy set cover from the corners inwards.
+    Points covered by the fewest balls come first. The ball with the most uncovered points is
+    selected for each. Balls that become unnecessary are removed.
 
     Args:
-        covers: (N, K) which ball covers which point.
+        covers: (N, K) whether ball k covers point n; every point is covered by a ball.
+
+    Returns:
+        Indices of the selected balls.
     """
-    options, gain = covers.sum(axis=1), covers.sum(axis=0)
-    times = np.zeros(len(covers), dtype=np.int64)
+    n_options, gain = covers.sum(axis=1), covers.sum(axis=0)
+    counts = np.zeros(len(covers), dtype=np.int64)
     chosen = []
-    for n in np.argsort(options, kind="stable"):
-        if times[n] == 0 < options[n]:
+    for n in np.argsort(n_options, kind="stable"):
+        if counts[n] == 0 < n_options[n]:
             best = int(np.where(covers[n], gain, -1).argmax())
             chosen.append(best)
-            gain -= covers[covers[:, best] & (times == 0)].sum(axis=0)
-            times += covers[:, best]
-    kept = []
+            gain -= covers[covers[:, best] & (counts == 0)].sum(axis=0)
+            counts += covers[:, best]
+    necessary = []
     for best in chosen:
-        if (times[covers[:, best]] == 1).any():
-            kept.append(best)
+        if (counts[covers[:, best]] == 1).any():
+            necessary.append(best)
         else:
-            times -= covers[:, best]
-    return np.array(kept, dtype=np.int64)
+            counts -= covers[:, best]
+    return np.array(necessary, dtype=np.int64)
 
 
-def _tighten(centers: FloatArray, radii: FloatArray, points: FloatArray) -> None:
-    """Makes each of K balls (K, 3), (K,) in turn as small as the points (N, 3) let it be."""
-    away = cdist(centers, points)
-    covers = away <= radii[:, None]
-    times = covers.sum(axis=0)
-    for k, mine in enumerate(covers):
-        radii[k] = away[k, mine & (times == 1)].max(initial=0.0)
-        times -= mine & (away[k] > radii[k])
+def _shrink(centers: FloatArray, radii: FloatArray, points: FloatArray) -> None:
+    """Shrinks each of K balls (K, 3), (K,), in place, to the points (N, 3) that only it covers."""
+    distance = cdist(centers, points)
+    covers = distance <= radii[:, None]
+    counts = covers.sum(axis=0)
+    for k, is_covered in enumerate(covers):
+        radii[k] = distance[k, is_covered & (counts == 1)].max(initial=0.0)
+        counts -= is_covered & (distance[k] > radii[k])
 
 
-def _grow(
+def _enlarge(
     points: FloatArray, reach: float, centers: FloatArray, depth: FloatArray, radii: FloatArray
 ) -> None:
-    """Makes balls larger until the ball of a reach round each of the points is in one of them.
+    """Enlarges balls, in place, until each point with a neighborhood is inside one of them.
 
     Args:
-        points: (N, 3) [m].
-        reach: [m].
-        centers: (K, 3) the balls' [m].
-        depth: (K,) of the centers in the shape; that which sticks out least by it grows [m].
-        radii: (K,) [m]; some become larger.
+        points: (N, 3) points [m].
+        reach: radius of the neighborhood of a point [m].
+        centers: (K, 3) centers of the balls [m].
+        depth: (K,) depths of the centers in the shapes; the ball with least protrusion grows [m].
+        radii: (K,) radii, modified [m].
     """
     while len(points):
-        need = np.linalg.norm(centers - points[0], axis=1) + reach
-        best = int((need - depth).argmin())
-        radii[best] = max(need[best], radii[best])
+        required_radius = np.linalg.norm(centers - points[0], axis=1) + reach
+        best = int((required_radius - depth).argmin())
+        radii[best] = max(required_radius[best], radii[best])
         points = points[1:]
         points = points[np.linalg.norm(points - centers[best], axis=1) + reach > radii[best]]
 
 
-def _samples(
+def _sample_shapes(
     geometries: Sequence[CollisionGeometry], scene: CollisionGeometries, protrusion: float
 ) -> FloatArray:
-    """Points on the outside of the shapes' union, and some in it, that are to be covered."""
-    step = max(protrusion / 3.0, _least_step(geometries, 7 * _MOST_SAMPLES))
+    """Samples points (N, 3) on the surface and inside of the union of shapes, to be covered [m]."""
+    step = max(protrusion / 3.0, _lattice_step(geometries, 7 * _MAX_SAMPLES))
     while True:
         inner = np.concatenate([_lattice(geometry, 0.0, step) for geometry in geometries])
         depth = -_distances(scene, inner)
         outer, inner = inner[depth < 1e-9], inner[depth >= 1e-9][::7]
-        if len(outer) + len(inner) <= _MOST_SAMPLES:
+        if len(outer) + len(inner) <= _MAX_SAMPLES:
             break
         step *= 1.2
-    surface = np.concatenate([_surface(geometry) for geometry in geometries])
+    surface = np.concatenate([_surface_samples(geometry) for geometry in geometries])
     surface = surface[_distances(scene, surface) > -1e-6]
     return np.concatenate([surface, outer, inner])
 
 
-def _least_step(geometries: Sequence[CollisionGeometry], count: int) -> float:
-    """Returns the step of a lattice of about so many points in the boxes around the shapes."""
+def _lattice_step(geometries: Sequence[CollisionGeometry], count: int) -> float:
+    """Computes the spacing of a lattice with about `count` points in the shapes' bounding boxes."""
     volume = sum(
         float(np.prod(2.0 * geometry.half_extents))
         for geometry in geometries
@@ -318,35 +354,47 @@ def _least_step(geometries: Sequence[CollisionGeometry], count: int) -> float:
     return 0.8 * float(np.cbrt(volume / count))
 
 
-def _gaps(
+def _find_gaps(
     geometries: Sequence[CollisionGeometry],
     scene: CollisionGeometries,
     balls: CollisionGeometries,
-    certain: float,
-    many: float,
+    min_half: float,
+    max_gaps: float,
 ) -> tuple[FloatArray, float]:
-    """Middles (M, 3) of cells of the shapes that are not proven to be in a ball, and half an edge.
+    """Finds cells of the shapes that are not proven to be inside a ball.
 
-    The half edge is at most `certain`; or it is inf, and the middles, more than many, are bare
-    themselves, and not all that are not proven.
+    Args:
+        geometries, scene: shapes of the body, as a sequence and as arrays.
+        balls: balls of the cover.
+        min_half: half the edge of the smallest cells [m].
+        max_gaps: number of uncovered cell centers above which the search stops.
+
+    Returns:
+        Centers (M, 3) of unproven cells and half their edge, at most `min_half` [m]. If the search
+        stopped: uncovered centers, and inf.
     """
     corners = np.concatenate(
         [geometry.placed(outline_corners(geometry)) for geometry in geometries]
     )
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = float((high - low).max()) / _CELLS
+    half = float((high - low).max()) / _INITIAL_CELLS
     cells = lattice(*map(np.arange, low + half, high + half, 3 * [2.0 * half]))
     while True:
         reach = math.sqrt(3.0) * half
-        # No farther, and no deeper, than decides.
-        apart = least_distances(scene, cells, 0.0, 2.0 * reach, 0.0)
-        cells, apart = cells[apart <= reach], apart[apart <= reach]
-        short = least_distances(balls, cells, 0.0, 2.0 * reach, -reach)
-        cells, apart, short = (array[short > -reach] for array in (cells, apart, short))
-        bare = cells[(apart <= 0.0) & (short > certain)]
-        if len(bare) > many:
-            return bare, math.inf
-        if half <= certain or len(cells) == 0:
-            return cells, min(half, certain)
+        # Distances beyond these bounds do not affect the result.
+        shape_distance = least_distances(scene, cells, 0.0, 2.0 * reach, 0.0)
+        cells, shape_distance = (
+            cells[shape_distance <= reach],
+            shape_distance[shape_distance <= reach],
+        )
+        ball_distance = least_distances(balls, cells, 0.0, 2.0 * reach, -reach)
+        cells, shape_distance, ball_distance = (
+            array[ball_distance > -reach] for array in (cells, shape_distance, ball_distance)
+        )
+        uncovered = cells[(shape_distance <= 0.0) & (ball_distance > min_half)]
+        if len(uncovered) > max_gaps:
+            return uncovered, math.inf
+        if half <= min_half or len(cells) == 0:
+            return cells, min(half, min_half)
         half /= 2.0
         cells = (cells[:, None] + half * CORNERS).reshape(-1, 3)

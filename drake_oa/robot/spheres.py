@@ -1,4 +1,4 @@
-"""A robot as spheres that enclose its collision geometry, and which bodies may touch each other."""
+"""Sphere model of a robot: spheres around its collision geometry, and self-collision pairs."""
 
 from __future__ import annotations
 
@@ -31,36 +31,37 @@ from drake_oa.robot.arm import (
 )
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.sphere_cover import Cover, cover_key, known_cover
+from drake_oa.robot.sphere_cover import Cover, cover_key, load_cover
 
-_ROUNDED = 1e-9
-"""Added to bounding spheres [m]."""
-_CLUSTER = 8
-"""Spheres of a cluster at most."""
-_POSTURES = 2000
-"""Number of random postures in which pairs of bodies that may touch are found."""
-_LOW = 0.05
-"""Share of the postures that is disregarded where most of them count."""
-_MOST = 200
-"""Most spheres of a body; where more are needed they stick out farther."""
-_BALL_STEPS = 300
-"""Steps towards the smallest ball that holds others."""
+_ROUNDING_MARGIN = 1e-9
+"""Additional radius of bounding spheres, against rounding errors [m]."""
+_MAX_CLUSTER_SIZE = 8
+"""Maximum number of spheres in a cluster."""
+_N_SAMPLES = 2000
+"""Number of random configurations that are sampled to find self-collision pairs."""
+_LOW_QUANTILE = 0.05
+"""Quantile of the difference between shape distance and sphere distance, for the allowance."""
+_MAX_SPHERES = 200
+"""Maximum number of spheres of a body; the protrusion grows if more would be required."""
+_BALL_ITERATIONS = 300
+"""Number of iterations of the approximate smallest enclosing ball."""
 _SOURCE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-"""Digest of this algorithm: after a change, arms are computed again."""
-_ALWAYS = 0.95
-"""Share of the random postures in which the shapes of neighbors touch."""
-_OFTEN = 0.02
-"""Share of the random postures with overlapping spheres from which a pair has an allowance."""
+"""Digest of this file, part of the cache key: a change of the algorithm recomputes all arms."""
+_CONTACT_FRACTION = 0.95
+"""Fraction of the sampled configurations in contact from which a pair is excluded."""
+_OVERLAP_FRACTION = 0.02
+"""Fraction of the sampled configurations with overlapping spheres from which a pair has an
+allowance."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmSpheres(Frozen):
-    """An arm of n revolute joints as S spheres in G groups, a body a group.
+    """Sphere model of an arm with n revolute joints: S spheres in G groups, one group per body.
 
     Attributes:
-        arrays: as the kernels take it; its fields say what is what.
+        arrays: spheres as arrays for the compiled kernels.
         bodies: (G,) name of each group's body.
-        protrusion: (G,) how far the spheres of each body stick out of its shapes at most [m].
+        protrusion: (G,) maximum protrusion of the spheres of each body from its shapes [m].
     """
 
     arrays: Spheres
@@ -70,7 +71,7 @@ class ArmSpheres(Frozen):
 
 @compiled
 def sphere_centers(chain: Chain, spheres: Spheres, q: FloatArray) -> FloatArray:
-    """Computes (T, S, 3) centers of an arm's spheres in the world at joints (T, n) [m]."""
+    """Computes world positions (T, S, 3) of an arm's spheres at configurations (T, n) [m]."""
     X_WJ = np.empty((q.shape[1] + 2, 12))
     p_WS = np.empty((len(q), len(spheres.joint), 3))
     for row in range(len(q)):
@@ -89,36 +90,36 @@ def make_arm_spheres(
     tool_links: Sequence[str],
     parameters: SphereParameters,
 ) -> ArmSpheres:
-    """Spheres for everything of a robot that has collision geometry.
+    """Computes the sphere model of all bodies of a robot with collision geometry.
 
-    Those of one arm are kept in the user's cache, as `known_cover` keeps the spheres of a body.
+    The result is stored in the user's cache, as are the covers of `load_cover`.
 
     Args:
-        robot: the robot alone, its base fixed anywhere in the world.
-        q: (nq,) its positions; joints that do not move the tool frame stay as they are here,
-            such as those of the fingers [rad, m].
-        tool_links: names of the bodies of the tool, and of what it holds.
-        parameters: how near the spheres fit.
+        robot: plant of the robot alone, with its base fixed in the world.
+        q: (nq,) positions; joints that do not move the tool frame, such as finger joints, are
+            fixed at these positions [rad, m].
+        tool_links: names of the bodies of the tool and of grasped objects.
+        parameters: maximum protrusions of the spheres.
 
     Raises:
-        ValueError: for a robot without collision geometry on the links that its joints move, a
-            joint between base and tool that is not revolute, a shape that is not bounded.
+        ValueError: if no link moved by the joints has collision geometry, a joint between base
+            and tool is not revolute, or a shape is not bounded.
     """
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     joints = joints_to(plant, robot.tool_frame)
-    # The last joint that moves each body.
-    moved = {
+    # Body index -> row of the last joint that moves the body.
+    last_joint = {
         body: row
         for row, joint in enumerate(joints)
         for body in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
     }
-    # Of all model instances: a gripper may be one of its own. Body 0 is the world.
-    everything = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]
-    bodies = [body for body in everything if plant.GetCollisionGeometriesForBody(body)]
-    bodies.sort(key=lambda body: (moved.get(body.index(), -1), int(body.index())))
-    joint = np.array([moved.get(body.index(), -1) for body in bodies], dtype=np.int64)
+    # Bodies of all model instances: a gripper may be a separate one. Body 0 is the world.
+    all_bodies = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]
+    bodies = [body for body in all_bodies if plant.GetCollisionGeometriesForBody(body)]
+    bodies.sort(key=lambda body: (last_joint.get(body.index(), -1), int(body.index())))
+    joint = np.array([last_joint.get(body.index(), -1) for body in bodies], dtype=np.int64)
     if not (joint >= 0).any():
-        links = [body.name() for body in everything if body.index() in moved]
+        links = [body.name() for body in all_bodies if body.index() in last_joint]
         raise ValueError(
             f"none of the links that the joints move ({', '.join(links)}) has collision geometry; "
             "the model needs a <collision> of bounded shape on those that are to be kept clear"
@@ -132,13 +133,15 @@ def make_arm_spheres(
     X_WJ = [joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint) for joint in joints]
     X_WJ.append(RigidTransform())
     covers, keys, X_JB = [], [_SOURCE, version("drake")], []
-    announce = f"covering the links of {plant.GetModelInstanceName(robot.instance)} with spheres"
+    message = f"covering the links of {plant.GetModelInstanceName(robot.instance)} with spheres"
     for row, body in enumerate(bodies):
         geometries = [read_geometry(inspector, geometry_id) for geometry_id in geometry_ids[row]]
         protrusion = parameters.protrusion if joint[row] >= 0 else parameters.max_fixed_protrusion
         if is_tool[row]:
             protrusion = parameters.max_tool_protrusion
-        covers.append(known_cover(geometries, protrusion, max(_MOST, len(geometries)), announce))
+        covers.append(
+            load_cover(geometries, protrusion, max(_MAX_SPHERES, len(geometries)), message)
+        )
         keys.append(cover_key(geometries, protrusion))
         X_JB.append((X_WJ[joint[row]].inverse() @ body.EvalPoseInWorld(context)).GetAsMatrix4())
     pairs = [
@@ -152,34 +155,42 @@ def make_arm_spheres(
     chain = make_chain(plant, robot.tool_frame, q)
 
     def compute() -> dict[str, NDArray[Any]]:
-        arrays = _joined(covers, X_JB, joint, is_tool, pairs)
-        return _with_pairs_found(robot, q, geometry_ids, chain, arrays)._asdict()
+        arrays = _assemble_spheres(covers, X_JB, joint, is_tool, pairs)
+        return _filter_pairs(robot, q, geometry_ids, chain, arrays)._asdict()
 
-    # All that they depend on, to the last bit: the same arm then moves the same.
+    # The cache key contains all inputs to the last bit, so that equal arms have equal spheres.
     inputs = (keys, pairs, *(array.tolist() for array in (q, joint, is_tool, *X_JB, *chain)))
     digest = hashlib.sha256(repr(inputs).encode()).hexdigest()
     arrays = Spheres(**cached_arrays(f"spheres/{digest[:32]}", compute))
-    return ArmSpheres(arrays, group_names, np.array([found.protrusion for found in covers]))
+    return ArmSpheres(arrays, group_names, np.array([cover.protrusion for cover in covers]))
 
 
-def _joined(
+def _assemble_spheres(
     covers: Sequence[Cover],
     X_JB: Sequence[FloatArray],
     joint: IntArray,
     is_tool: BoolArray,
     pairs: list[tuple[int, int]],
 ) -> Spheres:
-    """Returns the spheres of all groups in a row, in the frames of their joints, by clusters."""
+    """Assembles the arrays of all spheres, in the frames of their joints, ordered by clusters.
+
+    Args:
+        covers: spheres of each group, in the frame of its body.
+        X_JB: (4, 4) pose of each group's body in the frame of its joint.
+        joint: (G,) row of each group's joint; -1: fixed.
+        is_tool: (G,) whether a group belongs to the tool.
+        pairs: self-collision pairs of groups.
+    """
     centers, radii, clusters, sizes = [], [], [], [0]
-    for found, X in zip(covers, X_JB, strict=True):
-        p_JS = found.centers @ X[:3, :3].T + X[:3, 3]
-        rows = _clusters(p_JS, np.arange(len(p_JS)))
+    for cover, X in zip(covers, X_JB, strict=True):
+        p_JS = cover.centers @ X[:3, :3].T + X[:3, 3]
+        rows = _split_clusters(p_JS, np.arange(len(p_JS)))
         order = np.concatenate(rows)
         centers.append(p_JS[order])
-        radii.append(found.radii[order])
-        clusters.append([_ball(p_JS[row], found.radii[row]) for row in rows])
+        radii.append(cover.radii[order])
+        clusters.append([_bounding_ball(p_JS[row], cover.radii[row]) for row in rows])
         sizes += map(len, rows)
-    counts = [len(found.radii) for found in covers]
+    counts = [len(cover.radii) for cover in covers]
     return Spheres(
         joint=np.repeat(joint, counts),
         p_JS=np.concatenate(centers),
@@ -187,7 +198,7 @@ def _joined(
         of_tool=np.repeat(is_tool, counts),
         first=np.cumsum([0, *counts], dtype=np.int64),
         group_joint=joint,
-        bound=np.array([_ball(p, r) for p, r in zip(centers, radii, strict=True)]),
+        bound=np.array([_bounding_ball(p, r) for p, r in zip(centers, radii, strict=True)]),
         cluster=np.cumsum([0, *map(len, clusters)], dtype=np.int64),
         cluster_first=np.cumsum(sizes, dtype=np.int64),
         cluster_bound=np.concatenate(clusters),
@@ -196,83 +207,94 @@ def _joined(
     )
 
 
-def _clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
-    """Divides rows of points (N, 3) into clusters of neighbors, by halves of the longest extent."""
-    if len(rows) <= _CLUSTER:
+def _split_clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
+    """Splits rows of points p (N, 3) into clusters, recursively across the longest extent."""
+    if len(rows) <= _MAX_CLUSTER_SIZE:
         return [rows]
     axis = int(np.ptp(p[rows], axis=0).argmax())
     order = rows[np.argsort(p[rows, axis], kind="stable")]
     half = len(order) // 2
-    return [*_clusters(p, order[:half]), *_clusters(p, order[half:])]
+    return [*_split_clusters(p, order[:half]), *_split_clusters(p, order[half:])]
 
 
-def _ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
-    """Returns center and radius (4,) of a small ball that holds others (K, 3), (K,).
+def _bounding_ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
+    """Computes center and radius (4,) of a ball that encloses balls (K, 3), (K,) [m].
 
-    The center moves towards the farthest by ever smaller steps. M. Badoiu and K. L. Clarkson,
-    Smaller core-sets for balls, 2003.
+    The ball is approximately the smallest: the center moves toward the farthest ball by steps of
+    1 / (i + 2) (M. Badoiu and K. L. Clarkson, Smaller core-sets for balls, 2003).
     """
     middle = centers.mean(axis=0)
-    for i in range(1 + _BALL_STEPS):
+    for i in range(1 + _BALL_ITERATIONS):
         reach = np.linalg.norm(centers - middle, axis=1) + radii
-        if i < _BALL_STEPS:
+        if i < _BALL_ITERATIONS:
             middle = middle + (centers[reach.argmax()] - middle) / (i + 2.0)
-    return np.append(middle, reach.max() + _ROUNDED)
+    return np.append(middle, reach.max() + _ROUNDING_MARGIN)
 
 
-def _with_pairs_found(
+def _filter_pairs(
     robot: RobotPlant,
     q: FloatArray,
     geometry_ids: Sequence[Sequence[GeometryId]],
     chain: Chain,
     spheres: Spheres,
 ) -> Spheres:
-    """Removes pairs of groups that always touch, and finds how much overlap is harmless.
+    """Removes pairs of groups that are always in contact, and computes allowances of the others.
 
-    Random postures tell, as in MoveIt's setup assistant. Where spheres overlap, SceneGraph gives
-    the distance of the shapes. A pair whose spheres overlap often while its shapes do not touch
-    gets as an allowance the least by which its shapes were farther apart than its spheres;
-    less, for postures that were not drawn, as much as that is below most of them.
+    Random configurations are sampled, as in MoveIt's setup assistant. Where spheres overlap,
+    SceneGraph computes the distance of the shapes. With the difference delta between shape distance
+    and sphere distance over collision-free samples, a pair whose spheres often overlap without
+    contact has the allowance
+
+        max(0, min delta - (5 % quantile of delta - min delta))
+
+    The second term is a margin for configurations that were not sampled.
     """
-    # Joints without limits, or with those of more than a turn, turn once.
-    is_round = ~(chain.upper - chain.lower < 2.0 * np.pi)
-    lower, upper = np.where(is_round, -np.pi, chain.lower), np.where(is_round, np.pi, chain.upper)
-    postures = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, len(lower)))
-    p_WS = sphere_centers(chain, spheres, postures)
+    # Joints without limits, or with a range of more than one turn, are sampled over one turn.
+    is_unlimited = ~(chain.upper - chain.lower < 2.0 * np.pi)
+    lower, upper = (
+        np.where(is_unlimited, -np.pi, chain.lower),
+        np.where(is_unlimited, np.pi, chain.upper),
+    )
+    samples = np.random.default_rng(0).uniform(lower, upper, (_N_SAMPLES, len(lower)))
+    p_WS = sphere_centers(chain, spheres, samples)
     bounds = spheres._replace(joint=spheres.group_joint, p_JS=spheres.bound[:, :3])
-    p_WG = sphere_centers(chain, bounds, postures)
+    p_WG = sphere_centers(chain, bounds, samples)
     root = robot.diagram.CreateDefaultContext()
     context = robot.plant.GetMyMutableContextFromRoot(root)
-    of_scene = robot.scene_graph.GetMyContextFromRoot(root)
-    full = q.copy()
-    kept, allowance = [], []
+    scene_context = robot.scene_graph.GetMyContextFromRoot(root)
+    positions = q.copy()
+    pairs, allowance = [], []
     for pair in spheres.pairs:
         i, j = pair
-        apart = np.linalg.norm(p_WG[:, i] - p_WG[:, j], axis=1) - spheres.bound[pair, 3].sum()
+        sphere_distance = (
+            np.linalg.norm(p_WG[:, i] - p_WG[:, j], axis=1) - spheres.bound[pair, 3].sum()
+        )
         a, b = (slice(spheres.first[g], spheres.first[g + 1]) for g in pair)
-        for k in np.flatnonzero(apart < 0.0):
-            between = cdist(p_WS[k, a], p_WS[k, b]) - spheres.radius[a, None] - spheres.radius[b]
-            apart[k] = between.min()
-        rows = np.flatnonzero(apart < 0.0)
+        for k in np.flatnonzero(sphere_distance < 0.0):
+            gaps = cdist(p_WS[k, a], p_WS[k, b]) - spheres.radius[a, None] - spheres.radius[b]
+            sphere_distance[k] = gaps.min()
+        rows = np.flatnonzero(sphere_distance < 0.0)
         shape_distance = np.empty(len(rows))
         for n, k in enumerate(rows):
-            full[chain.q_index] = postures[k]
-            robot.plant.SetPositions(context, full)
-            query = robot.scene_graph.get_query_output_port().Eval(of_scene)
+            positions[chain.q_index] = samples[k]
+            robot.plant.SetPositions(context, positions)
+            query = robot.scene_graph.get_query_output_port().Eval(scene_context)
             shape_distance[n] = min(
-                query.ComputeSignedDistancePairClosestPoints(one, other).distance
-                for one in geometry_ids[i]
-                for other in geometry_ids[j]
+                query.ComputeSignedDistancePairClosestPoints(id_a, id_b).distance
+                for id_a in geometry_ids[i]
+                for id_b in geometry_ids[j]
             )
         is_free = shape_distance > 0.0
-        if (~is_free).sum() >= _ALWAYS * len(postures):
+        if (~is_free).sum() >= _CONTACT_FRACTION * len(samples):
             continue
-        kept.append(pair)
-        slack = (shape_distance - apart[rows])[is_free]
-        is_frequent = len(slack) >= _OFTEN * len(postures)
+        pairs.append(pair)
+        difference = (shape_distance - sphere_distance[rows])[is_free]
+        is_frequent = len(difference) >= _OVERLAP_FRACTION * len(samples)
         allowance.append(
-            max(0.0, 2.0 * slack.min() - np.quantile(slack, _LOW)) if is_frequent else 0.0
+            max(0.0, 2.0 * difference.min() - np.quantile(difference, _LOW_QUANTILE))
+            if is_frequent
+            else 0.0
         )
     return spheres._replace(
-        pairs=np.array(kept, dtype=np.int64).reshape(-1, 2), allowance=np.array(allowance)
+        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2), allowance=np.array(allowance)
     )

@@ -1,7 +1,7 @@
-"""Joint motions in time: tracking of the tool, legs, and clearance.
+"""Joint trajectories: tracking of the tool, legs of maneuvers, and costs of proximity.
 
-A maneuver consists of two legs. In each leg every joint moves to its own target at bounded speed
-and acceleration (trapezoidal velocity), and stays there: each leg ends at rest by itself.
+A maneuver consists of two legs. In each leg, every joint moves to its target with a trapezoidal
+velocity profile, of bounded speed and acceleration, and rests there.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from drake_oa.planning.collision_model import (
 )
 from drake_oa.robot.arm import Chain, chain_poses, follow, scratch, step_toward
 
-_DRAWN = 1e-4
-"""Damping of the velocity of a tracked motion [m^2]."""
-_DEPTH = 0.03
-"""Depth of a contact that costs twice as much as a touch [m]."""
-_AT_LIMIT = 1e-3
-"""Distance beyond a joint's limit that is only an error of interpolation [rad]."""
-_EACH = 8
-"""Motions for which another thread pays."""
+_VELOCITY_DAMPING = 1e-4
+"""Damping of the differential inverse kinematics of the tracked velocity [m^2]."""
+_CONTACT_DEPTH = 0.03
+"""Penetration depth that doubles the cost of a contact [m]."""
+_LIMIT_TOLERANCE = 1e-3
+"""Violation of a joint limit that is tolerated as an interpolation error [rad]."""
+_MIN_MOTIONS_PER_THREAD = 8
+"""Minimum number of trajectories per additional thread."""
 
 
 @compiled
@@ -43,35 +43,35 @@ def track(
     step: float,
     rate: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the joint state with the tool at a pose and velocity one step later.
+    """Computes the joint state after one step in which the tool tracks a desired motion.
 
     Args:
-        chain: the arm.
-        q: (n,) joints now [rad].
-        X_WE: (12,) pose of the tool now: rotation, row by row, and position [m].
-        V_WE: (6,) its mean velocity in the step: angular [rad/s], linear [m/s].
-        posture: (2n,) posture that the null space follows, then [rad], and its velocity [rad/s].
-        step: length of the step [s].
-        rate: at which the null space converges to the posture [1/s].
+        chain: kinematics of the arm.
+        q: (n,) current configuration [rad].
+        X_WE: (12,) current desired tool pose: rotation, row by row, and position [m].
+        V_WE: (6,) mean desired tool velocity during the step: angular [rad/s], linear [m/s].
+        posture: (2n,) nominal posture at the end of the step [rad], and its velocity [rad/s].
+        step: duration of the step [s].
+        rate: rate at which the null space converges to the nominal posture [1/s].
 
     Returns:
         (n,) positions [rad] and (n,) velocities [rad/s] after the step.
     """
-    n, room, pull = len(q), scratch(len(q)), 1.0 - math.exp(-rate * step)
-    guide = np.empty((2, n))
-    guide[1] = posture[:n]
-    guide[0] = posture[:n] - step * posture[n:]
+    n, workspace, convergence = len(q), scratch(len(q)), 1.0 - math.exp(-rate * step)
+    posture_samples = np.empty((2, n))
+    posture_samples[1] = posture[:n]
+    posture_samples[0] = posture[:n] - step * posture[n:]
     X_next = X_WE.copy()
     X_next[9:] += step * V_WE[3:]
     for k in range(3):
         X_next[k:9:3] += step * np.cross(V_WE[:3], X_WE[k:9:3])
-    after = q.copy()
-    follow(after, X_next, guide, 1, pull, chain, room)
-    ahead = after.copy()
-    room.e[:] = step * V_WE
-    room.null_step[:] = step * (posture[n:] + rate * (posture[:n] - after))
-    step_toward(ahead, _DRAWN, chain, room)
-    return after, (ahead - after) / step
+    q_next = q.copy()
+    follow(q_next, X_next, posture_samples, 1, convergence, chain, workspace)
+    q_ahead = q_next.copy()
+    workspace.e[:] = step * V_WE
+    workspace.null_step[:] = step * (posture[n:] + rate * (posture[:n] - q_next))
+    step_toward(q_ahead, _VELOCITY_DAMPING, chain, workspace)
+    return q_next, (q_ahead - q_next) / step
 
 
 @leaf
@@ -79,60 +79,63 @@ def advance_leg(
     q: FloatArray, v: FloatArray, target: FloatArray, speed: FloatArray, acceleration: FloatArray,
     step: float,
 ) -> None:  # fmt: skip
-    """Moves joints q (n,) at velocities v (n,), in place, by one step toward a target.
+    """Advances joints, in place, by one step of a leg toward its target.
 
     Args:
-        q, v: positions [rad] and velocities [rad/s].
-        target: (n,) positions at which the joints come to rest [rad].
-        speed: (n,) limits of the speeds in this leg [rad/s].
-        acceleration: (n,) limits of the accelerations [rad/s^2].
-        step: length of the step [s].
+        q, v: (n,) positions [rad] and velocities [rad/s].
+        target: (n,) configuration in which the joints come to rest [rad].
+        speed: (n,) maximum joint speeds of the leg [rad/s].
+        acceleration: (n,) maximum joint accelerations [rad/s^2].
+        step: duration of the step [s].
     """
     for i in range(len(q)):
-        way, change = target[i] - q[i], acceleration[i] * step
-        # Speed from which the joint still stops at the target, in steps of this length.
-        most = math.sqrt(0.25 * change * change + 2.0 * acceleration[i] * abs(way)) - 0.5 * change
-        wanted = math.copysign(min(most, speed[i]), way)
-        after = v[i] + min(max(wanted - v[i], -change), change)
-        moved = 0.5 * (v[i] + after) * step
-        if abs(way) <= 0.25 * change * step and abs(v[i]) <= change:
+        distance, max_change = target[i] - q[i], acceleration[i] * step
+        # Maximum speed from which the joint stops at the target, in discrete steps.
+        max_speed = (
+            math.sqrt(0.25 * max_change * max_change + 2.0 * acceleration[i] * abs(distance))
+            - 0.5 * max_change
+        )
+        target_speed = math.copysign(min(max_speed, speed[i]), distance)
+        v_next = v[i] + min(max(target_speed - v[i], -max_change), max_change)
+        displacement = 0.5 * (v[i] + v_next) * step
+        if abs(distance) <= 0.25 * max_change * step and abs(v[i]) <= max_change:
             q[i], v[i] = target[i], 0.0
         else:
-            q[i], v[i] = q[i] + moved, after
+            q[i], v[i] = q[i] + displacement, v_next
 
 
 _CONVERGENCE = 30.0
-"""Rate at which joints converge to a path that they can follow [1/s]."""
+"""Rate at which joints converge to a path within their limits [1/s]."""
 
 
 def approach(
     x: FloatArray, path: FloatArray, speed: FloatArray, acceleration: float, step: float
 ) -> FloatArray:
-    """Computes the joint state one step later of joints that follow a path.
+    """Computes the joint state after one step toward a moving path, within the limits.
 
     Args:
-        x: (2n,) positions [rad] and velocities [rad/s] now.
-        path: (2n,) those of the path after the step.
-        speed: (n,) limits of the speeds [rad/s].
-        acceleration: limit of the accelerations [rad/s^2].
-        step: length of the step [s].
+        x: (2n,) current positions [rad] and velocities [rad/s].
+        path: (2n,) positions and velocities of the path after the step [rad, rad/s].
+        speed: (n,) maximum joint speeds [rad/s].
+        acceleration: maximum joint acceleration [rad/s^2].
+        step: duration of the step [s].
     """
-    n, change = len(speed), acceleration * step
+    n, max_change = len(speed), acceleration * step
     q, v = x[:n], x[n:]
-    way = path[:n] - q - 0.5 * step * (v + path[n:])
-    closing = np.minimum(_CONVERGENCE * np.abs(way), np.sqrt(acceleration * np.abs(way)))
-    wanted = np.clip(path[n:] + np.copysign(closing, way), -speed, speed)
-    after = v + np.clip(wanted - v, -change, change)
-    return np.append(q + 0.5 * step * (v + after), after)
+    error = path[:n] - q - 0.5 * step * (v + path[n:])
+    closing_speed = np.minimum(_CONVERGENCE * np.abs(error), np.sqrt(acceleration * np.abs(error)))
+    target_speed = np.clip(path[n:] + np.copysign(closing_speed, error), -speed, speed)
+    v_next = v + np.clip(target_speed - v, -max_change, max_change)
+    return np.append(q + 0.5 * step * (v + v_next), v_next)
 
 
 class Legs(NamedTuple):
     """N maneuvers of two legs each.
 
     Attributes:
-        target: (N, 2, n) where each leg ends [rad].
-        speed: (N, 2, n) limits of the joint speeds [rad/s].
-        switch: (N,) time at which the second leg begins, from the beginning [s].
+        target: (N, 2, n) target configurations [rad].
+        speed: (N, 2, n) maximum joint speeds [rad/s].
+        switch: (N,) times from the start of the maneuver to that of the second leg [s].
     """
 
     target: FloatArray
@@ -145,43 +148,50 @@ def roll_out_legs(
     q: FloatArray, v: FloatArray, legs: Legs, acceleration: FloatArray, step: float, every: int,
     samples: int,
 ) -> FloatArray:  # fmt: skip
-    """Computes joint positions (N, samples, n) along maneuvers, every so many steps [rad].
+    """Rolls out maneuvers to sampled configurations (N, samples, n) [rad].
 
     Args:
-        q, v: (n,) joint state at the beginning [rad, rad/s].
-        legs: the maneuvers.
-        acceleration: (n,) limits [rad/s^2].
-        step: length of a step [s].
-        every: number of steps between two samples, the first of which is after so many steps.
+        q, v: (n,) joint state at the start [rad, rad/s].
+        legs: N maneuvers.
+        acceleration: (n,) maximum joint accelerations [rad/s^2].
+        step: duration of a step [s].
+        every: number of steps between two samples, and before the first one.
         samples: number of samples.
     """
     N, n = len(legs.target), len(q)
-    found = np.empty((N, samples, n))
+    rollouts = np.empty((N, samples, n))
     for i in range(N):
         p, w = q.copy(), v.copy()
         for k in range(samples * every):
             leg = 1 if k * step >= legs.switch[i] else 0
             advance_leg(p, w, legs.target[i, leg], legs.speed[i, leg], acceleration, step)
             if (k + 1) % every == 0:
-                found[i, k // every] = p
-    return found
+                rollouts[i, k // every] = p
+    return rollouts
 
 
-_MARGIN_RESTING = 0.03
-"""Distance to resting obstacles below which nearness costs a maneuver [m]."""
-_GROWTH = 0.1
-"""Rate at which the margin of moving obstacles grows with the time ahead [m/s]."""
-_DECAY = 0.8
-"""Time ahead after which a contact costs 1 / e as much [s]."""
+_RESTING_MARGIN = 0.03
+"""Clearance margin to resting obstacles below which proximity costs [m]."""
+_MARGIN_GROWTH = 0.1
+"""Growth rate of the margin of moving obstacles with the prediction time [m/s]."""
+_CONTACT_DECAY = 0.8
+"""Time constant with which costs decay with the prediction time [s]."""
 
 
-class Judged(NamedTuple):
-    """Costs of N motions: (N,) arrays.
+class MotionCosts(NamedTuple):
+    """Costs of contact and proximity of N trajectories, as (N,) arrays.
+
+    With the clearance margins d(t) of a configuration, T = 0.8 s, D = 30 mm and the time t_1 of the
+    first contact, at which the integrals end,
+
+        contact      = T exp(-t_1 / T) (1 + min(-d(t_1) / D, 3))
+        near_moving  = integral of exp(-t / T) max(1 - d(t) / (margin + 0.1 m/s t), 0)^2 dt
+        near_resting = integral of max(1 - d(t) / 30 mm, 0)^2 dt
 
     Attributes:
-        contact: 0 without a contact, else the more the earlier and the deeper it is [s].
-        near_moving, near_resting: integrals of the squared relative violation of the margins [s].
-        first: time of the first contact, from the beginning; inf: there is none [s].
+        contact: cost of the first contact; 0: no contact [s].
+        near_moving, near_resting: costs of proximity to moving and resting obstacles [s].
+        first: time t_1 of the first contact, from the start; inf: no contact [s].
     """
 
     contact: FloatArray
@@ -190,71 +200,83 @@ class Judged(NamedTuple):
     first: FloatArray
 
 
-def check_motions(
+def evaluate_motions(
     resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray, step: float, margin: float
-) -> Judged:
-    """Computes the costs of N motions among resting and moving solids.
+) -> MotionCosts:
+    """Computes the costs of N trajectories among resting and moving obstacles.
 
     Args:
-        resting: the arm, with the clearance required of resting solids and of itself; -inf of
-            others.
-        moving: the same of moving solids.
+        resting: collision model with the clearances required from resting obstacles and between
+            links; -inf for moving obstacles.
+        moving: collision model with the clearances required from moving obstacles; -inf for others.
         q: (N, T, n) configurations, the first one a step after `moving.now` [rad].
-        step: time between two of them [s].
-        margin: distance to moving obstacles below which nearness costs [m].
+        step: time between two configurations [s].
+        margin: clearance margin to moving obstacles below which proximity costs, at time 0 [m].
     """
     table = np.zeros((len(q), 5))
-    threads = min(CORES, len(q) // _EACH + 1)
-    on_cores(_check_some, threads, resting, moving, q, step, margin, table)
+    threads = min(CORES, len(q) // _MIN_MOTIONS_PER_THREAD + 1)
+    on_cores(_evaluate_some, threads, resting, moving, q, step, margin, table)
     count(configurations=int(table[:, 4].sum()))
-    return Judged(*np.ascontiguousarray(table[:, :4].T))
+    return MotionCosts(*np.ascontiguousarray(table[:, :4].T))
 
 
 @parted
-def _check_some(
-    part: int, parts: int, resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray, step: float,
-    margin: float, out: FloatArray,
+def _evaluate_some(
+    part: int, parts: int, resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray,
+    step: float, margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Judges motions part, part + parts, ...; out (N, 5): `Judged` and configurations."""
+    """Evaluates trajectories part, part + parts, ... (one thread's share).
+
+    Writes the fields of `MotionCosts` and the number of checked configurations into out (N, 5).
+    """
     chain, spheres = resting.chain, resting.spheres
     T, n = q.shape[1:]
     X, center = np.empty((n + 2, 12)), np.empty((len(spheres.group_joint), 3))
-    least, near = np.empty(3), np.empty(3)
+    resting_margins, moving_margins = np.empty(3), np.empty(3)
     for i in range(part, len(q), parts):
-        first, looked = np.inf, 0
+        first_contact, n_checked = np.inf, 0
         for k in range(T):
-            since = (k + 1) * step
-            t, weight = moving.now + since, math.exp(-since / _DECAY)
+            elapsed = (k + 1) * step
+            t, weight = moving.now + elapsed, math.exp(-elapsed / _CONTACT_DECAY)
             chain_poses(q[i, k], chain.X_PJ, X)
-            most = margin + _GROWTH * since
-            near[:] = most
+            max_margin = margin + _MARGIN_GROWTH * elapsed
+            moving_margins[:] = max_margin
             lower_clearance_margins(
-                X, t, spheres, moving.geometries, moving.required, center, near, -np.inf
+                X, t, spheres, moving.geometries, moving.required, center, moving_margins, -np.inf
             )
-            least[:] = _MARGIN_RESTING
+            resting_margins[:] = _RESTING_MARGIN
             lower_clearance_margins(
-                X, t, spheres, resting.geometries, resting.required, center, least, -np.inf
+                X,
+                t,
+                spheres,
+                resting.geometries,
+                resting.required,
+                center,
+                resting_margins,
+                -np.inf,
             )
-            looked += 1
-            free = min(near[TOOL], near[LINKS])
-            rest = min(least[TOOL], least[LINKS])
-            lack = most - free
-            if lack > 0.0:
-                share = lack / most
-                out[i, 1] += weight * step * share * share
-            lack = _MARGIN_RESTING - rest
-            if lack > 0.0:
-                share = lack / _MARGIN_RESTING
-                out[i, 2] += step * share * share
-            within = min(rest, least[SELF])
-            if free < 0.0:
-                within = min(within, free)
+            n_checked += 1
+            moving_margin = min(moving_margins[TOOL], moving_margins[LINKS])
+            resting_margin = min(resting_margins[TOOL], resting_margins[LINKS])
+            violation = max_margin - moving_margin
+            if violation > 0.0:
+                ratio = violation / max_margin
+                out[i, 1] += weight * step * ratio * ratio
+            violation = _RESTING_MARGIN - resting_margin
+            if violation > 0.0:
+                ratio = violation / _RESTING_MARGIN
+                out[i, 2] += step * ratio * ratio
+            contact_margin = min(resting_margin, resting_margins[SELF])
+            if moving_margin < 0.0:
+                contact_margin = min(contact_margin, moving_margin)
             for j in range(n):
-                beyond = max(chain.lower[j] - q[i, k, j], q[i, k, j] - chain.upper[j])
-                if beyond > _AT_LIMIT:
-                    within = min(within, -_DEPTH)
-            if within < 0.0:
-                first = since
-                out[i, 0] = _DECAY * weight * (1.0 + min(-within / _DEPTH, 3.0))
+                excess = max(chain.lower[j] - q[i, k, j], q[i, k, j] - chain.upper[j])
+                if excess > _LIMIT_TOLERANCE:
+                    contact_margin = min(contact_margin, -_CONTACT_DEPTH)
+            if contact_margin < 0.0:
+                first_contact = elapsed
+                out[i, 0] = (
+                    _CONTACT_DECAY * weight * (1.0 + min(-contact_margin / _CONTACT_DEPTH, 3.0))
+                )
                 break
-        out[i, 3], out[i, 4] = first, looked
+        out[i, 3], out[i, 4] = first_contact, n_checked

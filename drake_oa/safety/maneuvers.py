@@ -1,16 +1,18 @@
-"""Decisions of the motion guard: whole-arm joint motions in time among moving obstacles.
+"""Decisions of the motion guard: selection of a joint trajectory among moving obstacles.
 
-Each decision compares joint motions over a horizon of 1.4 s: the verified motion at several shares
-of its speed (follow, slow, wait), and maneuvers of two legs that leave it: brake, returns,
-refuges, via points, and refinements of the best of them. The one with the least cost
+Each decision compares joint trajectories over a horizon of 1.4 s. They are the verified motion at
+several speeds (follow, slow, wait), and evasive maneuvers of two legs: brake, return to the
+verified motion, random targets and via points, and refinements of the best of these. The
+trajectory with the least cost
 
-    J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + lost
+    J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + delay
 
-is selected, with hysteresis for the motion in use: `turn` is the integral of the angle by which the
-tool is turned away from the verified motion, `lost` the time by which the arm arrives later on it.
-Obstacles move at constant velocity; the margin to them grows with time. Every motion ends at rest:
-the phase of a followed motion stops within `hold_time`, and each leg of a maneuver ends at its
-target.
+is selected, with hysteresis for the current maneuver. `contact`, `near_moving` and `near_resting`
+are costs of `joint_motions.MotionCosts`, `turn` is the integral of the angle between the tool and
+its orientation on the verified motion, and `delay` is the time lost on the verified motion.
+Obstacles move at constant velocity, and the margin to them grows with time. Every trajectory ends
+at rest: the phase of a followed motion stops within `hold_time`, and each leg of a maneuver ends
+at its target.
 """
 
 from __future__ import annotations
@@ -37,10 +39,10 @@ from drake_oa.robot.arm import Chain, tool_poses
 from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.joint_motions import (
-    Judged,
     Legs,
+    MotionCosts,
     advance_leg,
-    check_motions,
+    evaluate_motions,
     roll_out_legs,
 )
 from drake_oa.safety.passive_safety import CLAIMS, Claim, violated_claim
@@ -48,61 +50,75 @@ from drake_oa.safety.passive_safety import CLAIMS, Claim, violated_claim
 Action = Literal["follow", "slow", "wait", "evade", "brake"]
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
-_FOLLOWED: tuple[tuple[Action, float], ...] = (
+_FOLLOW_OPTIONS: tuple[tuple[Action, float], ...] = (
     ("follow", 1.0), ("slow", 0.6), ("slow", 0.3), ("slow", 0.15), ("wait", 0.0),
 )  # fmt: skip
-"""Actions, and shares of full speed, by which the verified motion is tried."""
-HORIZON, _SAMPLES = 1.4, 28
-"""Time over which motions are predicted [s], and configurations of each that are judged."""
-_CONTACT, _NEAR_MOVING, _NEAR_RESTING = 60.0, 6.0, 2.0
-"""Weights w_c, w_m and w_r of the cost."""
-_TURN, _TURN_EVERY = 0.1, 2
-"""Weight w_o [1/rad], and number of samples from one tool pose to the next."""
+"""Actions and speed scales at which the verified motion is evaluated."""
+HORIZON = 1.4
+"""Time over which trajectories are predicted [s]."""
+_SAMPLES = 28
+"""Number of evaluated configurations of each trajectory."""
+_CONTACT_WEIGHT = 60.0
+"""Weight w_c of predicted contact in the cost."""
+_MOVING_WEIGHT = 6.0
+"""Weight w_m of proximity to moving obstacles in the cost."""
+_RESTING_WEIGHT = 2.0
+"""Weight w_r of proximity to resting obstacles in the cost."""
+_TURN_WEIGHT = 0.1
+"""Weight w_o of the tool's orientation error in the cost [1/rad]."""
+_TURN_STRIDE = 2
+"""Number of samples between two evaluated tool orientations."""
 _HYSTERESIS = 0.1
-"""Delay by which another maneuver must be better than the one in use [s]."""
-_TOUCH_MOVING, _TOUCH_RESTING = 0.012, 0.004
-"""Distances to moving and resting obstacles below which a motion counts as contact, unless the
-verified motion keeps less [m]."""
-_SLACK = 2e-3
-"""Distance by which the arm may come nearer to anything than it is or would be on its path [m], and
-angle by which the tool may turn farther than its limit or than it is turned [rad]."""
-_KEPT = 5e-3
-"""Distance by which the verified motion may come nearer than it was verified to [m]."""
-_SELF = 5e-3
-"""Required distance of the arm to itself [m]."""
-_CLEAR = 0.02
-"""Cost of nearness up to which the verified motion is followed without alternatives [s]."""
-_SETTLED = 4.0
-"""Rate at which an offset from the verified motion decays [1/s]."""
-_INSIDE = 0.03
-"""Distance of targets to the joints' limits [rad]."""
-_PARENTS = 8
-"""Number of motions that are refined."""
-_TRIES = 40
-"""Number of motions of least cost that are checked for passive motion safety."""
-_VIOLATION: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
-"""Costs of the violation of a claim, less than that of any predicted contact [s]."""
-_REST = 8
-"""Samples after a period in which the arm brakes."""
-ARRIVED, AT_REST = 0.01, 0.1
-"""Largest distance [rad] and speed [rad/s] of the joints at which the path is followed again."""
+"""Maximum reduction of the cost of the current maneuver, by hysteresis [s]."""
+_MOVING_CONTACT_DISTANCE = 0.012
+"""Distance to moving obstacles, beyond their padding, below which a trajectory is a contact [m]."""
+_RESTING_CONTACT_DISTANCE = 0.004
+"""Distance to resting obstacles below which a trajectory is a contact, unless the verified motion
+comes closer [m]."""
+_DISTANCE_SLACK = 2e-3
+"""Reduction of required distances below those of the current configuration [m], and tolerance of
+the tool's turn limit [rad]."""
+_VERIFIED_SLACK = 5e-3
+"""Reduction of required distances below those of the verified motion [m]."""
+_SELF_CLEARANCE = 5e-3
+"""Required clearance between links of the arm [m]."""
+_MAX_NEARNESS = 0.02
+"""Cost `near_moving` up to which the verified motion is followed without alternatives [s]."""
+_OFFSET_DECAY = 4.0
+"""Rate at which an offset from the verified motion decays in predictions [1/s]."""
+_LIMIT_MARGIN = 0.03
+"""Distance of maneuver targets from the joint limits [rad]."""
+_N_PARENTS = 8
+"""Number of best maneuvers that are refined."""
+_MAX_CLAIM_CHECKS = 40
+"""Number of trajectories of least cost that are checked for passive motion safety."""
+_VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
+"""Costs of violated claims, less than that of any predicted contact [s]."""
+_BRAKE_SAMPLES = 8
+"""Number of samples after one period, while the arm brakes, that are checked for claims."""
+ON_PATH_DEVIATION = 0.01
+"""Maximum joint deviation from the verified motion at which the arm follows it again [rad]."""
+REST_SPEED = 0.1
+"""Maximum joint speed at which the arm follows the verified motion again [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuardDecision(Frozen):
-    """Motion that the guard has selected.
+    """Trajectory selected by the motion guard.
 
     Attributes:
-        action: "follow" the verified motion; "slow": follow it at a fraction of its speed; "wait":
-            let its phase rest; "evade": leave it by a maneuver; "brake": come to rest.
-        scale: share of full speed at which the phase runs.
-        target: (2, n) ends of the two legs of a maneuver [rad]; (0, n): the motion is followed.
-        speed: (2, n) limits of the joint speeds in the legs [rad/s].
-        switch: time at which the second leg begins [s].
-        contact: time of the first contact that is predicted on the verified motion at full speed
-            [s]; inf: none is.
-        obstacle: label of the moving obstacle that is nearest; "": none moves.
-        claim: claim of passive motion safety that a motion of less cost would violate; "": none.
+        action: "follow": follow the verified motion at full speed; "slow": follow it at a fraction
+            of full speed; "wait": its phase rests; "evade": execute an evasive maneuver; "brake":
+            come to rest.
+        scale: speed scale of the phase, in [0, 1].
+        target: (2, n) target configurations of the two legs of a maneuver [rad]; (0, n): the
+            verified motion is followed.
+        speed: (2, n) maximum joint speeds in the legs [rad/s].
+        switch: time at which the second leg starts [s].
+        contact: time of the first contact predicted on the verified motion at full speed [s]; inf:
+            no contact.
+        obstacle: label of the nearest moving obstacle; "": no obstacle moves.
+        claim: claim of passive motion safety that rejected a trajectory of less cost; "": none.
     """
 
     action: Action = "follow"
@@ -116,12 +132,12 @@ class GuardDecision(Frozen):
 
     @property
     def action_number(self) -> int:
-        """Row of `ACTIONS`."""
+        """Row of the action in `ACTIONS`."""
         return ACTIONS.index(self.action)
 
     @property
     def claim_number(self) -> int:
-        """Row of `CLAIMS`."""
+        """Row of the claim in `CLAIMS`."""
         return CLAIMS.index(self.claim)
 
     @property
@@ -132,44 +148,44 @@ class GuardDecision(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class GuardInputs(Frozen):
-    """Input of a decision.
+    """Inputs of one decision of the motion guard.
 
     Attributes:
-        begin: time at which the decision comes into force [s].
-        q, v: (n,) joint state at that time [rad, rad/s].
-        q_path: (n,) configuration on the verified motion at its phase [rad].
-        on_path: whether the arm is there.
-        s: normalized time of the verified motion.
-        rate, full_rate: ds/dt now and at full speed [1/s].
-        motion: the verified motion.
-        scene: collision geometry of the world.
-        free_space: space that the cameras saw free; None: all outside the solids.
-        speed_fraction: share of the speed limits that the arm may use.
-        number: of this decision, which seeds its random candidates.
+        begin: time at which the decision becomes active [s].
+        q, v: (n,) predicted joint state at `begin` [rad, rad/s].
+        q_path: (n,) configuration on the verified motion at the current phase [rad].
+        is_on_path: whether the arm follows the verified motion, or rests on it.
+        s: normalized time of the verified motion at `begin`.
+        rate, full_rate: ds/dt at the current and at full speed [1/s].
+        motion: verified motion.
+        scene: collision scene.
+        free_space: space observed as free; None: all space outside collision geometry.
+        speed_fraction: fraction of the maneuvers' speed limits that may be used.
+        decision_count: number of previous decisions, which seeds the random candidates.
     """
 
     begin: float
     q: FloatArray
     v: FloatArray
     q_path: FloatArray
-    on_path: bool
+    is_on_path: bool
     s: float
     rate: float
     full_rate: float
     motion: PlannedMotion
     scene: CollisionScene
     speed_fraction: float
-    number: int
+    decision_count: int
     free_space: FreeSpace | None
 
 
 class GuardSearch:
-    """Selection of joint motions among moving obstacles."""
+    """Search for joint trajectories of one arm among moving obstacles."""
 
     def __init__(
         self,
         chain: Chain,
-        covered: ArmSpheres,
+        arm_spheres: ArmSpheres,
         *,
         config: Policy,
         period: float,
@@ -177,18 +193,18 @@ class GuardSearch:
         turn_limit: float | None,
         parameters: GuardParameters,
     ) -> None:
-        """Keeps the constants.
+        """Stores the constants of the search.
 
         Args:
-            chain, covered: the arm.
-            config: of the policy.
+            chain, arm_spheres: kinematics and spheres of the arm.
+            config: configuration of the policy: time step, hold time.
             period: time between decisions [s].
-            padding: distance by which moving obstacles may be nearer than observed [m].
-            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
-            parameters: of the search.
+            padding: position uncertainty of moving obstacles, added to their clearance [m].
+            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: no limit.
+            parameters: parameters of the search.
         """
         self._turn_limit = math.pi if turn_limit is None else turn_limit
-        self._chain, self._covered = chain, covered
+        self._chain, self._arm_spheres = chain, arm_spheres
         self._step, self._hold_time = config.period, config.hold_time
         self._padding, self._parameters = padding, parameters
         self._every = max(round(HORIZON / _SAMPLES / self._step), 1)
@@ -197,164 +213,179 @@ class GuardSearch:
         self._until_next = math.ceil(period / self._interval)
         self.acceleration = np.full(len(chain.speed), parameters.acceleration)
         self.speed = chain.speed * parameters.speed_fraction
-        self._lower, self._upper = chain.lower + _INSIDE, chain.upper - _INSIDE
-        # Of a verified motion, which is the same for many decisions.
-        self._own = lru_cache(maxsize=2)(
+        self._lower, self._upper = chain.lower + _LIMIT_MARGIN, chain.upper - _LIMIT_MARGIN
+        # Cached: the verified motion is the same for many decisions.
+        self._verified_self_distance = lru_cache(maxsize=2)(
             lambda motion: min(
-                (self_distance(chain, covered.arrays, np.array(q)) for q in _samples(motion)),
+                (
+                    self_distance(chain, arm_spheres.arrays, np.array(q))
+                    for q in _sample_motion(motion)
+                ),
                 default=math.inf,
             )
         )
 
-    def decide(self, before: GuardDecision, inputs: GuardInputs) -> GuardDecision:
-        """Selects the motion from `inputs.begin` on.
+    def decide(self, previous: GuardDecision, inputs: GuardInputs) -> GuardDecision:
+        """Selects the trajectory from `inputs.begin` on.
 
         Args:
-            before: motion in use.
-            inputs: input.
+            previous: active decision.
+            inputs: inputs of this decision.
         """
-        look = _Look(self._chain, self._covered, inputs, self._padding, self._own(inputs.motion))
-        moves = inputs.scene.moves
-        followed = GuardDecision()
-        if inputs.on_path:
-            ahead = self._followed(inputs, 1.0)
-            free = self._evaluator(look, ahead[None])
-            contact = inputs.begin + float(free.first[0])
-            followed = replace(followed, contact=contact, obstacle=look.nearest)
-            clear = free.contact[0] == 0.0 and free.near_moving[0] <= _CLEAR
-            if clear and not self._violated(ahead, inputs):
-                return followed
-        options = [GuardDecision(*tried) for tried in _FOLLOWED if inputs.on_path]
-        followings, first = [self._followed(inputs, one.scale) for one in options], len(options)
-        q = np.array(followings).reshape(-1, _SAMPLES, len(inputs.q))
-        if moves or not inputs.on_path:
-            legs = self._maneuvers(before, inputs)
+        model = _GuardModel(
+            self._chain,
+            self._arm_spheres,
+            inputs,
+            self._padding,
+            self._verified_self_distance(inputs.motion),
+        )
+        has_moving = inputs.scene.moves
+        decision = GuardDecision()
+        if inputs.is_on_path:
+            verified = self._followed_motion(inputs, 1.0)
+            verified_costs = self._evaluate(model, verified[None])
+            contact = inputs.begin + float(verified_costs.first[0])
+            decision = replace(decision, contact=contact, obstacle=model.nearest)
+            is_clear = (
+                verified_costs.contact[0] == 0.0 and verified_costs.near_moving[0] <= _MAX_NEARNESS
+            )
+            if is_clear and not self._find_violated_claim(verified, inputs):
+                return decision
+        options = [GuardDecision(*option) for option in _FOLLOW_OPTIONS if inputs.is_on_path]
+        q_followed, n_followed = (
+            [self._followed_motion(inputs, option.scale) for option in options],
+            len(options),
+        )
+        q = np.array(q_followed).reshape(-1, _SAMPLES, len(inputs.q))
+        if has_moving or not inputs.is_on_path:
+            legs = self._maneuvers(previous, inputs)
             options += legs
-            q = np.concatenate([q, self._rolled(legs, inputs)])
-        judged = self._evaluator(look, q)
-        cost = self._cost(judged, options, q, inputs)
-        if not before.follows and len(options) > first:
-            # The first maneuver is the one in use.
-            back = float((np.abs(inputs.q - inputs.q_path) / self.speed).max())
-            cost[first] -= _HYSTERESIS * min(1.0, 2.0 * back)
-        if moves or not inputs.on_path:
-            better = self._refined(options, cost, inputs)
-            q_better = self._rolled(better, inputs)
-            q = np.concatenate([q, q_better])
-            judged_better = self._evaluator(look, q_better)
-            cost = np.append(cost, self._cost(judged_better, better, q_better, inputs))
-            options += better
-        chosen = self._selected(look, options, q, cost)
-        return replace(chosen, contact=followed.contact)
+            q = np.concatenate([q, self._roll_out(legs, inputs)])
+        costs = self._evaluate(model, q)
+        cost = self._cost(costs, options, q, inputs)
+        if not previous.follows and len(options) > n_followed:
+            # The first maneuver is the current one.
+            return_time = float((np.abs(inputs.q - inputs.q_path) / self.speed).max())
+            cost[n_followed] -= _HYSTERESIS * min(1.0, 2.0 * return_time)
+        if has_moving or not inputs.is_on_path:
+            refined = self._refine(options, cost, inputs)
+            q_refined = self._roll_out(refined, inputs)
+            q = np.concatenate([q, q_refined])
+            refined_costs = self._evaluate(model, q_refined)
+            cost = np.append(cost, self._cost(refined_costs, refined, q_refined, inputs))
+            options += refined
+        selected = self._select(model, options, q, cost)
+        return replace(selected, contact=decision.contact)
 
-    def _selected(
+    def _select(
         self,
-        look: _Look,
+        model: _GuardModel,
         options: list[GuardDecision],
         q: FloatArray,
         cost: FloatArray,
     ) -> GuardDecision:
-        """Returns the motion of least cost, that of violated claims included.
+        """Selects the trajectory of least cost, including the costs of violated claims.
 
         Args:
-            look: the arm among the solids.
-            options: N motions.
-            q: (N, T, n) configurations along them [rad].
-            cost: (N,) without claims [s].
+            model: collision model of the decision.
+            options: N trajectories.
+            q: (N, T, n) configurations along the trajectories [rad].
+            cost: (N,) costs without those of claims [s].
         """
-        inputs, least = look.inputs, math.inf
+        inputs, min_cost = model.inputs, math.inf
         claim: Claim = ""
-        chosen = self.brake(inputs.q, inputs.v)
+        selected = self.brake(inputs.q, inputs.v)
         brakes = [row for row, option in enumerate(options) if option.action == "brake"]
-        for row in [*cost.argsort()[:_TRIES].tolist(), *brakes]:
-            if cost[row] >= least:
+        for row in [*cost.argsort()[:_MAX_CLAIM_CHECKS].tolist(), *brakes]:
+            if cost[row] >= min_cost:
                 continue
-            violated = self._violated(q[row], inputs)
-            claim = claim or violated
-            if cost[row] + _VIOLATION[violated] < least:
-                least = cost[row] + _VIOLATION[violated]
-                chosen = options[row]
-        return replace(chosen, claim=claim, obstacle=look.nearest)
+            violation = self._find_violated_claim(q[row], inputs)
+            claim = claim or violation
+            if cost[row] + _VIOLATION_COSTS[violation] < min_cost:
+                min_cost = cost[row] + _VIOLATION_COSTS[violation]
+                selected = options[row]
+        return replace(selected, claim=claim, obstacle=model.nearest)
 
-    def _violated(self, q: FloatArray, inputs: GuardInputs) -> Claim:
-        """Returns the claim that a motion q (T, n) violates that is braked after one period."""
+    def _find_violated_claim(self, q: FloatArray, inputs: GuardInputs) -> Claim:
+        """Returns the claim violated by a trajectory q (T, n) that brakes after one period."""
         p, m = self._parameters, self._until_next
         if p.obstacle_speed == 0.0:
             return ""
-        follows = np.vstack([inputs.q, q[: m + 1]])
-        v = (follows[m + 1] - follows[m]) / self._interval
-        stop = self.brake(follows[m], v)
-        legs = Legs(stop.target[None], stop.speed[None], np.array([math.inf]))
-        rest = roll_out_legs(
-            np.array(follows[m]), v, legs, self.acceleration, self._step, self._every,
-            _REST,
+        followed = np.vstack([inputs.q, q[: m + 1]])
+        v = (followed[m + 1] - followed[m]) / self._interval
+        brake = self.brake(followed[m], v)
+        legs = Legs(brake.target[None], brake.speed[None], np.array([math.inf]))
+        braking = roll_out_legs(
+            np.array(followed[m]), v, legs, self.acceleration, self._step, self._every,
+            _BRAKE_SAMPLES,
         )  # fmt: skip
-        t = inputs.begin + self._interval * np.arange(float(m + 1 + _REST))
-        course = np.concatenate([follows[: m + 1], rest[0]])
-        count(configurations=len(course))
+        t = inputs.begin + self._interval * np.arange(float(m + 1 + _BRAKE_SAMPLES))
+        motion = np.concatenate([followed[: m + 1], braking[0]])
+        count(configurations=len(motion))
         return violated_claim(
-            self._chain, self._covered.arrays, t, course, inputs.scene, inputs.free_space,
+            self._chain, self._arm_spheres.arrays, t, motion, inputs.scene, inputs.free_space,
             V=p.obstacle_speed, v_unseen=p.v_unseen,
         )  # fmt: skip
 
-    def _evaluator(self, look: _Look, q: FloatArray) -> Judged:
+    def _evaluate(self, model: _GuardModel, q: FloatArray) -> MotionCosts:
+        """Computes the costs of contact and proximity of trajectories q (N, T, n) [rad]."""
         margin = self._parameters.margin_moving
-        return check_motions(look.resting, look.moving, q, self._interval, margin)
+        return evaluate_motions(model.resting, model.moving, q, self._interval, margin)
 
     def _cost(
-        self, judged: Judged, options: list[GuardDecision], q: FloatArray, inputs: GuardInputs
+        self, costs: MotionCosts, options: list[GuardDecision], q: FloatArray, inputs: GuardInputs
     ) -> FloatArray:
-        """Returns the costs (N,) of motions q (N, T, n) [s]."""
+        """Computes the total costs J (N,) of trajectories q (N, T, n) [s]."""
         horizon = self._times[-1]
-        cost = _CONTACT * judged.contact + _NEAR_MOVING * judged.near_moving
-        cost = cost + _NEAR_RESTING * judged.near_resting
-        away = np.abs(q - inputs.q_path) / self.speed
-        turn = self._turns(q, inputs)
+        cost = _CONTACT_WEIGHT * costs.contact + _MOVING_WEIGHT * costs.near_moving
+        cost = cost + _RESTING_WEIGHT * costs.near_resting
+        deviation = np.abs(q - inputs.q_path) / self.speed
+        angle = self._turns(q, inputs)
         for row, option in enumerate(options):
             if option.follows:
                 rates = self._rates(inputs, option.scale)
                 cost[row] += horizon - float(rates.sum()) * self._interval / inputs.full_rate
             else:
-                back = away[row].max(axis=1)
-                left = back[-1] + 0.3 * away[row, -1].mean()
-                cost[row] += horizon + left + float(back.sum()) * self._interval
-                cost[row] += _TURN * horizon * turn[row].mean()
-                if turn[row, 1:].max() > max(self._turn_limit, turn[row, 0]) + _SLACK:
+                return_time = deviation[row].max(axis=1)
+                time_left = return_time[-1] + 0.3 * deviation[row, -1].mean()
+                cost[row] += horizon + time_left + float(return_time.sum()) * self._interval
+                cost[row] += _TURN_WEIGHT * horizon * angle[row].mean()
+                if angle[row, 1:].max() > max(self._turn_limit, angle[row, 0]) + _DISTANCE_SLACK:
                     cost[row] = math.inf
         return np.asarray(cost)
 
     def _turns(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
-        """Returns angles (N, 1 + T / 2) of the tool to its orientation on the verified motion.
+        """Computes angles (N, 1 + T / 2) of the tool to its orientation on the verified motion.
 
-        The first is that of `inputs.q`, the others those along motions q (N, T, n) [rad].
+        Column 0 belongs to `inputs.q`, the others to every second sample of q (N, T, n) [rad].
         """
         n = q.shape[2]
-        some = np.insert(q[:, _TURN_EVERY - 1 :: _TURN_EVERY], 0, inputs.q, axis=1)
-        postures = np.vstack([some.reshape(-1, n), inputs.q_path])
-        R_WE = tool_poses(self._chain, postures)[:, :9]
-        count(steps=len(postures))
+        samples = np.insert(q[:, _TURN_STRIDE - 1 :: _TURN_STRIDE], 0, inputs.q, axis=1)
+        configurations = np.vstack([samples.reshape(-1, n), inputs.q_path])
+        R_WE = tool_poses(self._chain, configurations)[:, :9]
+        count(steps=len(configurations))
         cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
         return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(len(q), -1))
 
     # --- candidates ------------------------------------------------------------------------
 
     def _rates(self, inputs: GuardInputs, scale: float) -> FloatArray:
-        """Returns the rates ds/dt (T,) while the phase goes over to a share of full speed."""
-        change = inputs.full_rate / self._hold_time * self._times
-        wanted = scale * inputs.full_rate
-        return inputs.rate + np.clip(wanted - inputs.rate, -change, change)
+        """Computes the rates ds/dt (T,) while the phase changes to a fraction of full speed."""
+        max_change = inputs.full_rate / self._hold_time * self._times
+        target = scale * inputs.full_rate
+        return inputs.rate + np.clip(target - inputs.rate, -max_change, max_change)
 
-    def _followed(self, inputs: GuardInputs, scale: float) -> FloatArray:
-        """Returns configurations (T, n) along the verified motion at a share of its speed."""
+    def _followed_motion(self, inputs: GuardInputs, scale: float) -> FloatArray:
+        """Predicts configurations (T, n) along the verified motion at a fraction of full speed."""
         motion = inputs.motion
         if not len(motion.q):
             return np.tile(inputs.q, (_SAMPLES, 1))
         s = inputs.s + self._interval * np.cumsum(self._rates(inputs, scale))
-        away = inputs.q - motion.joints(inputs.s)
-        return np.asarray(motion.joints(s) + np.exp(-_SETTLED * self._times)[:, None] * away)
+        offset = inputs.q - motion.joints(inputs.s)
+        return np.asarray(motion.joints(s) + np.exp(-_OFFSET_DECAY * self._times)[:, None] * offset)
 
-    def _rolled(self, options: list[GuardDecision], inputs: GuardInputs) -> FloatArray:
-        """Returns configurations (N, T, n) along maneuvers."""
+    def _roll_out(self, options: list[GuardDecision], inputs: GuardInputs) -> FloatArray:
+        """Rolls out maneuvers to configurations (N, T, n) [rad]."""
         legs = Legs(
             np.stack([option.target for option in options]),
             np.stack([option.speed for option in options]),
@@ -362,22 +393,22 @@ class GuardSearch:
         )
         count(steps=len(options) * _SAMPLES * self._every)
         return roll_out_legs(
-            np.array(inputs.q), np.array(inputs.v), legs, self.acceleration, self._step, self._every,
-            _SAMPLES,
+            np.array(inputs.q), np.array(inputs.v), legs, self.acceleration, self._step,
+            self._every, _SAMPLES,
         )  # fmt: skip
 
     def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Returns the configuration (n,) in which full braking ends [rad]."""
-        rest = q + np.sign(v) * v**2 / (2.0 * self.acceleration)
-        return np.asarray(np.clip(rest, self._lower, self._upper))
+        q_rest = q + np.sign(v) * v**2 / (2.0 * self.acceleration)
+        return np.asarray(np.clip(q_rest, self._lower, self._upper))
 
     def advance(self, maneuver: GuardDecision, x: FloatArray, time: float) -> None:
-        """Moves joints x (2n,) by a step of a maneuver, in place.
+        """Advances a joint state, in place, by one step of a maneuver.
 
         Args:
-            maneuver: with its two legs.
-            x: positions [rad] and velocities [rad/s].
-            time: beginning of the step [s].
+            maneuver: decision with two legs.
+            x: (2n,) positions [rad] and velocities [rad/s].
+            time: time at the start of the step [s].
         """
         q, v = np.split(x, 2)
         leg = int(time >= maneuver.switch)
@@ -385,146 +416,194 @@ class GuardSearch:
         advance_leg(q, v, target, speed, self.acceleration, self._step)
 
     def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
-        """Returns the maneuver that brings the arm to rest from a joint state (n,), (n,)."""
-        return _legs("brake", self.stop(q, v), self.speed)
+        """Returns the braking maneuver from a joint state (n,) [rad], (n,) [rad/s]."""
+        return _maneuver("brake", self.stop(q, v), self.speed)
 
-    def _maneuvers(self, before: GuardDecision, inputs: GuardInputs) -> list[GuardDecision]:
-        """Returns maneuvers, the one in use first if there is one."""
+    def _maneuvers(self, previous: GuardDecision, inputs: GuardInputs) -> list[GuardDecision]:
+        """Returns candidate maneuvers, the current one first if a maneuver is active."""
         p, begin = self._parameters, inputs.begin
-        rng = np.random.default_rng([p.seed, inputs.number])
-        full = self.speed * inputs.speed_fraction
-        rest, path = self.stop(inputs.q, inputs.v), inputs.q_path
-        found = [] if before.follows else [before]
-        found.append(_legs("brake", rest, full))
-        found += [
-            _legs("evade", path, _synchronized(inputs.q, path, full, share))
-            for share in (1.0, 0.6, 0.3, 0.12)
+        rng = np.random.default_rng([p.seed, inputs.decision_count])
+        max_speed = self.speed * inputs.speed_fraction
+        q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
+        maneuvers = [] if previous.follows else [previous]
+        maneuvers.append(_maneuver("brake", q_rest, max_speed))
+        maneuvers += [
+            _maneuver("evade", q_path, _synchronized_speeds(inputs.q, q_path, max_speed, fraction))
+            for fraction in (1.0, 0.6, 0.3, 0.12)
         ]
         for wait in (0.3, 0.6):
-            back = _synchronized(rest, path, full, 0.9)
-            found.append(_legs("evade", rest, full, path, back, begin + wait))
-        n = len(rest)
-        while len(found) < p.candidates:
+            return_speed = _synchronized_speeds(q_rest, q_path, max_speed, 0.9)
+            maneuvers.append(
+                _maneuver("evade", q_rest, max_speed, q_path, return_speed, begin + wait)
+            )
+        n = len(q_rest)
+        while len(maneuvers) < p.candidates:
             kind = rng.integers(4)
             if kind == 0:
-                target = rest + rng.normal(size=n) * rng.choice([0.15, 0.4, 0.9])
+                target = q_rest + rng.normal(size=n) * rng.choice([0.15, 0.4, 0.9])
             elif kind == 1:
-                turned = rng.random(n) < 0.5
-                target = rest + turned * rng.normal(size=n) * rng.choice([0.4, 1.0])
+                is_moved = rng.random(n) < 0.5
+                target = q_rest + is_moved * rng.normal(size=n) * rng.choice([0.4, 1.0])
             elif kind == 2:
                 target = rng.uniform(self._lower, self._upper)
             else:
-                target = rest + rng.uniform(0.0, 0.6) * (path - rest)
+                target = q_rest + rng.uniform(0.0, 0.6) * (q_path - q_rest)
                 target = target + rng.normal(size=n) * rng.choice([0.2, 0.5])
             target = np.clip(target, self._lower, self._upper)
             if rng.random() < 0.5:
-                found.append(_legs("evade", target, full))
+                maneuvers.append(_maneuver("evade", target, max_speed))
             else:
-                back = _synchronized(target, path, full, rng.choice([0.5, 1.0]))
+                return_speed = _synchronized_speeds(
+                    target, q_path, max_speed, rng.choice([0.5, 1.0])
+                )
                 switch = begin + rng.uniform(0.1, 0.9)
-                found.append(_legs("evade", target, full, path, back, switch))
-        return found
+                maneuvers.append(
+                    _maneuver("evade", target, max_speed, q_path, return_speed, switch)
+                )
+        return maneuvers
 
-    def _refined(
+    def _refine(
         self, options: list[GuardDecision], cost: FloatArray, inputs: GuardInputs
     ) -> list[GuardDecision]:
-        """Returns variations of the best maneuvers."""
-        rng = np.random.default_rng([self._parameters.seed, inputs.number, 1])
+        """Returns random variations of the maneuvers of least cost."""
+        rng = np.random.default_rng([self._parameters.seed, inputs.decision_count, 1])
         ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
-        n, found = len(inputs.q), []
+        n, refined = len(inputs.q), []
         for i in range(self._parameters.refinements):
-            parent = options[ranked[i % min(_PARENTS, len(ranked))]]
+            parent = options[ranked[i % min(_N_PARENTS, len(ranked))]]
             target = parent.target[0] + rng.normal(size=n) * rng.choice([0.05, 0.2])
             target = np.clip(target, self._lower, self._upper)
             is_single = bool((parent.target[0] == parent.target[1]).all())
-            last = target if is_single else parent.target[1]
+            second = target if is_single else parent.target[1]
             switch = parent.switch
             if math.isfinite(switch):
                 switch = max(inputs.begin, switch + 0.1 * rng.normal())
-            found.append(_legs("evade", target, parent.speed[0], last, parent.speed[1], switch))
-        return found
+            refined.append(
+                _maneuver("evade", target, parent.speed[0], second, parent.speed[1], switch)
+            )
+        return refined
 
 
-def _legs(
+def _maneuver(
     action: Action,
     first: FloatArray,
     speed: FloatArray,
-    last: FloatArray | None = None,
-    last_speed: FloatArray | None = None,
+    second: FloatArray | None = None,
+    second_speed: FloatArray | None = None,
     switch: float = math.inf,
 ) -> GuardDecision:
-    """Returns a maneuver of one leg, or of two."""
-    if last is None or last_speed is None:
-        last, last_speed = first, speed
+    """Returns a maneuver of two legs; without a second target, of one leg."""
+    if second is None or second_speed is None:
+        second, second_speed = first, speed
     return GuardDecision(
-        action, 0.0, np.array([first, last]), np.array([speed, last_speed]), switch
+        action, 0.0, np.array([first, second]), np.array([speed, second_speed]), switch
     )
 
 
-def _synchronized(q: FloatArray, target: FloatArray, speed: FloatArray, share: float) -> FloatArray:
-    """Returns speeds (n,) at which all joints arrive together, at a share of the fastest."""
-    way = np.abs(target - q)
-    seconds = max(float((way / speed).max()), 1e-3) / share
-    return np.asarray(np.clip(way / seconds, 0.02, speed))
+def _synchronized_speeds(
+    q: FloatArray, target: FloatArray, speed: FloatArray, fraction: float
+) -> FloatArray:
+    """Computes joint speeds (n,) with which all joints arrive at a target at the same time [rad/s].
+
+    Args:
+        q, target: (n,) current and target configuration [rad].
+        speed: (n,) maximum joint speeds [rad/s].
+        fraction: fraction of the fastest synchronized speeds.
+    """
+    distance = np.abs(target - q)
+    seconds = max(float((distance / speed).max()), 1e-3) / fraction
+    return np.asarray(np.clip(distance / seconds, 0.02, speed))
 
 
-def _samples(motion: PlannedMotion) -> FloatArray:
-    """Returns up to about 80 configurations (M, n) along a motion [rad]."""
+def _sample_motion(motion: PlannedMotion) -> FloatArray:
+    """Returns about 80 configurations (M, n), or all if fewer, along a planned motion [rad]."""
     return motion.q[:: max(len(motion.q) // 80, 1)]
 
 
-class _Look:
-    """Arm among the solids of one observation, with the clearances required of both kinds."""
+class _GuardModel:
+    """Collision models of one decision, for resting and for moving obstacles.
+
+    With d_gk(q) the distance of group g to geometry k, and protrusion_g that of the spheres from
+    their body, the required clearances are
+
+        resting:  min( 4 mm, d_gk(q_now) - 2 mm,
+                       max( min over verified motion of d_gk - 5 mm, -protrusion_g ) )
+        moving:   min( padding + 12 mm, d_gk(q_now) - 2 mm )
+
+    so that a maneuver never requires more than the current configuration or the verified motion
+    achieves. The requirement for the self-distance is reduced likewise.
+
+    Attributes:
+        inputs: inputs of the decision.
+        resting, moving: collision models with these clearances.
+    """
 
     def __init__(
         self,
         chain: Chain,
-        covered: ArmSpheres,
+        arm_spheres: ArmSpheres,
         inputs: GuardInputs,
         padding: float,
-        least_own: float,
+        verified_self_distance: float,
     ) -> None:
         """Computes the required clearances.
 
-        Of group g and resting solid k: the least of `_TOUCH_RESTING`, the present distance less
-        a slack, and what the verified motion keeps less a slack, or the depth by which the
-        spheres stick out if that is less; likewise of the arm to itself, `least_own` being what the
-        verified motion keeps. Of moving solids: `padding + _TOUCH_MOVING`, or the
-        present distance less a slack.
+        Args:
+            chain, arm_spheres: kinematics and spheres of the arm.
+            inputs: inputs of the decision.
+            padding: position uncertainty of moving obstacles [m].
+            verified_self_distance: minimum self-distance of the verified motion [m].
         """
         self.inputs = inputs
-        spheres, geometries = covered.arrays, inputs.scene.geometries
-        moves = geometries.moving
-        self._now = group_distances(
+        spheres, geometries = arm_spheres.arrays, inputs.scene.geometries
+        is_moving = geometries.moving
+        self._distances = group_distances(
             chain, spheres, geometries, np.array(inputs.q)[None], inputs.begin, math.inf
         )
-        fixed = spheres.group_joint < 0
-        rest = np.minimum(_TOUCH_RESTING, self._now - _SLACK)
-        path = _samples(inputs.motion).reshape(-1, len(inputs.q))
+        is_fixed = spheres.group_joint < 0
+        resting = np.minimum(_RESTING_CONTACT_DISTANCE, self._distances - _DISTANCE_SLACK)
+        path = _sample_motion(inputs.motion).reshape(-1, len(inputs.q))
         path = np.ascontiguousarray(np.vstack([inputs.q_path[None], path]))
-        most = _TOUCH_RESTING + 0.1
-        kept = group_distances(chain, spheres, geometries, path, inputs.begin, most)
-        rest = np.minimum(rest, np.maximum(kept - _KEPT, -covered.protrusion[:, None]))
-        rest[:, moves] = -np.inf
-        near = np.minimum(padding + _TOUCH_MOVING, self._now - _SLACK)
-        near[:, ~moves] = -np.inf
-        rest[fixed] = near[fixed] = -np.inf
-        own = [float(self_distance(chain, spheres, np.array(q))) for q in (inputs.q, inputs.q_path)]
-        of_self = min(_SELF, min(own) - 1e-3, least_own - _SLACK)
-        tool = np.zeros(len(fixed), dtype=bool)
+        max_distance = _RESTING_CONTACT_DISTANCE + 0.1
+        verified_distances = group_distances(
+            chain, spheres, geometries, path, inputs.begin, max_distance
+        )
+        resting = np.minimum(
+            resting,
+            np.maximum(verified_distances - _VERIFIED_SLACK, -arm_spheres.protrusion[:, None]),
+        )
+        resting[:, is_moving] = -np.inf
+        moving = np.minimum(padding + _MOVING_CONTACT_DISTANCE, self._distances - _DISTANCE_SLACK)
+        moving[:, ~is_moving] = -np.inf
+        resting[is_fixed] = moving[is_fixed] = -np.inf
+        self_distances = [
+            float(self_distance(chain, spheres, np.array(q))) for q in (inputs.q, inputs.q_path)
+        ]
+        of_self = min(
+            _SELF_CLEARANCE, min(self_distances) - 1e-3, verified_self_distance - _DISTANCE_SLACK
+        )
+        is_tool = np.zeros(len(is_fixed), dtype=bool)
         self.resting = ArmCollisionModel(
-            chain, spheres, geometries, ClearanceRequirements(rest, of_self, tool), inputs.begin
+            chain,
+            spheres,
+            geometries,
+            ClearanceRequirements(resting, of_self, is_tool),
+            inputs.begin,
         )
         self.moving = ArmCollisionModel(
-            chain, spheres, geometries, ClearanceRequirements(near, -np.inf, tool), inputs.begin
+            chain,
+            spheres,
+            geometries,
+            ClearanceRequirements(moving, -np.inf, is_tool),
+            inputs.begin,
         )
-        self._moves, self._fixed = moves, fixed
+        self._is_moving, self._is_fixed = is_moving, is_fixed
 
     @cached_property
     def nearest(self) -> str:
-        """Label of the moving solid that is nearest to the arm now; "": none moves."""
-        if not self._moves.any():
+        """Label of the moving obstacle nearest to the current configuration; "": none moves."""
+        if not self._is_moving.any():
             return ""
-        distance = self._now[~self._fixed].min(axis=0, initial=math.inf)
-        row = int(np.where(self._moves, distance, np.inf).argmin())
+        distances = self._distances[~self._is_fixed].min(axis=0, initial=math.inf)
+        row = int(np.where(self._is_moving, distances, np.inf).argmin())
         return self.inputs.scene.labels[row]

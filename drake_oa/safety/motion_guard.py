@@ -1,4 +1,4 @@
-"""The safety layer: the arm's commanded motion, on the verified one or away from an obstacle."""
+"""Motion guard: commands the arm's joints on the verified motion, or on an evasive maneuver."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.joint_motions import approach, track
 from drake_oa.safety.maneuvers import (
-    ARRIVED,
-    AT_REST,
+    ON_PATH_DEVIATION,
+    REST_SPEED,
     GuardDecision,
     GuardInputs,
     GuardSearch,
@@ -51,26 +51,31 @@ from drake_oa.safety.supervision import (
 )
 
 _logger = logging.getLogger("drake_oa")
-_RATE = 20.0
-"""Rate at which the null space converges to the desired posture [1/s]."""
-_CARRY, _CARRIED = 0.1, 5e-4
-"""Time constant with which the desired position follows the tool [s], and distance at which it
-rests, so that the motion to be planned keeps its start [m]."""
-_PATIENCE, _PROGRESS = 1.0, 0.02
-"""Time in which the arm comes no nearer to the verified motion by so much, after which it stops
-and a new one is planned from there [s, rad]."""
-_LONGEST_WAIT = 5.0
-"""Time for which such a motion is awaited before the arm tries to return again [s]."""
-_STILL = 0.01
-"""Joint speed below which the arm waits [rad/s]."""
-_FOUND = 0.03
-"""Error of the tool below which a desired pose is that of the arm at rest [m, rad]."""
-_DAMPING, _FEEDBACK = 0.1, 0.6
-"""Damping over stiffness of the joint controller [s], and share of `contact_error` above which the
-error by the controller's feedback torque counts as contact."""
-_LATE = 3.0
-"""Number of periods after which the arm brakes because no newer decision is in force."""
-_SAID = {"slow": "slows", "hold": "holds", "stop": "stops"}
+_NULL_SPACE_RATE = 20.0
+"""Rate at which the null space converges to the nominal posture [1/s]."""
+_SHIFT_TIME = 0.1
+"""Time constant with which the desired position converges to the tool of a stuck arm [s]."""
+_SHIFT_TOLERANCE = 5e-4
+"""Distance to the tool at which the desired position stops, so that replanning has a fixed start
+[m]."""
+_PROGRESS_TIMEOUT = 1.0
+"""Time without progress toward the verified motion after which the arm is stuck [s]."""
+_MIN_PROGRESS = 0.02
+"""Minimum decrease of the deviation from the verified motion that counts as progress [rad]."""
+_MAX_WAIT = 5.0
+"""Maximum time for which a stuck arm waits for a new motion before it tries to return [s]."""
+_REST_SPEED = 0.01
+"""Joint speed below which the arm counts as at rest [rad/s]."""
+_POSE_TOLERANCE = 0.03
+"""Maximum error between the desired tool pose and the pose of the arm at rest [m, rad]."""
+_DAMPING = 0.1
+"""Ratio of damping to stiffness of the joint controller [s]."""
+_FEEDBACK_FRACTION = 0.6
+"""Fraction of `contact_error` that is the contact threshold for the feedback torque."""
+_MAX_PERIODS = 3.0
+"""Number of periods without a newer decision after which the arm brakes."""
+_VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
+"""Verbs of the supervisor's actions in log messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +83,18 @@ class GuardState(Frozen):
     """State of the guard between two steps.
 
     Attributes:
-        end: time of the next step [s].
-        x: (2n,) commanded joint state then [rad, rad/s].
-        acceleration: (n,) commanded until then [rad/s^2].
-        path: (2n,) joint state on the verified motion at the end, at its phase [rad, rad/s].
-        carry: (3,) velocity by which the desired position is displaced to the tool [m/s].
-        pending: the decision in force, and the pending one.
-        lost_since: time since which the arm comes no nearer to the verified motion that it has left
-            [s]; inf: it does, or has not left it.
-        nearest: least distance of the joints to it since then [rad].
-        expires: time at which the decision in force is too old [s].
-        slow_until: time until which the arm moves slowly after a contact [s].
-        number: of decisions so far.
+        end: end time of the current step [s].
+        x: (2n,) commanded joint state at the end of the step [rad, rad/s].
+        acceleration: (n,) commanded acceleration during the step [rad/s^2].
+        path: (2n,) joint state on the verified motion at the end of the step [rad, rad/s].
+        shift_velocity: (3,) velocity that moves the desired position to the tool [m/s].
+        pending: active and pending decision.
+        stuck_since: time since which the arm makes no progress toward the verified motion [s]; inf:
+            it makes progress, or is on this motion.
+        min_deviation: minimum joint deviation from the verified motion since then [rad].
+        expiry: time at which the active decision is too old [s].
+        slow_until: time until which the speed is limited after a contact [s].
+        decision_count: number of decisions so far.
         supervision: state of the monitors.
     """
 
@@ -97,25 +102,25 @@ class GuardState(Frozen):
     x: FloatArray = zeros(0)
     acceleration: FloatArray = zeros(0)
     path: FloatArray = zeros(0)
-    carry: FloatArray = zeros(3)
+    shift_velocity: FloatArray = zeros(3)
     pending: PendingDecision[GuardDecision] = field(
         default_factory=lambda: PendingDecision(GuardDecision())
     )
-    lost_since: float = math.inf
-    nearest: float = math.inf
-    expires: float = math.inf
+    stuck_since: float = math.inf
+    min_deviation: float = math.inf
+    expiry: float = math.inf
     slow_until: float = -math.inf
-    number: int = 0
+    decision_count: int = 0
     supervision: Supervision = field(default_factory=Supervision)
 
     @property
     def decision(self) -> GuardDecision:
-        """Decision in force."""
+        """Active decision."""
         return self.pending.active
 
     @property
     def speed_scale(self) -> float:
-        """Share of full speed at which the phase runs."""
+        """Speed scale of the phase, in [0, 1]: fraction of its full rate."""
         return self.supervision.speed_scale if self.decision.follows else 0.0
 
     @property
@@ -124,27 +129,27 @@ class GuardState(Frozen):
         return float(np.abs(self.x[len(self.x) // 2 :]).max())
 
     @property
-    def is_lost(self) -> bool:
-        """Whether the arm waits for a new motion from where it is."""
-        return self.end - self.lost_since > _PATIENCE
+    def is_stuck(self) -> bool:
+        """Whether the arm waits for a new motion that starts at its current configuration."""
+        return self.end - self.stuck_since > _PROGRESS_TIMEOUT
 
     @property
-    def on_path(self) -> bool:
-        """Whether the commanded motion is the verified one, or rests on it."""
+    def is_on_path(self) -> bool:
+        """Whether the command follows the verified motion, or rests on it."""
         n = len(self.path) // 2
-        near = bool((np.abs(self.x - self.path)[:n] <= ARRIVED).all())
-        return self.decision.follows or (self.speed <= AT_REST and near and not self.is_lost)
+        is_near = bool((np.abs(self.x - self.path)[:n] <= ON_PATH_DEVIATION).all())
+        return self.decision.follows or (self.speed <= REST_SPEED and is_near and not self.is_stuck)
 
     def at(self, time: float) -> FloatArray:
-        """Computes the joint state (2n,) at a time of the step that ends at `end`."""
-        since = min(time - self.end, 0.0)
+        """Computes the commanded joint state (2n,) at a time within the current step [s]."""
+        elapsed = min(time - self.end, 0.0)
         q, v = np.split(self.x, 2)
-        q = q + since * v + 0.5 * since**2 * self.acceleration
-        return np.append(q, v + since * self.acceleration)
+        q = q + elapsed * v + 0.5 * elapsed**2 * self.acceleration
+        return np.append(q, v + elapsed * self.acceleration)
 
 
 class MotionGuard(LeafSystem):
-    """Command of the arm's joints: the verified motion, or a maneuver away from obstacles.
+    """System that commands the arm's joints on the verified motion or on an evasive maneuver.
 
     .. pydrake_system::
 
@@ -178,24 +183,28 @@ class MotionGuard(LeafSystem):
 
     - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
     - policy_state: abstract `PolicyState` of the movement primitive.
-    - desired_position, desired_velocity: (3,) of the tool point in the world frame [m, m/s].
+    - desired_position, desired_velocity: (3,) position and velocity of the tool point in the world
+      frame [m, m/s].
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE.
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
-    - desired_posture: (2n,) posture that the null space follows [rad, rad/s].
+    - desired_posture: (2n,) nominal posture of the null space, and its velocity [rad, rad/s].
     - motion: abstract `PlannedMotion`, the verified motion q(s).
     - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot.
-    - free_space_W (optional): abstract `FreeSpace`; not connected: all space outside the solids.
-    - demonstration (optional): abstract `Demonstration` that the motion imitates.
-    - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0.
-    - desired_joint_state: (2n,) of the arm's joints [rad, rad/s].
-    - desired_joint_acceleration: (n,) [rad/s^2].
-    - speed_scale: (1,) share of full speed for `DmpIntegrator`, in [0, 1].
-    - evasion_velocity: (3,) velocity in the world [m/s] by which `DmpIntegrator` displaces its motion to the
-      tool during a maneuver; 0 otherwise.
+    - free_space_W (optional): abstract `FreeSpace`. Not connected: all space outside collision
+      geometry counts as free.
+    - demonstration (optional): abstract `Demonstration` that the motion imitates. Not connected:
+      the duration of the motion is the constructor's.
+    - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0. Not
+      connected: never saturated.
+    - desired_joint_state: (2n,) commanded state of the arm's joints [rad, rad/s].
+    - desired_joint_acceleration: (n,) commanded acceleration of the arm's joints [rad/s^2].
+    - speed_scale: (1,) speed scale for `DmpIntegrator`, in [0, 1].
+    - evasion_velocity: (3,) velocity in the world frame by which `DmpIntegrator` shifts its motion
+      to the tool of a stuck arm [m/s]; 0 otherwise.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
-    - decision: (2,) time at which the last decision began and its duration [s].
-    - path_state: (2m,) state of the robot with its arm on the verified motion at the present
-      phase, from which `MotionVerifier` predicts [rad, m, rad/s, m/s].
+    - decision: (2,) start time and compute latency of the last decision [s].
+    - path_state: (2m,) robot state with the arm on the verified motion at the current phase: the
+      start of the predictions of `MotionVerifier` [rad, m, rad/s, m/s].
     - tracking_error: (3,) desired minus actual position of the tool point [m].
     - orientation_error: (3,) rotation vector from the actual to the desired orientation [rad].
     - guard_action: (1,) row of `drake_oa.safety.maneuvers.ACTIONS`.
@@ -203,26 +212,29 @@ class MotionGuard(LeafSystem):
     - guard_claim: (1,) row of `drake_oa.safety.passive_safety.CLAIMS`: the claim that limits the
       speed.
 
-    While no maneuver is active, the commanded joints have the tool at the desired pose, by a
-    damped Gauss-Newton step each `step`, and their null space follows the posture. Each `period`
+    While no maneuver is active, a damped Gauss-Newton step in each step of the command places the
+    tool at the desired pose, and the null space follows the nominal posture. Once per `period`,
     `drake_oa.safety.maneuvers` compares this motion with slower ones and, if obstacles move, with
-    maneuvers. During a maneuver the phase rests; then the arm returns to the motion. If it comes no
-    nearer to it for 1 s, the arm stops, the desired position follows the tool, and a motion that
-    begins there is awaited. Where no newer decision comes into force in time, the phase or the arm
-    comes to rest.
+    evasive maneuvers. The phase rests during a maneuver; afterwards the arm returns to the motion.
+    An arm without progress for 1 s is stuck: it stops, the desired position moves to the tool, and
+    the guard waits for a new motion from there. If no newer decision becomes active in time, the
+    phase or the arm comes to rest.
 
-    Contact reaction: where the error e of a joint exceeds `contact_error`, or e + (kd / kp) de/dt
-    0.6 times as much, the command begins anew at rest at the measured configuration, and for
-    `contact_time` no point of the arm moves faster than `v_unseen`. The second sum is the torque of
-    the controller's feedback over kp M, a residual torque: at most 0.003 rad without contact, and
-    0.01 rad with a wrong model of the arm.
+    Contact reaction, with the error e between measured and commanded joint position, and gains kp,
+    kd of the joint controller. It is triggered by
+
+        |e| > contact_error   or   |e + (kd / kp) de/dt| > 0.6 contact_error
+
+    The command then restarts at rest from the measured configuration, and for `contact_time` no
+    point of the arm moves faster than `v_unseen`. The second term is the feedback torque over
+    kp M, a residual: at most 0.003 rad without contact, and 0.01 rad with a wrong model of the arm.
     """
 
     def __init__(
         self,
         robot: RobotPlant,
         chain: Chain,
-        covered: ArmSpheres,
+        arm_spheres: ArmSpheres,
         duration: float,
         q_start: FloatArray,
         *,
@@ -236,16 +248,16 @@ class MotionGuard(LeafSystem):
         """Declares the ports.
 
         Args:
-            robot: the robot alone, with joints of one degree of freedom.
-            chain, covered: its arm.
-            duration: T of the movement primitive [s].
-            q_start: (n,) command before the initialization [rad].
-            config: of the policy: its period is the time between steps of the commanded motion.
-            parameters: of the search, the contact reaction and the monitors.
+            robot: plant of the robot alone, with joints of one degree of freedom.
+            chain, arm_spheres: kinematics and spheres of the arm.
+            duration: duration T of the movement primitive [s].
+            q_start: (n,) commanded configuration before initialization [rad].
+            config: configuration of the policy; its period is the step of the command.
+            parameters: parameters of the search, the contact reaction and the monitors.
             period: time between decisions [s].
-            padding: distance by which moving obstacles may be nearer than observed [m].
-            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: any.
-            compute_latency: simulated duration of decisions; None: they act immediately.
+            padding: position uncertainty of moving obstacles, added to their clearance [m].
+            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: no limit.
+            compute_latency: simulated compute latency; None: decisions are active at once.
 
         Raises:
             ValueError: if a duration or period is not positive and finite.
@@ -256,13 +268,16 @@ class MotionGuard(LeafSystem):
         self._duration, self._config = valid_period(duration), config
         self._period, self._parameters = valid_period(period), parameters
         self._compute_latency, self._step_length = compute_latency, config.period
-        self._fresh = min(parameters.stale_frames * period, 0.9 * config.max_observation_age)
+        self._max_fresh_age = min(
+            parameters.stale_frames * period, 0.9 * config.max_observation_age
+        )
         self._search = GuardSearch(
-            chain, covered, config=config, period=period, padding=padding, turn_limit=turn_limit,
+            chain, arm_spheres, config=config, period=period, padding=padding,
+            turn_limit=turn_limit,
             parameters=parameters,
         )  # fmt: skip
         reach = float(chain.reach @ self._search.speed)
-        self._slow_share = min(1.0, parameters.v_unseen / max(reach, 1e-9))
+        self._slow_fraction = min(1.0, parameters.v_unseen / max(reach, 1e-9))
         self._n = n = len(self._joints)
 
         self._robot = self.DeclareVectorInputPort("robot_state", 2 * self._size)
@@ -273,21 +288,21 @@ class MotionGuard(LeafSystem):
         self._angular = self.DeclareVectorInputPort("desired_angular_velocity", 3)
         self._posture = self.DeclareVectorInputPort("desired_posture", 2 * n)
         self._motion = AbstractInput(self, "motion", PlannedMotion)
-        self._solids = AbstractInput(self, "collision_scene_W", CollisionScene)
+        self._collision_scene = AbstractInput(self, "collision_scene_W", CollisionScene)
         self._free_space = AbstractInput(self, "free_space_W", FreeSpace)
-        self._shown = AbstractInput(self, "demonstration", Demonstration)
+        self._demonstration = AbstractInput(self, "demonstration", Demonstration)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
 
-        rest = np.append(q_start, np.zeros(n))
+        rest_state = np.append(q_start, np.zeros(n))
         self._state = self.DeclareAbstractState(
-            Value(GuardState(x=rest, path=rest, acceleration=np.zeros(n)))
+            Value(GuardState(x=rest_state, path=rest_state, acceleration=np.zeros(n)))
         )
-        own = {self.time_ticket(), self.abstract_state_ticket(self._state)}
-        measured = own | {
+        internal = {self.time_ticket(), self.abstract_state_ticket(self._state)}
+        measured = internal | {
             port.ticket() for port in (self._robot, self._position, self._orientation)
         }
-        for name, size, calc, of in (
-            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time()), own),
+        for name, size, calc, tickets in (
+            ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time()), internal),
             ("path_state", 2 * self._size, self._path_state, measured),
             ("tracking_error", 3, lambda c: self._tool_error(c)[:3], measured),
             ("orientation_error", 3, lambda c: self._tool_error(c)[3:], measured),
@@ -296,15 +311,15 @@ class MotionGuard(LeafSystem):
                 name,
                 size,
                 lambda context, output, calc=calc: output.SetFromVector(calc(context)),
-                of,
+                tickets,
             )
         declare_state_outputs(
             self,
             self._state,
             ("desired_joint_acceleration", n, "acceleration"),
             ("speed_scale", 1, "speed_scale"),
-            ("evasion_velocity", 3, "carry"),
-            ("decision", 2, "pending.last"),
+            ("evasion_velocity", 3, "shift_velocity"),
+            ("decision", 2, "pending.timing"),
             ("guard_action", 1, "decision.action_number"),
             ("guard_contact", 1, "decision.contact"),
             ("guard_claim", 1, "decision.claim_number"),
@@ -320,221 +335,256 @@ class MotionGuard(LeafSystem):
         return context.get_abstract_state(self._state).get_value()
 
     def _path_state(self, context: Context) -> FloatArray:
+        """Returns the value (2m,) of the port path_state."""
         x, state = self._robot.Eval(context).copy(), self._read(context)
-        if not state.on_path and not state.is_lost:
+        if not state.is_on_path and not state.is_stuck:
             x[self._index] = state.path[: self._n]
             x[self._size + self._index] = state.path[self._n :]
         return x
 
     def _scene(self, context: Context) -> CollisionScene:
-        scene = self._solids.read(context)
-        return scene if scene.is_finite else CollisionScene(note="the solids are not finite")
+        """Returns the collision scene; one without observation if the input is not finite."""
+        scene = self._collision_scene.read(context)
+        note = "the collision scene is not finite"
+        return scene if scene.is_finite else CollisionScene(note=note)
 
     def _arm_state(self, context: Context) -> tuple[FloatArray, FloatArray]:
-        """Returns positions and velocities of the arm's joints, (n,) each."""
+        """Returns measured positions (n,) [rad] and velocities (n,) [rad/s] of the arm's joints."""
         x = self._robot.Eval(context)
         return x[self._index], x[self._size + self._index]
 
     def _desired_pose(self, context: Context) -> FloatArray:
+        """Returns the desired tool pose (12,): rotation, row by row, and position [m]."""
         return np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
 
     def _tool_error(self, context: Context) -> FloatArray:
-        """Returns position and rotation vector from the actual to the desired pose (6,)."""
+        """Computes position error and rotation vector (6,) from actual to desired tool pose."""
         q, _ = self._arm_state(context)
         return _pose_error(self._desired_pose(context), tool_poses(self._chain, q[None])[0])
 
     # --- steps -----------------------------------------------------------------------------
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
-        held, time = state.get_mutable_abstract_state(self._state), context.get_time()
-        before: GuardState = held.get_value()
-        if before.end > -math.inf:
-            # A motion under way, in a Context that another simulator takes over.
+        value, time = state.get_mutable_abstract_state(self._state), context.get_time()
+        previous: GuardState = value.get_value()
+        if previous.end > -math.inf:
+            # The Context of a running motion, taken over by another Simulator.
             return EventStatus.DidNothing()
         q, _ = self._arm_state(context)
-        rest = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else before.x
-        held.set_value(replace(before, x=rest, path=rest, end=time))
+        rest_state = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else previous.x
+        value.set_value(replace(previous, x=rest_state, path=rest_state, end=time))
         return EventStatus.Succeeded()
 
     def _step(self, context: Context, state: State) -> None:
-        held = state.get_mutable_abstract_state(self._state)
-        before: GuardState = held.get_value()
+        value = state.get_mutable_abstract_state(self._state)
+        current: GuardState = value.get_value()
         time = context.get_time()
         q, v = self._arm_state(context)
         if not math.isfinite(self._robot.Eval(context).sum()):
-            supervision = before.supervision.faulted("the robot state is not finite", time)
-            held.set_value(replace(before, supervision=supervision))
+            supervision = current.supervision.latch_fault("the robot state is not finite", time)
+            value.set_value(replace(current, supervision=supervision))
             return
-        if before.pending.completed(time) is not None:
-            before = self._active(replace(before, pending=before.pending.activated()), time)
-        before = self._reacted(before, q, v, time)
+        if current.pending.result_at(time) is not None:
+            current = self._activate(replace(current, pending=current.pending.activate()), time)
+        current = self._react_to_contact(current, q, v, time)
         scene = self._scene(context)
-        before = self._supervised(context, before, scene, time)
-        if time > before.expires and not before.decision.follows:
-            before = self._braked(before, before.x)
-        held.set_value(self._advanced(context, before, time, moves=scene.moves))
+        current = self._supervise(context, current, scene, time)
+        if time > current.expiry and not current.decision.follows:
+            current = self._brake(current, current.x)
+        value.set_value(self._advance(context, current, time, has_moving=scene.moves))
 
-    def _braked(self, state: GuardState, x: FloatArray) -> GuardState:
-        """Returns the state in which the arm brakes from a joint state (2n,)."""
-        stop = self._search.brake(*np.split(x, 2))
-        pending = replace(state.pending.discarded(), active=stop)
-        return replace(state, pending=pending, expires=math.inf)
+    def _brake(self, state: GuardState, x: FloatArray) -> GuardState:
+        """Returns the guard state in which the arm brakes from a joint state (2n,)."""
+        maneuver = self._search.brake(*np.split(x, 2))
+        pending = replace(state.pending.discard(), active=maneuver)
+        return replace(state, pending=pending, expiry=math.inf)
 
-    def _active(self, after: GuardState, time: float) -> GuardState:
-        """Returns the state with a new decision in force; a brake begins at the present state."""
-        if after.decision.action == "brake":
-            # The end predicted for another time is overshot, and the arm would return to it.
-            target = self._search.brake(*np.split(after.x, 2)).target
-            stop = replace(after.decision, target=target)
-            after = replace(after, pending=replace(after.pending, active=stop))
-        rests = after.decision.follows and after.decision.scale == 0.0
-        late = time + _LATE * self._period + after.pending.cost
-        return replace(after, expires=math.inf if rests else late)
+    def _activate(self, state: GuardState, time: float) -> GuardState:
+        """Returns the guard state with the expiry of a newly active decision.
 
-    def _reacted(self, state: GuardState, q: FloatArray, v: FloatArray, time: float) -> GuardState:
-        """Returns the state after a check for contact by the joint state (n,), (n,)."""
-        n = self._n
-        error = q - state.x[:n]
-        ahead = np.abs(error + _DAMPING * (v - state.x[n:]))
-        if max(np.abs(error).max(), ahead.max() / _FEEDBACK) <= self._parameters.contact_error:
-            return state
-        if time > state.slow_until:
-            joint = self._joints[int(ahead.argmax())]
-            _logger.warning("t=%.3f s: contact: %s is pushed by %.3f rad", time, joint, ahead.max())
-        rest = np.append(q, np.zeros(n))
-        state = replace(state, x=rest, slow_until=time + self._parameters.contact_time)
-        return self._braked(state, rest)
+        A braking maneuver is recomputed from the current joint state.
+        """
+        if state.decision.action == "brake":
+            # The arm would overshoot a target predicted for another state, and return to it.
+            target = self._search.brake(*np.split(state.x, 2)).target
+            maneuver = replace(state.decision, target=target)
+            state = replace(state, pending=replace(state.pending, active=maneuver))
+        is_waiting = state.decision.follows and state.decision.scale == 0.0
+        expiry = time + _MAX_PERIODS * self._period + state.pending.latency
+        return replace(state, expiry=math.inf if is_waiting else expiry)
 
-    def _supervised(
-        self, context: Context, state: GuardState, scene: CollisionScene, time: float
+    def _react_to_contact(
+        self, state: GuardState, q: FloatArray, v: FloatArray, time: float
     ) -> GuardState:
-        """Returns the state after the monitors of observations, torques and the guard itself."""
-        kept = state.supervision
-        policy = self._policy.read(context)
-        late = state.decision.follows and time > state.expires
-        demands = [
-            monitor_observation(scene, time, self._fresh, self._config.max_observation_age),
-            monitor_guard(state.decision, time, late=late, moves=scene.moves),
-        ]
-        if state.decision.follows:
-            demands.append(monitor_path(float(np.abs(state.path - state.x)[: self._n].max())))
-        if self._saturation.HasValue(context):
-            saturated = bool(self._saturation.Eval(context)[0] > 0.0)
-            kept, demand = monitor_torque(kept, saturated, time, self._step_length)
-            demands.append(demand)
-        waits = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
-        after = supervise(kept, demands, time, self._step_length, waits=waits)
-        was = state.supervision
-        if (after.action, after.cause) != (was.action, was.cause):
-            said = f"{_SAID[after.action]}: {after.reason}" if after.reason else "runs freely again"
-            _logger.warning("t=%.3f s: supervisor %s", time, said)
-        return replace(state, supervision=after)
-
-    def _advanced(
-        self, context: Context, state: GuardState, time: float, *, moves: bool
-    ) -> GuardState:
-        """Returns the state with the next step of the commanded motion.
+        """Detects contact by the measured joint state, and returns the guard state after it.
 
         Args:
-            context: of the system.
-            state: of the guard.
-            time: now [s].
-            moves: whether an obstacle moves.
+            state: state of the guard.
+            q, v: (n,) measured positions [rad] and velocities [rad/s].
+            time: current time [s].
+        """
+        n = self._n
+        error = q - state.x[:n]
+        feedback_error = np.abs(error + _DAMPING * (v - state.x[n:]))
+        if (
+            max(np.abs(error).max(), feedback_error.max() / _FEEDBACK_FRACTION)
+            <= self._parameters.contact_error
+        ):
+            return state
+        if time > state.slow_until:
+            joint = self._joints[int(feedback_error.argmax())]
+            message = "t=%.3f s: contact: %s deviates by %.3f rad; the command restarts at rest"
+            _logger.warning(message, time, joint, feedback_error.max())
+        rest_state = np.append(q, np.zeros(n))
+        state = replace(state, x=rest_state, slow_until=time + self._parameters.contact_time)
+        return self._brake(state, rest_state)
+
+    def _supervise(
+        self, context: Context, state: GuardState, scene: CollisionScene, time: float
+    ) -> GuardState:
+        """Evaluates the monitors of observations, path, torques and the guard's decisions."""
+        previous = state.supervision
+        policy = self._policy.read(context)
+        is_late = state.decision.follows and time > state.expiry
+        limits = [
+            monitor_observation(scene, time, self._max_fresh_age, self._config.max_observation_age),
+            monitor_guard(state.decision, time, is_late=is_late, has_moving=scene.moves),
+        ]
+        if state.decision.follows:
+            limits.append(monitor_path(float(np.abs(state.path - state.x)[: self._n].max())))
+        if self._saturation.HasValue(context):
+            is_saturated = bool(self._saturation.Eval(context)[0] > 0.0)
+            previous, limit = monitor_torque(previous, is_saturated, time, self._step_length)
+            limits.append(limit)
+        is_waiting = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
+        result = supervise(previous, limits, time, self._step_length, is_waiting=is_waiting)
+        last = state.supervision
+        if (result.action, result.cause) != (last.action, last.cause):
+            message = (
+                f"{_VERBS[result.action]}: {result.reason}"
+                if result.reason
+                else "resumes full speed"
+            )
+            _logger.warning("t=%.3f s: supervisor %s", time, message)
+        return replace(state, supervision=result)
+
+    def _advance(
+        self, context: Context, state: GuardState, time: float, *, has_moving: bool
+    ) -> GuardState:
+        """Computes the next step of the commanded motion, and returns the guard state with it.
+
+        Args:
+            context: context of the system.
+            state: state of the guard.
+            time: current time [s].
+            has_moving: whether an obstacle moves.
         """
         n, step, chain = self._n, self._step_length, self._chain
         X_WE, posture = self._desired_pose(context), np.array(self._posture.Eval(context))
         V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
         q, v = np.array(state.path[:n]), np.zeros(n)
         if math.isfinite(X_WE.sum() + V_WE.sum() + posture.sum()):
-            q, v = track(chain, q, X_WE, V_WE, posture, step, _RATE)
-        elif not state.supervision.is_broken:
-            supervision = state.supervision.faulted("the desired motion is not finite", time)
+            q, v = track(chain, q, X_WE, V_WE, posture, step, _NULL_SPACE_RATE)
+        elif not state.supervision.is_faulted:
+            supervision = state.supervision.latch_fault("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
-        path, ahead, carry = np.append(q, v), np.array(state.x), np.zeros(3)
-        lost_since = nearest = math.inf
+        path, command, shift_velocity = np.append(q, v), np.array(state.x), np.zeros(3)
+        stuck_since = min_deviation = math.inf
         if state.decision.follows:
             limit = self._parameters.acceleration_limit
-            ahead = approach(ahead, path, chain.speed, limit, step)
+            command = approach(command, path, chain.speed, limit, step)
         else:
-            self._search.advance(state.decision, ahead, time)
-            away = float(np.abs(ahead - path)[:n].max())
-            lost_since, nearest = self._lost_since(state, away, time, moves=moves)
-        if state.is_lost and lost_since < math.inf:
-            # The desired position follows the tool, and a motion that begins there is awaited.
-            error = -_pose_error(X_WE, tool_poses(chain, ahead[None, :n])[0])
-            carry = error[:3] / _CARRY if np.abs(error[:3]).max() > _CARRIED else carry
-            path = np.append(ahead[:n], np.zeros(n))
-            if state.speed <= _STILL and np.abs(error).max() <= _FOUND:
-                lost_since, carry = math.inf, np.zeros(3)
+            self._search.advance(state.decision, command, time)
+            deviation = float(np.abs(command - path)[:n].max())
+            stuck_since, min_deviation = self._stuck_since(
+                state, deviation, time, has_moving=has_moving
+            )
+        if state.is_stuck and stuck_since < math.inf:
+            # The desired position moves to the tool, where a new motion is to start.
+            error = -_pose_error(X_WE, tool_poses(chain, command[None, :n])[0])
+            shift_velocity = (
+                error[:3] / _SHIFT_TIME
+                if np.abs(error[:3]).max() > _SHIFT_TOLERANCE
+                else shift_velocity
+            )
+            path = np.append(command[:n], np.zeros(n))
+            if state.speed <= _REST_SPEED and np.abs(error).max() <= _POSE_TOLERANCE:
+                stuck_since, shift_velocity = math.inf, np.zeros(3)
         return replace(
             state,
             end=time + step,
-            x=ahead,
-            acceleration=(ahead - state.x)[n:] / step,
+            x=command,
+            acceleration=(command - state.x)[n:] / step,
             path=path,
-            carry=carry,
-            lost_since=lost_since,
-            nearest=nearest,
+            shift_velocity=shift_velocity,
+            stuck_since=stuck_since,
+            min_deviation=min_deviation,
         )
 
-    def _lost_since(
-        self, state: GuardState, away: float, time: float, *, moves: bool
+    def _stuck_since(
+        self, state: GuardState, deviation: float, time: float, *, has_moving: bool
     ) -> tuple[float, float]:
-        """Computes since when the arm comes no nearer to its path, and its least distance to it.
+        """Computes the time since which the arm makes no progress toward the verified motion.
 
         Args:
-            state: of the guard.
-            away: largest distance of a joint from the path [rad].
-            time: now [s].
-            moves: whether an obstacle moves, for which the arm may still be evading.
+            state: state of the guard.
+            deviation: maximum joint deviation from the verified motion [rad].
+            time: current time [s].
+            has_moving: whether an obstacle moves; a moving arm then may still be evading.
 
         Returns:
-            Time [s], inf if the arm is not stuck, and distance [rad].
+            Time [s], inf if the arm is on the motion, and minimum deviation since then [rad].
         """
-        if time - state.lost_since > _PATIENCE + _LONGEST_WAIT or away <= ARRIVED:
-            return math.inf, away
-        if state.is_lost:
-            return state.lost_since, state.nearest
-        rests = time > state.slow_until and state.speed <= _STILL
-        if (moves and not rests) or away < state.nearest - _PROGRESS:
-            return time, away
-        return min(state.lost_since, time), state.nearest
+        if (
+            time - state.stuck_since > _PROGRESS_TIMEOUT + _MAX_WAIT
+            or deviation <= ON_PATH_DEVIATION
+        ):
+            return math.inf, deviation
+        if state.is_stuck:
+            return state.stuck_since, state.min_deviation
+        is_at_rest = time > state.slow_until and state.speed <= _REST_SPEED
+        if (has_moving and not is_at_rest) or deviation < state.min_deviation - _MIN_PROGRESS:
+            return time, deviation
+        return min(state.stuck_since, time), state.min_deviation
 
     # --- decisions -------------------------------------------------------------------------
 
     def _decide(self, context: Context, state: State) -> EventStatus:
-        held = state.get_mutable_abstract_state(self._state)
-        before: GuardState = held.get_value()
+        value = state.get_mutable_abstract_state(self._state)
+        current: GuardState = value.get_value()
         time = context.get_time()
         scene = self._scene(context)
-        if before.pending.pending is not None or -math.inf in (scene.stamp, before.end):
+        if current.pending.pending is not None or -math.inf in (scene.stamp, current.end):
             return EventStatus.DidNothing()
-        inputs = self._inputs(context, before, scene, time)
-        pending = before.pending.start(
+        inputs = self._inputs(context, current, scene, time)
+        pending = current.pending.start(
             lambda decision: self._search.decide(decision, inputs), time, self._compute_latency
         )
-        after = replace(before, pending=pending, number=before.number + 1)
+        result = replace(current, pending=pending, decision_count=current.decision_count + 1)
         if self._compute_latency is None:
-            after = self._active(after, time)
-        held.set_value(after)
+            result = self._activate(result, time)
+        value.set_value(result)
         return EventStatus.Succeeded()
 
     def _inputs(
         self, context: Context, state: GuardState, scene: CollisionScene, time: float
     ) -> GuardInputs:
-        """Returns the input of a decision that comes into force after the usual latency."""
+        """Returns the inputs of a decision, predicted for the time at which it becomes active.
+
+        The predicted time is the current time plus the latency of the previous decision.
+        """
         n, step = self._n, self._step_length
         policy = self._policy.read(context)
         motion = self._motion.read(context)
-        shown = self._shown.find(context)
+        demo = self._demonstration.find(context)
         duration = self._duration
-        if shown is not None and shown.position is not None:
-            duration = shown.position.duration
-        held = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
-        is_other = len(motion.p_WS) > 0 and not np.array_equal(motion.p_WS, policy.p_WS)
-        if held or is_other or motion.q.shape[1:] != (n,):
+        if demo is not None and demo.position is not None:
+            duration = demo.position.duration
+        is_held = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
+        is_outdated = len(motion.p_WS) > 0 and not np.array_equal(motion.p_WS, policy.p_WS)
+        if is_held or is_outdated or motion.q.shape[1:] != (n,):
             motion = PlannedMotion()
-        latency = 0.0 if self._compute_latency is None else state.pending.cost
+        latency = 0.0 if self._compute_latency is None else state.pending.latency
         steps = max(math.ceil((time + latency - state.end) / step), 0)
         begin = state.end + steps * step
         x, decision = np.array(state.x), state.decision
@@ -549,19 +599,19 @@ class MotionGuard(LeafSystem):
             q=x[:n],
             v=x[n:],
             q_path=x[:n] if decision.follows else state.path[:n],
-            on_path=state.on_path,
+            is_on_path=state.is_on_path,
             s=s + policy.speed * (begin - policy.stamp),
             rate=policy.speed,
             full_rate=1.0 / (policy.tau * duration),
             motion=motion,
             scene=scene,
-            speed_fraction=self._slow_share if time < state.slow_until else 1.0,
-            number=state.number,
+            speed_fraction=self._slow_fraction if time < state.slow_until else 1.0,
+            decision_count=state.decision_count,
             free_space=self._free_space.find(context),
         )
 
 
 def _pose_error(X_d: FloatArray, X: FloatArray) -> FloatArray:
-    """Computes position and rotation vector (6,) from a pose (12,) to a desired one [m, rad]."""
-    turn = X_d[:9].reshape(3, 3) @ X[:9].reshape(3, 3).T
-    return np.append(X_d[9:] - X[9:], rotation_vector(np.ascontiguousarray(turn)))
+    """Computes position error and rotation vector (6,) from pose X to pose X_d (12,) [m, rad]."""
+    rotation = X_d[:9].reshape(3, 3) @ X[:9].reshape(3, 3).T
+    return np.append(X_d[9:] - X[9:], rotation_vector(np.ascontiguousarray(rotation)))

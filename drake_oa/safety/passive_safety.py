@@ -1,23 +1,23 @@
-"""Passive motion safety: claims that limit how fast the arm may move, by the last observation.
+"""Passive motion safety: claims that limit the arm's speed by the last observation.
 
-The arm follows a motion for one period and brakes after that. Its points are the centers c_i of
-enclosing spheres of radius r_i, with velocities u_i; the observation has the stamp s, and
+The arm follows a trajectory for one period, and then brakes. It is covered by spheres with centers
+c_i, velocities u_i and radii r_i. With the stamp s of the observation,
 
     rho_i(t) = r_i + V (t - s)
 
-is the distance from c_i(t) within which anything slower than V that was outside at s may touch the
-point. With d_i the distance of c_i to the obstacles that moved at s, where they were then, a motion
-violates
+is the distance from c_i(t) within which an obstacle of speed below V that was outside at s may
+touch sphere i. Let d_i be the distance of c_i to the moving obstacles at their positions at s. A
+trajectory violates claim
 
-    (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases by more than 0.02 m/s
-    (B)  if u_i(t) . n > v_unseen for a direction n in which a place within rho_i(t) of c_i(t) was
-         neither seen free at s nor taken by a known solid or by the arm
+    (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases faster than 0.02 m/s
+    (B)  if u_i(t) . n > v_unseen for a direction n from c_i(t) to a point within rho_i(t) that is
+         neither observed as free at s nor occupied by a known obstacle or the arm
 
-at some instant until the arm rests. Hence a point that an obstacle slower than V may reach is at
-rest or moves away, and nothing is run into faster than v_unseen in space that no camera has seen. A
-place is seen free if it is nearer than the depth of its pixel in an image; a pixel without depth
-tells nothing. The places are the center of the ball of radius rho_i, and 26 directions at half and
-at full radius.
+at some time until the arm rests. Hence a sphere that an obstacle slower than V may reach is at rest
+or moves away, and the arm does not enter unobserved space faster than v_unseen. A point is observed
+as free if it is in front of the measured depth of its pixel; a pixel without depth gives no
+information. Points are sampled at the center of the ball of radius rho_i, and in 26 directions at
+half and full radius.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from drake_oa.robot.spheres import sphere_centers
 Claim = Literal["", "A", "B"]
 CLAIMS: tuple[Claim, ...] = get_args(Claim)
 
-_AT_REST = 0.02
-"""Speed of approach at which a point counts as at rest [m/s]."""
-_SKIN = 0.01
-"""Distance up to which a place counts as taken by a solid or by the arm [m]."""
-_PLACES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
-"""(52, 3) places in the unit ball, other than its center."""
-_SHARE = np.linalg.norm(_PLACES, axis=1)
-"""(52,) their distances from it."""
+_REST_SPEED = 0.02
+"""Approach speed up to which a sphere counts as at rest [m/s]."""
+_OCCUPIED_MARGIN = 0.01
+"""Distance to a collision geometry or the arm up to which a point counts as occupied [m]."""
+_BALL_SAMPLES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
+"""(52, 3) sample points in the unit ball, without its center."""
+_SAMPLE_RADII = np.linalg.norm(_BALL_SAMPLES, axis=1)
+"""(52,) distances of the sample points from the center of the unit ball."""
 
 
 def violated_claim(
@@ -58,16 +58,16 @@ def violated_claim(
     V: float,
     v_unseen: float,
 ) -> Claim:
-    """Finds the first of the claims (A) and (B) that a motion violates; "": it violates none.
+    """Returns the first of the claims "A" and "B" that a trajectory violates; "": none.
 
     Args:
-        chain, spheres: the arm.
-        t: (T,) times of the motion until it rests, increasing [s].
-        q: (T, n) configurations then [rad].
-        scene: collision geometry of everything else, as observed.
-        free_space: the space that was seen free; None: all space outside the solids.
+        chain, spheres: kinematics and spheres of the arm.
+        t: (T,) times of the trajectory until it rests, increasing [s].
+        q: (T, n) configurations at these times [rad].
+        scene: collision scene of the last observation.
+        free_space: space observed as free; None: all space outside collision geometry.
         V: maximum speed of obstacles [m/s].
-        v_unseen: maximum speed toward space that was not seen [m/s].
+        v_unseen: maximum speed toward unobserved space [m/s].
     """
     geometries = scene.geometries
     p_WS = sphere_centers(chain, spheres, np.ascontiguousarray(q))
@@ -77,41 +77,49 @@ def violated_claim(
         moving, points = geometries.select(geometries.moving), p_WS.reshape(-1, 3)
         d = least_distances(moving, points, scene.stamp, (reach + V * dt).max(), -1.0)
         d = d.reshape(p_WS.shape[:2])
-        # Within a step the reach grows while the distance falls: the worst is its end.
-        if ((d[1:] < reach + V * dt) & (d[:-1] - d[1:] > _AT_REST * dt)).any():
+        # Within a step rho grows and the distance decreases: check the end of each step.
+        if ((d[1:] < reach + V * dt) & (d[:-1] - d[1:] > _REST_SPEED * dt)).any():
             return "A"
     if free_space is None:
         return ""
     v_WS = np.diff(p_WS, axis=0) / dt[..., None]
     is_fast = (v_WS**2).sum(axis=2) > v_unseen**2
     centers, rho = p_WS[:-1][is_fast], reach[is_fast]
-    point, place = (v_WS[is_fast] @ _PLACES.T > v_unseen * _SHARE).nonzero()
-    places = np.concatenate([centers, centers[point] + rho[point, None] * _PLACES[place]])
-    unseen = places[~free_space.contains(places)]
-    is_open = _is_any_open(unseen, p_WS[0], spheres.radius, geometries, scene.stamp)
-    return "B" if is_open else ""
+    point, sample = (v_WS[is_fast] @ _BALL_SAMPLES.T > v_unseen * _SAMPLE_RADII).nonzero()
+    samples = np.concatenate([centers, centers[point] + rho[point, None] * _BALL_SAMPLES[sample]])
+    unobserved = samples[~free_space.contains(samples)]
+    is_unknown = _is_any_unknown(unobserved, p_WS[0], spheres.radius, geometries, scene.stamp)
+    return "B" if is_unknown else ""
 
 
 @compiled
-def _is_any_open(
-    places: FloatArray,
+def _is_any_unknown(
+    samples: FloatArray,
     p_WS: FloatArray,
     radius: FloatArray,
     geometries: CollisionGeometries,
     stamp: float,
 ) -> bool:
-    """Checks whether any place (N, 3) is outside the spheres p_WS (S, 3), (S,) and the solids."""
-    for i in range(len(places)):
-        x, y, z = places[i]
-        is_taken = False
+    """Checks whether any sample point (N, 3) is outside the arm and all collision geometries.
+
+    Args:
+        samples: (N, 3) sample points [m].
+        p_WS, radius: (S, 3) centers and (S,) radii of the arm's spheres [m].
+        geometries: collision geometries.
+        stamp: time at which the geometries are evaluated [s].
+    """
+    for i in range(len(samples)):
+        x, y, z = samples[i]
+        is_occupied = False
         for k in range(len(p_WS)):
             square = (x - p_WS[k, 0]) ** 2 + (y - p_WS[k, 1]) ** 2 + (z - p_WS[k, 2]) ** 2
-            if square < (radius[k] + _SKIN) ** 2:
-                is_taken = True
+            if square < (radius[k] + _OCCUPIED_MARGIN) ** 2:
+                is_occupied = True
                 break
         if (
-            not is_taken
-            and least_distances(geometries, places[i : i + 1], stamp, _SKIN, -1.0)[0] >= _SKIN
+            not is_occupied
+            and least_distances(geometries, samples[i : i + 1], stamp, _OCCUPIED_MARGIN, -1.0)[0]
+            >= _OCCUPIED_MARGIN
         ):
             return True
     return False

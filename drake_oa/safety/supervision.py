@@ -1,8 +1,22 @@
-"""Speed of the phase, slowed or held by monitors of the observations, the guard and the torques.
+"""Supervision: speed scale of the phase, limited by monitors.
 
-Each monitor returns a `SpeedLimit`: a share of full speed,
-ds/dt = 1 / (tau T). The least one counts. The path is a function of normalized time s alone, so
-that a motion at another speed keeps its path.
+Each monitor returns a `SpeedLimit`, a fraction of the full phase rate ds/dt = 1 / (tau T). The
+smallest limit is active. The path is a function of normalized time s only, and therefore does not
+depend on the speed.
+
+===================  =====================================  ====================================
+Monitor              slows                                  holds (lasting: becomes a stop)
+===================  =====================================  ====================================
+monitor_observation  observation older than a fresh age     observation older than its maximum
+                                                            age, or no observation
+monitor_guard        the guard slows the verified motion    wait or maneuver (lasting if no
+                                                            obstacle moves); late decision
+                                                            (lasting)
+monitor_path         command 0.02 rad from verified motion  command 0.1 rad from verified motion
+monitor_torque       torque saturated for 0.1 s             never
+===================  =====================================  ====================================
+
+An input that is not finite is a fault: a stop that never ends.
 """
 
 from __future__ import annotations
@@ -17,57 +31,62 @@ from drake_oa.safety.maneuvers import GuardDecision
 
 Action = Literal["run", "slow", "hold", "stop"]
 
-_SATURATION_TIME, _BACK_OFF = 0.1, 0.7
-"""Duration of torque saturation after which the motion slows down [s], and by which factor."""
-_SLOWEST = 0.1
-"""Minimum share of full speed to which old observations and torque saturation slow the motion."""
+_SATURATION_TIME = 0.1
+"""Duration of torque saturation after which the speed is reduced [s]."""
+_SATURATION_FACTOR = 0.7
+"""Factor of the speed for each `_SATURATION_TIME` of torque saturation."""
+_MIN_SPEED_SCALE = 0.1
+"""Minimum speed scale of the limits by old observations and torque saturation."""
 RECOVERY_TIME = 0.3
 """Time in which the speed rises from rest to full speed [s]."""
-_HOLD_BELOW, _RESUME_ABOVE = 0.05, 0.3
-"""Shares of full speed below which a motion is held, and above which it resumes."""
-_PATIENCE = 3.0
-"""Duration after which a hold that cannot end by itself becomes a stop [s]."""
-_DWELL = 0.5
+_HOLD_BELOW = 0.05
+"""Speed scale below which a motion is held."""
+_RESUME_ABOVE = 0.3
+"""Speed scale above which a held motion resumes."""
+_HOLD_TIMEOUT = 3.0
+"""Duration of a hold with a lasting cause after which it becomes a stop [s]."""
+_MIN_EVENT_DURATION = 0.5
 """Minimum time between two logged events of the same action [s]."""
-_RUNNING = 0.95
-"""Share of full speed below which a motion is slow."""
+_FULL_SPEED_THRESHOLD = 0.95
+"""Speed scale below which the action is "slow"."""
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """Speed that a monitor demands.
+    """Upper limit of a monitor for the speed of the phase.
 
     Attributes:
-        scale: share of full speed, in [0, 1].
-        cause: name of the event; two demands of one cause are the same event.
-        reason: the same with figures.
-        lasting: whether the cause remains while the motion is at rest.
+        scale: speed scale, in [0, 1].
+        cause: name of the event; limits with the same cause belong to the same event.
+        reason: description of the event with numbers.
+        is_lasting: whether the cause persists while the motion is at rest.
     """
 
     scale: float = 1.0
     cause: str = ""
     reason: str = ""
-    lasting: bool = False
+    is_lasting: bool = False
 
 
 NO_LIMIT = SpeedLimit()
-"""Full speed."""
+"""Limit of a monitor without an event: full speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Supervision(Frozen):
-    """Speed of the phase, and the state of its monitors.
+    """Action and speed scale of the supervisor, and the state of its monitors.
 
     Attributes:
-        action: "run"; "slow"; "hold": at rest until the cause has gone; "stop": the same, for a
-            cause that is not expected to go.
-        speed_scale: share of full speed, in [0, 1].
-        reason, cause: of the demand; "" while the motion runs.
-        since: time since which action and cause are these [s].
-        blocked_since: time since which the motion is held for a lasting cause [s]; inf: it is not.
-        saturated_since: time since which a torque is saturated, or of the last slowing for it [s].
-        torque_scale: share of full speed that torque saturation leaves.
-        is_broken: whether an input is not finite; such a stop is final.
+        action: "run"; "slow"; "hold": at rest until the cause ends; "stop": at rest, for a cause
+            that is not expected to end by itself.
+        speed_scale: speed scale of the phase, in [0, 1].
+        reason, cause: reason and cause of the active limit; "" while the action is "run".
+        since: start time of the current action and cause [s].
+        blocked_since: start time of a hold with a lasting cause [s]; inf: no such hold.
+        saturated_since: start of the torque saturation, or time of its last speed reduction [s];
+            inf: not saturated.
+        torque_scale: speed scale of torque saturation, in [0, 1].
+        is_faulted: whether an input is not finite; such a stop never ends.
     """
 
     action: Action = "run"
@@ -78,155 +97,178 @@ class Supervision(Frozen):
     blocked_since: float = math.inf
     saturated_since: float = math.inf
     torque_scale: float = 1.0
-    is_broken: bool = False
+    is_faulted: bool = False
 
-    def faulted(self, reason: str, time: float) -> Supervision:
-        """Returns the final stop for a reason; time [s]."""
+    def latch_fault(self, reason: str, time: float) -> Supervision:
+        """Returns the state of a stop that never ends, with a reason and its time [s]."""
         return replace(
             self, action="stop", speed_scale=0.0, reason=reason, cause=reason, since=time,
-            is_broken=True,
+            is_faulted=True,
         )  # fmt: skip
 
 
 def supervise(
-    before: Supervision,
+    previous: Supervision,
     limits: list[SpeedLimit],
     time: float,
     elapsed: float,
     *,
-    waits: bool = False,
+    is_waiting: bool = False,
 ) -> Supervision:
-    """Computes action and speed from the demands of all monitors.
+    """Computes action and speed scale from the limits of all monitors.
 
-    The speed falls at once, as the motion primitive ramps it, and rises at a bounded rate. A demand
-    below `_HOLD_BELOW` holds the motion until all are above `_RESUME_ABOVE`; held for a lasting
-    cause for `_PATIENCE`, it is stopped until then.
+    The speed scale falls at once, since the movement primitive ramps it, and rises at a bounded
+    rate. Transitions, with the smallest limit and hysteresis between hold and resume:
+
+    ============  ===========================================  ==========
+    Action        Condition                                    Next
+    ============  ===========================================  ==========
+    run, slow     limit < `_HOLD_BELOW`                        hold
+    hold          lasting cause for `_HOLD_TIMEOUT`            stop
+    hold, stop    limit >= `_RESUME_ABOVE`                     slow
+    run           scale < `_FULL_SPEED_THRESHOLD`              slow
+    slow          otherwise, after `_MIN_EVENT_DURATION`       run
+    ============  ===========================================  ==========
 
     Args:
-        before: result of the step before.
-        limits: at least one.
-        time: now [s].
-        elapsed: time since the step before [s].
-        waits: whether the motion primitive is held for another reason, so that no patience is lost.
+        previous: result of the previous step.
+        limits: limits of the monitors, at least one.
+        time: current time [s].
+        elapsed: time since the previous step [s].
+        is_waiting: whether the movement primitive is held for another reason; then a hold does not
+            become a stop.
     """
     tightest = min(limits, key=lambda limit: limit.scale)
-    held = before.action in ("hold", "stop")
-    holds = tightest.scale < (_RESUME_ABOVE if held else _HOLD_BELOW)
-    if before.is_broken or (holds and before.action == "stop"):
-        return before
-    lasts = any(limit.lasting and limit.scale < _RESUME_ABOVE for limit in limits)
-    blocked_since = min(before.blocked_since, time) if holds and lasts and not waits else math.inf
-    target = 0.0 if holds else tightest.scale
-    scale = min(target, before.speed_scale + elapsed / RECOVERY_TIME)
-    early = time - before.since < _DWELL
+    was_held = previous.action in ("hold", "stop")
+    is_held = tightest.scale < (_RESUME_ABOVE if was_held else _HOLD_BELOW)
+    if previous.is_faulted or (is_held and previous.action == "stop"):
+        return previous
+    has_lasting_cause = any(limit.is_lasting and limit.scale < _RESUME_ABOVE for limit in limits)
+    blocked_since = (
+        min(previous.blocked_since, time)
+        if is_held and has_lasting_cause and not is_waiting
+        else math.inf
+    )
+    target = 0.0 if is_held else tightest.scale
+    scale = min(target, previous.speed_scale + elapsed / RECOVERY_TIME)
+    is_early = time - previous.since < _MIN_EVENT_DURATION
     action: Action = "run"
-    if holds:
-        action = "stop" if time - blocked_since >= _PATIENCE else "hold"
-    elif scale < _RUNNING or (before.action != "run" and (held or early)):
+    if is_held:
+        action = "stop" if time - blocked_since >= _HOLD_TIMEOUT else "hold"
+    elif scale < _FULL_SPEED_THRESHOLD or (previous.action != "run" and (was_held or is_early)):
         action = "slow"
     cause, reason = tightest.cause, tightest.reason
     if action == "run":
         cause = reason = ""
     elif (
         tightest.scale >= 1.0
-        or (action == before.action and (cause == before.cause or early))
-        or (action == "stop" and not tightest.lasting)
+        or (action == previous.action and (cause == previous.cause or is_early))
+        or (action == "stop" and not tightest.is_lasting)
     ):
-        # The same event, or the recovery from it: its first figures stay.
-        cause, reason = before.cause, before.reason
-    same = (action, cause) == (before.action, before.cause)
-    if same and (scale, blocked_since) == (before.speed_scale, before.blocked_since):
-        return before
+        # The same event, or the recovery from it: keep its first reason.
+        cause, reason = previous.cause, previous.reason
+    is_same_event = (action, cause) == (previous.action, previous.cause)
+    if is_same_event and (scale, blocked_since) == (previous.speed_scale, previous.blocked_since):
+        return previous
     return replace(
-        before, action=action, speed_scale=scale, reason=reason, cause=cause,
-        since=before.since if same else time, blocked_since=blocked_since,
+        previous, action=action, speed_scale=scale, reason=reason, cause=cause,
+        since=previous.since if is_same_event else time, blocked_since=blocked_since,
     )  # fmt: skip
 
 
 def monitor_observation(
-    scene: CollisionScene, time: float, fresh: float, max_age: float
+    scene: CollisionScene, time: float, max_fresh_age: float, max_age: float
 ) -> SpeedLimit:
-    """Slows by the age of the last good observation.
+    """Limits the speed by the age of the last valid observation.
 
     Args:
-        scene: the observation.
-        time: now [s].
-        fresh: age up to which it does not slow [s].
-        max_age: age beyond which the motion is held [s].
+        scene: collision scene of the observation.
+        time: current time [s].
+        max_fresh_age: age up to which the speed is not limited [s].
+        max_age: age above which the motion is held [s].
     """
-    why = f" ({scene.note})" if scene.note else ""
+    note = f" ({scene.note})" if scene.note else ""
     if scene.stamp == -math.inf:
-        return SpeedLimit(0.0, "unobserved", f"no observation{why}")
+        return SpeedLimit(0.0, "unobserved", f"no observation{note}")
     age = time - scene.stamp
-    if age <= fresh:
+    if age <= max_fresh_age:
         return NO_LIMIT
-    reason = f"obstacles not seen since t = {scene.stamp:.2f} s{why}"
+    reason = f"obstacles not seen since t = {scene.stamp:.2f} s{note}"
     if age > max_age:
         return SpeedLimit(0.0, "unseen", reason)
-    # The hold itself begins at that age, where the policy's own does.
-    scale = max(_SLOWEST, 1.0 - (age - fresh) / (max_age - fresh))
+    # The hold starts only above max_age, as that of the policy does.
+    scale = max(_MIN_SPEED_SCALE, 1.0 - (age - max_fresh_age) / (max_age - max_fresh_age))
     return SpeedLimit(scale, "unseen", reason)
 
 
-def monitor_guard(decision: GuardDecision, time: float, *, late: bool, moves: bool) -> SpeedLimit:
-    """Slows or holds the phase as the motion guard has decided.
+def monitor_guard(
+    decision: GuardDecision, time: float, *, is_late: bool, has_moving: bool
+) -> SpeedLimit:
+    """Limits the speed to that of the guard's decision.
 
     Args:
-        decision: of the guard.
-        time: now [s].
-        late: whether the decision is too old.
-        moves: whether an obstacle moves, so that waiting may end by itself.
+        decision: active decision of the guard.
+        time: current time [s].
+        is_late: whether the decision has expired.
+        has_moving: whether an obstacle moves; then a wait is expected to end by itself.
     """
-    if late:
+    if is_late:
         return SpeedLimit(
-            0.0, "late decision", "no decision of the motion guard in time", lasting=True
+            0.0, "late decision", "no decision of the motion guard in time", is_lasting=True
         )
     if decision.action == "follow":
         return NO_LIMIT
     obstacle = decision.obstacle or "an obstacle"
     contact = f", contact in {decision.contact - time:.2f} s" if decision.contact < math.inf else ""
-    said = {"slow": "near", "wait": "waits for", "evade": "evades", "brake": "brakes for"}
+    verbs = {"slow": "near", "wait": "waits for", "evade": "evades", "brake": "brakes for"}
     claim = f", by claim ({decision.claim})" if decision.claim else ""
-    reason = f"{said[decision.action]} {obstacle}{contact}{claim}"
+    reason = f"{verbs[decision.action]} {obstacle}{contact}{claim}"
     scale = decision.scale if decision.follows else 0.0
-    return SpeedLimit(scale, f"guard: {decision.action}", reason, lasting=not moves)
+    return SpeedLimit(scale, f"guard: {decision.action}", reason, is_lasting=not has_moving)
 
 
-_OFF_PATH, _FAR_OFF = 0.02, 0.1
-"""Distances of a joint from the verified motion at which its phase slows down, and rests [rad]."""
+_SLOW_DEVIATION = 0.02
+"""Joint deviation from the verified motion above which the phase slows down [rad]."""
+_HOLD_DEVIATION = 0.1
+"""Joint deviation from the verified motion above which the phase rests [rad]."""
 
 
 def monitor_path(distance: float) -> SpeedLimit:
-    """Slows the phase while joint accelerations limit how fast the arm follows; distance [rad]."""
-    if distance <= _OFF_PATH:
+    """Limits the speed by the joint deviation of the command from the verified motion [rad].
+
+    The command deviates if the limit of its joint acceleration prevents it from following.
+    """
+    if distance <= _SLOW_DEVIATION:
         return NO_LIMIT
-    scale = max(0.0, (_FAR_OFF - distance) / (_FAR_OFF - _OFF_PATH))
+    scale = max(0.0, (_HOLD_DEVIATION - distance) / (_HOLD_DEVIATION - _SLOW_DEVIATION))
     return SpeedLimit(scale, "path", f"the arm is {distance:.3f} rad from its path")
 
 
 def monitor_torque(
     state: Supervision,
-    saturated: bool,
+    is_saturated: bool,
     time: float,
     elapsed: float,
 ) -> tuple[Supervision, SpeedLimit]:
-    """Slows while torques are saturated: by a factor each time, then linearly back.
+    """Limits the speed while torques are saturated, and recovers linearly afterwards.
+
+    The limit is multiplied by `_SATURATION_FACTOR` for each `_SATURATION_TIME` of saturation.
 
     Args:
-        state: of the monitors.
-        saturated: whether a joint is asked for more than its effort limit.
-        time: now [s].
-        elapsed: time since the step before [s].
+        state: state of the supervisor.
+        is_saturated: whether a commanded joint torque exceeds its effort limit.
+        time: current time [s].
+        elapsed: time since the previous step [s].
     """
-    since, scale = state.saturated_since, state.torque_scale
-    if not saturated:
-        since, scale = math.inf, min(1.0, scale + elapsed / RECOVERY_TIME)
-    elif since == math.inf:
-        since = time
-    elif time - since >= _SATURATION_TIME - 1e-9:
-        since, scale = time, max(_SLOWEST, _BACK_OFF * scale)
-    if since != state.saturated_since or scale != state.torque_scale:
-        state = replace(state, saturated_since=since, torque_scale=scale)
+    saturated_since, scale = state.saturated_since, state.torque_scale
+    if not is_saturated:
+        saturated_since, scale = math.inf, min(1.0, scale + elapsed / RECOVERY_TIME)
+    elif saturated_since == math.inf:
+        saturated_since = time
+    elif time - saturated_since >= _SATURATION_TIME - 1e-9:
+        saturated_since, scale = time, max(_MIN_SPEED_SCALE, _SATURATION_FACTOR * scale)
+    if saturated_since != state.saturated_since or scale != state.torque_scale:
+        state = replace(state, saturated_since=saturated_since, torque_scale=scale)
     if scale >= 1.0:
         return state, NO_LIMIT
     return state, SpeedLimit(scale, "torque", "a joint torque is at its limit")

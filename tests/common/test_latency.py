@@ -8,11 +8,7 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.latency import LatencyModel, count, counted
-from drake_oa.common.messages import (
-    DECIDING,
-    CouplingParameters,
-    PolicyState,
-)
+from drake_oa.common.messages import DECIDING, CouplingParameters, PolicyState
 from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.planning.motion_search import PlanningInputs, SelectedMotion
 from drake_oa.planning.motion_verifier import MotionVerifier
@@ -37,7 +33,7 @@ class Scripted:
         answer = self.answers[min(len(self.requested), len(self.answers)) - 1]
         return replace(answer, p_WS=inputs.policy.p_WS, p_WG=inputs.p_WG)
 
-    def still_holds(self, motion: SelectedMotion, inputs: PlanningInputs) -> bool:
+    def is_still_valid(self, motion: SelectedMotion, inputs: PlanningInputs) -> bool:
         return motion.command.tau not in self.invalid_taus
 
 
@@ -74,7 +70,7 @@ class Bench:
 
 
 def choice(tau: float) -> SelectedMotion:
-    return SelectedMotion().changed(command={"tau": tau})
+    return SelectedMotion().with_changes(command={"tau": tau})
 
 
 def choices(*taus: float) -> list[SelectedMotion]:

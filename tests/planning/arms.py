@@ -1,4 +1,4 @@
-"""Arms among solids, as the kernels of planning take them."""
+"""Collision models of arms, and obstacles, for tests of planning and safety."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.collision_scene import CollisionGeometry, geometries_of, shape_geometries
 from drake_oa.geometry.shapes import Box, Sphere
-from drake_oa.planning.collision_model import (
-    ArmCollisionModel,
-    ClearanceRequirements,
-)
+from drake_oa.planning.collision_model import ArmCollisionModel, ClearanceRequirements
 from drake_oa.robot.arm import Chain, chain_poses, make_chain
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
@@ -25,11 +22,11 @@ from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ArmAlone:
-    """An arm of n joints, at home."""
+    """Arm with n joints in its home configuration: kinematics and sphere model."""
 
     config: Robot
     robot: RobotPlant
-    covered: ArmSpheres
+    arm_spheres: ArmSpheres
     chain: Chain
     q_full: FloatArray  # (nq,) [rad, m]
 
@@ -38,56 +35,59 @@ class ArmAlone:
 
     @property
     def q(self) -> FloatArray:
-        """(n,) home [rad]."""
+        """(n,) home configuration [rad]."""
         return self.q_full[self.chain.q_index]
 
     @property
     def X_WE(self) -> FloatArray:
-        """(12,) pose of the tool at home."""
+        """(12,) tool pose in the home configuration: rotation, row by row, and position [m]."""
         return self.poses(self.q)[-1].copy()
 
     @property
     def protrusion(self) -> float:
-        """How far any sphere of a body that moves sticks out at most [m]."""
-        covered = self.covered
-        return float(covered.protrusion[covered.arrays.group_joint >= 0].max())
+        """Maximum protrusion of the spheres of moving bodies [m]."""
+        arm_spheres = self.arm_spheres
+        return float(arm_spheres.protrusion[arm_spheres.arrays.group_joint >= 0].max())
 
     def poses(self, q: FloatArray) -> FloatArray:
-        """(n + 2, 12) as `chain_poses` leaves them."""
+        """Computes link poses (n + 2, 12) by `chain_poses`."""
         X = np.empty((len(q) + 2, 12))
         chain_poses(np.array(q), self.chain.X_PJ, X)
         return X
 
     def centers(self, q: FloatArray) -> FloatArray:
-        """(S, 3) of the spheres, in the world [m]."""
-        X, spheres = self.poses(q), self.covered.arrays
+        """Computes the world positions (S, 3) of the spheres [m]."""
+        X, spheres = self.poses(q), self.arm_spheres.arrays
         R, p = X[spheres.joint + 1, :9].reshape(-1, 3, 3), X[spheres.joint + 1, 9:]
         return np.asarray(np.einsum("sij,sj->si", R, spheres.p_JS) + p)
 
-    def among(
+    def model(
         self,
         geometries: Sequence[CollisionGeometry] = (),
-        tool: float = 0.05,
-        links: float = 0.03,
-        own: float = 0.005,
+        tool_clearance: float = 0.05,
+        link_clearance: float = 0.03,
+        self_clearance: float = 0.005,
         now: float = 0.0,
     ) -> ArmCollisionModel:
-        """Among solids, of which tool and links are to keep so much [m]."""
-        spheres = self.covered.arrays
+        """Builds a collision model with required clearances of tool and links [m]."""
+        spheres = self.arm_spheres.arrays
         is_tool = spheres.of_tool[spheres.first[:-1]]
-        table = np.tile(np.where(is_tool, tool, links)[:, None], (1, len(geometries)))
+        table = np.tile(
+            np.where(is_tool, tool_clearance, link_clearance)[:, None], (1, len(geometries))
+        )
         table[spheres.group_joint < 0] = -np.inf
-        required = ClearanceRequirements(table, own, is_tool)
+        required = ClearanceRequirements(table, self_clearance, is_tool)
         return ArmCollisionModel(
             self.chain, spheres, geometries_of(list(geometries)), required, now
         )
 
     def random_q(self, random: np.random.Generator) -> FloatArray:
-        """(n,) within the limits [rad]."""
+        """Samples a configuration (n,) within the joint limits [rad]."""
         return random.uniform(self.chain.lower, self.chain.upper)
 
 
-def arm_alone(config: Robot) -> ArmAlone:
+def make_arm(config: Robot) -> ArmAlone:
+    """Builds the arm of a robot configuration."""
     robot = make_robot_plant(config)
     q = home_positions(config)
     spheres = make_arm_spheres(robot, q, tool_links(config), config.spheres)
@@ -96,15 +96,15 @@ def arm_alone(config: Robot) -> ArmAlone:
 
 
 def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> CollisionGeometry:
-    """A box along the world's axes, at rest."""
+    """Returns an axis-aligned box at rest, with its size and center in the world [m]."""
     X_WO = RigidTransform(list(p_WO)).GetAsMatrix4()
     return shape_geometries([Box(list(size))], X_WO, label=label)[0]
 
 
-def random_solids(
+def random_geometries(
     random: np.random.Generator, count: int, moving: int = 0
 ) -> list[CollisionGeometry]:
-    """Boxes and spheres about an arm's base, the first of them moving."""
+    """Samples boxes and spheres around an arm's base, of which the first `moving` ones move."""
     geometries: list[CollisionGeometry] = []
     for k in range(count):
         size = random.uniform(0.05, 0.2, 3)
@@ -119,6 +119,6 @@ def random_solids(
 
 
 def wall_with_gap(height: float = 0.5, gap: float = 0.35) -> list[CollisionGeometry]:
-    """A wall in the plane y = 0 before an arm, that it can reach through or over."""
+    """Returns a wall in the plane y = 0 with a gap through which the arm can reach [m]."""
     low = box_at([0.5, 0.04, height], [0.6, 0.0, 0.5 * height], "low wall")
     return [low, box_at([0.5, 0.04, 0.4], [0.6, 0.0, height + gap + 0.2], "high wall")]

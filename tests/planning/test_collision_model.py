@@ -1,4 +1,4 @@
-"""What one configuration keeps of the world, against Drake and against all pairs."""
+"""Tests of clearance margins of a configuration, against distances of all pairs."""
 
 import numpy as np
 import pydrake.geometry as drake
@@ -10,25 +10,25 @@ from scipy.spatial.distance import cdist
 from drake_oa.geometry.collision_scene import geometry_distance, geometry_of, hull
 from drake_oa.planning.collision_model import (
     FAR,
-    STRIDE,
+    SPHERE_STRIDE,
     ArmCollisionModel,
+    free_fraction,
     group_distances,
     is_collision_free,
     lower_clearance_margins,
     min_clearance_margin,
     self_distance,
-    share_clear,
 )
-from tests.planning.arms import ArmAlone, random_solids
+from tests.planning.arms import ArmAlone, random_geometries
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def random_world(arm: ArmAlone, random: np.random.Generator) -> ArmCollisionModel:
+def random_model(arm: ArmAlone, random: np.random.Generator) -> ArmCollisionModel:
     shard = hull(random.uniform(-0.1, 0.1, (12, 3)) + [0.4, 0.2, 0.5])
-    objects = random_solids(random, 4, moving=2)
-    world = arm.among(
-        [*objects, shard, geometry_of(drake.HalfSpace())], own=random.uniform(0.0, 0.05)
+    objects = random_geometries(random, 4, moving=2)
+    world = arm.model(
+        [*objects, shard, geometry_of(drake.HalfSpace())], self_clearance=random.uniform(0.0, 0.05)
     )
     table = random.uniform(-0.05, 0.2, world.required.of_geometries.shape)
     table[random.random(table.shape) < 0.2] = -np.inf
@@ -37,10 +37,10 @@ def random_world(arm: ArmAlone, random: np.random.Generator) -> ArmCollisionMode
 
 @settings(max_examples=15)
 @given(seed=SEEDS)
-def test_clearances_are_the_least_of_all_pairs(panda_arm: ArmAlone, seed: int) -> None:
+def test_margins_are_the_minima_over_all_pairs(panda_arm: ArmAlone, seed: int) -> None:
     random = np.random.default_rng(seed)
     q, t = panda_arm.random_q(random), random.uniform(0.0, 2.0)
-    world = random_world(panda_arm, random)
+    world = random_model(panda_arm, random)
     spheres, required, p = world.spheres, world.required, panda_arm.centers(q)
     d = np.array(
         [
@@ -75,9 +75,13 @@ def test_clearances_are_the_least_of_all_pairs(panda_arm: ArmAlone, seed: int) -
 
 
 @given(seed=SEEDS)
-def test_limits_count(panda_arm: ArmAlone, seed: int) -> None:
+def test_a_configuration_beyond_a_joint_limit_is_not_free(panda_arm: ArmAlone, seed: int) -> None:
     random = np.random.default_rng(seed)
-    world, q, joint = panda_arm.among([], own=-5.0), panda_arm.random_q(random), random.integers(7)
+    world, q, joint = (
+        panda_arm.model([], self_clearance=-5.0),
+        panda_arm.random_q(random),
+        random.integers(7),
+    )
     for limit, sign in ((panda_arm.chain.lower, -1.0), (panda_arm.chain.upper, 1.0)):
         q[joint] = limit[joint]
         assert is_collision_free(world, q)
@@ -87,17 +91,17 @@ def test_limits_count(panda_arm: ArmAlone, seed: int) -> None:
 
 @settings(max_examples=40)
 @given(seed=SEEDS)
-def test_a_clear_way_is_clear_between_its_samples(panda_arm: ArmAlone, seed: int) -> None:
+def test_a_free_edge_is_free_between_checked_configurations(panda_arm: ArmAlone, seed: int) -> None:
     random = np.random.default_rng(seed)
-    world = panda_arm.among(random_solids(random, 5))
+    world = panda_arm.model(random_geometries(random, 5))
     one = panda_arm.random_q(random)
     assume(is_collision_free(world, one))
     other = one + random.normal(size=7) * random.uniform(0.05, 0.6)
-    share, checked = share_clear(world, one, other)
+    share, checked = free_fraction(world, one, other)
     assert 0.0 <= share <= 1.0
     assert checked >= 1
     along = one + np.linspace(0.0, share, 200)[:, None] * (other - one)
-    assert min_clearance_margin(world, along) >= -0.5 * STRIDE - 1e-9
-    # No sphere moves farther than the joints reach.
+    assert min_clearance_margin(world, along) >= -0.5 * SPHERE_STRIDE - 1e-9
+    # The reach of the joints bounds the displacement of every sphere.
     moved = np.linalg.norm(panda_arm.centers(other) - panda_arm.centers(one), axis=1)
     assert moved.max() <= panda_arm.chain.reach @ np.abs(other - one) + 1e-12

@@ -1,4 +1,4 @@
-"""The system that knows the world's solids, in a world of its own."""
+"""Tests of the ground-truth collision scene, against distances of SceneGraph."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ X_BG = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.05, -0.02, 0.1])
 
 
 class World:
-    """Two bodies without weight: a box and a ball beside the body's origin, and obstacle 4."""
+    """Simulation of two bodies without gravity: a box with a ball, and the ball of obstacle 4."""
 
     def __init__(self) -> None:
         builder = DiagramBuilder()
@@ -62,13 +62,13 @@ class World:
         )
 
     def scene(self, time: float = 0.0) -> CollisionScene:
-        # What happens at an instant has happened just after it.
+        # Events of an instant take effect just after it.
         self.simulator.AdvanceTo(time + 1e-3) if time else self.simulator.Initialize()
         context = self.system.GetMyContextFromRoot(self.root)
         return self.system.GetOutputPort("collision_scene_W").Eval(context)
 
     def check(self, scene: CollisionScene, tolerance: float = 1e-6) -> None:
-        """Compares distances with those of SceneGraph now."""
+        """Checks distances of random points against those of SceneGraph at the current time."""
         query = self.graph.get_query_output_port().Eval(self.graph.GetMyContextFromRoot(self.root))
         now = self.root.get_time()
         for p in np.random.default_rng(1).uniform(-0.5, 1.5, (50, 3)):
@@ -77,7 +77,7 @@ class World:
             assert found == pytest.approx(true, abs=tolerance)
 
 
-def test_the_solids_are_where_scene_graph_has_them_and_foretold() -> None:
+def test_geometries_have_the_poses_and_velocities_of_scene_graph() -> None:
     world = World()
     world.push([0.2, -0.1, 0.05], [0.0, 0.0, 0.0])
     scene = world.scene()
@@ -95,17 +95,17 @@ def test_the_solids_are_where_scene_graph_has_them_and_foretold() -> None:
     world.check(later)
 
 
-def test_a_body_that_turns_is_read_anew_and_one_out_of_the_world_left_out() -> None:
+def test_rotating_bodies_are_updated_and_distant_bodies_omitted() -> None:
     world = World()
     world.push([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     world.scene()
     scene = world.scene(3 * PERIOD)
-    # Its origin rests.
+    # The origin of the rotating body is at rest.
     assert not scene.moves
     world.check(scene, 1e-3)
     world.place(1, RigidTransform([2.0 * OUT_OF_WORLD, 0.0, 0.0]))
     assert len(world.scene(4 * PERIOD)) == 2
-    # Where it appears it has no velocity yet.
+    # At its appearance the body has velocity 0.
     world.place(1, RigidTransform([1.0, 1.0, 1.0]))
     scene = world.scene(5 * PERIOD)
     assert len(scene) == 3

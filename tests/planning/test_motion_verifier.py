@@ -1,4 +1,4 @@
-"""The system that chooses the motion of the whole arm, its inputs fixed."""
+"""Tests of the system that selects the whole-arm motion, with fixed inputs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ BOX = box_at([0.12, 0.12, 0.3], [0.45, 0.02, 0.1], "box")
 
 
 class Bench:
-    """The system alone at the start of a motion across the arm's front."""
+    """`MotionVerifier` alone, at the start of a motion in front of the arm."""
 
     def __init__(
         self,
@@ -72,12 +72,12 @@ class Bench:
             self.dmp,
             CLEARANCE,
             arm.chain,
-            arm.covered.arrays,
+            arm.arm_spheres.arrays,
             parameters=parameters,
             policy=Policy(period=5.0 / 250, fade=0.1),
             orientation=lambda s: np.tile(R_WE, (len(s), 1, 1)),
             posture=lambda s: np.tile(arm.q, (len(s), 1)),
-            protrusion=arm.covered.protrusion,
+            protrusion=arm.arm_spheres.protrusion,
         )
         m = len(arm.q_full)
         self.system = MotionVerifier(
@@ -111,7 +111,7 @@ class Bench:
         self.fix(collision_scene_W=self.scene)
 
     def propose(self) -> None:
-        """Evaluates the layers before: their outputs are the system's inputs."""
+        """Evaluates the preceding systems, whose outputs are inputs of the verifier."""
         for output, system in self.layers.items():
             context = system.CreateDefaultContext()
             for name in ("policy_state", "ellipsoids_W", "goal"):
@@ -123,8 +123,8 @@ class Bench:
             name = "route" if output == "decision" else output
             self.fix(**{name: system.GetOutputPort(output).Eval(context)})
 
-    def chosen(self, time: float = 0.0) -> CouplingParameters:
-        """The command in force after the decision at a time."""
+    def decide(self, time: float = 0.0) -> CouplingParameters:
+        """Returns the active command after a decision at a time [s]."""
         self.propose()
         if time == 0.0:
             self.simulator.Initialize()
@@ -143,9 +143,9 @@ class Bench:
     def motion(self) -> PlannedMotion:
         return self.output("motion")
 
-    def kept(self, q: FloatArray) -> FloatArray:
-        """(2,) least distances of tool and moving links to all solids along joints (T, n) [m]."""
-        spheres, geometries = self.arm.covered.arrays, self.scene.geometries
+    def min_distances(self, q: FloatArray) -> FloatArray:
+        """Computes minimum distances (2,) of tool and moving links along q (T, n) [m]."""
+        spheres, geometries = self.arm.arm_spheres.arrays, self.scene.geometries
         is_tool, moves = spheres.of_tool[spheres.first[:-1]], spheres.group_joint >= 0
         d = group_distances(self.arm.chain, spheres, geometries, np.array(q), 0.0, np.inf)
         return np.array([d[of].min(initial=np.inf) for of in (is_tool, ~is_tool & moves)])
@@ -156,81 +156,81 @@ Make = Callable[..., Bench]
 
 @pytest.fixture
 def make(panda_arm: ArmAlone) -> Make:
-    """Makes a `Bench` of the Panda among solids."""
+    """Returns a function that makes a `Bench` of the Panda among collision geometries."""
     return partial(Bench, panda_arm)
 
 
-def test_an_empty_world_leaves_the_motion_as_it_is(make: Make) -> None:
+def test_without_obstacles_the_nominal_motion_is_selected(make: Make) -> None:
     bench = make()
-    found, motion = bench.chosen(), bench.motion
+    found, motion = bench.decide(), bench.motion
     assert (len(found.alpha), found.note, found.hold) == (0, "", HoldReason.NONE)
     assert found.tau == pytest.approx(1.0, abs=2e-3)
     assert bench.number("shortfall") == bench.number("clearance_reduction") == 0.0
     np.testing.assert_allclose(motion.p_WE[[0, -1]], [bench.start, GOAL], atol=2e-3)
-    # A straight line, and the arm on it.
+    # The tool moves on a straight line, and the arm follows.
     assert np.ptp(motion.p_WE[:, [0, 2]], axis=0).max() < 1e-3
-    reached = tool_poses(bench.arm.chain, np.array(motion.q))[:, 9:]
-    np.testing.assert_allclose(reached, motion.p_WE, atol=2e-3)
+    tool_pose = tool_poses(bench.arm.chain, np.array(motion.q))[:, 9:]
+    np.testing.assert_allclose(tool_pose, motion.p_WE, atol=2e-3)
 
 
 def _ring(forbidden: Callable[[FloatArray], BoolArray], cost: float = 1.0) -> Ring:
-    """Costs the sides whose directions in W, (K, 3), are told."""
+    """Returns a cost ring with a cost for the directions (K, 3) in W that are forbidden."""
     return lambda scene: np.tile(
         np.where(forbidden(scene.directions_W), cost, 0.0), (len(scene.ellipsoids), 1)
     )
 
 
-SEEN = balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25])
+ELLIPSOIDS = balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25])
 
 
-def test_user_supplied_rings_count_in_the_choice_of_a_side(make: Make) -> None:
-    taken = []
+def test_user_supplied_rings_affect_the_selected_side(make: Make) -> None:
+    directions = []
     for rings in ({}, {"not_up": _ring(lambda omega: omega[:, 2] > 0.3)}):
         bench = make(BOX, rings=rings)
-        bench.fix(ellipsoids_W=SEEN)
-        assert bench.chosen().note == ""
+        bench.fix(ellipsoids_W=ELLIPSOIDS)
+        assert bench.decide().note == ""
         assert bench.number("shortfall") == 0.0
         assert bench.output("candidates")[search.SEARCH] > 0
         sides = bench.output("sides")
-        taken.append(sides.direction_W[0, 2])
-        # The shown side is that of the motion.
+        directions.append(sides.direction_W[0, 2])
+        # The displayed side is that of the selected motion.
         normal = bench.output("coupling_parameters").normal_W[0]
         np.testing.assert_allclose(np.cross(sides.normal_W[0], normal), 0.0, atol=1e-12)
         assert set(sides.costs) == {"length", "table", *rings}
-    up, beside = taken
-    assert beside <= 0.3 < up
+    up, sideways = directions
+    assert sideways <= 0.3 < up
 
 
 def test_the_rows_of_the_chain_are_one_candidate(make: Make) -> None:
     bench = make(BOX, weights=load_chain(package_file(PAPER_CHAIN)))
-    bench.fix(ellipsoids_W=SEEN)
-    bench.chosen()
+    bench.fix(ellipsoids_W=ELLIPSOIDS)
+    bench.decide()
     assert bench.output("candidates")[search.CHAIN] == 1
 
 
-def test_a_box_in_the_way_is_passed_as_near_as_requested(make: Make) -> None:
+def test_a_box_on_the_path_is_passed_at_the_requested_clearance(make: Make) -> None:
     bench = make()
     bench.fix(collision_scene_W=CollisionScene())
     # Nothing is selected before the first observation.
-    assert bench.chosen().tau == 0.0
+    assert bench.decide().tau == 0.0
     bench.see(TABLE, BOX)
-    found = bench.chosen(0.1)
+    found = bench.decide(0.1)
     assert (len(found.alpha), found.note) == (1, "")
     assert found.tau > 1.0
     assert bench.number("shortfall") == 0.0
     np.testing.assert_allclose(bench.motion.p_WE[-1], GOAL, atol=2e-3)
-    # Of the table start and goal may leave less: of the box alone then.
+    # Start and goal reduce the clearance of the table: check that of the box alone.
     bench.see(BOX)
-    tool, links = bench.kept(bench.motion.q)
+    tool, links = bench.min_distances(bench.motion.q)
     assert CLEARANCE - 0.01 <= tool <= CLEARANCE + 0.02
     assert links >= QUICK.link_clearance - 0.01
-    # It stays while nothing changes.
+    # The motion is unchanged while the scene is.
     bench.see(TABLE, BOX, stamp=0.1)
-    again = bench.chosen(0.2)
+    again = bench.decide(0.2)
     for name in ("alpha", "psi", "kappa", "center_W", "normal_W"):
         np.testing.assert_array_equal(getattr(found, name), getattr(again, name))
     bench.see(TABLE, stamp=0.2)
-    assert len(bench.chosen(0.3).alpha) == 0
+    assert len(bench.decide(0.3).alpha) == 0
 
 
 WALLS = [
@@ -238,67 +238,67 @@ WALLS = [
     box_at([0.9, 0.04, 0.5], [0.75, 0.0, 1.25], "lintel"),
     box_at([0.04, 0.5, 1.5], [0.95, 0.0, 0.65], "side"),
 ]
-"""A wall with a window, through which the arm reaches with turns of its links."""
+"""Wall with a window through which the arm can reach in suitable configurations."""
 
 
-def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
+def test_a_joint_space_path_is_imitated_without_a_feasible_term(
     make: Make, caplog: pytest.LogCaptureFixture
 ) -> None:
     bench = make(TABLE, *WALLS, parameters=replace(QUICK, generations=0))
     with caplog.at_level(logging.INFO, "drake_oa"):
-        found = bench.chosen()
+        found = bench.decide()
     assert found.restart
     assert found.note == ""
-    assert "a path of the whole arm is imitated" in caplog.text
-    shown: Demonstration = bench.output("demonstration")
-    assert shown.position is not None
-    assert shown.orientation is not None
-    np.testing.assert_allclose(shown.q[0], bench.arm.q, atol=1e-9)
-    reached = tool_poses(bench.arm.chain, shown.q[-1:])[0]
-    np.testing.assert_allclose(reached, np.append(bench.arm.X_WE[:9], GOAL), atol=2e-3)
+    assert "motion restarts and imitates a joint-space path" in caplog.text
+    demo: Demonstration = bench.output("demonstration")
+    assert demo.position is not None
+    assert demo.orientation is not None
+    np.testing.assert_allclose(demo.q[0], bench.arm.q, atol=1e-9)
+    tool_pose = tool_poses(bench.arm.chain, demo.q[-1:])[0]
+    np.testing.assert_allclose(tool_pose, np.append(bench.arm.X_WE[:9], GOAL), atol=2e-3)
     bench.see(*WALLS)
-    assert bench.kept(bench.motion.q).min() > 0.0
+    assert bench.min_distances(bench.motion.q).min() > 0.0
 
 
-def test_where_nothing_is_possible_it_holds_and_says_why(make: Make) -> None:
-    # Walls all around, and a lid: there is room at the goal, and no way to it.
+def test_a_note_explains_the_hold_without_a_feasible_motion(make: Make) -> None:
+    # The goal is free, but enclosed by walls and a lid.
     sides = np.vstack([0.2 * np.eye(3)[:2], -0.2 * np.eye(3)[:2], [0.0, 0.0, 0.3]])
     around = [box_at(np.where(at, 0.02, 0.5), GOAL + at, "wall") for at in sides]
     bench = make(TABLE, *around)
-    found = bench.chosen()
+    found = bench.decide()
     assert found.hold == HoldReason.OBSTACLES
     assert re.match("(no motion that clears|at its goal the arm would touch) wall", found.note)
     assert bench.number("shortfall") > 0.0
-    # It goes on when that leaves.
+    # The motion continues without the walls.
     bench.see(TABLE, stamp=1.0)
-    found = bench.chosen(1.0)
+    found = bench.decide(1.0)
     assert found.note == ""
     assert found.hold == HoldReason.NONE
 
 
-def test_a_motion_that_ends_away_from_its_goal_names_both(
+def test_the_note_of_a_missed_goal_names_goal_and_obstacle(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Every end counts as away.
-    monkeypatch.setattr(motion_search, "ASTRAY", -1.0)
+    # With this tolerance every motion misses its goal.
+    monkeypatch.setattr(motion_search, "MAX_GOAL_ERROR", -1.0)
     note = "no motion to the goal [0.45, 0.4, 0.3] m found: one ends 0 mm away"
-    assert make().chosen().note == note
-    assert re.fullmatch(rf"{re.escape(note)}, \d+ mm from box", make(BOX).chosen().note)
+    assert make().decide().note == note
+    assert re.fullmatch(rf"{re.escape(note)}, \d+ mm from box", make(BOX).decide().note)
 
 
-def test_a_tool_in_contact_may_leave_it(make: Make, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_tool_in_contact_may_retreat(make: Make, caplog: pytest.LogCaptureFixture) -> None:
     bench = make()
-    # It begins 1 cm deep in a plate behind it.
+    # The motion starts 1 cm inside a plate behind the hand.
     hand = bench.start + [0.0, -0.115, 0.05]
     bench.see(box_at([0.3, 0.02, 0.1], hand + [0.0, 0.01, 0.0], "plate"))
-    deep = bench.kept(bench.arm.q[None]).min()
+    deep = bench.min_distances(bench.arm.q[None]).min()
     assert deep < -bench.arm.protrusion
     with caplog.at_level(logging.WARNING, "drake_oa"):
-        found = bench.chosen()
-    assert "t=0.000 s: the arm touches plate, and may only leave it" in caplog.text
+        found = bench.decide()
+    assert "t=0.000 s: arm in contact with plate; only retreating motions allowed" in caplog.text
     assert found.note == ""
-    assert bench.kept(bench.motion.q).min() >= deep - 1e-3
-    assert bench.kept(bench.motion.q[-1:]).min() > CLEARANCE
-    # In a block on all sides there is no way out.
+    assert bench.min_distances(bench.motion.q).min() >= deep - 1e-3
+    assert bench.min_distances(bench.motion.q[-1:]).min() > CLEARANCE
+    # Inside a block, every motion remains in contact.
     bench.see(box_at([0.3, 0.3, 0.3], bench.start, "block"), stamp=0.1)
-    assert bench.chosen(0.1).note == "no motion that clears block found"
+    assert bench.decide(0.1).note == "no motion that clears block found"

@@ -1,4 +1,4 @@
-"""Spheres of robots enclose what SceneGraph has, and little more; pairs are found."""
+"""Tests of sphere models: enclosure of collision geometry, protrusion, self-collision pairs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,19 +18,15 @@ from drake_oa.planning.collision_model import self_distance
 from drake_oa.robot.arm import make_chain
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.plant import (
-    RobotPlant,
-    home_positions,
-    make_robot_plant,
-)
-from drake_oa.robot.sphere_cover import SHIPPED, cover, cover_key, known_cover
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.robot.sphere_cover import SHIPPED, compute_cover, cover_key, load_cover
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres, sphere_centers
 
 COARSE = SphereParameters(protrusion=0.015, max_tool_protrusion=0.012, max_fixed_protrusion=0.03)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
 
 
-def one_of(kind: str, size: tuple[float, float, float]) -> geometry.CollisionGeometry:
+def geometry_of_kind(kind: str, size: tuple[float, float, float]) -> geometry.CollisionGeometry:
     a, b, c = size
     if kind == "hull":
         return geometry.hull(np.array(_WEDGE) * 10 * [a, b, c])
@@ -44,8 +40,8 @@ def one_of(kind: str, size: tuple[float, float, float]) -> geometry.CollisionGeo
     return geometry.geometry_of(shapes[kind])
 
 
-def check_encloses(shape: geometry.CollisionGeometry, spheres: FloatArray) -> None:
-    """Checks that the points on a shape are in spheres (K, 4), of center and radius."""
+def check_enclosed(shape: geometry.CollisionGeometry, spheres: FloatArray) -> None:
+    """Checks that points on a shape are inside spheres (K, 4) of centers and radii [m]."""
     points = shape.placed(geometry.surface_points(shape, 3000))
     away = np.linalg.norm(points[:, None] - spheres[:, :3], axis=2) - spheres[:, 3]
     assert away.min(axis=1).max() <= 1e-9
@@ -57,13 +53,13 @@ def check_encloses(shape: geometry.CollisionGeometry, spheres: FloatArray) -> No
     size=st.tuples(*[st.floats(0.02, 0.1)] * 3),
     rpy=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
 )
-def test_a_cover_encloses_and_exceeds_by_no_more_than_it_states(
+def test_a_cover_encloses_its_shape_with_the_stated_protrusion(
     kind: str, size: tuple[float, float, float], rpy: tuple[float, float, float]
 ) -> None:
     X = RigidTransform(RollPitchYaw(*rpy), [0.1, -0.2, 0.3]).GetAsMatrix4()
-    shape = replace(one_of(kind, size), X_WO=X)
-    found = cover([shape], 0.012)
-    check_encloses(shape, np.column_stack([found.centers, found.radii]))
+    shape = replace(geometry_of_kind(kind, size), X_WO=X)
+    found = compute_cover([shape], 0.012)
+    check_enclosed(shape, np.column_stack([found.centers, found.radii]))
     directions = np.random.default_rng(0).normal(size=(len(found.radii), 300, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     outermost = (found.centers[:, None] + found.radii[:, None, None] * directions).reshape(-1, 3)
@@ -71,25 +67,25 @@ def test_a_cover_encloses_and_exceeds_by_no_more_than_it_states(
     away = geometry.least_distances(scene, outermost, 0.0, np.inf, -np.inf)
     assert away.max() <= found.protrusion + 1e-9
     if kind != "hull":
-        # A flat wedge takes more.
+        # A flat wedge requires a larger protrusion.
         assert found.protrusion <= 0.012 * 1.3
 
 
-def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_covers_are_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     geometries = [geometry.geometry_of(drake.Box(0.05, 0.1, 0.06))]
-    expected = cover(geometries, 0.01)
+    expected = compute_cover(geometries, 0.01)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
-        found = known_cover(geometries, 0.01, 200, "covering")
+        found = load_cover(geometries, 0.01, 200, "covering")
         np.testing.assert_array_equal(found.radii, expected.radii)
         (file,) = (tmp_path / "drake_oa" / "spheres").iterdir()
-    # Unreadable files are replaced, and a cover that cannot be written is not kept.
+    # Unreadable files are replaced; without a writable cache the cover is computed.
     file.write_bytes(b"PK")
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
-    np.testing.assert_array_equal(known_cover(geometries, 0.01, 200, "").radii, expected.radii)
+    np.testing.assert_array_equal(load_cover(geometries, 0.01, 200, "").radii, expected.radii)
 
 
-def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: RobotPlant) -> None:
+def test_the_shipped_covers_enclose_the_panda(panda: RobotPlant) -> None:
     plant, inspector = panda.plant, panda.scene_graph.model_inspector()
     shipped, requested = read_arrays(SHIPPED), SphereParameters()
     for body in map(plant.get_body, plant.GetBodyIndices(panda.instance)):
@@ -104,20 +100,20 @@ def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: Ro
         geometries = [
             geometry.read_geometry(inspector, geometry_id) for geometry_id in geometry_ids
         ]
-        # Removed, so that none is left that no body has.
+        # Remove each used cover: no unused cover may remain.
         spheres = shipped.pop(cover_key(geometries, protrusion))
         for shape in geometries:
-            check_encloses(shape, spheres)
-        assert known_cover(geometries, protrusion, 200, "").protrusion <= 1.25 * protrusion
+            check_enclosed(shape, spheres)
+        assert load_cover(geometries, protrusion, 200, "").protrusion <= 1.25 * protrusion
     assert not shipped
 
 
 def arm_of_links(
     path: Path, joints: str = "rrrrrr", *, collision: bool = True, folded: bool = False
 ) -> RobotPlant:
-    """Makes links of a box and a cylinder in a row, bent by turns; the base leans.
+    """Builds a chain of links, each a box and a cylinder, on a tilted base.
 
-    Folded, joints 1 and 2 turn about almost one point.
+    With `folded`, joints 1 and 2 almost coincide.
     """
     shape = (
         '<collision><origin xyz="0 0 0.1"/><geometry><box size="0.05 0.06 0.16"/></geometry>'
@@ -158,7 +154,7 @@ def spheres(panda: RobotPlant) -> ArmSpheres:
 def check_against_scene_graph(
     robot: RobotPlant, q: np.ndarray, spheres: ArmSpheres, seed: int, count: int
 ) -> None:
-    """Distances to points and to itself are at most SceneGraph's, and by no more than is said."""
+    """Checks distances to points and self-distances against SceneGraph in random configurations."""
     plant, arrays = robot.plant, spheres.arrays
     chain = make_chain(plant, robot.tool_frame, q)
     n, full = len(chain.lower), q.copy()
@@ -199,7 +195,7 @@ def check_against_scene_graph(
         assert self_distance(chain, arrays, full[:n].copy()) <= max(true, 0.0) + 1e-4
 
 
-def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
+def test_groups_and_pairs_of_the_panda(spheres: ArmSpheres) -> None:
     links, arrays = tuple(f"panda_link{k}" for k in range(8)), spheres.arrays
     assert spheres.bodies == (*links, *Robot().tool_links)
     assert arrays.group_joint.tolist() == [-1, 0, 1, 2, 3, 4, 5, 6, 6, 6, 6]
@@ -208,7 +204,7 @@ def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
     assert (arrays.of_tool == (np.arange(count) >= arrays.first[len(links)])).all()
     names = {tuple(spheres.bodies[g] for g in pair) for pair in spheres.arrays.pairs}
     assert ("panda_link0", "panda_hand") in names
-    # Neighbors; fixed to one another; excluded by the model.
+    # Adjacent bodies, fixed bodies, and pairs excluded by the model.
     for absent in (
         ("panda_link3", "panda_link4"),
         ("panda_link6", "panda_hand"),
@@ -218,7 +214,7 @@ def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
         assert absent not in names
 
 
-def test_what_is_held_is_of_the_tool() -> None:
+def test_a_grasped_object_belongs_to_the_tool() -> None:
     robot = Robot(carried=[HeldCylinder(radius=0.02, length=0.2, translation=[0.0, 0.0, 0.12])])
     panda = make_robot_plant(robot)
     found = make_arm_spheres(panda, home_positions(robot), tool_links(robot), COARSE)
@@ -229,28 +225,28 @@ def test_what_is_held_is_of_the_tool() -> None:
     assert {"panda_hand", "carried0"} not in names
 
 
-def test_six_joints_and_a_base_that_leans(tmp_path: Path) -> None:
+def test_six_joints_and_a_tilted_base(tmp_path: Path) -> None:
     robot = arm_of_links(tmp_path / "arm.urdf")
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
     check_against_scene_graph(robot, np.zeros(6), found, 5, 15)
     assert [0, 6] in found.arrays.pairs.tolist()
-    # Spheres so coarse that links overlap which are kept apart by the one between them.
+    # With coarse spheres, links separated by one other link overlap.
     coarse = SphereParameters(protrusion=0.05, max_tool_protrusion=0.05)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
     assert (found.arrays.allowance > 0.0).any()
-    # Also in postures that were not drawn.
+    # The allowance also holds in configurations that were not sampled.
     check_against_scene_graph(robot, np.zeros(6), found, 7, 10)
 
 
-def test_what_always_touches_is_left_out(tmp_path: Path) -> None:
-    # Links 1 and 3 overlap whatever the joints.
+def test_pairs_always_in_contact_are_excluded(tmp_path: Path) -> None:
+    # Links 1 and 3 overlap in every configuration.
     robot = arm_of_links(tmp_path / "arm.urdf", folded=True)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
     names = {tuple(found.bodies[g] for g in pair) for pair in found.arrays.pairs}
     assert ("link1", "link3") not in names
 
 
-def test_robots_that_cannot_be_served_are_refused(tmp_path: Path) -> None:
+def test_unsupported_robots_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"'joint2'.*prismatic.*must be revolute"):
         make_arm_spheres(arm_of_links(tmp_path / "p.urdf", "rrprrr"), np.zeros(6), [], COARSE)
     with pytest.raises(ValueError, match=r"link1.*has collision geometry"):

@@ -1,15 +1,11 @@
-"""Joint motions in time: limits, tracking of the tool, and predicted contacts."""
+"""Tests of joint trajectories: limits of legs and paths, and tracking of the tool."""
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.robot.arm import tool_poses
-from drake_oa.safety.joint_motions import (
-    advance_leg,
-    approach,
-    track,
-)
+from drake_oa.safety.joint_motions import advance_leg, approach, track
 from tests.planning.arms import ArmAlone
 
 STEP = 0.008
@@ -49,7 +45,7 @@ def test_joints_converge_to_a_moving_path_within_the_limits(
     np.testing.assert_allclose(x, path, atol=1e-3)
 
 
-def test_the_tool_is_where_it_is_to_be_after_a_step(panda: ArmAlone) -> None:
+def test_the_tool_tracks_a_desired_velocity(panda: ArmAlone) -> None:
     chain, q = panda.chain, np.array(panda.q)
     V_WE = np.array([0.1, -0.2, 0.15, 0.1, 0.3, -0.2])
     X_WE, posture = tool_poses(chain, q[None])[0], np.append(q, np.zeros(7))

@@ -1,4 +1,4 @@
-"""The motion guard alone: it follows, leaves its path for an obstacle, and returns."""
+"""Tests of the motion guard alone: following, evasion, return, and contact reaction."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ LIMIT = GuardParameters().acceleration_limit
 
 
 class Bench:
-    """A guard whose command the robot follows exactly, at rest on its path."""
+    """`MotionGuard` at rest on its path, with a robot that follows its command exactly."""
 
     def __init__(self, panda: ArmAlone, turn_limit: float | None = None) -> None:
         self.arm, self.q, self.size = panda, np.array(panda.q), len(panda.q_full)
@@ -38,7 +38,7 @@ class Bench:
         self.system = MotionGuard(
             panda.robot,
             panda.chain,
-            panda.covered,
+            panda.arm_spheres,
             5.0,
             self.q,
             config=Policy(alpha_k=0.5, period=STEP),
@@ -68,7 +68,7 @@ class Bench:
             self.system.GetInputPort(name).FixValue(self.context, value)
 
     def run(self, duration: float, *balls: CollisionGeometry) -> dict[str, np.ndarray]:
-        """Runs beside balls, which are where they are at the beginning."""
+        """Simulates with balls at their poses at the start, and returns recorded outputs."""
         found: dict[str, list] = {"x": [], "scale": [], "action": []}
         begin = self.context.get_time()
         geometries = [replace(ball, stamp=begin) for ball in balls]
@@ -92,7 +92,7 @@ class Bench:
         return np.array(self.system.GetOutputPort(name).Eval(self.context))
 
     def arriving(self, after: float, *v_WO: float) -> CollisionGeometry:
-        """A ball that arrives at the hand after a time [s]."""
+        """Returns a ball that reaches the hand after a time [s] with a velocity [m/s]."""
         X_WO = np.eye(4)
         X_WO[:3, 3] = self.X_WE[9:] + [0.0, 0.0, 0.05] - after * np.array(v_WO)
         return replace(
@@ -100,8 +100,12 @@ class Bench:
         )
 
     def gap(self, x: np.ndarray, ball: CollisionGeometry) -> float:
-        """Least distance of the moving links to a ball along joint states (T, 2n) [m]."""
-        chain, spheres, q = self.arm.chain, self.arm.covered.arrays, np.ascontiguousarray(x[:, :7])
+        """Computes the minimum distance of moving links to a ball along x (T, 2n) [m]."""
+        chain, spheres, q = (
+            self.arm.chain,
+            self.arm.arm_spheres.arrays,
+            np.ascontiguousarray(x[:, :7]),
+        )
         geometries, moves = geometries_of([ball]), spheres.group_joint >= 0
         return min(
             group_distances(chain, spheres, geometries, q[k : k + 1], STEP * (k + 1), np.inf)[
@@ -112,7 +116,7 @@ class Bench:
 
 
 @pytest.mark.parametrize("v_WO", [(-0.5, 0.0, 0.0), (0.0, -0.5, 0.0)])
-def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, v_WO: tuple[float, ...]) -> None:
+def test_the_arm_evades_a_ball_and_returns(panda: ArmAlone, v_WO: tuple[float, ...]) -> None:
     bench = Bench(panda)
     before, rest = bench.run(0.2), np.append(bench.q, np.zeros(7))
     np.testing.assert_allclose(before["x"][-1], rest, atol=1e-6)
@@ -131,11 +135,11 @@ def test_it_leaves_for_a_ball_and_returns(panda: ArmAlone, v_WO: tuple[float, ..
     assert (after["action"][-1], after["scale"][-1]) == (0.0, 1.0)
 
 
-def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(panda: ArmAlone) -> None:
+def test_the_desired_position_moves_to_an_arm_that_cannot_return(panda: ArmAlone) -> None:
     bench = Bench(panda)
     bench.run(0.2)
     bench.run(1.2, bench.arriving(1.2, -0.5, 0.0, 0.0))
-    # The ball stays where the arm was.
+    # The ball rests at the previous position of the hand.
     found = bench.run(5.0, bench.arriving(0.0, 0.0, 0.0, 0.0))
     p_WE = tool_poses(panda.chain, found["x"][-1:, :7].copy())[0, 9:]
     assert np.linalg.norm(p_WE - bench.X_WE[9:]) > 0.03
@@ -144,9 +148,7 @@ def test_the_desired_position_comes_to_rest_at_an_arm_that_cannot_return(panda: 
 
 
 @pytest.mark.parametrize("limit", [0.1, None])
-def test_a_maneuver_turns_the_tool_no_farther_than_the_task_allows(
-    panda: ArmAlone, limit: float | None
-) -> None:
+def test_maneuvers_satisfy_the_turn_limit_of_the_tool(panda: ArmAlone, limit: float | None) -> None:
     bench = Bench(panda, limit)
     bench.run(0.2)
     found = bench.run(3.0, bench.arriving(1.6, -0.3, 0.0, 0.0))
@@ -156,19 +158,19 @@ def test_a_maneuver_turns_the_tool_no_farther_than_the_task_allows(
     assert (turn.max() <= 0.12) == (limit is not None)
 
 
-def test_a_pushed_arm_is_commanded_from_where_it_is(panda: ArmAlone) -> None:
+def test_the_command_restarts_at_a_pushed_arm(panda: ArmAlone) -> None:
     bench = Bench(panda)
     bench.run(0.2)
     bench.x[bench.index[3]] += 0.1
     bench.fix("robot_state", bench.x)
     found = bench.run(0.48)
     assert found["x"][0][3] == pytest.approx(bench.q[3] + 0.1, abs=1e-3)
-    # Slow for a while.
+    # The speed is limited after the contact.
     point_speed = np.abs(found["x"][:, 7:]) @ panda.chain.reach
     assert point_speed.max() <= GuardParameters().v_unseen + 1e-6
 
 
-def test_a_state_that_is_not_finite_stops_it(panda: ArmAlone) -> None:
+def test_a_robot_state_that_is_not_finite_is_a_fault(panda: ArmAlone) -> None:
     bench = Bench(panda)
     bench.run(0.2)
     bench.fix("robot_state", np.full(2 * bench.size, np.nan))

@@ -1,4 +1,4 @@
-"""Demands of the monitors, and the speed of the phase."""
+"""Tests of the monitors' speed limits, and of the supervisor's action and speed scale."""
 
 import numpy as np
 import pytest
@@ -19,20 +19,22 @@ from drake_oa.safety.supervision import (
 STEP = 0.008
 
 
-def test_guard_path_and_old_observations_slow() -> None:
+def test_guard_path_and_old_observations_limit_the_speed() -> None:
     for action, scale, reason in (("follow", 1.0, ""), ("slow", 0.3, "near 4, contact in 0.50 s")):
         decision = GuardDecision(action, scale, contact=1.5, obstacle="4")
-        limit = monitor_guard(decision, 1.0, late=False, moves=True)
-        assert (limit.scale, limit.reason, limit.lasting) == (scale, reason, False)
-        assert monitor_guard(decision, 1.0, late=True, moves=True).scale == 0.0
+        limit = monitor_guard(decision, 1.0, is_late=False, has_moving=True)
+        assert (limit.scale, limit.reason, limit.is_lasting) == (scale, reason, False)
+        assert monitor_guard(decision, 1.0, is_late=True, has_moving=True).scale == 0.0
     assert [monitor_path(d).scale for d in (0.0, 0.02, 0.06, 0.2)] == pytest.approx([1, 1, 0.5, 0])
-    seen = CollisionScene(1.0)
-    scales = [monitor_observation(seen, 1.0 + age, 0.1, 0.5).scale for age in (0.1, 0.3, 0.5, 0.51)]
+    scene = CollisionScene(1.0)
+    scales = [
+        monitor_observation(scene, 1.0 + age, 0.1, 0.5).scale for age in (0.1, 0.3, 0.5, 0.51)
+    ]
     assert scales == pytest.approx([1.0, 0.5, 0.1, 0.0])
     assert monitor_observation(CollisionScene(), 0.0, 0.1, 0.5).scale == 0.0
 
 
-def test_lasting_saturation_slows_and_is_forgiven() -> None:
+def test_the_speed_recovers_after_torque_saturation() -> None:
     state, scales = Supervision(), []
     for step in range(60):
         state, limit = monitor_torque(state, step < 40, step * STEP, STEP)
@@ -46,47 +48,51 @@ def run(
     count: int,
     state: Supervision,
     begin: float = 0.0,
-    waits: bool = False,
+    is_waiting: bool = False,
 ) -> list[Supervision]:
-    found = [state]
+    states = [state]
     for step in range(count):
-        found.append(supervise(found[-1], limits, begin + step * STEP, STEP, waits=waits))
-    return found[1:]
+        states.append(
+            supervise(states[-1], limits, begin + step * STEP, STEP, is_waiting=is_waiting)
+        )
+    return states[1:]
 
 
 def test_speed_falls_at_once_and_rises_slowly() -> None:
-    (held,) = run([SpeedLimit(0.0, "why", "why, 3 m")], 1, Supervision())
-    assert held.action == "hold"
-    assert (held.speed_scale, held.reason) == (0.0, "why, 3 m")
-    back = run([SpeedLimit()], 200, held, 1.0)
-    scales = [state.speed_scale for state in back]
+    (hold,) = run([SpeedLimit(0.0, "why", "why, 3 m")], 1, Supervision())
+    assert hold.action == "hold"
+    assert (hold.speed_scale, hold.reason) == (0.0, "why, 3 m")
+    recovery = run([SpeedLimit()], 200, hold, 1.0)
+    scales = [state.speed_scale for state in recovery]
     np.testing.assert_allclose(np.diff(scales[:30]), STEP / RECOVERY_TIME)
-    slow = [state.action == "slow" for state in back]
+    slow = [state.action == "slow" for state in recovery]
     assert slow == sorted(slow, reverse=True)
-    assert [state.reason for state in back] == [is_slow * "why, 3 m" for is_slow in slow]
-    # A hold ends only well above where it began.
-    assert run([SpeedLimit(0.2, "why", "why")], 5, held)[-1].action == "hold"
-    assert run([SpeedLimit(0.4, "why", "why")], 5, held)[-1].action == "slow"
+    assert [state.reason for state in recovery] == [is_slow * "why, 3 m" for is_slow in slow]
+    # By hysteresis, a hold ends at a higher limit than it started.
+    assert run([SpeedLimit(0.2, "why", "why")], 5, hold)[-1].action == "hold"
+    assert run([SpeedLimit(0.4, "why", "why")], 5, hold)[-1].action == "slow"
 
 
-def test_flickering_demands_and_new_causes_are_told_after_a_while() -> None:
-    state, told = Supervision(), []
+def test_flickering_limits_and_new_causes_are_debounced() -> None:
+    state, events = Supervision(), []
     for step in range(250):
         flickering = SpeedLimit(0.9, "near", "near") if step % 2 else SpeedLimit()
         limit = flickering if step < 125 else SpeedLimit(0.4, "two", "two")
         after = supervise(state, [limit], step * STEP, STEP)
         if (after.action, after.cause) != (state.action, state.cause):
-            told.append((after.action, after.cause))
+            events.append((after.action, after.cause))
         state = after
-    assert told == [("slow", "near"), ("slow", "two")]
+    assert events == [("slow", "near"), ("slow", "two")]
 
 
 @pytest.mark.parametrize(
-    ("lasting", "waits", "action"),
+    ("is_lasting", "is_waiting", "action"),
     [(True, False, "stop"), (False, False, "hold"), (True, True, "hold")],
 )
-def test_a_lasting_hold_becomes_a_stop(lasting: bool, waits: bool, action: str) -> None:
-    held = run([SpeedLimit(0.0, "why", "why", lasting)], 400, Supervision(), waits=waits)
-    assert held[-1].action == action
-    after = run([SpeedLimit()], 300, held[-1], 10.0)
+def test_a_lasting_hold_becomes_a_stop(is_lasting: bool, is_waiting: bool, action: str) -> None:
+    hold = run(
+        [SpeedLimit(0.0, "why", "why", is_lasting)], 400, Supervision(), is_waiting=is_waiting
+    )
+    assert hold[-1].action == action
+    after = run([SpeedLimit()], 300, hold[-1], 10.0)
     assert (after[0].action, after[-1].action) == ("slow", "run")

@@ -264,7 +264,9 @@ def find_motion(
             checked += clear
             if clear == stay.shape[1]:
                 checked += _PATH_STATES
-                path = plan_path(world.arm, motion[-1], goals, most=_PATH_STATES, seed=seed)
+                path = plan_path(
+                    world.arm, motion[-1], goals, max_configurations=_PATH_STATES, seed=seed
+                )
                 if len(path):
                     return JointMotion(np.vstack([motion, stay[0, 1:]]), path), checked
         # The later one of two random nodes, so that the tree soon reaches the trajectories' end.

@@ -154,7 +154,7 @@ class SceneArm:
         rolled = roll_out_arm(world, q_start, paths)
         q, margin = rolled.q[0], _LIMIT_MARGIN
         within = (q > self._chain.lower + margin) & (q < self._chain.upper - margin)
-        if rolled.error[0] > _MAX_ERROR or not within.all() or rolled.least[0] < 0.0:
+        if rolled.error[0] > _MAX_ERROR or not within.all() or rolled.min_margin[0] < 0.0:
             return None
         ends = np.vstack([q[[0, -1]], q_ends[1:]])
         return Motion(start, goal, task.duration * s, q, ends, rpy_WE)
