@@ -101,7 +101,7 @@ def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> 
     return shape_geometries([Box(list(size))], X_WO, label=label)[0]
 
 
-def random_geometries(
+def random_boxes(
     random: np.random.Generator, count: int, moving: int = 0
 ) -> list[CollisionGeometry]:
     """Samples boxes and spheres around an arm's base, of which the first `moving` ones move."""

@@ -19,14 +19,14 @@ from drake_oa.planning.collision_model import (
     min_clearance_margin,
     self_distance,
 )
-from tests.planning.arms import ArmAlone, random_geometries
+from tests.planning.arms import ArmAlone, random_boxes
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
 def random_model(arm: ArmAlone, random: np.random.Generator) -> ArmCollisionModel:
     shard = hull(random.uniform(-0.1, 0.1, (12, 3)) + [0.4, 0.2, 0.5])
-    objects = random_geometries(random, 4, moving=2)
+    objects = random_boxes(random, 4, moving=2)
     world = arm.model(
         [*objects, shard, geometry_of(drake.HalfSpace())], self_clearance=random.uniform(0.0, 0.05)
     )
@@ -93,7 +93,7 @@ def test_a_configuration_beyond_a_joint_limit_is_not_free(panda_arm: ArmAlone, s
 @given(seed=SEEDS)
 def test_a_free_edge_is_free_between_checked_configurations(panda_arm: ArmAlone, seed: int) -> None:
     random = np.random.default_rng(seed)
-    world = panda_arm.model(random_geometries(random, 5))
+    world = panda_arm.model(random_boxes(random, 5))
     one = panda_arm.random_q(random)
     assume(is_collision_free(world, one))
     other = one + random.normal(size=7) * random.uniform(0.05, 0.6)

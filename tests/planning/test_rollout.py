@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from drake_oa.planning.collision_model import FAR, LINKS, TOOL, ArmCollisionModel, group_distances
 from drake_oa.planning.search import ToolPaths, roll_out_arm
 from drake_oa.robot.arm import tool_poses
-from tests.planning.arms import ArmAlone, random_geometries
+from tests.planning.arms import ArmAlone, random_boxes
 
 SEEDS = st.integers(0, 2**32 - 1)
 S = np.linspace(0.0, 1.0, 33)
@@ -26,7 +26,7 @@ def smooth_motions(arm: ArmAlone, random: np.random.Generator, count: int) -> To
     return ToolPaths(S, p_WE, np.tile(R_WE, (count, 1, 1)), posture, random.uniform(2.0, 6.0))
 
 
-def distance_model(arm: ArmAlone, objects: list) -> ArmCollisionModel:
+def free_model(arm: ArmAlone, objects: list) -> ArmCollisionModel:
     """Returns a collision model with required clearances 0: margins are distances."""
     return arm.model(objects, 0.0, 0.0, -5.0)
 
@@ -37,10 +37,7 @@ def test_margins_errors_and_speeds_are_those_of_the_joint_motion(
     panda_arm: ArmAlone, seed: int
 ) -> None:
     random, arm = np.random.default_rng(seed), panda_arm
-    world, paths = (
-        distance_model(arm, random_geometries(random, 4)),
-        smooth_motions(arm, random, 3),
-    )
+    world, paths = (free_model(arm, random_boxes(random, 4)), smooth_motions(arm, random, 3))
     result, tool = roll_out_arm(world, arm.q, paths), world.required.is_tool
     for i, q in enumerate(result.q):
         dt = paths.seconds / (len(S) - 1)
@@ -61,7 +58,7 @@ def test_candidates_are_independent_and_aborted_below_a_margin(
 ) -> None:
     random = np.random.default_rng(seed)
     world, paths = (
-        distance_model(panda_arm, random_geometries(random, 3)),
+        free_model(panda_arm, random_boxes(random, 3)),
         smooth_motions(panda_arm, random, 9),
     )
     p_WE = paths.p_WE.copy()
