@@ -121,17 +121,9 @@ SOURCES = ("nominal", "chain", "search", "joint_path")
 """Sources of a motion: nominal motion, all rows of the paper's regressor chain together, evolution
 strategy, joint-space path."""
 NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
-_SIDE_SEEDS = np.tile(
-    [
-        [0.0, 0.25, -0.05, 3.5, -0.3, 7.0],
-        [0.0, 0.5, -0.05, 2.5, 0.0, 5.5],
-        [0.0, 0.75, -0.05, 3.5, -0.3, 7.0],
-    ],
-    (6, 1),
-)[:16]
+_SIDE_SEEDS = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0], (16, 1))
 _SIDE_SEEDS[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-"""(16, 6) candidate parameters of a moderate term on each of 16 sides, in turn near the start, the
-middle and the goal."""
+"""(16, 6) candidate parameters of a moderate term on each of 16 sides of the baseline."""
 
 
 def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:
