@@ -63,5 +63,4 @@ def test_time_counts_for_the_innermost_system():
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     other.get_output_port().Eval(other.GetMyContextFromRoot(context))
-    assert wall_times["0.1"] == pytest.approx(0.1, abs=0.05)
-    assert wall_times["0.02"] == pytest.approx(0.02, abs=0.02)
+    assert wall_times["0.1"] >= 0.1 > wall_times["0.02"] >= 0.02

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from drake_oa.geometry import collision_scene as geometry
+from drake_oa.geometry import collision_scene as geom
 from drake_oa.geometry.collision_scene import geometries_of
 from drake_oa.geometry.distance_field import field_of
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
@@ -39,7 +39,7 @@ class World:
     def geometries(self):
         """Reads the collision geometries of the body."""
         geometry_ids = self.plant.GetCollisionGeometriesForBody(self.body)
-        return [geometry.read_geometry(self.inspector, geometry_id) for geometry_id in geometry_ids]
+        return [geom.read_geometry(self.inspector, geometry_id) for geometry_id in geometry_ids]
 
 
 SHAPES = {
@@ -67,20 +67,18 @@ def test_distances_equal_those_of_drake(name):
         else:
             (near,) = reference.query.ComputeSignedDistanceToPoint(p)
             expected = near.distance
-        assert geometry.geometry_distance(scene, 0, *p, 0.0) == pytest.approx(
-            expected, abs=tolerance
-        )
+        assert geom.geometry_distance(scene, 0, *p, 0.0) == pytest.approx(expected, abs=tolerance)
 
 
 def half_space_at(X):
     """Returns a half-space at a pose (4, 4)."""
-    return replace(geometry.geometry_of(drake.HalfSpace()), X_WO=X)
+    return replace(geom.geometry_of(drake.HalfSpace()), X_WO=X)
 
 
 def test_the_distance_to_a_hull_is_that_to_its_nearest_point():
     scene = geometries_of(World([drake.Convex(ROUND.T, "round")]).geometries())
     for p in POINTS[:150]:
-        (d,) = geometry.least_distances(scene, p[None], 0.0, np.inf, -np.inf)
+        (d,) = geom.least_distances(scene, p[None], 0.0, np.inf, -np.inf)
         # Outside, the nearest point is a convex combination of vertices, by least squares.
         q = X_WG[:3, :3].T @ (p - X_WG[:3, 3])
         rows = np.vstack([ROUND.T, np.full(len(ROUND), 1e3)])
@@ -90,16 +88,16 @@ def test_the_distance_to_a_hull_is_that_to_its_nearest_point():
 
 
 def test_coplanar_points_have_a_hull():
-    scene = geometries_of([geometry.hull(CUBE[:4] * [0.0, 1.0, 1.0])])
-    assert geometry.geometry_distance(scene, 0, 0.3, 0.0, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
-    assert geometry.geometry_distance(scene, 0, 0.0, 0.5, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
+    scene = geometries_of([geom.hull(CUBE[:4] * [0.0, 1.0, 1.0])])
+    assert geom.geometry_distance(scene, 0, 0.3, 0.0, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
+    assert geom.geometry_distance(scene, 0, 0.0, 0.5, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
 
 
 def scene_of_all(**more):
     """Returns one moving geometry of each kind in a row along x, and the ground."""
     cloud = np.concatenate([CUBE, 0.5 * CUBE]) + [3.5, 0.0, 0.0]
     names = ("sphere", "box", "capsule", "cylinder", "ellipsoid")
-    kinds = [*(geometry.geometry_of(SHAPES[name]) for name in names), geometry.hull(ROUND)]
+    kinds = [*(geom.geometry_of(SHAPES[name]) for name in names), geom.hull(ROUND)]
     items = []
     for number, kind in enumerate(kinds):
         X = np.eye(4)
@@ -108,13 +106,11 @@ def scene_of_all(**more):
         v_WO = RNG.uniform(-0.3, 0.3, 3)
         items.append(replace(kind, X_WO=X, v_WO=v_WO, stamp=1.0, name=10 + number, **more))
     items.append(
-        geometry.cloud_geometry(
-            field_of(cloud), v_WO=np.array([0.1, 0.2, -0.1]), stamp=2.0, name=16
-        )
+        geom.cloud_geometry(field_of(cloud), v_WO=np.array([0.1, 0.2, -0.1]), stamp=2.0, name=16)
     )
     ground = np.eye(4)
     ground[2, 3] = -0.3
-    items.append(replace(geometry.geometry_of(drake.HalfSpace()), X_WO=ground, name=17))
+    items.append(replace(geom.geometry_of(drake.HalfSpace()), X_WO=ground, name=17))
     return items
 
 
@@ -125,9 +121,9 @@ def test_geometries_move_with_their_velocity():
         for k, item in enumerate(items):
             for p in 5.0 * POINTS[:40]:
                 shift = item.v_WO * (t - item.stamp)
-                there = geometry.geometry_distance(scene, k, *p, t)
+                there = geom.geometry_distance(scene, k, *p, t)
                 assert there == pytest.approx(
-                    geometry.geometry_distance(scene, k, *(p - shift), item.stamp), abs=1e-12
+                    geom.geometry_distance(scene, k, *(p - shift), item.stamp), abs=1e-12
                 )
 
 
@@ -135,17 +131,13 @@ def test_least_distances_are_those_of_the_nearest_geometry_with_any_culling():
     items = scene_of_all()
     scene, t = geometries_of(items), 2.0
     points = RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3))
-    each = [
-        [geometry.geometry_distance(scene, k, *p, t) for k in range(len(items))] for p in points
-    ]
+    each = [[geom.geometry_distance(scene, k, *p, t) for k in range(len(items))] for p in points]
     least = np.min(each, axis=1)
+    np.testing.assert_array_equal(geom.least_distances(scene, points, t, np.inf, -np.inf), least)
     np.testing.assert_array_equal(
-        geometry.least_distances(scene, points, t, np.inf, -np.inf), least
+        geom.least_distances(scene, points, t, 0.1, -np.inf), np.minimum(least, 0.1)
     )
-    np.testing.assert_array_equal(
-        geometry.least_distances(scene, points, t, 0.1, -np.inf), np.minimum(least, 0.1)
-    )
-    bounds = [[geometry.ball_bound(scene, k, *p, t) for k in range(len(items))] for p in points]
+    bounds = [[geom.ball_bound(scene, k, *p, t) for k in range(len(items))] for p in points]
     # A field's distance is up to a voxel and an offset less than that of its points.
     assert (np.array(bounds) <= np.array(each) + 0.01).all()
 
@@ -163,24 +155,19 @@ VOLUMES = {
 @pytest.mark.parametrize("name", VOLUMES)
 def test_surface_points_are_on_the_surface_and_span_the_shape(name):
     (one,) = World([SHAPES[name]]).geometries()
-    points = geometry.surface_points(one, 300)
+    points = geom.surface_points(one, 300)
     assert 150 <= len(points) <= 450
     assert 0.93 < ConvexHull(points).volume / VOLUMES[name] < 1.0 + 1e-6
-    distances = geometry.least_distances(
-        geometries_of([one]), one.placed(points), 0.0, np.inf, -np.inf
-    )
+    distances = geom.least_distances(geometries_of([one]), one.placed(points), 0.0, np.inf, -np.inf)
     np.testing.assert_allclose(distances, 0.0, atol=3e-3)
-    outline = geometry.hull(geometry.outline_corners(one))
-    assert (
-        geometry.least_distances(geometries_of([outline]), points, 0.0, np.inf, -np.inf).max()
-        < 1e-9
-    )
+    outline = geom.hull(geom.outline_corners(one))
+    assert geom.least_distances(geometries_of([outline]), points, 0.0, np.inf, -np.inf).max() < 1e-9
 
 
 def test_geometries_of_a_robot_have_the_poses_of_the_scene_graph():
     world = World([SHAPES[name] for name in VOLUMES])
     instance = world.body.model_instance()
-    robot = geometry.robot_geometries(world.plant, world.inspector, instance)
+    robot = geom.robot_geometries(world.plant, world.inspector, instance)
     states = [np.array([0.7, 0.0]), np.array([-2.0, 0.0])]
     reference = []
     for state in states:
@@ -189,7 +176,7 @@ def test_geometries_of_a_robot_have_the_poses_of_the_scene_graph():
         reference.append(
             [[d.distance for d in query.ComputeSignedDistanceToPoint(p)] for p in POINTS]
         )
-    result = geometry.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
+    result = geom.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
     # Distances to ellipsoids in Drake are iterative.
     np.testing.assert_allclose(result, np.min(reference, axis=(0, 2)), atol=1e-3)
     with pytest.raises(ValueError, match="2 finite numbers"):
@@ -199,35 +186,31 @@ def test_geometries_of_a_robot_have_the_poses_of_the_scene_graph():
 def test_a_robot_without_shapes_is_valid_and_with_a_half_space_is_rejected():
     bare, grounded = World([]), World([drake.HalfSpace()])
     args = bare.plant, bare.inspector, bare.body.model_instance()
-    empty = geometry.robot_geometries(*args).posed([np.zeros(2)])
-    assert geometry.least_distances(empty, POINTS, 0.0, 0.1, 0.1).min() == 0.1
+    empty = geom.robot_geometries(*args).posed([np.zeros(2)])
+    assert geom.least_distances(empty, POINTS, 0.0, 0.1, 0.1).min() == 0.1
     with pytest.raises(ValueError, match="half-space"):
-        geometry.robot_geometries(
-            grounded.plant, grounded.inspector, grounded.body.model_instance()
-        )
+        geom.robot_geometries(grounded.plant, grounded.inspector, grounded.body.model_instance())
     with pytest.raises(ValueError, match="is not bounded"):
-        geometry.surface_points(geometry.geometry_of(drake.HalfSpace()))
+        geom.surface_points(geom.geometry_of(drake.HalfSpace()))
 
 
 def test_shapes_of_a_scenario_have_their_poses():
     shapes = [Box([0.1, 0.2, 0.3], [0.2, 0, 0]), Cylinder(0.1, 0.2), Sphere(0.1, [0, 0, 1.0])]
-    result = geometry.shape_geometries(
-        shapes, X_WG, name=4, v_WO=np.array([0.1, 0.0, 0.0]), stamp=2.0
-    )
+    result = geom.shape_geometries(shapes, X_WG, name=4, v_WO=np.array([0.1, 0.0, 0.0]), stamp=2.0)
     scene = geometries_of(result)
     assert scene.layout[:, 5].tolist() == [4, 4, 4]
     centers = [X_WG[:3, :3] @ c + X_WG[:3, 3] for c in ([0.2, 0, 0], [0, 0, 0], [0, 0, 1.0])]
     for k, (center, depth) in enumerate(zip(centers, (-0.05, -0.1, -0.1), strict=True)):
-        assert geometry.geometry_distance(scene, k, *center, 2.0) == pytest.approx(depth)
+        assert geom.geometry_distance(scene, k, *center, 2.0) == pytest.approx(depth)
 
 
 def test_a_scene_at_rest_has_no_moving_geometry():
-    resting = replace(geometry.geometry_of(drake.Box(0.1, 0.1, 0.1)), label="box")
+    resting = replace(geom.geometry_of(drake.Box(0.1, 0.1, 0.1)), label="box")
     moving = replace(
-        geometry.geometry_of(drake.Sphere(0.1)), label="ball", v_WO=np.array([0.0, 0.1, 0.0])
+        geom.geometry_of(drake.Sphere(0.1)), label="ball", v_WO=np.array([0.0, 0.1, 0.0])
     )
-    scene = geometry.CollisionScene.of(1.0, [moving, resting])
+    scene = geom.CollisionScene.of(1.0, [moving, resting])
     rest = scene.at_rest()
     assert (rest.labels, rest.stamp, rest.moves) == (("box",), 1.0, False)
-    assert rest.same_as(geometry.CollisionScene.of(1.0, [resting]))
+    assert rest.same_as(geom.CollisionScene.of(1.0, [resting]))
     assert rest.at_rest() is rest
