@@ -55,9 +55,9 @@ CASES = {
         customize=raised_table(1.5, 0.3), ends=SAFE, logs="brakes for an obstacle"
     ),
     "collision scene with NaN": Case(
-        customize=nan_geometries(1.0, 2.0), logs="the solids are not finite"
+        customize=nan_geometries(1.0, 2.0), logs="the collision scene is not finite"
     ),
-    "obstacle data with NaN": Case((), nan_clouds(1.0, 2.0), logs="obstacles_W holds what is not"),
+    "obstacle data with NaN": Case((), nan_clouds(1.0, 2.0), logs="obstacles_W is not finite"),
 }
 
 

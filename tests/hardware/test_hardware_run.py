@@ -119,7 +119,7 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
             lcm.HandleSubscriptions(100)
             if (
                 received
-                and np.abs(lcmt_panda_status.decode(received[-1]).joint_velocity).max() > 0.05
+                and np.abs(lcmt_panda_status.decode(received[-1]).joint_velocity).max() > 0.1
             ):
                 break
         if kind == signal.SIGKILL:
@@ -136,7 +136,7 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
     assert "no command for 0.1 s" in error_text
     (log,) = load_logs(truth).values()
     fast = np.abs(log.v[:, :7]).max(axis=1)
-    assert fast.max() > 0.2
+    assert fast.max() > 0.1
     assert fast[-1] < 0.01
     # The arm decelerates within the lead, at a quarter of the rate.
     assert np.abs(np.diff(log.v[:, :7], axis=0)).max() / 0.004 < 40.0
