@@ -260,7 +260,7 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
             continue
         place += f".{part}" if place else part
         if part in (fields := getattr(block, "__pydantic_fields__", {})):
-            bracket = re.search(r" \[[^\]]+\]", _descriptions(block).get(part, "").split("\n\n")[0])
+            bracket = re.search(r" \[[^]-]+\]", _descriptions(block).get(part, "").split("\n\n")[0])
             kind, unit = fields[part].annotation, bracket[0] if bracket else ""
             block, limits = _block(kind), _limits(fields[part].metadata)
     context, value = error.get("ctx", {}), error["input"]
