@@ -420,8 +420,8 @@ def run_suites(
             scenario = with_perception(parse_scenario(text), result.suite.perception)
             file = f"{runs.write_scenes}/{result.suite.scene_name(scene)}.scenario.yaml"
             replace_text(Path(file), scenario_text(scenario))
-    resumed = sum(result.resumed for result in results)
-    note = f"; {resumed} results read from {folder}" if resumed else ""
+    n_resumed = sum(result.resumed for result in results)
+    note = f"; {n_resumed} results read from {folder}" if n_resumed else ""
     kinds = ", ".join(result.suite.kind for result in results)
     print(f"{heading}, {kinds}, {results[0].suite.perception}{note}\n")
     all_of = [output["all"]] if "all" in output else []

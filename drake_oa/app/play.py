@@ -53,9 +53,9 @@ def play(
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.viewing.viewer import open_page, start_viewer
 
-    chosen = open_scenario(scenario, overrides, log)
+    loaded_scenario = open_scenario(scenario, overrides, log)
     with build_errors():
-        contacts = end_contacts(chosen)
+        contacts = end_contacts(loaded_scenario)
     if contacts:
         raise ValueError(contacts)
     with (
@@ -64,8 +64,8 @@ def play(
         stop_between_steps() as raise_if_requested,
     ):
         viewer = start_viewer(browser=True)
-        page = open_page(viewer, scenario_name(scenario), chosen.description)
-        session = PlaySession(chosen, viewer, page)
+        page = open_page(viewer, scenario_name(scenario), loaded_scenario.description)
+        session = PlaySession(loaded_scenario, viewer, page)
         try:
             session.run(raise_if_requested)
         except KeyboardInterrupt:

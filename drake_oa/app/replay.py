@@ -55,25 +55,25 @@ def replay(
     from drake_oa.viewing.viewer import open_page, recording, start_viewer, wait_for_viewer
 
     logs = load_logs(log)
-    chosen = choose_motion(log, logs, motion)
-    chosen_log = logs[chosen]
-    scenario = logged_scenario(log, chosen_log)
+    selected_motion = choose_motion(log, logs, motion)
+    motion_log = logs[selected_motion]
+    scenario = logged_scenario(log, motion_log)
     check_outputs(html, read=[log])
     viewer = start_viewer(browser=meshcat)
     with build_errors():
         planned_W = planned_path(scenario, logs)
-        diagram = build_replay(scenario, chosen_log, viewer, planned_W=planned_W)
+        diagram = build_replay(scenario, motion_log, viewer, planned_W=planned_W)
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(speed)
-        title = f"{log.stem}: {motion_name(chosen_log.avoid_obstacles)}"
+        title = f"{log.stem}: {motion_name(motion_log.avoid_obstacles)}"
         page = open_page(viewer, title, scenario.description)
-        simulator.set_monitor(show_readings(page, readings(scenario, chosen_log)))
+        simulator.set_monitor(show_readings(page, readings(scenario, motion_log)))
     with recording(viewer):
-        simulator.AdvanceTo(chosen_log.simulated_time)
-    print(f"{chosen}: {chosen_log.duration:.2f} s, terminated by {chosen_log.stop_reason}")
+        simulator.AdvanceTo(motion_log.simulated_time)
+    print(f"{selected_motion}: {motion_log.duration:.2f} s, terminated by {motion_log.stop_reason}")
     if html is not None:
-        replace_text(html, label_page(viewer.StaticHtml(), log.stem, scenario, chosen_log))
+        replace_text(html, label_page(viewer.StaticHtml(), log.stem, scenario, motion_log))
     if meshcat:
         wait_for_viewer()
 

@@ -150,7 +150,7 @@ def run(
         lcm_url: with --hardware, URL of the LCM bus.
         rate: with --hardware, simulated time over wall time, at most 1.
     """
-    chosen = open_scenario(scenario, overrides, html, json, log)
+    loaded_scenario = open_scenario(scenario, overrides, html, json, log)
     if hardware:
         _open_bus(lcm_url)
     elif rate != 1.0 or lcm_url != LCM_URL:
@@ -165,7 +165,7 @@ def run(
         reserved_log(log, no_log, name) as log_file,
         stop_between_steps() as raise_if_requested,
     ):
-        this = _Run(name, chosen, viewer, meshcat, html, duration, raise_if_requested)
+        this = _Run(name, loaded_scenario, viewer, meshcat, html, duration, raise_if_requested)
         if hardware:
             from drake_oa.hardware.robot_link import HardwareError
 
@@ -225,11 +225,11 @@ def station(
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.report import contact_error, report_table, run_report
 
-    chosen = open_scenario(scenario, overrides, log)
+    loaded_scenario = open_scenario(scenario, overrides, log)
     lcm = _open_bus(lcm_url)
     with build_errors():
         arm = PandaStation(
-            chosen,
+            loaded_scenario,
             lcm,
             rate=rate,
             waits=wait,
@@ -244,10 +244,10 @@ def station(
             failure = error
     contact = ""
     if log is not None:
-        logs = {"avoiding": station_log(chosen, arm)}
+        logs = {"avoiding": station_log(loaded_scenario, arm)}
         save_logs(log, logs)
         print(f"log: {log}", file=sys.stderr)
-        report = run_report(scenario_name(scenario), chosen, logs)
+        report = run_report(scenario_name(scenario), loaded_scenario, logs)
         show(report_table(report))
         if contact := contact_error(report):
             complain(contact)

@@ -441,7 +441,7 @@ def _clusters(
     sizes = np.bincount(label + 1, minlength=1)[1:]
     large = np.flatnonzero(sizes >= config.min_cluster_voxels).tolist()
     trees = [(cluster, cKDTree(means[label == cluster])) for cluster in large]
-    merged = np.append(np.arange(len(sizes)), -1)
+    cluster_of = np.append(np.arange(len(sizes)), -1)
     for (one, first), (other, second) in combinations(trees, 2):
         if np.maximum(first.mins - second.maxes, second.mins - first.maxes).max() > OCCLUSION_GAP:
             continue
@@ -458,8 +458,8 @@ def _clusters(
             cluster = owner[pixel]
             is_open |= (is_behind & (cluster != one) & (cluster != other)).any(axis=0)
         if 0 < len(bridges) >= 2 * np.count_nonzero(is_open):
-            merged[merged == merged[other]] = merged[one]
-    return merged[label]
+            cluster_of[cluster_of == cluster_of[other]] = cluster_of[one]
+    return cluster_of[label]
 
 
 def _select_obstacles(

@@ -217,7 +217,7 @@ def associate(
     cluster: IntArray,
     clusters: int,
     votes_for: IntArray,
-    remembered: FloatArray,
+    track_points: FloatArray,
     owner: IntArray,
     tracks: int,
 ) -> Association:
@@ -233,7 +233,7 @@ def associate(
         cluster: (Q,) cluster of each point.
         clusters: C, number of clusters.
         votes_for: (Q,) remembered point nearest to each point, -1: none near.
-        remembered: (N, 3) predicted remembered points in the world [m].
+        track_points: (N, 3) predicted remembered points in the world [m].
         owner: (N,) track of each remembered point.
         tracks: M, number of tracks.
     """
@@ -252,9 +252,9 @@ def associate(
     free_clusters = np.flatnonzero(cluster_row < 0)
     free_tracks = np.flatnonzero(~owns.any(axis=0) & (track_sizes > 0))
     if len(free_clusters) and len(free_tracks):
-        measured = np.stack([points[cluster == c].mean(axis=0) for c in free_clusters])
-        predicted = np.stack([remembered[owner == m].mean(axis=0) for m in free_tracks])
-        gap = np.linalg.norm(measured[:, None] - predicted[None], axis=2)
+        measured_centers = np.stack([points[cluster == c].mean(axis=0) for c in free_clusters])
+        predicted_centers = np.stack([track_points[owner == m].mean(axis=0) for m in free_tracks])
+        gap = np.linalg.norm(measured_centers[:, None] - predicted_centers[None], axis=2)
         # Pairs beyond the gate cost more than any number of pairs within it.
         rows, columns = linear_sum_assignment(np.where(gap < _GATE, gap, 1e3 * _GATE))
         in_gate = gap[rows, columns] < _GATE
@@ -268,7 +268,7 @@ def associate(
         inside = np.flatnonzero(cluster == c)
         rows = np.flatnonzero(owns[c])
         among = np.isin(owner, rows)
-        _, nearest = cKDTree(remembered[among]).query(points[inside])
+        _, nearest = cKDTree(track_points[among]).query(points[inside])
         point_row[inside] = owner[among][nearest]
         largest = rows[track_sizes[rows].argmax()]
         partner[rows[rows != largest]] = largest

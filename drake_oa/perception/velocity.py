@@ -411,13 +411,13 @@ def register_surface(
         weight = (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-12)) ** 2
         weight = weight / (1.0 + (residual / (3.0 * deviation)) ** 2)
         weight = weight / (_CORRELATED_POINTS * deviation**2)
-        measured = np.einsum("n,ni,nj->ij", weight, normal, normal)
+        frame_information = np.einsum("n,ni,nj->ij", weight, normal, normal)
         pull = np.einsum("n,ni,n->i", weight, normal, gap) + prior_information @ guess
-        shift = np.linalg.solve(measured + prior_information, pull)
+        shift = np.linalg.solve(frame_information + prior_information, pull)
         # Noise tilts the normals, which would pretend information along the surface.
         roughness = np.minimum(spread[:, 0] / (_NEIGHBORS - 3), deviation**2)
         tilt = weight @ (roughness / np.maximum(spread[:, 1], deviation**2))
-        size, along = np.linalg.eigh(measured - tilt * np.eye(3))
+        size, along = np.linalg.eigh(frame_information - tilt * np.eye(3))
         information = (along * np.maximum(size, 0.0)) @ along.T + prior_information
     return shift, np.diag(np.linalg.inv(information)).copy()
 

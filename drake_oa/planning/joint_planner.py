@@ -153,11 +153,11 @@ def plan_path(
     with counted() as work:
         while work["configurations"] < max_configurations and not path:
             new, _ = tree.extend(tree.nearest(target), target)
-            row, reached = other_tree.nearest(tree.q[new]) if new >= 0 else -1, False
-            while row >= 0 and not reached and work["configurations"] < max_configurations:
-                row, reached = other_tree.extend(row, tree.q[new])
+            row, is_reached = other_tree.nearest(tree.q[new]) if new >= 0 else -1, False
+            while row >= 0 and not is_reached and work["configurations"] < max_configurations:
+                row, is_reached = other_tree.extend(row, tree.q[new])
             if (
-                reached
+                is_reached
                 and (branch := tree.branch(new))
                 and (other_branch := other_tree.branch(row))
             ):

@@ -362,21 +362,21 @@ class MotionSearch:
         )
         source = int(best.source[0])
         if source == CHAIN:
-            selected, params, sides = chain, NO_ELITES, chain.route
+            motion, params, sides = chain, NO_ELITES, chain.route
         else:
             terms = avoidance_terms(scene, best.params)
             sides = _sides_of_term(route, terms, best.params[0, ANGLE])
             is_active = terms[:, ALPHA] > 0.0
             if source == NOMINAL and command.demonstration.position is not None:
                 source = JOINT_PATH
-            selected, params = (
+            motion, params = (
                 MotionCommand(source, rows_of(terms[is_active])),
                 best.params[is_active],
             )
-        selected = replace(selected, demonstration=command.demonstration, restart=command.restart)
+        motion = replace(motion, demonstration=command.demonstration, restart=command.restart)
         current = replace(
             current,
-            command=selected,
+            command=motion,
             params=params,
             counts=search.counts,
             elites=search.elites,
@@ -401,7 +401,7 @@ class MotionSearch:
             params: (1, 6) candidate parameters of the motion.
             length: remaining length of the tool's path [m].
         """
-        required = search.world.required
+        requirements = search.world.required
         tool = search.tool_paths(params, guides=current.command.guides)
         arm = search.follow(params, tool, -math.inf)
         count = int(arm.samples[0])
@@ -415,7 +415,7 @@ class MotionSearch:
         )
         goal_error = float(tool.goal_error[0])
         reaches_goal = goal_error <= MAX_GOAL_ERROR * search.scene.baseline
-        self_clearance = float(arm.clearance_margin[0, SELF]) + required.of_self
+        self_clearance = float(arm.clearance_margin[0, SELF]) + requirements.of_self
         note = ""
         if not can_follow:
             note = "no motion that the arm can follow found"
@@ -430,7 +430,9 @@ class MotionSearch:
             _MIN_ACCEPTABLE_DISTANCE, self._self_distance(inputs.q) - self._parameters.slack
         ):
             note = "no motion that clears the arm itself found"
-        clearance_reduction = self._clearance - float(required.of_geometries.max(initial=-np.inf))
+        clearance_reduction = self._clearance - float(
+            requirements.of_geometries.max(initial=-np.inf)
+        )
         return current.with_changes(
             command={
                 "tau": max(1.0, (current.traveled + length) / max(search.planned_length, 1e-9)),

@@ -133,7 +133,7 @@ def update_scene(
     if obstacles.stamp < previous.scene.stamp or obstacles.stamp == -math.inf:
         return replace(previous, scene=replace(previous.scene, note=obstacles.note))
     table = select_output_table(previous.table, obstacles.table) or previous.table
-    previous_fields = {seen.geometry.name: seen for seen in previous.fields}
+    previous_fields = {field.geometry.name: field for field in previous.fields}
     elapsed = max(0.0, obstacles.stamp - previous.scene.stamp)
     moved_ids, fields = set(), []
     rows = zip(obstacles.ids.tolist(), obstacles.clouds_W, obstacles.v_WO, strict=True)
@@ -146,17 +146,19 @@ def update_scene(
             _MAX_MOVING_DEPTH if name in moved_ids else DEEPEST,
             previous_fields.get(name),
         )
-        reused = None
+        reused_field = None
         if (
             previous_field is not None
             and table is previous.table
             and previous_field.max_depth == max_depth
         ):
-            reused = _reuse_field(previous_field, cloud, elapsed * v_WO, viewpoints_W, views)
-        current_field = reused or _create_field(name, cloud, viewpoints_W, max_depth, table, views)
+            reused_field = _reuse_field(previous_field, cloud, elapsed * v_WO, viewpoints_W, views)
+        current_field = reused_field or _create_field(
+            name, cloud, viewpoints_W, max_depth, table, views
+        )
         geometry = replace(current_field.geometry, v_WO=np.array(v_WO), stamp=obstacles.stamp)
         fields.append(replace(current_field, geometry=geometry))
-    geometries = [seen.geometry for seen in fields] + _table_geometries(table)
+    geometries = [field.geometry for field in fields] + _table_geometries(table)
     scene = CollisionScene.of(obstacles.stamp, geometries, obstacles.note)
     return PerceivedSceneState(scene, tuple(fields), table, frozenset(moved_ids))
 

@@ -310,8 +310,8 @@ class Search(ABC):
             chain = self.evaluate(NOMINAL_PARAMS, CHAIN, float(best.cost[0]), guides)
             best = best.merge(chain)
         max_cost = float(best.cost[0]) if best.is_feasible else math.inf
-        ranked = self.evaluate(self.first_candidates(seeds), SEARCH, max_cost).merge(count=N_ELITES)
-        best, feasible_generations = best.merge(ranked), 0
+        elites = self.evaluate(self.first_candidates(seeds), SEARCH, max_cost).merge(count=N_ELITES)
+        best, feasible_generations = best.merge(elites), 0
         for _ in range(self.parameters.generations):
             feasible_generations += best.is_feasible
             if (
@@ -319,11 +319,11 @@ class Search(ABC):
                 or self._total_latency + self._last_latency > self.max_latency
             ):
                 break
-            candidates = self.next_candidates(ranked)
-            ranking = self.evaluate(candidates, SEARCH, float(ranked.cost[-1]))
-            ranked = ranked.merge(ranking, count=N_ELITES)
-            best = best.merge(ranked)
-        self.elites = ranked.params
+            candidates = self.next_candidates(elites)
+            ranking = self.evaluate(candidates, SEARCH, float(elites.cost[-1]))
+            elites = elites.merge(ranking, count=N_ELITES)
+            best = best.merge(elites)
+        self.elites = elites.params
         return best
 
     def evaluate(
@@ -613,9 +613,9 @@ def _roll_some(
                 error = max(error, pose_error)
                 dt = paths.seconds * (s[row] - s[row - 1])
                 for joint in range(n):
-                    moved = abs(q[joint] - Q[i, row - 1, joint])
+                    joint_motion = abs(q[joint] - Q[i, row - 1, joint])
                     max_joint_speed_ratio = max(
-                        max_joint_speed_ratio, moved / (chain.speed[joint] * dt)
+                        max_joint_speed_ratio, joint_motion / (chain.speed[joint] * dt)
                     )
             lower_clearance_margins(
                 workspace.X, now, spheres, geometries, required, center, margins, abort_below[i]

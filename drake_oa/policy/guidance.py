@@ -120,8 +120,8 @@ def guide(
                 more = (1.0 + 1.0 / k) * clearance**2
                 root = b12**2 + (reach**2 - b11 - more) * (b22 + more)
                 # Inside this ellipse the root is negative, and the heading points outward.
-                signed = math.copysign(math.sqrt(abs(root)), root)
-                angle = math.atan2(b22 + more, b12 + signed)
+                signed_root = math.copysign(math.sqrt(abs(root)), root)
+                angle = math.atan2(b22 + more, b12 + signed_root)
                 tangent = mixed(math.cos(angle), e1, math.sin(angle), e2)
                 share = min(2.0 * lean / size, 1.0)
                 heading = mixed(1.0 - share, u, share, tangent)

@@ -158,8 +158,8 @@ class CostRingSelector(LeafSystem):
             requested_clearance=self._requested_clearance,
             joint_margins=self._joint_margins,
         )
-        decided: Route = context.get_abstract_state(self._decided).get_value()
-        sides = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
+        last_route: Route = context.get_abstract_state(self._decided).get_value()
+        sides = dict(zip(last_route.ids.tolist(), last_route.index.tolist(), strict=True))
         previous = np.array([sides.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64)
         index, costs, blocked = select_directions(scene, self._rings, previous=previous)
         names = ", ".join(map(str, np.unique(ellipsoids.ids[blocked] % PART_ID_STRIDE)))

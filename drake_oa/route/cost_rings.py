@@ -418,7 +418,7 @@ def sequence_costs(
     counts[0, groups[0]], counts[-1, groups[-1]] = False, False
     legs = list(pairwise(stages))
     length = [np.linalg.norm(b - a[:, None], axis=2) for a, b in legs]
-    obstructed = [
+    obstructed_costs = [
         obstruction(a, b, scene.ellipsoids, mask, scene.requested_clearance)
         for (a, b), mask in zip(legs, counts, strict=True)
     ]
@@ -443,7 +443,7 @@ def sequence_costs(
     longest = -best_sequence(-lengths, -between)[1]
     spread = LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
     scale = count / max(longest - shortest, count * spread) if counts_length else 0.0
-    choice, pair = chain(obstructed)
+    choice, pair = chain(obstructed_costs)
     all_else = float(rings.max(axis=1).sum()) + count + _OBSTRUCTED * (count + 1)
     # Only the length in excess of the shortest path is a cost.
     lengths[0] -= shortest

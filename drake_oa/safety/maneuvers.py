@@ -268,14 +268,14 @@ class GuardSearch:
             return_time = float((np.abs(inputs.q - inputs.q_path) / self.speed).max())
             cost[n_followed] -= _HYSTERESIS * min(1.0, 2.0 * return_time)
         if has_moving or not inputs.is_on_path:
-            refined = self._refine(options, cost, inputs)
-            q_refined = self._roll_out(refined, inputs)
+            refined_options = self._refine(options, cost, inputs)
+            q_refined = self._roll_out(refined_options, inputs)
             q = np.concatenate([q, q_refined])
             refined_costs = self._evaluate(model, q_refined)
-            cost = np.append(cost, self._cost(refined_costs, refined, q_refined, inputs))
-            options += refined
-        selected = self._select(model, options, q, cost)
-        return replace(selected, contact=decision.contact)
+            cost = np.append(cost, self._cost(refined_costs, refined_options, q_refined, inputs))
+            options += refined_options
+        plan = self._select(model, options, q, cost)
+        return replace(plan, contact=decision.contact)
 
     def _select(
         self,

@@ -298,14 +298,14 @@ class MotionGuard(LeafSystem):
             Value(GuardState(x=rest_state, path=rest_state, acceleration=np.zeros(n)))
         )
         internal = {self.time_ticket(), self.abstract_state_ticket(self._state)}
-        measured = internal | {
+        measured_inputs = internal | {
             port.ticket() for port in (self._robot, self._position, self._orientation)
         }
         for name, size, calc, tickets in (
             ("desired_joint_state", 2 * n, lambda c: self._read(c).at(c.get_time()), internal),
-            ("path_state", 2 * self._size, self._path_state, measured),
-            ("tracking_error", 3, lambda c: self._tool_error(c)[:3], measured),
-            ("orientation_error", 3, lambda c: self._tool_error(c)[3:], measured),
+            ("path_state", 2 * self._size, self._path_state, measured_inputs),
+            ("tracking_error", 3, lambda c: self._tool_error(c)[:3], measured_inputs),
+            ("orientation_error", 3, lambda c: self._tool_error(c)[3:], measured_inputs),
         ):
             self.DeclareVectorOutputPort(
                 name,

@@ -87,8 +87,10 @@ def violated_claim(
     centers, rho = p_WS[:-1][is_fast], reach[is_fast]
     point, sample = (v_WS[is_fast] @ _BALL_SAMPLES.T > v_unseen * _SAMPLE_RADII).nonzero()
     samples = np.concatenate([centers, centers[point] + rho[point, None] * _BALL_SAMPLES[sample]])
-    unobserved = samples[~free_space.contains(samples)]
-    is_unknown = _is_any_unknown(unobserved, p_WS[0], spheres.radius, geometries, scene.stamp)
+    unobserved_points = samples[~free_space.contains(samples)]
+    is_unknown = _is_any_unknown(
+        unobserved_points, p_WS[0], spheres.radius, geometries, scene.stamp
+    )
     return "B" if is_unknown else ""
 
 

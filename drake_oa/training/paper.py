@@ -181,7 +181,7 @@ def train_paper(
     rows = build_paper_set(recipe.lattice, recipe.action_level)
     in_train = np.random.default_rng((seed, 0)).random(len(rows.values)) < TRAIN_SHARE
     near = rows.goal_error <= NEAR_GOAL
-    unsaturated = rows.clearance < 0.5 - rows.values[:, 0] - SATURATED
+    is_unsaturated = rows.clearance < 0.5 - rows.values[:, 0] - SATURATED
     chains: dict[str, ChainWeights] = {}
     errors: dict[str, Errors] = {}
     for name in recipe.rounds:
@@ -193,17 +193,17 @@ def train_paper(
         errors[name] = {}
         for t, target in enumerate(TARGETS):
             # This selection of rows reproduces Table I; the paper does not state it.
-            use = near & unsaturated if c == 1 and target == "alpha" else near
+            use = near & is_unsaturated if c == 1 and target == "alpha" else near
             columns = np.column_stack((inputs, rows.values[:, 2 : 3 + t]))
             train, test = columns[use & in_train], columns[use & ~in_train]
-            fitted, weight = (train, np.ones(len(train))) if c == 1 else group_means(train)
-            drawn = np.random.default_rng((seed, 1, c, t)).permutation(len(fitted))
+            samples, weight = (train, np.ones(len(train))) if c == 1 else group_means(train)
+            order = np.random.default_rng((seed, 1, c, t)).permutation(len(samples))
             networks[target] = train_network(
-                fitted[drawn, :-1],
-                fitted[drawn, -1],
+                samples[order, :-1],
+                samples[order, -1],
                 seed=(seed, 2, c, t),
                 rounds=recipe.rounds[name][t],
-                weight=weight[drawn],
+                weight=weight[order],
                 bounds=(columns[use].min(axis=0), columns[use].max(axis=0)),
             )
             errors[name][target] = {

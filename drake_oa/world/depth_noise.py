@@ -127,8 +127,8 @@ def add_depth_noise(
     length = sum(part * part for part in normal) * (1.0 + x * x + y * y)
     theta = np.arccos(np.clip(w / np.sqrt(length + 1e-20), 0.02, 1.0))
     # Pixels at grazing incidence are missing in patches of two by two pixels.
-    lost = _patches(rng.random, depth.shape, 2) * (_GRAZING_END - _GRAZING_START)
-    valid &= (theta <= _GRAZING_START) | (theta < _GRAZING_START + lost)
+    width = _patches(rng.random, depth.shape, 2) * (_GRAZING_END - _GRAZING_START)
+    valid &= (theta <= _GRAZING_START) | (theta < _GRAZING_START + width)
 
     at_edge = (np.abs(jump) > _EDGE_JUMP * w) & valid
     valid &= ~(at_edge & (_patches(rng.random, depth.shape, _PATCH) < _EDGE_DROPOUT))
@@ -143,8 +143,8 @@ def add_depth_noise(
     )
     r = np.clip(row + down, 0, depth.shape[0] - 1)
     c = np.clip(column + across, 0, depth.shape[1] - 1)
-    moved = (r * depth.shape[1] + c).astype(np.int32)
-    there, valid = w.ravel()[moved], valid.ravel()[moved]
+    source = (r * depth.shape[1] + c).astype(np.int32)
+    there, valid = w.ravel()[source], valid.ravel()[source]
     w = np.where(np.abs(there - w) > _EDGE_JUMP * np.maximum(w, there), there, w)
 
     z = 1.0 / np.maximum(w, 1.0 / _FAR)
@@ -157,8 +157,8 @@ def add_depth_noise(
     g = uniform_filter(g, _SMOOTH, mode="wrap") * float(np.sqrt(np.prod(_SMOOTH)))
     z = np.maximum(z + g * np.sqrt(np.maximum(sigma**2 - rounding, 0.0)), 0.5 * z)
     levels = np.maximum(np.rint(1.0 / (step * z)), 1.0)
-    measured = np.rint(1.0 / (step * _UNIT * levels)) * _UNIT
-    return np.where(valid, measured, np.nan).astype(np.float32)
+    measured_depth = np.rint(1.0 / (step * _UNIT * levels)) * _UNIT
+    return np.where(valid, measured_depth, np.nan).astype(np.float32)
 
 
 def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:

@@ -86,13 +86,13 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
             robot = replace(robot, finger_opening=float(opening))
             break
     q = np.full((2, len(names)), robot.finger_opening)
-    for row, given in enumerate((problem.start, problem.goal)):
-        if not given.keys() >= set(arm):
+    for row, positions in enumerate((problem.start, problem.goal)):
+        if not positions.keys() >= set(arm):
             raise ValueError(
-                f"{problem.name}: joints {', '.join(given)} are not those of the robot, "
+                f"{problem.name}: joints {', '.join(positions)} are not those of the robot, "
                 f"{', '.join(arm)}; name a scenario with the problem's robot by --robot SCENARIO"
             )
-        q[row, :n] = [given[name] for name in arm]
+        q[row, :n] = [positions[name] for name in arm]
     within = ((q[1] >= lower) & (q[1] <= upper))[:n].all()
     poses = robot_plant.tool_poses(q)
     start, goal = (X_WE.translation().tolist() for X_WE in poses)
@@ -120,8 +120,8 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     )
     available = robot_metrics(scenario, q).robot_clearance.min()
     # Rounded down, so that start and goal have the requested clearance.
-    requested = math.floor(1e4 * min(CLEARANCE, float(available))) / 1e4
-    scenario.task.clearance = max(requested, MIN_CLEARANCE)
+    clearance = math.floor(1e4 * min(CLEARANCE, float(available))) / 1e4
+    scenario.task.clearance = max(clearance, MIN_CLEARANCE)
     return scenario
 
 

@@ -183,32 +183,32 @@ def run_and_evaluate(
         criteria: conditions of success.
     """
     scenario = with_method(with_perception(scenario, perception), method)
-    failed, log, result = False, None, _without_motion(scenario)
+    has_failed, log, result = False, None, _without_motion(scenario)
     try:
         if method == PLANNER:
-            requested = scenario.task.clearance if criteria.keeps_request else CLEARANCE
-            result |= run_planner(scenario, clearance=requested, states=criteria.planner_states)
+            clearance = scenario.task.clearance if criteria.keeps_request else CLEARANCE
+            result |= run_planner(scenario, clearance=clearance, states=criteria.planner_states)
         else:
             log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
-        log, failed = error.log, True
+        log, has_failed = error.log, True
         _logger.info("the run was interrupted by an exception", exc_info=True)
     except Exception as error:
         # A scene that cannot be run is stored as a result, so that the other scenes are run.
         _logger.info("the run did not start", exc_info=True)
-        failed, result["stop_reason"] = True, f"{type(error).__name__}: {error}".rstrip(": ")
+        has_failed, result["stop_reason"] = True, f"{type(error).__name__}: {error}".rstrip(": ")
     if log is not None:
         result = _evaluate_run(scenario, log, criteria)
     outcome, reason = "success", criteria.failure_reason(result)
     if result["contacts"] or result["self_contacts"]:
         outcome, reason = "contact", result["stop_reason"]
-    elif reason or failed:
+    elif reason or has_failed:
         outcome, reason = "stopped", reason or result["stop_reason"]
     # Without numbers, equal reasons can be counted.
     reason = _NUMBER.sub("#", reason or "").strip()
-    return {"outcome": outcome, "reason": reason, "failed": failed, **result}
+    return {"outcome": outcome, "reason": reason, "failed": has_failed, **result}
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:

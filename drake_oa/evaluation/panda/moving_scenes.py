@@ -148,21 +148,21 @@ def moving_objects(
         standing = draw_obstacles(random, resting, first=len(objects))
         if standing is None or not ends_are_free(motion, standing):
             return None
-        moved: list[Obstacle] = []
+        moving: list[Obstacle] = []
         for object, maneuvers in objects:
             for _ in range(_ATTEMPTS):
-                placed = _draw_trajectory(
-                    random, object, maneuvers, motion, max_height, first=not moved
+                obstacle = _draw_trajectory(
+                    random, object, maneuvers, motion, max_height, first=not moving
                 )
                 if _trajectory_fits(
-                    placed, maneuvers, motion, [*moved, *standing], max_height
-                ) and (moved or _hits_motion(placed, motion)):
-                    moved.append(placed)
+                    obstacle, maneuvers, motion, [*moving, *standing], max_height
+                ) and (moving or _hits_motion(obstacle, motion)):
+                    moving.append(obstacle)
                     break
             else:
                 return None
-        low = max(placed.translation[2] for placed in moved) <= _MAX_HEIGHT < max_height
-        return None if low else [*moved, *standing]
+        low = max(obstacle.translation[2] for obstacle in moving) <= _MAX_HEIGHT < max_height
+        return None if low else [*moving, *standing]
 
     return draw
 

@@ -253,26 +253,26 @@ def find_motion(
     Returns:
         The motion, or None, and the number of checked configurations.
     """
-    random, chain, checked = np.random.default_rng(seed), world.arm.chain, 0
+    random, chain, n_configurations = np.random.default_rng(seed), world.arm.chain, 0
     if not any(is_collision_free(world.arm, q) for q in goals):
         return None, len(goals)
     nodes = new = [q_start[None]]
-    while checked < MOVING_STATES:
+    while n_configurations < MOVING_STATES:
         for motion in new:
             stay = np.tile(motion[-1], (1, max(len(world.ball) - len(motion), 0) + 1, 1))
             clear = int(clear_steps(world, stay, np.array([len(motion) - 1]))[0])
-            checked += clear
+            n_configurations += clear
             if clear == stay.shape[1]:
-                checked += _PATH_STATES
+                n_configurations += _PATH_STATES
                 path = plan_path(
                     world.arm, motion[-1], goals, max_configurations=_PATH_STATES, seed=seed
                 )
                 if len(path):
-                    return JointMotion(np.vstack([motion, stay[0, 1:]]), path), checked
+                    return JointMotion(np.vstack([motion, stay[0, 1:]]), path), n_configurations
         # The later one of two random nodes, so that the tree soon reaches the trajectories' end.
         pairs = random.integers(len(nodes), size=(_BATCH, 2)).tolist()
-        picked = [max((nodes[row] for row in pair), key=len) for pair in pairs]
-        q = np.array([motion[-1] for motion in picked])
+        longest_motions = [max((nodes[row] for row in pair), key=len) for pair in pairs]
+        q = np.array([motion[-1] for motion in longest_motions])
         way = random.uniform(chain.lower, chain.upper, q.shape) - q
         way *= (
             _MAX_JOINT_MOTION * random.random((_BATCH, 1)) / np.abs(way).max(axis=1, keepdims=True)
@@ -280,11 +280,13 @@ def find_motion(
         legs = np.clip(np.stack([q, q + way], axis=1), chain.lower, chain.upper)
         switch = random.integers(0, _MAX_WAIT + 1, _BATCH)
         motions = bang_motions(world, q, np.zeros_like(q), legs, switch, _MOTION_STEPS)
-        counts = clear_steps(world, motions, np.array([len(motion) - 1 for motion in picked]))
-        checked += _BATCH + int(counts.sum())
-        grown = zip(picked, motions, counts, strict=True)
+        counts = clear_steps(
+            world, motions, np.array([len(motion) - 1 for motion in longest_motions])
+        )
+        n_configurations += _BATCH + int(counts.sum())
+        grown = zip(longest_motions, motions, counts, strict=True)
         new = [
             np.vstack([before, more[1:]]) for before, more, count in grown if count > _MOTION_STEPS
         ]
         nodes = nodes + new
-    return None, checked
+    return None, n_configurations

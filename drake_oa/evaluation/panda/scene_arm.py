@@ -148,13 +148,13 @@ class SceneArm:
             seconds=task.duration,
         )
         off_table = np.where(self.joint < 0, -np.inf, 0.0)[:, None]
-        requested = ClearanceRequirements(off_table, 0.0, self.tool)
+        requirements = ClearanceRequirements(off_table, 0.0, self.tool)
         table = geometries_of([geometry_of(drake.HalfSpace())])
-        world = ArmCollisionModel(self._chain, self._spheres, table, requested, 0.0)
-        rolled = roll_out_arm(world, q_start, paths)
-        q, margin = rolled.q[0], _LIMIT_MARGIN
+        world = ArmCollisionModel(self._chain, self._spheres, table, requirements, 0.0)
+        rollout = roll_out_arm(world, q_start, paths)
+        q, margin = rollout.q[0], _LIMIT_MARGIN
         within = (q > self._chain.lower + margin) & (q < self._chain.upper - margin)
-        if rolled.error[0] > _MAX_ERROR or not within.all() or rolled.min_margin[0] < 0.0:
+        if rollout.error[0] > _MAX_ERROR or not within.all() or rollout.min_margin[0] < 0.0:
             return None
         ends = np.vstack([q[[0, -1]], q_ends[1:]])
         return Motion(start, goal, task.duration * s, q, ends, rpy_WE)
