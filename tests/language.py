@@ -12,12 +12,14 @@ Terms: docs and help must not contain the terms of `TERMS`, whose standard terms
 
     python -m tests.language             check summaries and terms
     python -m tests.language --shrink    remove list lines without a case first; never adds one
+    python -m tests.language --draw 60 1000    print 60 docstrings, drawn with seed 1000, for review
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
+import random
 import re
 import sys
 from collections import Counter
@@ -72,6 +74,11 @@ class Summary(NamedTuple):
         return f"{self.name}: {' '.join(self.text.split()[:KEY_WORDS])}"
 
 
+def product_files() -> list[Path]:
+    """Returns the files whose docstrings are checked, in order."""
+    return [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
 def summaries(path: Path) -> Iterator[Summary]:
     """Yields the summary of each docstring of a file, strings below constants included."""
     place = path.relative_to(ROOT)
@@ -101,6 +108,16 @@ def docstrings(node: ast.AST, scope: tuple[str, ...]) -> Iterator[tuple[int, str
         yield from docstrings(child, (*scope, child.name) if is_named else scope)
 
 
+def drawn_docstrings(count: int, seed: int) -> str:
+    """Returns docstrings of the product, drawn at random, each below its name and file."""
+    texts = [
+        f"--- {name}  ({path.relative_to(ROOT)})\n{inspect.cleandoc(doc)}\n"
+        for path in product_files()
+        for _, name, doc in docstrings(ast.parse(path.read_text()), ())
+    ]
+    return "\n".join(random.Random(seed).sample(texts, count))
+
+
 def texts() -> Iterator[tuple[Path, int, str]]:
     """Yields file, line and text of each line of the docs and each string of the command line."""
     for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
@@ -126,8 +143,7 @@ def wrong_summaries(shrink: bool) -> Iterator[str]:
     Args:
         shrink: whether lines without a case are removed from the list first.
     """
-    files = (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py")))
-    everything = [summary for path in files for summary in summaries(path)]
+    everything = [summary for path in product_files() for summary in summaries(path)]
     unclear = [summary for summary in everything if UNCLEAR.search(summary.text)]
     cases = Counter(summary.key for summary in unclear)
     allowed = Counter(ALLOWED.read_text().splitlines())
@@ -144,7 +160,10 @@ def wrong_summaries(shrink: bool) -> Iterator[str]:
 
 
 def main() -> int:
-    """Prints all errors; returns 1 if there are any."""
+    """Prints all errors, or drawn docstrings; returns 1 if there are errors."""
+    if "--draw" in sys.argv:
+        print(drawn_docstrings(*map(int, sys.argv[2:4])))
+        return 0
     errors = [*wrong_summaries("--shrink" in sys.argv), *wrong_terms()]
     print("\n".join(errors), end="\n" if errors else "")
     return 1 if errors else 0

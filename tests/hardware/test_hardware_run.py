@@ -117,10 +117,8 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
         deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline:
             lcm.HandleSubscriptions(100)
-            if (
-                received
-                and np.abs(lcmt_panda_status.decode(received[-1]).joint_velocity).max() > 0.1
-            ):
+            status = lcmt_panda_status.decode(received[-1]) if received else lcmt_panda_status()
+            if np.abs(status.joint_velocity).max(initial=0.0) > 0.1:
                 break
         if kind == signal.SIGKILL:
             # The streamer continues without its parent process.
