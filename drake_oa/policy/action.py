@@ -1,7 +1,8 @@
 """One time step of the policy: movement primitive, coupling terms, temporal scaling and holds.
 
 The step combines the movement primitive (`drake_oa.policy.dmp`), the coupling terms
-(`drake_oa.policy.coupling`) and the guidance headings (`drake_oa.policy.guidance`). The duration is
+(`drake_oa.policy.coupling`), which turn the motion away from obstacles, and the guidance headings
+(`drake_oa.policy.guidance`), which turn it to the selected side of an obstacle. The duration is
 scaled with the length of the avoiding path, as in section IV-E of Pairet et al., RA-L 2019. A hold
 stops the motion on its path while continuing would not be safe. The integration is compiled
 (`drake_oa.policy.action_kernels`).
@@ -34,7 +35,7 @@ from drake_oa.policy.dmp import Dmp, local_frame
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 SCALED_TO_REST = "speed_scale is 0"
-"""Note in the policy's state of a motion that is held because the input `speed_scale` is 0."""
+"""Note in `PolicyState` while the motion is held because the input port `speed_scale` is 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +45,9 @@ class Segment(Frozen):
     Attributes:
         state: state of the policy at the beginning of the segment.
         end: state of the policy at the end of the segment.
-        evasion_velocity: (2, 3) evasion velocity at the beginning and at the end in the world
-            frame, which is added to the velocity of the movement primitive [m/s].
-        primitive: movement primitive of the motion; None: the one passed to `take_step`.
+        evasion_velocity: (2, 3) evasion velocity at the beginning and at the end of the segment, in
+            the world frame [m/s]. It adds to the velocity of the movement primitive.
+        primitive: movement primitive of the motion; None: `take_step` uses its argument `dmp`.
     """
 
     state: PolicyState
@@ -56,7 +57,7 @@ class Segment(Frozen):
 
     @property
     def velocity(self) -> FloatArray:
-        """Velocities of the tool point at both ends of the segment, with evasion, (2, 3) [m/s]."""
+        """Velocities (2, 3) of the tool point at both ends of the segment, with evasion [m/s]."""
         scaled = (state.speed * state.z_W for state in (self.state, self.end))
         return np.array([*scaled]) + self.evasion_velocity
 
@@ -64,7 +65,7 @@ class Segment(Frozen):
         """Computes position, velocity and acceleration of the tool point at a time of the segment.
 
         The velocity is linear in time. The position is the integral of the velocity, plus a term
-        linear in time that makes it end at the position of the policy. Times before the segment
+        linear in time, so that it ends at the position in the final state. Times before the segment
         are clipped to its beginning; after its end the velocity is constant.
 
         Args:
@@ -90,7 +91,7 @@ def make_segment(state: PolicyState, primitive: Dmp | None = None) -> Segment:
 
     Args:
         state: state of the policy.
-        primitive: movement primitive of the motion; None: the one passed to `take_step`.
+        primitive: movement primitive of the motion; None: `take_step` uses its argument `dmp`.
     """
     return Segment(state, state, primitive=primitive)
 
@@ -107,17 +108,18 @@ def take_step(
     speed_scale: float = 1.0,
     evasion_velocity: FloatArray | None = None,
 ) -> Segment:
-    """Computes the next step of the policy, from the end of a segment.
+    """Computes the motion of the tool point in the next time step of the policy.
 
     Args:
-        before: previous segment.
+        before: motion in the previous step, from the end of which the motion continues.
         p_WG: (3,) current goal in the world frame [m].
-        inputs: obstacles and coupling terms.
+        inputs: obstacles and coupling terms (turning rates that avoid them).
         time: current time [s].
         step: length of the step [s].
         dmp: movement primitive of three dimensions, used if the segment has none.
         config: constants of coupling terms and holds.
-        speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T). The speed changes
+        speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T), with normalized time
+            s, demonstrated duration T and temporal scaling tau. The speed changes
             toward this fraction at the rate given by `config.hold_time`. Values are clipped to
             [0, 1]; NaN counts as 0.
         evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], which
@@ -186,7 +188,7 @@ def restart(
         before: current segment.
         p_WG: (3,) goal in the world frame [m].
         time: current time [s].
-        primitive: movement primitive of the new motion; None: the one passed to `take_step`.
+        primitive: movement primitive of the new motion; None: `take_step` uses its argument `dmp`.
 
     Returns:
         Segment of zero length at the start of the new motion, or `before`.
@@ -212,16 +214,19 @@ def restart(
 
 @dataclass(frozen=True, eq=False)
 class CouplingInputs(Frozen):
-    """Obstacles, coupling terms and decisions on which the policy acts until its inputs change.
+    """Obstacles, coupling terms and decisions of other layers, evaluated from the policy's inputs.
+
+    Coupling terms turn the motion away from obstacles. The policy uses the same object in each step
+    until its inputs change.
 
     Attributes:
         ellipsoids: ellipsoids of the perceived obstacles; None: there is no perception.
-        obstacles: obstacles with their coupling terms, in the form of the compiled kernels.
-        hold: reason for which the inference layer or the route layer holds the motion.
+        obstacles: obstacles with their coupling terms, as arrays for the compiled kernels.
+        hold: reason for which the layers of coupling parameters and route hold (stop) the motion.
         note: explanation of `hold`.
         tau: requested temporal scaling of the demonstrated duration; 0: none is requested.
-        path_length: length of the path past all obstacles on their selected sides [m]; None: there
-            is no route.
+        path_length: length of the path past all obstacles on their selected sides [m]; None: no
+            sides are selected.
         verified: whether roll-outs (simulations) have verified the motion; a tool or goal inside an
             ellipsoid then does not hold the motion.
         restart: whether a motion at rest restarts from its current position.
@@ -282,9 +287,9 @@ class CouplingInputs(Frozen):
         The motion is held in the following cases. The first that applies determines the reason.
 
         - There is no observation of the obstacles yet, or the last one is older than `max_age`.
-        - The inference or the route layer holds the motion, for example because no path past the
-          obstacles is known.
-        - The tool or the goal is inside an ellipsoid, and the motion is not verified.
+        - The layer of coupling parameters or the route layer holds the motion, for example because
+          no path past the obstacles is known.
+        - The tool or the goal is inside an ellipsoid, and roll-outs have not verified the motion.
 
         Args:
             state: state of the policy.
@@ -315,15 +320,16 @@ class CouplingInputs(Frozen):
 
 
 def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | None) -> Obstacles:
-    """Assembles arrays of obstacles and coupling terms for the compiled kernels.
+    """Assembles obstacles and coupling terms to arrays for the compiled kernels of the policy.
 
     Args:
         shapes: ellipsoids of the obstacles.
-        coupling: parameters of the coupling terms.
-        route: sides on which the obstacles are passed; None: no guidance.
+        coupling: parameters of the coupling terms, which turn the motion away from obstacles.
+        route: sides on which the obstacles are passed; None: no guidance toward a side.
 
     Raises:
-        ValueError: as `CouplingInputs.of`.
+        ValueError: if coupling or route do not have one row per ellipsoid, or a parameter is out of
+            range.
     """
     count = len(coupling) if coupling.verified else len(shapes)
     sizes = {"coupling_parameters": len(coupling), "center_W": len(coupling.center_W) or count}

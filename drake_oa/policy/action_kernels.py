@@ -1,6 +1,6 @@
-"""Compiled integration of a dynamic movement primitive (DMP) whose coupling terms rotate it.
+"""Compiled integration of a dynamic movement primitive (DMP) whose coupling terms turn its motion.
 
-`DmpIntegrator` integrates one step at a time, a roll-out (simulation) all steps of a motion.
+`DmpIntegrator` integrates one step per update; a roll-out (simulation) integrates a whole motion.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ the scaled velocity z."""
 
 
 def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
-    """Computes the exact solution of the movement primitive's spring and damper over a step.
+    """Computes the coefficients of the exact solution of a movement primitive's spring over a step.
 
     The equations are dz/ds = -alpha_x (beta_x e + z), de/ds = z, with the position e relative to
     the equilibrium, the scaled velocity z and the normalized time s.
@@ -57,8 +57,8 @@ class MotionSetup(NamedTuple):
         ds: length of a step in normalized time.
         p_WG: (3,) goal [m].
         x_L: (3,) vector from start to goal [m].
-        fade: distance from the goal within which the coupling terms fade to zero [m]; 0: no
-            fading.
+        fade: distance from the goal within which the coupling terms, which turn the motion away
+            from obstacles, fade to zero [m]; 0: no fading.
         every: number of steps between the rows of the output path.
         min_steps: minimum number of steps before the integration may end at the goal.
         tolerance: distance from the goal at which a slow motion ends [m].
@@ -77,13 +77,16 @@ class MotionSetup(NamedTuple):
 
 @compiled
 def spring(p: Triple, z: Triple, rest: Triple, flow: Flow) -> tuple[Triple, Triple]:
-    """Computes position [m] and scaled velocity [m] after a step of the spring and damper.
+    """Computes position and scaled velocity after a step of a movement primitive's spring alone.
 
     Args:
         p: position before the step [m].
         z: scaled velocity before the step, the derivative of the position by normalized time [m].
         rest: equilibrium of the spring [m].
         flow: coefficients of the step, computed by `spring_flow`.
+
+    Returns:
+        Position [m] and scaled velocity [m] after the step.
     """
     a, b, c, d = flow
     e = mixed(1.0, p, -1.0, rest)
@@ -109,8 +112,8 @@ def advance(
 
     Args:
         setup: constants of the motion.
-        obstacles: obstacles for the guidance headings, which are updated each step.
-        coupling: (K, 12) coupling terms without fading, with the columns of `coupling.turn_step`.
+        obstacles: obstacles past which guidance headings, updated in each step, turn the motion.
+        coupling: (K, 12) coupling terms without fading; `coupling.turn_step` describes the columns.
         longest: maximum path length [m]; the integration ends as soon as the length so far plus
             the distance from the goal exceeds it.
         path: (T // every + 1, 3) positions p_WE [m]; the first row is input, the others output.

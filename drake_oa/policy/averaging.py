@@ -39,7 +39,9 @@ from drake_oa.policy.dmp import (
 POINTS = 201
 """Number of samples at which the mean of recorded demonstrations is evaluated."""
 SPARSE = 100
-"""Number of samples below which a demonstration is a list of waypoints and interpolated exactly."""
+"""Number of samples below which a demonstration counts as a list of waypoints.
+
+Waypoints are interpolated exactly; longer recordings are smoothed by the mean spline."""
 _SPANS_PER_BASIS = 0.4
 """Number of polynomial pieces of the mean spline per basis function of the movement primitive [-].
 
@@ -47,13 +49,16 @@ More pieces would fit hand tremor."""
 _PENALTY = 1e-6
 """Weight lambda of the penalty on third differences of the mean spline's coefficients [-].
 
-The penalty determines the spline in gaps between the samples of the recordings."""
+The mean spline averages recorded demonstrations. The penalty determines its shape in gaps between
+their samples."""
 _SHORT = 0.05
-"""Minimum ratio of the distance from start to end of a recorded path to its extent [-].
+"""Minimum ratio of the distance from start to end of a recorded path to the path's extent [-].
 
-Shorter distances are refused, because a movement primitive is scaled by this distance."""
+Paths with a smaller ratio are refused, because a movement primitive is scaled by this distance."""
 _UNLIKE = math.pi / 2.0
-"""Maximum rotation between the orientations of a recording and of the mean of recordings [rad]."""
+"""Maximum rotation between the orientations of a recording and of the mean of recordings [rad].
+
+Recordings with larger rotations are refused, as they probably rotate in different directions."""
 
 
 def average_paths(
@@ -72,8 +77,8 @@ def average_paths(
         duration [s].
 
     Raises:
-        ValueError: as `dmp.imitate`; or if the distance from start to end of a path is less than a
-            twentieth of its extent.
+        ValueError: for a path that `dmp.imitate` refuses; or if the distance from start to end of a
+            path with at least `SPARSE` samples is at most a twentieth of its extent.
     """
     local, ends, times = [], [], []
     for positions, t_d in zip(paths, stamps, strict=True):
@@ -107,8 +112,8 @@ def average_orientations(
         mean duration [s].
 
     Raises:
-        ValueError: as `dmp.imitate_orientation`; or if a recording differs from the mean by more
-            than 90 degrees.
+        ValueError: for orientations or times that `checked_turn` refuses; or if a recording differs
+            from the mean by more than 90 degrees.
     """
     checked = [checked_turn(*pair) for pair in zip(orientations, stamps, strict=True)]
     rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
@@ -132,7 +137,9 @@ def average_orientations(
 def _regressed(
     values: Sequence[FloatArray], stamps: Sequence[FloatArray], n_basis: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the mean of several recordings as a penalized spline fitted to all samples.
+    """Computes the mean of several recordings as a penalized spline fitted to all their samples.
+
+    The spline starts and ends at rest, at the mean ends of the recordings.
 
     Args:
         values: for each recording d, values (T_d, D) of D quantities.

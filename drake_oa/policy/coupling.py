@@ -33,28 +33,29 @@ A demonstrated motion may start with a short step backward. When its velocity th
 zero, the heading is rounding error, which must not determine the side of avoidance."""
 
 ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
-"""Columns of alpha, psi and kappa, and first columns of heading and normal, in a coupling term.
+"""Column indices in an array of coupling terms, in which a row of 12 numbers is one term.
 
-A coupling term is a row of 12 numbers. Columns 0 to 2 contain its center, the obstacle's center."""
+They are the columns of the parameters alpha, psi and kappa, and the first columns of guidance
+heading and normal. Columns 0 to 2 contain the center of the obstacle."""
 N_COLUMNS = 12
-"""Number of columns of an array of coupling terms, of which each row is one term."""
+"""Number of columns in an array of coupling terms (turning rates), in which a row is one term."""
 
 _MAX_STIFFNESS = 1e4
-"""Maximum of the ratio (initial rate times step) / (exact rotation) of a coupling term [-].
+"""Maximum ratio of a coupling term's initial rate times step to its exact rotation in a step [-].
 
-Larger ratios would make the linear system for the rotation in a step ill-conditioned."""
+Larger ratios would make the linear system for the joint rotation of all terms ill-conditioned."""
 _NEGLIGIBLE = 1e-15
-"""Rotation of an avoidance term in a step below which the term is skipped [rad]."""
+"""Rotation of the motion in a step below which an avoidance term is skipped [rad]."""
 
 Triple = tuple[float, float, float]
-"""Vector of three components."""
+"""Vector of three components, as a tuple for compiled kernels."""
 Term = tuple[Triple, float, float]
-"""Effect of a coupling term over a step.
+"""Rotation of the motion by one coupling term, as if it acted alone, over a step of the policy.
 
 The elements are the axis, the exact rotation over the step [rad] (0: inactive), and the initial
-rate times the step [rad]."""
+turning rate times the step [rad]."""
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
-"""Effect of an inactive coupling term: zero axis, zero rotation and zero rate."""
+"""Rotation by an inactive coupling term: zero axis, zero rotation, and zero rate times step."""
 
 
 def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> FloatArray:
@@ -64,7 +65,7 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
     heading straight at the obstacle.
 
     Args:
-        theta: signed angle from the obstacle's center to the heading [rad].
+        theta: signed angle from the direction of the obstacle's center to the heading [rad].
         gamma: strength [1 per time].
         beta: decay with the angle [1/rad].
 
@@ -78,14 +79,14 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
 def dead_zone_free_rate(
     theta: FloatArray, d: FloatArray, alpha: FloatArray, psi: FloatArray, kappa: FloatArray
 ) -> FloatArray:
-    """Computes the turning rate of the avoidance term, which has no dead zone straight ahead.
+    """Computes the turning rate of the paper's avoidance term, without a dead zone straight ahead.
 
     The rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2) with sign(0) = 1, (8) of
     Pairet et al., RA-L 2019. A heading straight at the obstacle thus turns fastest; the normal of
     the plane of rotation then determines the side.
 
     Args:
-        theta: signed angle from the obstacle's center to the heading [rad].
+        theta: signed angle from the direction of the obstacle's center to the heading [rad].
         d: distance to the obstacle's center [m].
         alpha: strength [rad per time].
         psi: width of the response to the heading [rad].
@@ -130,11 +131,11 @@ def scaled(a: float, v: Triple) -> Triple:
 
 @compiled
 def triple(array: FloatArray, row: int, column: int = 0) -> Triple:
-    """Returns three consecutive elements of an array as a vector.
+    """Returns three consecutive elements in a row of an (M, N) array as a vector.
 
     Args:
         array: (M, N) array.
-        row: row of the elements.
+        row: index of the row.
         column: column of the first element.
     """
     return array[row, column], array[row, column + 1], array[row, column + 2]
@@ -142,7 +143,7 @@ def triple(array: FloatArray, row: int, column: int = 0) -> Triple:
 
 @compiled
 def rotate(z: Triple, w: Triple) -> Triple:
-    """Rotates the vector z by the rotation vector w (axis times angle [rad])."""
+    """Rotates the vector z by the rotation vector w, the axis times the angle [rad]."""
     angle = norm(w)
     if angle == 0.0:
         return z
@@ -203,9 +204,10 @@ def orthogonal(n: Triple, e: Triple) -> Triple:
 
 @compiled
 def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
-    """Computes the rotation by the avoidance term over a step, if the term acts alone.
+    """Computes by how much the avoidance term, acting alone, turns the heading over a time step.
 
-    The angle theta from the center of the obstacle to the heading obeys
+    The avoidance term is (8) of Pairet et al., RA-L 2019, which turns the motion away from an
+    obstacle. The angle theta from the direction of the obstacle's center to the heading obeys
     d theta/ds = A exp(-theta^2 / psi^2), with A constant over the step. The result is within 2.5 %
     of the exact solution. With u = theta / psi, c = rate step / psi and
     g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after the step is psi sqrt(u^2 + log(1 + c g)),
@@ -234,7 +236,7 @@ def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
 def avoidance_term(
     o: Triple, e: Triple, normal: Triple, alpha: float, psi: float, kappa: float, step: float
 ) -> Term:
-    """Computes the rotation of the motion away from an obstacle over a step.
+    """Computes the rotation of the motion away from an obstacle over a step of the policy.
 
     The turning rate is that of the avoidance term (8) of Pairet et al., RA-L 2019.
 
@@ -247,6 +249,9 @@ def avoidance_term(
         psi: width of the response to the heading [rad].
         kappa: decay with the squared distance [1/m^2].
         step: length of the step in normalized time.
+
+    Returns:
+        Axis, exact rotation over the step [rad], and initial rate times the step [rad].
     """
     d, size = norm(o), norm(normal)
     near = alpha * math.exp(-kappa * d * d)
@@ -269,11 +274,12 @@ def avoidance_term(
 def guidance_term(
     v: Triple, e: Triple, normal: Triple, alpha: float, closeness: float, step: float
 ) -> Term:
-    """Computes the rotation of the motion toward a guidance heading over a step.
+    """Computes the rotation of the motion toward a guidance heading over a step of the policy.
 
-    The gain (rate over angle) is alpha (1 - exp(-kappa d^2)), which is bounded and vanishes at the
-    obstacle. This gain replaces that of (9) of Pairet et al., RA-L 2019, which grows without bound
-    with the distance d from the center of the obstacle.
+    The guidance heading leads past an obstacle on the selected side. The gain (rate over angle) is
+    alpha (1 - exp(-kappa d^2)), which is bounded and vanishes at the obstacle. It replaces the gain
+    in (9) of Pairet et al., RA-L 2019, which grows without bound with the distance d from the
+    center of the obstacle.
 
     Args:
         v: guidance heading, unit vector; zero: no guidance.
@@ -281,8 +287,11 @@ def guidance_term(
         normal: normal of the plane in which the obstacle is passed, of any length; it determines
             the axis if v is opposite to e.
         alpha: strength [rad per normalized time].
-        closeness: kappa d^2 [-].
+        closeness: kappa d^2, with the decay kappa of the coupling term [-].
         step: length of the step in normalized time.
+
+    Returns:
+        Axis, exact rotation over the step [rad], and initial rate times the step [rad].
     """
     gain = -alpha * math.expm1(-closeness)
     if norm(v) == 0.0 or not gain > 0.0:
@@ -297,7 +306,7 @@ def guidance_term(
 
 @compiled
 def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
-    """Solves A w = b for w with a symmetric positive definite matrix A (3, 3), by A = L D L^T.
+    """Solves A w = b for w, with a symmetric positive definite matrix A (3, 3), by A = L D L^T.
 
     Args:
         diagonal: elements xx, yy, zz of A.
@@ -320,7 +329,7 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 
 @leaf
 def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float) -> Triple:
-    """Computes the rotation of the motion's heading over a step, by all coupling terms together.
+    """Computes the rotation of the motion's heading by all coupling terms together over a step.
 
     The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i for terms with
     unit axis a_i, exact rotation phi_i and q_i = (initial rate times step) / phi_i. A term that
@@ -330,8 +339,9 @@ def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float)
 
     Args:
         terms: (M, 12) coupling terms with the columns p_WO (3), alpha, psi, kappa, guidance heading
-            (3, unit vector; zero: no guidance) and normal of the plane of rotation (3; zero:
-            undefined); all finite, psi > 0, alpha and kappa not negative.
+            (3, unit vector; zero: no guidance) and normal of the plane of rotation (3; zero: the
+            plane of heading and obstacle's center); all finite, psi > 0, alpha and kappa not
+            negative.
         fade: factor on the strengths alpha, for fading near the goal.
         p: position p_WE [m].
         z: scaled velocity z_W [m].

@@ -1,4 +1,4 @@
-"""Dynamic movement primitives (DMP) of the position and of the orientation.
+"""Dynamic movement primitives (DMP) for the position and the orientation of the tool.
 
 Time. T is the demonstrated duration in seconds and tau the temporal scaling of T. Normalized time
 s = t / (tau T) is 1 at the end of the motion. The equations are
@@ -53,33 +53,40 @@ from drake_oa.policy.action_kernels import MotionSetup, advance, spring_flow
 from drake_oa.policy.guidance import NO_OBSTACLES
 
 ALPHA_X = 48.0
-"""Default gain alpha_x of a movement primitive's spring and damper, per normalized time [-]."""
+"""Default gain alpha_x of a movement primitive's spring and damper, per normalized time [-].
+
+Normalized time is time over the planned duration of the motion."""
 BETA_X = ALPHA_X / 4.0
 """Default gain beta_x of a movement primitive's spring, per normalized time [-].
 
-A quarter of the default alpha_x makes the spring critically damped."""
+A quarter of the gain alpha_x makes the spring critically damped. Normalized time is time over the
+planned duration of the motion."""
 ALPHA_K = math.log(100.0)
-"""Default decay rate of the phase, per normalized time [-].
+"""Default decay rate alpha_k of a movement primitive's phase, per normalized time [-].
 
-The phase of the movement primitive is 1 at the start of the motion and then 0.01 at the end."""
+With this rate the phase is 1 at the start of the motion and 0.01 at its planned end."""
 N_BASIS = 35
-"""Default number of basis functions of the forcing term, which reproduces a demonstration."""
+"""Default number of basis functions of the forcing term, which reproduces a demonstration [-]."""
 _STILL = 0.2
-"""Normalized time after the end of the motion in which the forcing term is fitted to zero.
+"""Length of the interval after the demonstration in which the forcing term is fitted to zero [-].
 
-Without this interval a remaining force displaces the end of a recorded motion by 1 to 2 mm."""
+The unit is the demonstrated duration. Without this interval a remaining force displaces the end of
+a recorded motion by 1 to 2 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dmp(Frozen):
-    """Parameters of a dynamic movement primitive in D dimensions, for a start 1 m from the goal.
+    """Parameters of a dynamic movement primitive in D dimensions, scaled to a baseline of 1 m.
+
+    The baseline is the distance from start to goal. Normalized time is time over planned duration.
 
     Attributes:
         alpha_x: gain of spring and damper, per normalized time.
         beta_x: gain of the spring, per normalized time; alpha_x / 4 for critical damping.
         alpha_k: decay rate of the phase, per normalized time.
         centers: (N,) centers c_i of the basis functions over the phase.
-        widths: (N,) widths h_i of the basis functions exp(-h_i (k - c_i)^2), above 0.
+        widths: (N,) widths h_i of the basis functions exp(-h_i (k - c_i)^2), above 0; a larger h_i
+            makes the function narrower.
         weights: (D, N) weights of the basis functions in the local frame (x from start to goal, z
             up), divided by the distance from start to goal.
         duration: duration T of the demonstration [s].
@@ -94,7 +101,7 @@ class Dmp(Frozen):
     duration: float = 1.0
 
     def phase(self, s: ArrayLike) -> FloatArray:
-        """Computes the phase k = exp(-alpha_k s), which decays from 1, at normalized times s."""
+        """Computes the phase k = exp(-alpha_k s) of this primitive at normalized times s."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
     def forcing(self, k: FloatArray) -> FloatArray:
@@ -114,8 +121,8 @@ class Dmp(Frozen):
             k: (T,) phases in the middle of the T steps.
             ds: length of a step in normalized time.
             goal: (3,) goal position [m], or rotation vector of the goal orientation [rad].
-            spread: (3, D) matrix that scales and rotates the forcing term of a motion of length 1:
-                f = spread f_L(k).
+            spread: (3, D) matrix that converts the forcing term f_L, in the local frame and for a
+                baseline of 1 m, to that of the motion: f = spread f_L(k).
             more: further fields of `MotionSetup`.
         """
         rest = goal + self.forcing(k) @ spread.T / (self.alpha_x * self.beta_x)
@@ -206,7 +213,7 @@ def minimum_jerk_share(s: FloatArray) -> FloatArray:
 
 
 def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: Any) -> Dmp:
-    """Learns a movement primitive from one demonstrated path.
+    """Learns a movement primitive of the position from one demonstrated path.
 
     Args:
         path: (T, 3) positions [m]; T at least 2.
@@ -260,9 +267,10 @@ def fit_forcing(
 ) -> Dmp:
     """Fits the forcing term of a movement primitive to a demonstration.
 
-    With x relative to the end, the equation of motion (1) follows the demonstration for the forcing
-    term f = dz/ds + alpha_x (z + beta_x x). This term is sampled on the `interpolant` of the
-    demonstration and fitted by linear least squares over all basis functions at once.
+    With the position x relative to the end, normalized time s and z = dx/ds, the primitive
+    reproduces the demonstration for the forcing term f = dz/ds + alpha_x (z + beta_x x). This term
+    is sampled on a spline through the demonstration and fitted by linear least squares over all
+    basis functions at once.
 
     Args:
         local: (T, D) positions relative to the last position, in the local frame (x from start to
@@ -287,7 +295,7 @@ def fit_forcing(
 
 
 def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
-    """Returns a spline through samples x (T, D) at increasing times s (T,).
+    """Returns a spline through the samples x (T, D) of a demonstration at increasing times s (T,).
 
     The degree is 5, or lower for fewer than six samples.
     """
@@ -296,17 +304,18 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
 
 @lru_cache(maxsize=16)
 def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
-    """Computes the quantities of `fit_forcing` that do not depend on the demonstration.
+    """Computes basis functions of the forcing term and the matrix that fits their weights.
 
-    They are cached because their computation requires 15 ms.
+    They do not depend on the demonstration, and are cached because they require 15 ms.
 
     Args:
         n_basis: number of basis functions.
         alpha_k: decay rate of the phase, per normalized time.
 
     Returns:
-        Normalized times (samples,), centers (n_basis,) and widths (n_basis,) of the basis
-        functions, and the matrix (n_basis, samples) that maps forces to weights.
+        Normalized times (samples,) at which the forcing term is fitted; centers (n_basis,) and
+        widths (n_basis,) of the basis functions over the phase; and the pseudo-inverse
+        (n_basis, samples), which maps values of the forcing term at these times to weights.
     """
     # One center lies before the start: otherwise the fit is worst there, where an error
     # determines the first heading.
@@ -323,7 +332,7 @@ def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
 
 
 def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
-    """Checks a demonstration, and returns its positions and times as arrays.
+    """Checks a demonstrated path, and returns its positions and times as arrays.
 
     Args:
         path: (T, D) positions; T at least 2.
@@ -349,18 +358,18 @@ def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatAr
 
 
 def _refuse(bad: Any, message: str) -> None:
-    """Raises a ValueError if a sample of a demonstration is bad.
+    """Raises a ValueError if any sample of a demonstration is invalid.
 
     Args:
-        bad: (T,) whether each sample is bad.
-        message: text of the error, with {} for the index of the first bad sample.
+        bad: (T,) mask of the invalid samples.
+        message: text of the error, with {} for the index of the first invalid sample.
     """
     if bad.any():
         raise ValueError(message.format(int(bad.argmax())))
 
 
 class Trajectory(NamedTuple):
-    """Motion of position or orientation, sampled at normalized times.
+    """Motion of the tool's position or orientation, sampled at n + 1 normalized times.
 
     Attributes:
         s: (n + 1,) normalized times (time over demonstrated duration times temporal scaling).
@@ -384,13 +393,14 @@ def roll_out(
     end: float,
     steps: int,
 ) -> Trajectory:
-    """Integrates a movement primitive without coupling terms.
+    """Integrates a movement primitive without coupling terms, that is, without avoidance.
 
     Each step is exact for a forcing term that is constant at its value in the middle of the step.
 
     Args:
         dmp: movement primitive of D dimensions.
-        spread: (3, D) matrix that scales and rotates the forcing term: f = spread f_L(k).
+        spread: (3, D) matrix that converts the primitive's forcing term f_L to that of the motion:
+            f = spread f_L(k).
         goal: (3,) goal position [m], or rotation vector of the goal orientation [rad].
         p: (3,) initial position [m], or rotation vector [rad].
         z: (3,) initial derivative of p by normalized time [m or rad].
@@ -417,14 +427,14 @@ def trajectory(
     steps: int = 500,
     end: float = 1.0,
 ) -> Trajectory:
-    """Computes the nominal motion of a movement primitive, from rest and without coupling terms.
+    """Computes the nominal motion of a movement primitive, from rest and without avoidance.
 
     Args:
         dmp: movement primitive of three dimensions.
-        start: (3,) start [m].
-        goal: (3,) goal [m].
+        start: (3,) start in the world frame [m].
+        goal: (3,) goal in the world frame [m].
         steps: number of steps, at least 1.
-        end: normalized time at the end.
+        end: normalized time at the end; 1: the planned end of the motion.
 
     Returns:
         Motion at steps + 1 normalized times, from 0 to `end`.
@@ -440,11 +450,12 @@ def trajectory(
 LARGEST_ANGLE = math.radians(300.0)
 """Maximum rotation between the middle sample of a demonstration and any other sample [rad].
 
-Rotation vectors become singular at 2 pi."""
+Demonstrations with larger rotations are refused, because rotation vectors become singular at
+2 pi."""
 _HALF_TURN = math.pi - 1e-6
 """Angle between two orientations above which the direction of rotation is ambiguous [rad]."""
 _STEP = 5e-4
-"""Maximum step in normalized time for the integration of the orientation's movement primitive.
+"""Maximum step in normalized time for the integration of the orientation's movement primitive [-].
 
 The forcing term is constant in a step. The resulting ripple of the angular acceleration is
 proportional to the square of the step."""
@@ -454,7 +465,9 @@ proportional to the square of the step."""
 class OrientationDmp(Frozen):
     """Movement primitive of the tool's orientation, learned from one demonstration.
 
-    The equations are those of the module docstring.
+    The docstring of `drake_oa.policy.dmp` has its equations, for a rotation vector r from a fixed
+    frame A. A is rotated relative to the start of a motion as the middle sample of the
+    demonstration is relative to its first sample.
 
     Attributes:
         dmp: movement primitive of four dimensions: the forcing term f_0, which is multiplied by the
@@ -495,8 +508,8 @@ def goal_vector(start: ArrayLike, goal: ArrayLike, near: ArrayLike | None = None
     Args:
         start: (3, 3) orientation R_WS.
         goal: (3, 3) orientation R_WG.
-        near: (3,) rotation vector [rad], to which the nearest of all equivalent rotation vectors is
-            returned; None: the shortest is returned.
+        near: (3,) reference rotation vector [rad]. Of all rotation vectors that describe the same
+            rotation, the one nearest to it is returned; None: the shortest one is returned.
 
     Returns:
         (3,) rotation vector [rad].
@@ -516,9 +529,9 @@ def goal_vector(start: ArrayLike, goal: ArrayLike, near: ArrayLike | None = None
 
 
 def _nearest(r: FloatArray, near: FloatArray) -> FloatArray:
-    """Returns the rotation vector nearest to `near` (3,) among all equivalent to r (3,) [rad].
+    """Returns the rotation vector nearest to `near` (3,) of all that describe the rotation r [rad].
 
-    Equivalent rotation vectors differ by multiples of 2 pi along their axis.
+    Rotation vectors of the same rotation differ by multiples of 2 pi along their axis.
     """
     angle, length = float(np.linalg.norm(r)), float(np.linalg.norm(near))
     # The identity has no axis; that of `near`, or any other, gives the nearest vector.
@@ -563,7 +576,7 @@ def imitate_orientation(
 
 
 def vectors_from(R: FloatArray, origin: int) -> FloatArray:
-    """Computes the rotation vectors from one orientation of a sequence to each of the sequence.
+    """Computes the rotation vectors from one orientation of a sequence to all of its orientations.
 
     The rotation vectors are continuous along the sequence, so that they may be longer than pi.
 
@@ -587,6 +600,8 @@ def vectors_from(R: FloatArray, origin: int) -> FloatArray:
 def origin_of(primitive: OrientationDmp, start: FloatArray) -> Rotation:
     """Computes the orientation R_WA from which the rotation vectors of a motion are measured.
 
+    R_WA = R_WS exp(-[r(0)]), with the rotation vector r(0) at the start (`OrientationDmp.offset`).
+
     Args:
         primitive: movement primitive of the orientation.
         start: (3, 3) orientation R_WS at the start of the motion.
@@ -595,9 +610,9 @@ def origin_of(primitive: OrientationDmp, start: FloatArray) -> Rotation:
 
 
 def minimum_jerk_orientation(**constants: Any) -> OrientationDmp:
-    """Returns the default movement primitive of the orientation.
+    """Returns the default movement primitive of the orientation, used without a demonstration.
 
-    The rotation from start to goal has a fixed axis and a minimum-jerk angle.
+    Its rotation from start to goal has a fixed axis and an angle with minimum-jerk profile.
 
     Args:
         constants: keyword arguments of `fit_forcing`.
@@ -616,7 +631,8 @@ def checked_turn(orientations: ArrayLike, t: ArrayLike | None) -> tuple[FloatArr
         Rotation matrices (T, 3, 3) and times (T,) [s].
 
     Raises:
-        ValueError: as `checked_rotations` and `checked_demonstration`.
+        ValueError: for invalid orientations (`checked_rotations`) or times
+            (`checked_demonstration`).
     """
     R = checked_rotations(orientations)
     return R, checked_demonstration(np.zeros((len(R), 1)), t)[1]
@@ -672,7 +688,7 @@ def roll_orientation(
 
     Args:
         primitive: movement primitive of the orientation.
-        goal: (3,) rotation vector of the goal orientation, computed by `demonstrated_goal` [rad].
+        goal: (3,) rotation vector of the goal orientation [rad]; `demonstrated_goal` computes it.
         r: (3,) initial rotation vector [rad].
         z: (3,) initial derivative of r by normalized time [rad].
         k: initial phase.
@@ -695,13 +711,14 @@ def orientation_along(
         primitive: movement primitive of the orientation.
         start: (3, 3) R_WE at the start.
         goal: (3, 3) R_WE at the goal; the direction of rotation is the demonstration's.
-        s: (T,) normalized times, at least 0.
+        s: (T,) normalized times (time over planned duration), at least 0.
 
     Returns:
         (T, 3, 3) orientations R_WE.
 
     Raises:
-        ValueError: if the orientations differ by 180 degrees and there is no demonstration.
+        ValueError: if start and goal orientation differ by 180 degrees and there is no
+            demonstration.
     """
     R_WS, target = np.asarray(start, dtype=float), demonstrated_goal(primitive, start, goal)
     end = max(float(np.max(s)), _STEP)
@@ -711,10 +728,10 @@ def orientation_along(
 
 
 def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike) -> FloatArray:
-    """Computes the rotation vector of a motion's goal orientation.
+    """Computes the rotation vector of the goal orientation of a motion.
 
-    Among the equivalent rotation vectors, the one in the demonstrated direction of rotation is
-    returned; without a demonstration, the shortest.
+    Of all rotation vectors to the same orientation, the one in the demonstrated direction of
+    rotation is returned; without a demonstration, the shortest one.
 
     Args:
         primitive: movement primitive of the orientation.
@@ -725,7 +742,7 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
         (3,) rotation vector from the frame A of `origin_of` to the goal, expressed in A [rad].
 
     Raises:
-        ValueError: if the orientations differ by 180 degrees and there is no demonstration.
+        ValueError: if both orientations differ by 180 degrees and there is no demonstration.
     """
     near = primitive.offset + primitive.total
     origin = origin_of(primitive, np.asarray(start, dtype=float)).as_matrix()
@@ -735,17 +752,18 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
 QUATERNION, W, ALPHA = slice(0, 4), slice(4, 7), slice(7, 10)
 """Slices of quaternion, angular velocity and angular acceleration in the result of `evaluate`."""
 _DIFFERENCE = 1e-5
-"""Time step of the central difference by which the angular acceleration is computed [s]."""
+"""Time step of the central difference that computes the tool's angular acceleration [s]."""
 
 
 def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> FloatArray:
     """Computes orientation, angular velocity and acceleration of the tool between two steps.
 
-    The orientation is R_WA exp([r]). The rotation vector r is a cubic polynomial in time between
-    both steps; after the second step its time derivative is constant.
+    The orientation is R_WE = R_WA exp([r]), with a fixed frame A. The rotation vector r is a cubic
+    polynomial in time between both steps; after the second step its time derivative is constant.
 
     Args:
-        ends: (2, 2, 3) r [rad] and its time derivative [rad/s] at the first and at the second step.
+        ends: (2, 2, 3) r [rad] and its time derivative [rad/s] at the first and at the second step
+            of the integrator.
         length: time between the steps [s].
         origin: orientation R_WA from which r is measured.
         time: time since the first step, at least 0 [s].
@@ -796,13 +814,13 @@ def _rate(cubic: FloatArray, time: float) -> FloatArray:
 class Demonstration(Frozen):
     """Demonstration that a new motion imitates: position and orientation of the tool, and posture.
 
-    The demonstration of the task replaces each field that is None or empty.
+    For a field that is None or empty, the motion imitates the demonstration of the task.
 
     Attributes:
         position: movement primitive of the tool point, with the duration of the motion.
         orientation: movement primitive of the tool's orientation.
         R_WS: (3, 3) orientation of the tool at the start.
-        R_WG: (3, 3) orientation of the tool at the end.
+        R_WG: (3, 3) orientation of the tool at the goal.
         s: (T,) normalized times of the joint positions, from 0 to 1.
         q: (T, n) joint positions of the arm at these times [rad].
     """

@@ -1,4 +1,6 @@
-"""System of the policy layer for the position: a movement primitive with coupling terms."""
+"""System of the policy layer that integrates the movement primitive of the tool point.
+
+Coupling terms of the movement primitive turn the motion away from obstacles."""
 
 from __future__ import annotations
 
@@ -102,7 +104,7 @@ class DmpIntegrator(LeafSystem):
         *,
         config: Policy | None = None,
     ) -> None:
-        """Declares the ports.
+        """Declares ports, state and periodic update; the motion starts with the simulation.
 
         Args:
             dmp: movement primitive of three dimensions.

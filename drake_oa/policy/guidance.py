@@ -1,6 +1,7 @@
-"""Computation of the heading v_d toward which the guidance term turns the motion.
+"""Computation of the guidance heading v_d, which leads the motion past an obstacle.
 
-The guidance term is that of (9) of Pairet et al., RA-L 2019. The paper defines neither v_d for a
+The guidance term, (9) of Pairet et al., RA-L 2019, is a coupling term that turns the motion toward
+v_d, on the selected side of the obstacle. The paper defines neither v_d for a
 selected passing direction omega_d of an obstacle, nor when guidance ends. Here v_d is the direction
 from the tool point E along the tangent to the obstacle at the requested clearance, on the selected
 side. This is the shortest path past the obstacle.
@@ -47,9 +48,10 @@ class Obstacles(NamedTuple):
         p_WO: (M, 3) centers of the ellipsoids in the world frame [m].
         R_WO: (M, 3, 3) rotations of the ellipsoids.
         semi_axes: (M, 3) semi-axes of the ellipsoids [m].
-        terms: (M, 12) coupling terms without fading near the goal. `coupling.turn_step` describes
-            the columns. The columns of the guidance heading are zero. The normal is that of the
-            plane in which the obstacle is passed, or zero if no side is selected.
+        terms: (M, 12) coupling terms (turning rates of the motion) at full strength, without the
+            fading near the goal. `coupling.turn_step` describes the columns. The columns of the
+            guidance heading are zero. The normal is that of the plane in which the obstacle is
+            passed, or zero if no side is selected.
         direction: (M, 3) unit vectors omega_d from the baseline (line from start to goal) to the
             side on which each obstacle is passed.
         remaining_clearance: (M,) distance from each obstacle at which guidance leads the motion
@@ -76,7 +78,9 @@ def guide(
 ) -> None:
     """Writes the guidance heading v_d for each obstacle into the coupling terms of a step.
 
-    The heading is zero if guidance does not act. The conditions are those of the module docstring.
+    v_d lies between the heading of the motion and the tangent to the obstacle at the requested
+    clearance, on the selected side. It is zero unless the ray along the motion enters the obstacle, grown by
+    the clearance, before the goal, and avoidance would turn the motion to another side.
 
     Args:
         p: position p_WE of the tool point in the world frame [m].

@@ -1,4 +1,4 @@
-"""System of the policy layer for the orientation: a movement primitive that rotates the tool."""
+"""System of the policy layer that integrates the movement primitive of the tool's orientation."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ class OrientationIntegrator(LeafSystem):
       - desired_angular_velocity
       - desired_angular_acceleration
 
-    - policy_state: abstract `PolicyState`. The primitive follows its phase, so that temporal
-      scaling and holds of the position also apply to the orientation.
+    - policy_state: abstract `PolicyState`. The primitive follows the phase in this message, so that
+      temporal scaling and holds (stops) of the position also apply to the orientation.
     - goal_orientation (optional): (4,) quaternion w, x, y, z of R_WG, of either sign. A new
       goal is approached from the current orientation. Among the equivalent rotation vectors of the
       goal, the one nearest to the previous goal's is used. Not connected: the constructor's goal.
@@ -116,8 +116,8 @@ class OrientationIntegrator(LeafSystem):
 
     The primitive is described in `drake_oa.policy.dmp`. The abstract state is the current
     `OrientationSegment` between two steps. In a segment the rotation vector is a cubic polynomial
-    in time; angular velocity and acceleration are its exact derivatives. Both steps must be
-    completed before they are interpolated, so that the orientation lags two periods behind the
+    in time, from which angular velocity and acceleration are computed. Both steps must be completed
+    before the orientation is interpolated between them, so that it lags two periods behind the
     policy.
     """
 
@@ -129,12 +129,12 @@ class OrientationIntegrator(LeafSystem):
         *,
         period: float = 0.005,
     ) -> None:
-        """Declares the ports.
+        """Declares ports and the periodic update, with the tool at rest in its start orientation.
 
         Args:
             primitive: movement primitive of the orientation.
-            start: (3, 3) R_WE at the start.
-            goal: (3, 3) R_WE at the goal.
+            start: (3, 3) orientation R_WE of the tool at the start.
+            goal: (3, 3) orientation R_WE of the tool at the goal.
             period: time step, equal to that of the policy [s].
 
         Raises:
@@ -179,11 +179,12 @@ class OrientationIntegrator(LeafSystem):
         value.set_value(evaluate(segment.ends, segment.length, segment.origin, since))
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> FloatArray:
-        """Computes the rotation vector (3,) [rad] from a segment's origin to the current goal.
+        """Computes the rotation vector (3,) [rad] from a motion's origin to its goal orientation.
 
         Args:
             context: context of the system, whose input `goal_orientation` is evaluated.
-            before: previous segment, whose goal remains if the input is not connected.
+            before: previous segment, with the origin R_WA from which rotation vectors are measured;
+                its goal remains if the input is not connected.
         """
         if not self._goal_port.HasValue(context):
             return before.goal
@@ -196,10 +197,10 @@ class OrientationIntegrator(LeafSystem):
     def _restart(
         self, context: Context, before: OrientationSegment, policy: PolicyState
     ) -> OrientationSegment:
-        """Returns the previous segment, or a new one at rest if a motion with demonstration starts.
+        """Returns a new segment at rest if a demonstrated motion starts, else the previous one.
 
-        A demonstration with an orientation starts at the first demonstrated orientation. Without
-        one, the constructor's primitive starts at the current orientation.
+        If the demonstration has orientations, the segment starts at the first one. Otherwise the
+        constructor's primitive starts at the current orientation.
 
         Args:
             context: context of the system, whose input `demonstration` is read.

@@ -23,11 +23,13 @@ from drake_oa.policy.dmp import Dmp, local_frame, normalized_time
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
 LATEST = 2.0
-"""Default normalized time at which the simulation of a candidate motion ends at the latest [-]."""
+"""Default normalized time at which the simulation of a candidate motion ends at the latest [-].
+
+Normalized time is time over the planned duration: 1 is the planned end of the motion."""
 ARRIVED = 6e-4
 """Default distance from the goal below which a simulated motion counts as arrived [m]."""
 _EACH = 8
-"""Number of candidate motions per additional thread of their simulation."""
+"""Number of candidate motions for which one more thread takes part in their simulation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ def scene_under_way(
     clearance: float,
     alpha_k: float,
 ) -> Scene:
-    """Returns the initial state of simulations that continue the current motion.
+    """Returns the initial state of simulations that continue the current motion of the tool point.
 
     The obstacles are extrapolated at constant velocity from their observation to the current time.
 
@@ -77,7 +79,7 @@ def scene_under_way(
         p_WG: (3,) goal in the world frame [m].
         ellipsoids: observed obstacles with velocities and the stamp of the observation.
         clearance: requested clearance from all obstacles [m].
-        alpha_k: decay rate of the policy's phase, per normalized time.
+        alpha_k: decay rate of the movement primitive's phase, per normalized time.
     """
     lag = policy.stamp - ellipsoids.stamp if math.isfinite(ellipsoids.stamp) else 0.0
     return Scene(
@@ -96,7 +98,7 @@ def scene_under_way(
 class ToolRollouts(Frozen):
     """Simulated motions of the tool point for N candidates, over at most T steps.
 
-    Paths are sampled at the start and after each `every`-th step, an argument of `roll_out_tool`.
+    Paths are sampled at the start and then once in `every` steps, an argument of `roll_out_tool`.
 
     Attributes:
         ds: length of a step in normalized time.
@@ -134,18 +136,19 @@ def roll_out_tool(
 
     Args:
         scene: current state of the motion; its ellipsoids have no effect.
-        terms: (N, K, 12) coupling terms of each candidate without fading near the goal, with the
-            columns of `coupling.turn_step`.
-        dmp: movement primitive of the nominal motion.
+        terms: (N, K, 12) coupling terms (turning rates) of each candidate at full strength, without
+            the fading near the goal; `coupling.turn_step` describes the columns.
+        dmp: movement primitive of the nominal motion, which has no coupling terms.
         policy: configuration, of which `period` and `fade` are used; the step in normalized time
             is `period` over the duration of the primitive.
         end: earliest normalized time at which a motion may end; values below the current
             normalized time count as the current one.
         latest: latest normalized time at which a motion ends; at least 1 after the current one.
-        tolerance: distance from the goal at which a slow motion ends between both times [m].
-        longest: () or (N,) maximum path length, above which a simulation ends early as described
-            in `advance` [m].
-        obstacles: K obstacles that determine the guidance headings of the terms; None: no guidance.
+        tolerance: distance from the goal below which a slow motion ends between `end` and `latest`
+            [m].
+        longest: () or (N,) maximum path lengths [m]; a simulation ends as soon as the length so far
+            plus the distance from the goal exceeds it.
+        obstacles: K obstacles past which guidance headings turn the motions; None: no guidance.
         every: number of steps between the samples of the paths.
 
     Returns:
@@ -179,9 +182,10 @@ def _setup(
     tolerance: float,
     every: int,
 ) -> MotionSetup:
-    """Computes the constants of all simulations of a call of `roll_out_tool` with these arguments.
+    """Computes the integration constants that all simulations in a call of `roll_out_tool` share.
 
-    They are cached because searches call it repeatedly from the same state.
+    The result is cached, because a search calls `roll_out_tool` repeatedly from the same state. The
+    arguments are those of `roll_out_tool`, with `period` and `fade` from its configuration.
     """
     ds = period / dmp.duration
     max_steps = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
@@ -215,8 +219,8 @@ def _roll_some(
         part: number of the thread, from 0.
         parts: number of threads.
         setup: constants of the integration.
-        obstacles: obstacles that determine the guidance headings.
-        terms: (N, K, 12) coupling terms of all candidates.
+        obstacles: obstacles past which guidance headings turn the motions.
+        terms: (N, K, 12) coupling terms (turning rates) of all candidates.
         longest: (N,) maximum path lengths [m].
         out: (N, 3) path length [m], distance from the goal at the end [m] and number of steps;
             output.
