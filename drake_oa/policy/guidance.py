@@ -79,8 +79,9 @@ def guide(
     """Writes the guidance heading v_d for each obstacle into the coupling terms of a step.
 
     v_d lies between the heading of the motion and the tangent to the obstacle at the requested
-    clearance, on the selected side. It is zero unless the ray along the motion enters the obstacle, grown by
-    the clearance, before the goal, and avoidance would turn the motion to another side.
+    clearance, on the selected side. It is zero unless two conditions hold: the ray along the motion
+    enters the obstacle, grown by the clearance, before the goal; and avoidance would turn the
+    motion to another side.
 
     Args:
         p: position p_WE of the tool point in the world frame [m].
