@@ -1,26 +1,30 @@
-"""Evaluation of avoidance methods on the simulated Panda in random scenes.
+"""Evaluation of obstacle avoidance methods on a simulated Panda arm in random scenes.
 
-In: kind, seed and number of the scenes, and methods. Out: the result of each method in each scene
-(`evaluation.run_and_evaluate`: outcome, reason, contacts, clearances [m], goal error [m], times
-[s]), and metrics over all scenes (`tables`).
+Inputs: kind, seed and number of the scenes, and the methods. Outputs: the result of each method in
+each scene (`evaluation.run_and_evaluate`: outcome, reason, contacts, clearances [m], goal error
+[m], times [s]), and metrics over all scenes (`tables`).
 
-A scene is a scenario (`scenes.draw_panda_scene`) in the world frame, in meters and seconds. Its
-nominal motion is a straight tool motion of 0.5 to 1.0 m, on which some link would collide:
+A scene is a scenario, the configuration of one simulation (`scenes.draw_panda_scene`). Positions
+are in the world frame in meters, times in seconds. Its nominal motion (without avoidance) moves the
+tool along a straight line; in most kinds the line is 0.5 to 1.0 m long, and some link of the arm
+would collide on it. These modules draw the scenes:
 
-    scenes          tabletop, clutter6: objects on the table; elbow: the hand's path is free and the
-                    elbow's is blocked; drawing of all kinds
-    moving_scenes   moving, moving_hard, moving_high: objects that cross the nominal motion
-    drp_scenes      boxes by the parameters of the benchmark DRPBench
+    scenes          draw_panda_scene for all kinds; kinds tabletop and clutter6, with objects on the
+                    table; kind elbow, in which only the path of the elbow is blocked
+    moving_scenes   kinds moving, moving_hard, moving_high, with objects that cross the motion
+    drp_scenes      kinds drp_LEVEL, with boxes by the parameters of the benchmark DRPBench
     scene_parts     obstacles on the table, straight motions, and the camera's field of view
     scene_arm       the arm's straight motions, and its distances to obstacles
 
-Methods (`evaluation`): `verified`, the paper's method, the nominal motion without avoidance, and
-two baselines that know the obstacles exactly:
+The methods (module `evaluation`) are `verified`, which searches motions and verifies them by
+simulation of the whole arm; the method of Pairet et al., RA-L 2019; the nominal motion; and two
+baselines that know the obstacles exactly:
 
-    differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints at the
-                      policy's period; `CommandedJoints` has its inputs
+    differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints,
+                      evaluated once a period of the movement primitive
     planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), not simulated
 
-Ground truth of finished runs: `true_world` (arm and collision geometry), `contacts` (causes of
-contacts) and `claims` (passive motion safety). Read `evaluation.py` first.
+Three modules evaluate finished runs on ground truth: `true_world` has the exact trajectories of arm
+and collision geometry, `contacts` finds the causes of contacts, and `claims` checks the claims of
+passive motion safety. Read `evaluation.py` first.
 """

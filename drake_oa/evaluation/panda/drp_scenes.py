@@ -13,19 +13,22 @@ an episode of 1,000 steps of 1/60 s:
   least 1 cm from the robot, fly toward the goal, and reverse at 1.0 m from it; they disappear 300
   steps before the end.
 
-Flying boxes also reverse at the base (a cylinder of 0.25 m) and at x < 0.1 m. Static objects and
-nominal motions are drawn by this module. Differences from DRPBench:
+Flying boxes also reverse at the base (a cylinder with a radius of 0.25 m) and at x < 0.1 m. This
+module draws static objects and nominal motions (tool motions without avoidance). Differences from
+DRPBench:
 
 - Boxes depend on the nominal motion, not on the executed one, so that a scene is the same for all
   methods. A box keeps its distance to the robot along the nominal motion until it appears. A sudden
   box does not appear a second time 200 steps later.
 - Flying boxes also reverse at the table.
-- In `moving_goal_blocked` the robot starts 5 cm from the goal, as a task's start and goal differ.
+- In `moving_goal_blocked` the robot starts 5 cm from the goal, since start and goal of a task must
+  differ.
 - The tool points down; in the shelf it points forward, tilted down by 20 degrees.
 
 Static objects are an open box on the table, and a shelf: a raised box that is open at its front. If
-start and goal are outside, the robot's clearance to the closed box is at least 5 cm there; if they
-are inside, to its boards. Flying boxes pass through static objects and each other.
+start and goal are outside a static object, the robot's clearance at both to the closed object is at
+least 5 cm. If they are inside, its clearance to the boards is at least 5 cm. Flying boxes pass
+through static objects and each other.
 """
 
 from __future__ import annotations
@@ -57,24 +60,25 @@ from drake_oa.scenario.end_poses import posture_guide
 from drake_oa.scenario.obstacles import Obstacle
 
 _STEP = 1.0 / 60.0
-"""Time step of DRPBench [s]."""
+"""Time step of the benchmark DRPBench, in which its authors state times [s]."""
 EPISODE = 1000 * _STEP
-"""Duration of an episode of DRPBench [s]."""
+"""Duration of an episode of the benchmark DRPBench [s]."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """Parameters of a level of DRPBench.
+    """Parameters of one level of the benchmark DRPBench.
 
     Attributes:
-        draw_boxes: function that draws the moving or appearing boxes for a nominal motion; it
-            returns no boxes if they cannot be placed.
+        draw_boxes: function that draws the moving or appearing boxes from a source of random
+            numbers, a level and a nominal motion; it returns no boxes if they cannot be placed.
         size: range of the edge lengths of a box [m].
         count: number of flying boxes.
         speed: range of the speeds of flying boxes [m/s].
-        world: static objects, from `_CASES`.
+        world: names of the static objects, from `_CASES`.
         inside: whether start and goal are inside the static object.
-        draw_motion: function that draws the nominal motion.
+        draw_motion: function that draws the nominal motion from a source of random numbers; it
+            returns None if a draw is rejected.
     """
 
     draw_boxes: Callable[..., list[Obstacle]]
@@ -87,7 +91,15 @@ class Level:
 
 
 def drp_objects(random: Generator, *, level: Level) -> DrawObjects:
-    """Returns a function that draws the static objects and the boxes of a level for a motion."""
+    """Returns a function that draws the static objects and the boxes of a DRPBench level.
+
+    Args:
+        random: source of random numbers.
+        level: parameters of the level.
+
+    Returns:
+        Function from a nominal motion to obstacles; it returns None if an object cannot be placed.
+    """
 
     def draw(motion: Motion) -> list[Obstacle] | None:
         world: list[Obstacle] = []
@@ -106,15 +118,27 @@ def drp_objects(random: Generator, *, level: Level) -> DrawObjects:
 
 
 _START_DISTANCE = 0.05
-"""Distance from start to goal in `moving_goal_blocked` [m]."""
+"""Distance from start to goal in the DRPBench levels `moving_goal_blocked`, in which the robot is
+to stay near its goal [m]."""
 _FORWARD = [0.0, math.radians(110.0), 0.0]
-"""Roll, pitch and yaw of the forward-pointing tool in the shelf [rad]."""
+"""Roll, pitch and yaw in the world of a tool that points forward into the shelf, tilted down by 20
+degrees [rad]."""
 _GOALS = (0.40, -0.40, 0.30), (0.60, 0.40, 0.55)
-"""Lower and upper corner of the box of goals in `moving_goal_blocked` [m]."""
+"""Lower and upper corner of the box from which goals of the DRPBench levels `moving_goal_blocked`
+are drawn, in the world [m]."""
 
 
 def _draw_hold(random: Generator, *, forward: bool = False) -> Motion | None:
-    """Draws a motion of 5 cm with the tool pointing forward or down; None if rejected."""
+    """Draws a tool motion of 5 cm along x to a random goal, for the DRPBench levels
+    `moving_goal_blocked`.
+
+    Args:
+        random: source of random numbers.
+        forward: whether the tool points forward, tilted down by 20 degrees; else it points down.
+
+    Returns:
+        The motion; None if the arm cannot follow it.
+    """
     goal = np.round(random.uniform(*_GOALS), 4)
     start = goal - [_START_DISTANCE, 0.0, 0.0]
     return scene_arm().straight_motion(start, goal, rpy_WE=_FORWARD if forward else None)
@@ -123,24 +147,25 @@ def _draw_hold(random: Generator, *, forward: bool = False) -> Motion | None:
 # Static objects -------------------------------------------------------------------------
 
 _BOARD = 0.02
-"""Thickness of a board [m]."""
+"""Thickness of the boards of which static objects (open box and shelf) consist [m]."""
 _CASES = {
     "open_box": (5, (0.12, 0.12, 0.0, 0.12), (0.22, 0.22, 0.0, 0.25)),
     "shelf": (0, (0.10, 0.27, 0.15, 0.32), (0.15, 0.37, 0.30, 0.40)),
 }
-"""Static object -> index of its open face, and minima and maxima of half depth, half width, height
-above the table and inner height [m]."""
+"""Name of a static object -> index of its open face (see `_draw_case`), and minima and maxima of
+half depth, half width, height above the table, and inner height [m]."""
 
 
 def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | None) -> Obstacle:
-    """Draws a static object made of six boards; the last board closes it.
+    """Draws a static object that consists of six boards; the last board closes its open face.
 
     Args:
         random: source of random numbers.
         name: name of the object in `_CASES`.
         number: number of the obstacle, which determines its name and color.
-        inside: (3,) tool point inside the object, 6 to 10 cm behind its front [m]; the object then
-            has a yaw of 0. None: the object is anywhere on the table and faces the base.
+        inside: (3,) tool point that is to be inside the object, 6 to 10 cm behind its front, in the
+            world [m]; the object then has a yaw of 0. None: the object is anywhere on the table and
+            faces the robot's base.
     """
     opening, smallest, largest = _CASES[name]
     x, y, low, height = random.uniform(smallest, largest)
@@ -163,57 +188,84 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
 # Boxes that move or appear --------------------------------------------------------------
 
 _FLOATING_TARGET = np.array([0.15, 0.0, 0.5])
-"""Target point of floating boxes [m]."""
+"""Target point of the boxes in the DRPBench levels `floating`, in the world [m]."""
 _FLOATING_RANGES = (0.8, 1.0), 1.2, 0.2
-"""Distances of floating boxes from their target: range at the start, at reversal, and maximum miss
-along each axis [m]."""
+"""Distances from boxes to their target point in the DRPBench levels `floating`: range at the start,
+distance of reversal, and maximum miss along each axis [m]."""
 _GOAL_RANGES = (0.5, 0.6), 1.0, 0.01
-"""Distances of boxes that fly toward the goal: range at the start, at reversal, and maximum miss
-along each axis [m]."""
+"""Distances from flying boxes to the goal in the DRPBench levels `moving_goal_blocked`: range at
+the start, distance of reversal, and maximum miss along each axis [m]."""
 _BASE_RADIUS = 0.25
-"""Radius of the cylinder around the base at which flying boxes reverse [m]."""
+"""Radius of a vertical cylinder around the robot's base at which flying boxes reverse [m]."""
 _MIN_X = 0.1
-"""Minimum x coordinate of flying boxes, at which they reverse [m]."""
+"""Minimum x coordinate of flying boxes in the world, at which they reverse [m]."""
 _MIN_DISTANCE = 0.01
-"""Minimum distance of a box from the robot when it starts to move or appears at the goal [m]."""
+"""Minimum distance between a box and the robot when the box starts to fly or appears at the goal
+[m]."""
 _MIN_SUDDEN_DISTANCE = 0.1
-"""Minimum distance of a box from the robot when it appears on the tool's path [m]."""
+"""Minimum distance between a box and the robot when the box appears on the tool's path [m]."""
 _SPACING = 0.005
-"""Distance between the points of a line that are candidates for reversal [m]."""
+"""Distance between neighboring points on a flying box's line, at which the conditions of reversal
+are evaluated [m]."""
 
 
 def _draw_box(random: Generator, level: Level, number: int, p_WB: FloatArray) -> Obstacle:
-    """Draws a box with a random orientation at a position (3,) [m]."""
+    """Draws a box with random edge lengths and a random orientation.
+
+    Args:
+        random: source of random numbers.
+        level: DRPBench level with the range of edge lengths.
+        number: number of the obstacle, which determines its name and color.
+        p_WB: (3,) position of the box's center in the world [m].
+    """
     rpy = Rotation.from_quat(random.normal(size=4)).as_euler("xyz")
     box = Box(size=random.uniform(*level.size, 3).tolist(), rpy=rpy.tolist())
     return make_obstacle(random, "box", number, [box], p_WB.tolist())
 
 
 def _min_height(box: Obstacle) -> float:
-    """Computes the height of a box's center when the box touches the table [m]."""
+    """Computes the height of a box's center at which the box touches the table [m]."""
     return extent(box.shapes[0])[1]
 
 
 def _place_box(box: Obstacle, p_WB: FloatArray, present: list[float]) -> Obstacle:
-    """Returns a box at a position (3,) [m], not below the table, present in a time span [s]."""
+    """Returns a copy of a box at a position, raised if necessary so that it is not below the table.
+
+    Args:
+        box: box to move.
+        p_WB: (3,) position of its center in the world [m].
+        present: times at which the box appears and disappears [s].
+    """
     x, y, z = p_WB
     return replace(box, translation=[x, y, max(z, _min_height(box))], present=present)
 
 
 def _is_clear(box: Obstacle, motion: Motion, distance: float) -> bool:
-    """Checks that the nominal motion is at least a distance [m] from a box until it appears."""
+    """Checks whether the robot on its nominal motion has a minimum distance to a box until the box
+    appears.
+
+    Args:
+        box: box with its times of presence.
+        motion: nominal motion.
+        distance: minimum distance [m].
+    """
     begin = box.present[0]
     passed = motion.q[motion.t <= begin]
     return bool(scene_arm().distances(passed, [box], begin).min() >= distance)
 
 
 def _tool_path(motion: Motion) -> FloatArray:
-    """Computes the nominal tool positions (T, 3) of a motion [m]."""
+    """Computes the tool positions (T, 3) at the T times of a nominal motion, in the world [m]."""
     return posture_guide(motion.t / motion.t[-1], motion.start, motion.goal)
 
 
 def _draw_sudden_box(random: Generator, level: Level, motion: Motion) -> list[Obstacle]:
-    """Draws a box that appears on the tool's nominal path."""
+    """Draws a box that appears on the tool's nominal path, at the first position 0.1 m from the
+    robot.
+
+    Returns:
+        One box, or none if no position is far enough from the robot.
+    """
     box, begin = _draw_box(random, level, 0, motion.goal), 30 * _STEP
     path = _tool_path(motion)[motion.t > begin]
     items = (_place_box(box, p_WB, [begin, 900 * _STEP]) for p_WB in path)
@@ -221,7 +273,12 @@ def _draw_sudden_box(random: Generator, level: Level, motion: Motion) -> list[Ob
 
 
 def _draw_goal_box(random: Generator, level: Level, motion: Motion) -> list[Obstacle]:
-    """Draws a box that appears at the goal."""
+    """Draws a box that appears at the goal when the tool on its nominal motion is 0.5 m from the
+    goal.
+
+    Returns:
+        One box, or none if the robot is too close to the box.
+    """
     near = np.linalg.norm(_tool_path(motion) - motion.goal, axis=1) <= 0.5
     present = [motion.t[near.argmax()], 800 * _STEP]
     box = _place_box(_draw_box(random, level, 0, motion.goal), motion.goal, present)
@@ -235,7 +292,19 @@ def _draw_flying_boxes(
     *,
     at_goal: bool,
 ) -> list[Obstacle]:
-    """Draws boxes that fly to and fro through the goal, from above, or `_FLOATING_TARGET`."""
+    """Draws boxes that fly to and fro along straight lines through the goal or a fixed target
+    point.
+
+    Args:
+        random: source of random numbers.
+        level: DRPBench level with number, sizes and speeds of the boxes.
+        motion: nominal motion.
+        at_goal: whether the lines pass the goal, and boxes start above it; else the lines pass
+            `_FLOATING_TARGET`.
+
+    Returns:
+        The boxes, or none if one of them cannot be placed.
+    """
     target, boxes = motion.goal if at_goal else _FLOATING_TARGET, list[Obstacle]()
     begin, farthest, noise = _GOAL_RANGES if at_goal else _FLOATING_RANGES
     for number in range(level.count):
@@ -264,13 +333,13 @@ def _draw_flying_boxes(
 
 
 _SMALL = (0.1, 0.2)
-"""Range of edge lengths of small boxes [m]."""
+"""Range of the edge lengths of small boxes in DRPBench [m]."""
 _BIG = (0.1, 0.3)
-"""Range of edge lengths of large boxes [m]."""
+"""Range of the edge lengths of large boxes in DRPBench [m]."""
 _FLOATING = Level(partial(_draw_flying_boxes, at_goal=False), _SMALL, 3)
-"""Level with three boxes that fly through `_FLOATING_TARGET`."""
+"""DRPBench level with three boxes that fly through the fixed target point `_FLOATING_TARGET`."""
 _HOLD = Level(partial(_draw_flying_boxes, at_goal=True), _BIG, draw_motion=_draw_hold)
-"""Level with one box that flies through the goal, where the robot starts."""
+"""DRPBench level with one box that flies through the goal, near which the robot starts."""
 LEVELS = {
     "sudden1": Level(_draw_sudden_box, (0.05, 0.3)),
     "sudden2": Level(_draw_sudden_box, _SMALL, world=("open_box",)),
@@ -286,9 +355,11 @@ LEVELS = {
         _HOLD, world=("shelf",), inside=True, draw_motion=partial(_draw_hold, forward=True)
     ),
 }
-"""Level name -> parameters of the authors' levels of DRPBench."""
+"""Name of a level of the benchmark DRPBench -> its parameters, as in the program of the benchmark's
+authors."""
 SPEED_LEVELS = {
     f"floating1_at_{speed}": replace(_FLOATING, speed=(speed, speed))
     for speed in (0.18, 0.5, 1.0, 1.6)
 }
-"""Level name -> parameters of `floating1` at one speed of the boxes [m/s]."""
+"""Name of an additional level -> its parameters: DRPBench's `floating1` with a single speed of all
+boxes, from 0.18 to 1.6 m/s."""

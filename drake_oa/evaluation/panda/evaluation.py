@@ -3,11 +3,12 @@
 Methods:
 
   nominal          the nominal motion, which ignores obstacles
-  paper            the paper's method without a supervisor: a regressor chain evaluated at the
-                   obstacle's section with the P-plane (plane of motion and obstacle), and cost
-                   rings that select the passing side. The chain is `paper_chain_running`, trained
-                   for this system's action level, with alpha per demonstrated duration
-  verified         this project's method: whole-arm motions verified by roll-outs among the
+  paper            the method of Pairet et al., RA-L 2019, without motion guard. A regressor chain
+                   of three networks computes coupling parameters from the obstacle's section with
+                   the P-plane (plane of motion and obstacle). Cost rings (costs of the directions
+                   of passing) select the side. The chain is `paper_chain_running`, trained for
+                   this system's movement primitive, with alpha per demonstrated duration
+  verified         this project's method: whole-arm motions, verified by simulation among the
                    obstacles' collision geometry; if none is collision-free, a planned path that
                    the movement primitives imitate
   differential_ik  Drake's differential inverse kinematics with collision constraints along the
@@ -15,6 +16,7 @@ Methods:
                    as its tool's minimum clearance
   planner          a sampling-based planner that knows the obstacles and their trajectories
                    exactly and shows which scenes have a solution, see `planner`; not simulated
+  without_...      ablations of `verified`, each without one source of candidate motions
 
 SceneGraph checks contacts of links, hand and fingers with obstacles, table and each other at every
 logged instant (4 ms apart), until everything has been at rest for a second.
@@ -26,7 +28,7 @@ Outcome of a run:
   stopped   any other end; the reason is the stop reason, with "#" in place of numbers, or the
             exception that the run raised
 
-Runs of DRPBench's levels are also evaluated by its rules, see `drp_outcome`.
+Runs in scenes of the benchmark DRPBench are also evaluated by its rules, see `drp_outcome`.
 """
 
 from __future__ import annotations
@@ -70,19 +72,22 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 PLANNER = "planner"
-"""Name of the planner, a method that requires OMPL and is not simulated."""
+"""Name of the baseline method that plans a joint path by OMPL or by a search among moving
+obstacles; its plans are not simulated."""
 DIFFERENTIAL_IK = "differential_ik"
-"""Name of the baseline that runs Drake's differential inverse kinematics."""
+"""Name of the baseline method that runs Drake's differential inverse kinematics with collision
+constraints."""
 ABLATIONS: dict[str, dict[str, Any]] = {
     "without_chain": {"chain": None},
     "without_search": {"generations": 0},
     "without_joint_path": {"configurations": 0, "last_configurations": 0},
 }
-"""Ablations of `verified` without one source of candidates -> changed fields of `inference`."""
+"""Name of an ablation of the method `verified` -> changed fields of `inference`, which disable one
+source of candidate motions."""
 METHODS = ("nominal", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *ABLATIONS)
-"""Names of all methods."""
+"""Names of all methods that can be evaluated on a scene of the Panda."""
 TRUTH_ONLY = frozenset({DIFFERENTIAL_IK, PLANNER})
-"""Methods that know the obstacles exactly, regardless of the perception."""
+"""Names of the methods that know the obstacles exactly, regardless of the scene's perception."""
 
 _UNKNOWN_KEYS = (
     "tool_clearance_min",
@@ -98,26 +103,29 @@ _UNKNOWN_KEYS = (
     "contact_events",
     "claim_violations",
 )
-"""Keys of a result that are None if unknown; the last two also without moving obstacles."""
+"""Keys of a run's result that are None if their value is unknown. The last two are also None in
+scenes where no obstacle moves or appears."""
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
-"""Pattern of the numbers in a stop reason."""
+"""Regular expression of numbers in a stop reason, which are replaced by "#" to count equal reasons.
+"""
 
 _logger = logging.getLogger("drake_oa")
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """Conditions of success of a run without a contact, and parameters of the planner.
+    """Conditions of success for a run without a contact, and settings of the planner and of
+    DRPBench's rules.
 
     Attributes:
         goal_error: maximum distance of the tool from the goal [m].
         orientation_error: maximum angle of the tool from the goal's orientation [rad].
-        beyond_limits: maximum excess of a joint over its limit during the run [rad].
+        beyond_limits: maximum excess of a joint over its position limit during the run [rad].
         keeps_request: whether the planner's minimum clearance is the requested clearance; else it
             is `planner.CLEARANCE`.
         planner_states: maximum number of states that the planner checks.
-        has_drp_rules: whether runs are also evaluated by the rules of DRPBench.
+        has_drp_rules: whether runs are also evaluated by the rules of the benchmark DRPBench.
     """
 
     goal_error: float = AT_GOAL
@@ -128,7 +136,11 @@ class Criteria:
     has_drp_rules: bool = False
 
     def failure_reason(self, result: Mapping[str, Any]) -> str:
-        """Returns why a run without a contact is not a success; "" for a success."""
+        """Returns the reason why a run without a contact is not a success; "" if it is one.
+
+        Args:
+            result: result of the run, see `run_and_evaluate`.
+        """
         # Written such that NaN is not a success.
         if not result["goal_error"] <= self.goal_error:
             return result["stop_reason"] or "ended away from the goal"
@@ -141,11 +153,18 @@ class Criteria:
 
 
 _CRITERIA = Criteria()
-"""Conditions of success in random scenes."""
+"""Default conditions of success, which apply to runs in random scenes."""
 
 
 def with_method(scenario: Scenario, method: str) -> Scenario:
-    """Returns a copy of a scenario whose inference and policy are those of a method."""
+    """Returns a copy of a scenario with the inference and policy settings of a method.
+
+    Only the paper's method, `verified` and its ablations change settings.
+
+    Args:
+        scenario: scenario of a scene.
+        method: name of the method, from `METHODS`.
+    """
     scenario = copy.deepcopy(scenario)
     if method == "paper":
         scenario.inference = Paper()
@@ -167,20 +186,28 @@ def run_and_evaluate(
 ) -> dict[str, Any]:
     """Runs a method on a scene and evaluates the run on ground truth.
 
-    The result has `outcome` ("success", "contact" or "stopped"), `reason` (the stop reason of a run
-    without success, with "#" for numbers), `failed` (whether the run raised an exception), all keys
-    of `motion_report`, `beyond_limits` (maximum excess of a joint over its limit [rad]),
-    `decision_latencies` [s], and `wall_time` [s] and `real_time_factor` of the simulation. With the
-    rules of DRPBench it has `drp_outcome`. With moving obstacles it has `contact_events`, see
-    there, and `claim_violations`: the number of logged instants, and of those that violate each
-    claim of `claims`. For `planner` see `run_planner`.
-
     Args:
         scenario: scene, drawn with depth perception.
         method: one of `METHODS`.
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of the run [s]; None: that of `simulate`.
         criteria: conditions of success.
+
+    Returns:
+        All keys of `motion_report`, and the following ones. For the method `planner` see
+        `run_planner`.
+
+        - outcome: "success", "contact" or "stopped".
+        - reason: the stop reason of a run without success, with "#" for numbers.
+        - failed: whether the run raised an exception.
+        - beyond_limits: maximum excess of a joint over its position limit [rad].
+        - decision_latencies: latency of each decision [s].
+        - wall_time, real_time_factor: wall time of the simulation [s], and simulated time over it.
+        - drp_outcome: outcome by the rules of DRPBench; None if `criteria` does not have them.
+        - contact_events: contacts and their causes, see `contacts.contact_events`; None if
+          no obstacle moves or appears.
+        - claim_violations: number of logged instants, and of those that violate each claim of the
+          module `claims`; None if no obstacle moves or appears.
     """
     scenario = with_method(with_perception(scenario, perception), method)
     has_failed, log, result = False, None, _without_motion(scenario)
@@ -212,14 +239,29 @@ def run_and_evaluate(
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
-    """Simulates a scenario with a method other than `planner`."""
+    """Simulates a scenario with a method other than `planner` and returns the log.
+
+    Args:
+        scenario: scenario that is configured for the method.
+        method: name of the method.
+        duration: time limit of the run [s]; None: that of `simulate`.
+    """
     if method == DIFFERENTIAL_IK:
         return simulate_differential_ik(scenario, duration)
     return simulate(scenario, avoid_obstacles=method != "nominal", duration=duration)
 
 
 def _evaluate_run(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
-    """Evaluates a logged run on ground truth; see `run_and_evaluate` for the result."""
+    """Evaluates a logged run on ground truth.
+
+    Args:
+        scenario: scenario of the run.
+        log: log of the run.
+        criteria: conditions of success; only whether DRPBench's rules apply is used here.
+
+    Returns:
+        The result described in `run_and_evaluate`, without outcome, reason and `failed`.
+    """
     result = _without_motion(scenario) | motion_report(scenario, log)
     arm = len(robot_of(scenario).q_seed)
     q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
@@ -241,21 +283,23 @@ def _evaluate_run(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dic
 
 
 _MAX_DRP_ERROR = 0.05
-"""Maximum distance of the tool from the goal by the rules of DRPBench [m]."""
+"""Maximum distance of the tool from the goal for a success by the rules of DRPBench [m]."""
 _MAX_DRP_TURN = math.radians(15.0)
-"""Maximum angle of the tool from the goal's orientation by the rules of DRPBench [rad]."""
+"""Maximum angle of the tool from the goal's orientation for a success by the rules of DRPBench
+[rad]."""
 
 
 def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> str:
-    """Evaluates a run by the rules of DRPBench: contacts until the end of the episode, pose there.
+    """Evaluates a run by the rules of the benchmark DRPBench: contacts until the end of the
+    episode, and the tool pose there.
 
     Args:
         scenario: scenario of the run.
-        log: log of the run; it may end before the episode, at rest.
+        log: log of the run; it may end before the episode if the robot is at rest.
         contacts: contacts of the whole run, by true geometry.
 
     Returns:
-        "contact" with an obstacle or the table, "success", or "stopped".
+        "contact" for a contact with an obstacle or the table, "success", or "stopped".
     """
     rows = log.t <= EPISODE
     q = log.q[rows]
@@ -268,7 +312,9 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
 
 
 def _without_motion(scenario: Scenario) -> dict[str, Any]:
-    """Returns the result of a run in which the robot does not move from the start."""
+    """Returns the default result of a run, in which the robot stays at the start and has no
+    contact.
+    """
     return {
         **dict.fromkeys(_UNKNOWN_KEYS),
         "contacts": [],
@@ -282,7 +328,7 @@ def _without_motion(scenario: Scenario) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PandaSuite:
-    """Set of methods and of the scenes on which they are evaluated.
+    """Set of scenes, and of the methods that are evaluated on them.
 
     Attributes:
         name: name of the evaluation, for example "panda".
@@ -292,8 +338,8 @@ class PandaSuite:
         perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of a run [s]; None: that of `simulate`.
         stem: prefix of the names of result files.
-        drawings: number of a scene -> function call that returns the text of its scenario; the
-            text depends on the positional arguments alone.
+        drawings: number of a scene -> function call that returns the text of its scenario; the text
+            depends on the call's positional arguments alone.
         criteria: conditions of success.
 
     Raises:
@@ -314,15 +360,27 @@ class PandaSuite:
         check_choice("method", METHODS, *self.methods)
 
     def perception_of(self, method: str) -> str:
-        """Returns the perception of a method, "truth" for methods that know the obstacles."""
+        """Returns the perception with which a method is run: "truth" for methods that know the
+        obstacles exactly, else that of the suite.
+        """
         return "truth" if method in TRUTH_ONLY else self.perception
 
     def scene_name(self, scene: int) -> str:
-        """Returns the name of a scene's result file, without suffix."""
+        """Returns the name, without suffix, of the file that stores a drawn scene.
+
+        Args:
+            scene: number of the scene.
+        """
         return f"{self.stem}-scene{scene:04d}"
 
     def run_name(self, scene: int, method: str) -> str:
-        """Returns the name of a run's result file, without suffix."""
+        """Returns the name, without suffix, of the file that stores the result of a method in a
+        scene.
+
+        Args:
+            scene: number of the scene.
+            method: name of the method.
+        """
         return f"{self.scene_name(scene)}-{method}-{self.perception_of(method)}"
 
 
@@ -334,7 +392,9 @@ def panda_suite(
     perception: str = "depth",
     duration: float | None = None,
 ) -> PandaSuite:
-    """Makes a suite of random scenes; scene i depends only on kind, seed and i.
+    """Makes a suite of random scenes on which methods are evaluated.
+
+    Scene i depends only on kind, seed and i, so that a larger suite contains a smaller one.
 
     Args:
         kind: kind of scenes, from `scenes.KINDS`.
@@ -362,7 +422,7 @@ def panda_suite(
 
 
 class PandaResults(NamedTuple):
-    """Results of all runs of a suite.
+    """Results of all methods in all scenes of a suite.
 
     Attributes:
         suite: the evaluated suite.
@@ -387,12 +447,12 @@ def evaluate_panda(
 
     Args:
         suite: suite to evaluate.
-        workers: number of worker processes or Dask scheduler, see `carry_out`.
+        workers: number of worker processes, or address of a Dask scheduler.
         folder: folder of the results; None: results are not stored.
 
     Raises:
         ValueError: if the scheduler cannot be reached.
-        RuntimeError: if no scene is found within the maximum number of attempts.
+        RuntimeError: if a random scene is not found within the maximum number of motions.
     """
     drawings = {n: Task(suite.scene_name(n), draw) for n, draw in suite.drawings.items()}
     scenarios, _ = resumed(drawings, folder, workers)
@@ -413,11 +473,23 @@ def evaluate_panda(
 
 
 def draw_text(seed: int, scene: int, kind: str) -> str:
-    """Draws a random scene and returns the text of its scenario."""
+    """Draws a random scene with one depth camera and returns the text of its scenario.
+
+    Args:
+        seed: seed of the evaluation.
+        scene: number of the scene.
+        kind: kind of scenes, from `scenes.KINDS`.
+    """
     return scenario_text(draw_panda_scene(seed, scene, kind=kind))
 
 
 def run_text(text: str, *arguments: Any) -> dict[str, Any]:
-    """Parses the text of a scenario and calls `run_and_evaluate` with it, without log output."""
+    """Parses the text of a scenario, runs a method on it, and returns the result, without log
+    output.
+
+    Args:
+        text: text of the scenario.
+        arguments: further arguments of `run_and_evaluate`, from the method on.
+    """
     with quiet():
         return run_and_evaluate(parse_scenario(text), *arguments)

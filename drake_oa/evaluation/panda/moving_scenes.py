@@ -1,8 +1,8 @@
 """Random scenes with obstacles that move while the robot moves, on the table or in the air.
 
-Obstacles move horizontally. The trajectory of the first one passes the position of a link on the
-nominal motion, at the same time. Up to two further obstacles rest on the table. Motions and
-trajectories are drawn until
+Obstacles move horizontally. On the nominal motion (the straight tool motion without avoidance), the
+first obstacle and some link of the robot are at the same place at the same time. Up to two further
+obstacles rest on the table. Motions and trajectories are drawn until
 
 - the first obstacle hits the robot on the nominal motion: during its trajectory some link
   penetrates it by at least 5 mm;
@@ -27,9 +27,10 @@ random order:
 
 `moving_high`: as `moving_hard`, and the center of at least one obstacle moves above 0.6 m.
 
-The other obstacles pass anywhere above the table. Shapes and maneuvers are drawn once for a scene.
-No further condition is imposed: an obstacle may hit the arm where it cannot avoid it, press it
-against the table, or come to rest at the goal. Hence not every scene has a solution.
+In `moving_hard` and `moving_high`, all obstacles but the first pass anywhere above the table.
+Shapes and maneuvers are drawn once for a scene. No further condition is imposed: an obstacle may
+hit the arm where the arm cannot avoid it, press the arm against the table, or come to rest at the
+goal. Hence not every scene has a solution.
 """
 
 from __future__ import annotations
@@ -62,78 +63,92 @@ from drake_oa.evaluation.panda.scene_parts import (
 from drake_oa.scenario.obstacles import Obstacle
 
 MAX_RESTING = 2
-"""Maximum number of resting obstacles in a scene with moving ones."""
+"""Maximum number of resting obstacles in a random scene that also has moving ones."""
 START_FREE_TIME = 1.0
-"""Time from 0 in which the start is free of moving obstacles in `moving` [s]."""
+"""Duration from time 0 for which moving obstacles stay clear of the start configuration in scenes
+of the kind `moving` [s]."""
 MAX_DURATION = 15.0
-"""Maximum end time of an obstacle's trajectory [s]."""
+"""Latest time at which the trajectory of a moving obstacle ends [s]."""
 
 _SIZES = (0.05, 0.15)
-"""Range of the dimensions of a moving obstacle in `moving` [m]."""
+"""Range of the dimensions of moving obstacles in scenes of the kind `moving` [m]."""
 _HARD_SIZES = (0.05, 0.30)
-"""Range of the dimensions of a moving obstacle in `moving_hard` and `moving_high` [m]."""
+"""Range of the dimensions of moving obstacles in scenes of the kinds `moving_hard` and
+`moving_high` [m]."""
 _COUNTS = (1, 2)
-"""Range of the number of moving obstacles in `moving`."""
+"""Minimum and maximum number of moving obstacles in scenes of the kind `moving`."""
 _HARD_COUNTS = (2, 4)
-"""Range of the number of moving obstacles in `moving_hard` and `moving_high`."""
+"""Minimum and maximum number of moving obstacles in scenes of the kinds `moving_hard` and
+`moving_high`."""
 _SPEEDS = (0.1, 0.4)
-"""Range of the speed of a moving obstacle in `moving` [m/s]."""
+"""Range of the speeds of moving obstacles in scenes of the kind `moving` [m/s]."""
 _HARD_SPEEDS = (0.1, 0.8)
-"""Range of the speed of an obstacle with maneuvers, outside its stops [m/s]."""
+"""Range of the speeds, except during stops, of obstacles that change speed, turn, stop or reverse
+[m/s]."""
 _MEETING_PHASES = (0.25, 0.75)
-"""Range of the time at which an obstacle passes its target point, as a fraction of the nominal
-motion's duration."""
+"""Range of the time at which an obstacle passes its target point near the robot, as a fraction of
+the nominal motion's duration [-]."""
 _APPROACH_TIMES = (0.5, 2.5)
-"""Range of the time from an obstacle's departure until it passes its target point [s]."""
+"""Range of the time between an obstacle's departure and its passage of its target point near the
+robot [s]."""
 _TARGET_JOINTS = range(4, 7)
-"""Joints of the distal links, near which obstacles have their target points."""
+"""Indices of the joints that move the distal links, near which obstacles have their target points.
+"""
 _MAX_OFFSET = 0.05
-"""Maximum offset of an obstacle's target point from a point of a link, along each axis [m]."""
+"""Maximum offset of an obstacle's target point from the center of a sphere on a link, along each
+axis [m]."""
 _SLIDING_HEIGHT = 0.05
-"""Height above its lowest position below which an obstacle is placed on the table [m]."""
+"""Height of an obstacle's center above its lowest possible height up to which the obstacle is
+lowered to slide on the table [m]."""
 _TABLE_GAP = 2e-3
-"""Gap between the table and an obstacle that moves on it [m], to avoid contact."""
+"""Gap between the table and an obstacle that slides on the table, to avoid their contact [m]."""
 _MAX_HEIGHT = 0.6
-"""Maximum height of a moving obstacle's center, except in `moving_high` [m]."""
+"""Maximum height of a moving obstacle's center, except in scenes of the kind `moving_high` [m]."""
 MAX_HIGH_HEIGHT = 1.0
-"""Maximum height of a moving obstacle's center in `moving_high` [m]."""
+"""Maximum height of a moving obstacle's center in scenes of the kind `moving_high` [m]."""
 _SAMPLE_TIME = 0.05
-"""Time between two samples of a trajectory [s]."""
+"""Time between two samples of a moving obstacle's trajectory [s]."""
 _ATTEMPTS = 60
-"""Maximum number of trajectories drawn for an obstacle, with all others unchanged."""
+"""Maximum number of trajectories drawn for one obstacle before the nominal motion is rejected."""
 
 # Maneuvers of an obstacle; random draws of scenes depend on the order of these numbers.
 ENTERS, CHANGES_SPEED, TURNS, STOPS, COMES_BACK = range(5)
 _MIN_SPEED_CHANGE = 0.15
 """Minimum change of an obstacle's speed in the maneuver CHANGES_SPEED [m/s]."""
 _ACCELERATIONS = (1.0, 3.0)
-"""Range of an obstacle's acceleration along its path [m/s^2]."""
+"""Range of the magnitude of an obstacle's acceleration along its path [m/s^2]."""
 _LEG_TIMES = (0.4, 2.0)
-"""Range of the time for which an obstacle moves at one speed [s]."""
+"""Range of the time for which an obstacle moves at one speed before its next maneuver [s]."""
 _LAST_LENGTHS = (0.6, 1.6)
-"""Range of an obstacle's path length at its last speed, and at its first speed if it enters [m]."""
+"""Range of the path length that an obstacle travels at its last speed, and at its first speed if it
+enters from outside the image [m]."""
 _STOP_TIMES = (0.5, 2.0)
-"""Range of the duration of an obstacle's stop [s]."""
+"""Range of the duration for which an obstacle stops before it continues [s]."""
 _TURN_ANGLES = (math.radians(30.0), math.radians(120.0))
-"""Range of the angle of an obstacle's turn [rad]."""
+"""Range of the angle by which an obstacle turns on an arc [rad]."""
 _TURN_RADII = (0.2, 0.5)
-"""Range of the radius of an obstacle's turn [m]."""
+"""Range of the radius of the arc on which an obstacle turns [m]."""
 _SPACING = 0.01
-"""Path length between two samples of an obstacle's path [m]."""
+"""Path length between two samples of an obstacle's path, before it is timed [m]."""
 
 
 def moving_objects(
     random: Generator, *, hard: bool, max_height: float = _MAX_HEIGHT
 ) -> DrawObjects:
-    """Draws shapes and maneuvers of moving obstacles, and the number of resting ones.
+    """Returns a function that draws the moving and resting obstacles of a scene for a nominal
+    motion.
+
+    Number, shapes and maneuvers of the moving obstacles, and the number of resting ones, are drawn
+    here, once for a scene.
 
     Args:
         random: source of random numbers.
-        hard: whether obstacles have maneuvers, as in `moving_hard`.
-        max_height: maximum height of an obstacle's center [m].
+        hard: whether obstacles have maneuvers, as in the kind `moving_hard`.
+        max_height: maximum height of a moving obstacle's center [m].
 
     Returns:
-        A function that draws positions and trajectories of the obstacles for a nominal motion.
+        Function from a nominal motion to obstacles; it returns None if a condition of the module's
+        docstring is violated.
     """
     fewest, most = _HARD_COUNTS if hard else _COUNTS
     count, resting = random.integers(fewest, most + 1), int(random.integers(MAX_RESTING + 1))
@@ -176,10 +191,22 @@ def _draw_trajectory(
     *,
     first: bool,
 ) -> Obstacle:
-    """Draws a trajectory of an obstacle.
+    """Draws a trajectory of a moving obstacle past a target point.
 
-    The first obstacle, and each one without maneuvers, passes the position of a link of the robot
-    on the nominal motion at the same time. Others pass a random point above the table.
+    The target point of the first obstacle, and of each one without maneuvers, is near the position
+    of a link on the nominal motion at the same time. Other target points are random points above
+    the table.
+
+    Args:
+        random: source of random numbers.
+        object: obstacle whose shape is given.
+        maneuvers: maneuvers of the obstacle, such as STOPS.
+        motion: nominal motion.
+        max_height: maximum height of a random target point [m].
+        first: whether the obstacle is the first one of the scene.
+
+    Returns:
+        A copy of the obstacle with initial position and waypoints.
     """
     arm, row = scene_arm(), int(random.uniform(*_MEETING_PHASES) * len(motion.t))
     met = motion.t[row]
@@ -210,11 +237,11 @@ def _draw_trajectory(
 def _draw_speeds(
     random: Generator, maneuvers: frozenset[int], slowest: float, fastest: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Draws the motion of an obstacle along its path.
+    """Draws the motion of an obstacle along its path, with bounded speed and acceleration.
 
     Args:
         random: source of random numbers.
-        maneuvers: maneuvers of the obstacle.
+        maneuvers: maneuvers of the obstacle, such as STOPS.
         slowest: minimum speed [m/s].
         fastest: maximum speed [m/s].
 
@@ -251,7 +278,8 @@ def _draw_speeds(
 
 
 def _draw_path(random: Generator, along: FloatArray, *, bends: bool) -> FloatArray:
-    """Draws a horizontal path, straight or with one turn.
+    """Draws a horizontal path of an obstacle in a random direction, either straight or with one
+    turn.
 
     Args:
         random: source of random numbers.
@@ -280,10 +308,17 @@ def _trajectory_fits(
     others: Sequence[Obstacle],
     max_height: float,
 ) -> bool:
-    """Checks the conditions on an obstacle's trajectory, given those of the other obstacles.
+    """Checks whether an obstacle's trajectory satisfies the conditions in the module's docstring.
 
-    The conditions are those of the module's docstring: end time, height, distances to the robot's
-    base and to other obstacles, visibility, and clearance of the robot at start and goal.
+    The conditions are on end time, height, distances to the robot's base and to other obstacles,
+    visibility, and clearance of the robot at start and goal.
+
+    Args:
+        object: obstacle with its trajectory.
+        maneuvers: maneuvers of the obstacle, such as STOPS.
+        motion: nominal motion.
+        others: obstacles that are placed already.
+        max_height: maximum height of the obstacle's center [m].
     """
     end = max(item.last_change for item in [object, *others])
     if end > MAX_DURATION or object.translation[2] > max_height:
@@ -310,13 +345,23 @@ def _trajectory_fits(
 
 
 def _track(obstacle: Obstacle, t: FloatArray) -> tuple[FloatArray, float]:
-    """Computes centers (T, 3) at times (T,), and the radius, of a ball around an obstacle [m]."""
+    """Computes the trajectory of a ball that contains an obstacle.
+
+    Args:
+        obstacle: resting or moving obstacle.
+        t: (T,) times [s].
+
+    Returns:
+        (T, 3) centers of the ball in the world, and its radius [m].
+    """
     center, radius = bounding_ball(obstacle)
     return np.array([center + obstacle.offset_at(time) for time in t]), radius
 
 
 def _hits_motion(object: Obstacle, motion: Motion) -> bool:
-    """Checks whether a moving obstacle hits the robot on the nominal motion."""
+    """Checks whether a moving obstacle hits the robot on the nominal motion during the obstacle's
+    trajectory.
+    """
     rows = (motion.t >= object.waypoints[0][0]) & (motion.t <= object.waypoints[-1][0])
     found = scene_arm().distances(motion.q[rows], [object], motion.t[rows])
     return bool(found.min(initial=np.inf) <= -MIN_PENETRATION)

@@ -1,8 +1,9 @@
-"""Arm model of the random scenes: straight tool motions, and distances of links to obstacles.
+"""Arm model of the random scenes, which computes straight tool motions and distances from links to
+obstacles.
 
-The model consists of the planner's joints and enclosing spheres of the links
-(`drake_oa.planning.collision_model`). Distances between true shapes are up to 4 mm larger than its
-distances, and up to 2 cm larger for the base.
+The model consists of the arm's joints and of spheres that enclose its links, as in motion planning
+(`drake_oa.planning.collision_model`). Distances between true shapes are up to 4 mm larger than
+distances to the spheres; those of the base are up to 2 cm larger.
 """
 
 from __future__ import annotations
@@ -38,26 +39,31 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 DEFAULT_SCENARIO = "tabletop_box"
-"""Name of the shipped scenario whose robot, camera and parameters most scenes have."""
+"""Name of the shipped scenario whose robot, camera and parameters most random scenes have."""
 ELBOW_SCENARIO = "shelf_elbow"
-"""Name of the shipped scenario whose camera, with a smaller downward tilt, elbow scenes have."""
+"""Name of the shipped scenario whose camera the scenes of the kind `elbow` have; this camera has a
+smaller downward tilt."""
 _STATION_DIRECTIVES = """\
 directives:
 - add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
 - add_directives: {file: package://drake_oa/scenes/camera_xtion.dmd.yaml}
 """
-"""YAML of the station's directives: table and camera stand."""
+"""YAML of the model directives that add table and camera stand to a random scene."""
 _STEPS = 60
-"""Number of time steps of a straight motion."""
+"""Number of time steps into which a straight tool motion is divided to compute its joint motion."""
 _LIMIT_MARGIN = 0.03
-"""Minimum distance of a straight motion from the joint limits [rad]."""
+"""Minimum distance between the joints and their position limits on a straight tool motion [rad]."""
 _MAX_ERROR = 1e-3
-"""Maximum error of the tool pose along a straight motion [m, rad]."""
+"""Maximum error of the tool pose along a straight tool motion that counts as followed [m, rad]."""
 
 
 @lru_cache(maxsize=4)
 def base_scenario(like: str = DEFAULT_SCENARIO) -> Scenario:
-    """Loads a shipped scenario and removes everything but table and camera stand from its world."""
+    """Loads a shipped scenario and removes everything but table and camera stand from its world.
+
+    Args:
+        like: name of the shipped scenario.
+    """
     scenario = load_scenario(like)
     scenario.directives = parse_scenario(_STATION_DIRECTIVES).directives
     scenario.obstacles = []
@@ -65,16 +71,16 @@ def base_scenario(like: str = DEFAULT_SCENARIO) -> Scenario:
 
 
 class Motion(NamedTuple):
-    """Nominal motion of a scene.
+    """Nominal motion (without avoidance) of a random scene.
 
     Attributes:
-        start: (3,) tool position at the start [m].
-        goal: (3,) tool position at the goal [m].
+        start: (3,) tool position at the start in the world [m].
+        goal: (3,) tool position at the goal in the world [m].
         t: (T,) times [s].
-        q: (T, n) joint positions [rad].
-        ends: (3, n) joint positions at start and end of `q`, and the scenario's goal configuration
-            by inverse kinematics [rad].
-        rpy_WE: roll, pitch and yaw of the tool [rad]; None: the tool points down.
+        q: (T, n) joint positions at these times [rad].
+        ends: (3, n) first and last row of `q`, and the goal configuration that inverse kinematics
+            selects for the scenario [rad].
+        rpy_WE: roll, pitch and yaw of the tool in the world [rad]; None: the tool points down.
     """
 
     start: FloatArray
@@ -86,7 +92,8 @@ class Motion(NamedTuple):
 
 
 class SceneArm:
-    """Arm model of the random scenes; its tool points down by default.
+    """Arm model of the random scenes, with joints and enclosing spheres of G links; its tool points
+    down by default.
 
     Attributes:
         tool: (G,) whether each link belongs to the tool.
@@ -94,7 +101,7 @@ class SceneArm:
     """
 
     def __init__(self) -> None:
-        """Loads the robot of the default scenario."""
+        """Makes the arm model of the robot in the default scenario."""
         robot = robot_of(base_scenario())
         robot_plant, q_home = make_robot_plant(robot), home_positions(robot)
         self._spheres = covered_arm(robot).arrays
@@ -106,7 +113,9 @@ class SceneArm:
         self.tool = self._spheres.of_tool[self._spheres.first[:-1]]
 
     def postures(self, p_WE: FloatArray) -> FloatArray:
-        """Computes configurations (m, n) with the tool at position p_WE (3,) [rad]."""
+        """Computes several configurations (m, n) of the arm with the tool pointing down at a
+        position p_WE (3,) [rad].
+        """
         return inverse_kinematics(self._chain, np.append(self._R_WE, p_WE), self._q_home)
 
     def straight_motion(
@@ -116,17 +125,18 @@ class SceneArm:
         aside: FloatArray | None = None,
         rpy_WE: list[float] | None = None,
     ) -> Motion | None:
-        """Computes the joint motion along a straight minimum-jerk tool path.
+        """Computes the joint motion of the arm along a straight minimum-jerk tool path.
 
         Args:
-            start: (3,) tool position at the start [m].
-            goal: (3,) tool position at the goal [m].
-            aside: (n,) nominal posture in the middle of the motion, tracked in the null space
-                [rad]; None: the nominal posture is that of the start.
-            rpy_WE: roll, pitch and yaw of the tool [rad]; None: the tool points down.
+            start: (3,) tool position at the start in the world [m].
+            goal: (3,) tool position at the goal in the world [m].
+            aside: (n,) nominal posture in the middle of the motion, to which the null space is
+                attracted [rad]; None: the nominal posture is the start configuration throughout.
+            rpy_WE: roll, pitch and yaw of the tool in the world [rad]; None: the tool points down.
 
         Returns:
-            The motion; None if the arm cannot follow the line or touches the table.
+            The motion; None if the arm cannot follow the line within its joint limits, or touches
+            the table or itself.
         """
         scenario = base_scenario()
         task = replace(scenario.task, start=start.tolist(), goal=goal.tolist())
@@ -162,7 +172,8 @@ class SceneArm:
     def distances(
         self, q: FloatArray, obstacles: Iterable[Obstacle], t: ArrayLike = 0.0
     ) -> FloatArray:
-        """Computes distances (T, G, K) of the arm's G links to the obstacles' K shapes [m].
+        """Computes distances (T, G, K) between the arm's G links and K shapes of obstacles at T
+        times [m].
 
         Args:
             q: (T, n) joint positions [rad], or (1, n) for all times.
@@ -185,7 +196,15 @@ class SceneArm:
         )
 
     def centers(self, q: FloatArray, joints: range) -> FloatArray:
-        """Computes sphere centers (N, 3) of the links that `joints` move, at q (T, n) [m]."""
+        """Computes centers of the spheres on some of the arm's links along a joint motion.
+
+        Args:
+            q: (T, n) joint positions [rad].
+            joints: indices of the joints that move the selected links.
+
+        Returns:
+            (N, 3) positions in the world [m].
+        """
         is_selected = np.isin(self._spheres.joint, joints)
         p_WS = sphere_centers(self._chain, self._spheres, q)[:, is_selected]
         return np.asarray(p_WS.reshape(-1, 3))
@@ -193,5 +212,5 @@ class SceneArm:
 
 @lru_cache(maxsize=1)
 def scene_arm() -> SceneArm:
-    """Returns the arm model of the random scenes, constructed once per process."""
+    """Returns the arm model of the random scenes, which is constructed once per process."""
     return SceneArm()

@@ -1,6 +1,8 @@
-"""Parts of the Panda's random scenes: obstacles on the table, nominal motions, camera's view.
+"""Parts of the Panda's random scenes: obstacles on the table, nominal motions, and the view of a
+camera.
 
-Obstacles on the table are boxes, cylinders, spheres, and piles of these shapes.
+Obstacles on the table are boxes, cylinders, spheres, and piles of these shapes. A nominal motion is
+the straight tool motion without avoidance.
 """
 
 from __future__ import annotations
@@ -25,29 +27,30 @@ from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
 from drake_oa.scenario.obstacles import Obstacle
 
 MIN_SIZE = 0.04
-"""Minimum dimension of a shape on the table [m]."""
+"""Minimum dimension of a random shape on the table [m]."""
 MAX_SIZE = 0.30
-"""Maximum dimension of a shape on the table, and maximum height of a pile [m]."""
+"""Maximum dimension of a random shape on the table, and maximum height of a pile of shapes [m]."""
 MIN_END_CLEARANCE = 0.05
-"""Minimum clearance of the whole robot at start and goal of a scene [m]."""
+"""Minimum clearance of the whole robot to obstacles at start and goal of a random scene [m]."""
 MIN_PENETRATION = 0.009
-"""Minimum penetration of an obstacle by the robot's enclosing spheres on the nominal motion [m],
-which implies 5 mm for the true shapes."""
+"""Minimum penetration of an obstacle by the robot's enclosing spheres on a nominal motion that must
+collide [m]. It implies a penetration of 5 mm by the robot's true shapes."""
 BASE_RADIUS = 0.16
-"""Radius of a horizontal circle around the robot's base [m]."""
+"""Radius of a horizontal circle around the robot's base that obstacles must not touch [m]."""
 MIN_GAP = 0.02
-"""Minimum distance between the horizontal circles around two obstacles [m]."""
+"""Minimum distance between the bounding circles, or balls, of two obstacles [m]."""
 TABLE_X = (0.22, 0.85)
-"""Range of the x coordinates of obstacles on the table [m]."""
+"""Range of the x coordinates of random obstacles on the table, in the world frame [m]."""
 TABLE_Y = (-0.60, 0.60)
-"""Range of the y coordinates of obstacles on the table [m]."""
+"""Range of the y coordinates of random obstacles on the table, in the world frame [m]."""
 
 _PILE_PROBABILITY = 0.25
-"""Probability that an obstacle is a pile."""
+"""Probability that a random obstacle on the table is a pile of several shapes."""
 _LYING_PROBABILITY = 0.25
-"""Probability that a cylinder lies on its side."""
+"""Probability that a random cylinder lies on its side instead of standing upright."""
 _LEANING_PROBABILITY = 0.4
-"""Probability that the next shape of a pile is a board that leans on its lowest box."""
+"""Probability that the next shape of a random pile is a board that leans on the pile's lowest box.
+"""
 _COLORS = (
     [0.76, 0.53, 0.31, 1.0],
     [0.29, 0.46, 0.66, 1.0],
@@ -56,25 +59,31 @@ _COLORS = (
     [0.85, 0.70, 0.28, 1.0],
     [0.55, 0.42, 0.62, 1.0],
 )
-"""Colors of obstacles by number: red, green, blue, alpha."""
+"""Colors of random obstacles, in order of the obstacle's number: red, green, blue and opacity [-].
+"""
 _BASELINES = (0.5, 1.0)
-"""Range of the distance between start and goal [m]."""
+"""Range of the distance between start and goal of a random nominal motion [m]."""
 _LOWER_CORNER = (0.10, -0.70, 0.10)
-"""Lower corner of the box that contains start and goal [m]."""
+"""Lower corner of the box from which start and goal of a random nominal motion are drawn, in the
+world [m]."""
 _UPPER_CORNER = (0.80, 0.70, 0.50)
-"""Upper corner of the box that contains start and goal [m]."""
+"""Upper corner of the box from which start and goal of a random nominal motion are drawn, in the
+world [m]."""
 _ATTEMPTS = 20
-"""Maximum number of attempts to place an obstacle, per requested obstacle."""
+"""Maximum number of attempts to place random obstacles on the table, per requested obstacle."""
 
 _CAMERA_POSITION = [1.2473, 0.2902, 1.05]
-"""Position in the world of the camera whose view must contain obstacles [m], for any perception."""
+"""Position in the world of the camera whose view must contain the centers of random obstacles [m].
+Scenes satisfy this condition for any perception."""
 _CAMERA_ROLL = {DEFAULT_SCENARIO: -135.0, ELBOW_SCENARIO: -120.0}
-"""Shipped scenario -> roll of the camera whose view must contain obstacles [degrees]."""
+"""Name of a shipped scenario -> roll angle of its camera, whose view must contain the centers of
+random obstacles [degrees]."""
 
 Shape = Box | Cylinder | Sphere
-"""Primitive shape of an obstacle."""
+"""Type of the primitive shapes that random obstacles consist of."""
 DrawObjects = Callable[[Motion], list[Obstacle] | None]
-"""Function that draws obstacles for a nominal motion; None if the draw is rejected."""
+"""Function that draws the obstacles of a random scene for a nominal motion; its result is None if
+the draw is rejected."""
 
 
 def make_obstacle(
@@ -84,7 +93,15 @@ def make_obstacle(
     shapes: list[Shape],
     p_WO: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Obstacle:
-    """Makes an obstacle at p_WO (3,) [m] with a random yaw; `number` determines name and color."""
+    """Makes an obstacle of a random scene with a random yaw, and a name and color by number.
+
+    Args:
+        random: source of random numbers.
+        kind: first part of the obstacle's name.
+        number: number of the obstacle, which is the second part of its name and selects its color.
+        shapes: primitive shapes in the obstacle's frame.
+        p_WO: (3,) position of the obstacle's frame in the world [m].
+    """
     return Obstacle(
         name=f"{kind}{number}",
         shapes=shapes,
@@ -95,7 +112,15 @@ def make_obstacle(
 
 
 def draw_shape(random: Generator, min_size: float, max_height: float, max_width: float) -> Shape:
-    """Draws a box, cylinder or sphere with dimensions up to max_height and max_width [m]."""
+    """Draws a random box, cylinder or sphere whose dimensions are within limits.
+
+    Args:
+        random: source of random numbers.
+        min_size: minimum of all dimensions [m].
+        max_height: maximum height of the shape, or diameter of a sphere or lying cylinder [m].
+        max_width: maximum horizontal dimensions of other shapes, and length of a lying cylinder
+            [m].
+    """
     x, y = random.uniform(min_size, max_width, 2)
     z, kind = random.uniform(min_size, max_height), random.integers(3)
     if kind == 0:
@@ -106,7 +131,9 @@ def draw_shape(random: Generator, min_size: float, max_height: float, max_width:
 
 
 def extent(shape: Shape) -> tuple[float, float]:
-    """Computes radius and half height of an upright cylinder around a shape [m]."""
+    """Computes radius and half height of an upright cylinder that contains a shape, about the
+    shape's center [m].
+    """
     if isinstance(shape, Sphere):
         return shape.radius, shape.radius
     if isinstance(shape, Cylinder) and not any(shape.rpy):
@@ -118,12 +145,19 @@ def extent(shape: Shape) -> tuple[float, float]:
 
 
 def footprint_radius(obstacle: Obstacle) -> float:
-    """Computes the radius of a horizontal circle around an obstacle, about its origin [m]."""
+    """Computes the radius of a horizontal circle about an obstacle's origin that contains the
+    obstacle seen from above [m].
+    """
     return max(math.hypot(*s.translation[:2]) + extent(s)[0] for s in obstacle.shapes)
 
 
 def bounding_ball(obstacle: Obstacle) -> tuple[FloatArray, float]:
-    """Computes center (3,), above the obstacle's origin, and radius of a ball around it [m]."""
+    """Computes a ball that contains an obstacle at its initial position.
+
+    Returns:
+        Center (3,) of the ball in the world, vertically above the obstacle's origin, and its radius
+        [m].
+    """
     low = min(s.translation[2] - extent(s)[1] for s in obstacle.shapes)
     high = max(s.translation[2] + extent(s)[1] for s in obstacle.shapes)
     center = obstacle.translation + np.array([0.0, 0.0, 0.5 * (low + high)])
@@ -131,12 +165,16 @@ def bounding_ball(obstacle: Obstacle) -> tuple[FloatArray, float]:
 
 
 def _rest_on(shape: Shape, x: float = 0.0, y: float = 0.0, ground: float = 0.0) -> Shape:
-    """Returns a shape moved to (x, y) with its lowest point at height `ground` [m]."""
+    """Returns a copy of a shape that is moved to (x, y), with its lowest point at height `ground`
+    [m].
+    """
     return replace(shape, translation=[x, y, ground + extent(shape)[1]])
 
 
 def _draw_pile(random: Generator) -> list[Shape]:
-    """Draws a pile: a low box, and one to three shapes that stand or lean on it."""
+    """Draws the shapes of a random pile: a low box, and one to three shapes that stand or lean on
+    it.
+    """
     x, y = random.uniform(0.10, 0.24, 2)
     top = random.uniform(MIN_SIZE, 0.14)
     shapes: list[Shape] = [_rest_on(Box(size=[x, y, top]))]
@@ -155,12 +193,12 @@ def _draw_pile(random: Generator) -> list[Shape]:
 
 
 def draw_obstacles(random: Generator, count: int, first: int = 0) -> list[Obstacle] | None:
-    """Draws obstacles on the table that do not overlap.
+    """Draws random obstacles that rest on the table, in view of the camera, and do not overlap.
 
     Args:
         random: source of random numbers.
         count: number of obstacles.
-        first: number of the first obstacle, which determines names and colors.
+        first: number of the first obstacle; numbers determine names and colors.
 
     Returns:
         The obstacles, or None if not all of them could be placed.
@@ -182,12 +220,13 @@ def draw_obstacles(random: Generator, count: int, first: int = 0) -> list[Obstac
 
 
 def fits(obstacle: Obstacle, others: Sequence[Obstacle], like: str = DEFAULT_SCENARIO) -> bool:
-    """Checks that an obstacle is not at the robot's base, apart from others, and in view.
+    """Checks whether an obstacle is apart from the robot's base and from other obstacles, and in
+    view of a camera.
 
     Args:
         obstacle: obstacle to place.
-        others: obstacles at a distance of at least `MIN_GAP`.
-        like: shipped scenario whose camera's view must contain the obstacle's center.
+        others: obstacles from which the distance must be at least `MIN_GAP`.
+        like: name of the shipped scenario whose camera must have the obstacle's center in view.
     """
     place, footprint = obstacle.translation[:2], footprint_radius(obstacle)
     apart = [math.dist(place, item.translation[:2]) - footprint_radius(item) for item in others]
@@ -199,9 +238,17 @@ def fits(obstacle: Obstacle, others: Sequence[Obstacle], like: str = DEFAULT_SCE
 
 
 def view_margin(p_WQ: FloatArray, like: str = DEFAULT_SCENARIO) -> FloatArray:
-    """Computes signed distances (N,) of points (N, 3) to the border of a camera's view [m].
+    """Computes signed distances from points to the border of a camera's view volume, positive
+    inside [m].
 
-    Distances are positive inside the view, which includes the camera's depth range.
+    The camera's minimum and maximum depth also bound the view volume.
+
+    Args:
+        p_WQ: (N, 3) points in the world [m].
+        like: name of the shipped scenario that has the camera.
+
+    Returns:
+        (N,) signed distances [m].
     """
     camera, rpy = base_scenario(like).cameras[0], np.radians([_CAMERA_ROLL[like], 0.0, 110.0])
     x, y, z = RigidTransform(RollPitchYaw(rpy), _CAMERA_POSITION).inverse() @ np.asarray(p_WQ).T
@@ -219,7 +266,11 @@ def view_margin(p_WQ: FloatArray, like: str = DEFAULT_SCENARIO) -> FloatArray:
 
 
 def draw_motion(random: Generator) -> Motion | None:
-    """Draws a straight motion that the arm can follow; None if the draw is rejected."""
+    """Draws a random straight tool motion of 0.5 to 1.0 m, which is the nominal motion of a scene.
+
+    Returns:
+        The motion; None if its length is out of range or the arm cannot follow it.
+    """
     # Four decimals, as in the scenario's text, so that the checked motion is the executed one.
     start, goal = np.round(random.uniform(_LOWER_CORNER, _UPPER_CORNER, (2, 3)), 4)
     apart = _BASELINES[0] <= math.dist(start, goal) <= _BASELINES[1]
@@ -227,5 +278,7 @@ def draw_motion(random: Generator) -> Motion | None:
 
 
 def ends_are_free(motion: Motion, obstacles: Sequence[Obstacle]) -> bool:
-    """Checks that the robot has `MIN_END_CLEARANCE` to resting obstacles at start and goal."""
+    """Checks whether the robot has a clearance of at least `MIN_END_CLEARANCE` to resting obstacles
+    at the start and goal of a motion.
+    """
     return bool((scene_arm().distances(motion.ends, obstacles) >= MIN_END_CLEARANCE).all())

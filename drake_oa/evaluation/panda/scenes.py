@@ -1,12 +1,13 @@
-"""Random scenes of the Panda, each of which is a scenario.
+"""Random scenes in which avoidance methods are evaluated on the Panda; each scene is a scenario.
 
-The nominal motion is a straight line of 0.5 to 1.0 m that the arm can follow within its joint
-limits with the tool down. In all kinds but moving_hard, moving_high and drp_LEVEL, obstacles'
-centers are in the view of the camera at the table, also if another source perceives them. At start
-and goal the whole robot has 5 cm clearance to every obstacle. The robot is represented by its
-enclosing spheres (`scene_arm`). The number of obstacles is drawn once; motions and obstacles are
-drawn until the conditions of the kind hold. Scene i of a seed does not depend on perception or
-method. Kinds:
+The nominal motion (without avoidance) is a straight tool motion of 0.5 to 1.0 m with the tool
+pointing down, which the arm can follow within its joint limits. At start and goal the whole robot,
+represented by its enclosing spheres (`scene_arm`), has 5 cm clearance to every obstacle. In all
+kinds but moving_hard, moving_high and drp_LEVEL, the centers of the obstacles are in the view of a
+camera at the table, also if another source perceives them.
+
+The number of obstacles is drawn once; motions and obstacles are drawn until the conditions of the
+kind hold. Scene i of a seed does not depend on perception or method. The kinds are:
 
 `tabletop`: 1 to 6 objects on the table.
 
@@ -14,24 +15,26 @@ method. Kinds:
   the robot's base.
 - On the nominal motion some link of the robot penetrates an obstacle by at least 5 mm.
 
-`clutter6`: as `tabletop` with exactly six objects, at least three of them within 25 cm of the hand
+`clutter6`: as `tabletop`, with exactly six objects, at least three of them within 25 cm of the hand
 on the nominal motion.
 
 `elbow`: the hand's path is free and the elbow's is blocked. One or two obstacles (a post, a board
-in the air, or a box on a stand) are in the path of the arm's middle links, in front of the base. On
-the straight motion with the nominal posture of the start,
+in the air, or a box on a stand) are in the path of the arm's middle links, in front of the base.
 
-- the clearance of hand and fingers is at least 5 cm, that of the wrist at least 3 cm, and
-- one of the links 2 to 5 penetrates an obstacle by at least 5 mm;
-- the camera, which has a smaller downward tilt, has the center of each obstacle in view;
-- another posture is free: with the elbow moved aside in the null space and the same tool path, the
+- On the nominal motion the clearance of hand and fingers is at least 5 cm, that of the wrist at
+  least 3 cm.
+- On the nominal motion one of the links 2 to 5 penetrates an obstacle by at least 5 mm.
+- The camera, which has a smaller downward tilt than in other kinds, has the center of each obstacle
+  in view.
+- Another posture is free: with the elbow moved aside in the null space and the same tool path, the
   clearance of the whole robot is at least 2.5 cm.
 
-`moving`: 1 or 2 objects cross the nominal motion, one of them hits it; `moving_hard`: 2 to 4 larger
-and faster objects enter the view, change speed, turn, stop and reverse; `moving_high`: the same at
-heights of up to 1.0 m; see `moving_scenes`.
+`moving`: 1 or 2 objects cross the nominal motion, and one of them hits the robot. `moving_hard`: 2
+to 4 larger and faster objects enter the view, change speed, turn, stop and reverse. `moving_high`:
+as `moving_hard`, at heights of up to 1.0 m. See `moving_scenes`.
 
-`drp_LEVEL`: boxes move or appear by the parameters of a level of DRPBench, see `drp_scenes`.
+`drp_LEVEL`: boxes move or appear by the parameters of a level of the benchmark DRPBench. Distances
+from start to goal, and orientations of the tool, may differ from those above; see `drp_scenes`.
 """
 
 from __future__ import annotations
@@ -72,20 +75,30 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 
 MAX_OBSTACLES = 6
-"""Maximum number of obstacles in `tabletop`, and their number in `clutter6`."""
+"""Maximum number of obstacles in a scene of the kind `tabletop`, and their exact number in the kind
+`clutter6`."""
 NEAR = 0.25
-"""Distance from the hand on the nominal motion below which an obstacle counts as near [m]."""
+"""Distance from the hand on the nominal motion (without avoidance) below which an obstacle counts
+as near in the kind `clutter6` [m]."""
 NEAR_OBSTACLES = 3
-"""Minimum number of near obstacles in `clutter6`."""
+"""Minimum number of obstacles near the path of the hand in a scene of the kind `clutter6`."""
 _MAX_MOTIONS = 5000
-"""Maximum number of motions drawn for a scene."""
+"""Maximum number of nominal motions drawn for a scene before `draw_panda_scene` raises an error."""
 
 
 def table_objects(random: Generator, *, cluttered: bool) -> DrawObjects:
-    """Draws the number of obstacles of `tabletop`, or uses six for `clutter6`.
+    """Returns a function that draws obstacles on the table, for scenes of the kinds `tabletop` and
+    `clutter6`.
+
+    The number of obstacles is drawn here, once for a scene: 1 to 6, or exactly six if cluttered.
+
+    Args:
+        random: source of random numbers.
+        cluttered: whether at least three obstacles must be near the path of the hand (`clutter6`).
 
     Returns:
-        A function that draws the obstacles on the table for a nominal motion.
+        Function from a nominal motion to obstacles; it returns None if the drawn obstacles violate
+        a condition of the kind.
     """
     count = MAX_OBSTACLES if cluttered else int(random.integers(1, MAX_OBSTACLES + 1))
 
@@ -107,35 +120,52 @@ def table_objects(random: Generator, *, cluttered: bool) -> DrawObjects:
 
 
 HAND_CLEARANCE = 0.05
-"""Minimum clearance of hand and fingers on the nominal motion of `elbow` [m]."""
+"""Minimum clearance between hand or fingers and obstacles on the nominal motion in scenes of the
+kind `elbow`, where only the elbow may collide [m]."""
 SWUNG_CLEARANCE = 0.025
-"""Minimum clearance of the whole robot on the motion with the elbow moved aside [m]."""
+"""Minimum clearance of the whole robot in scenes of the kind `elbow` if the elbow is moved aside
+along the same tool path [m]. It ensures that the scene has a solution."""
 WRIST_CLEARANCE = 0.03
-"""Minimum clearance of links 6 and 7 on the nominal motion of `elbow` [m]; their motion is
-determined by the tool, not by the elbow."""
+"""Minimum clearance between the links 6 and 7 and obstacles on the nominal motion in scenes of the
+kind `elbow` [m]. The tool's motion determines the motion of these links."""
 MAX_ELBOW_OBJECTS = 2
-"""Maximum number of obstacles in `elbow`."""
+"""Maximum number of obstacles in a scene of the kind `elbow`, in which obstacles block the path of
+the elbow."""
 
 _ELBOW_JOINTS = range(1, 5)
-"""Joints of the links 2 to 5, one of which collides on the nominal motion of `elbow`."""
+"""Indices of the joints that move the links 2 to 5, one of which collides on the nominal motion in
+scenes of the kind `elbow`."""
 _WRIST_JOINTS = range(5, 7)
-"""Joints of the links 6 and 7, whose motion the tool determines."""
+"""Indices of the joints that move the links 6 and 7, whose motion the tool determines."""
 _HEIGHTS = (0.2, 0.9)
-"""Range of the heights of obstacles in `elbow` [m]."""
+"""Range of the heights of obstacles that block the path of the elbow in scenes of the kind `elbow`
+[m]."""
 _MIN_FREE_DISTANCE = 0.06
-"""Minimum distance of a blocked point of the elbow from all points that must remain free [m]."""
+"""Minimum distance between a point of the elbow's path that may be blocked and all points that must
+remain free [m]."""
 _MIN_AXIS_DISTANCE = 0.2
-"""Minimum distance of a blocked point of the elbow from the base's axis [m]."""
+"""Minimum horizontal distance between a point of the elbow's path that may be blocked and the axis
+of the robot's base [m]."""
 _AWAY_DISTANCES = (0.0, 0.10)
-"""Range of an obstacle's distance from a blocked point, away from points that remain free [m]."""
+"""Range of the distance by which an obstacle is moved from the elbow's path, away from the nearest
+point that must remain free [m]."""
 _MAX_OFFSET = 0.04
-"""Maximum additional offset of an obstacle from a blocked point, along each axis [m]."""
+"""Maximum additional random offset of an obstacle from the elbow's path, along each axis [m]."""
 _ATTEMPTS = 60
-"""Number of obstacles drawn for one nominal motion in `elbow`."""
+"""Number of obstacles drawn for one nominal motion in the kind `elbow`, until two of them fit."""
 
 
 def elbow_objects(random: Generator) -> DrawObjects:
-    """Returns a function that draws one or two obstacles in the elbow's path for a motion."""
+    """Returns a function that draws one or two obstacles in the path of the elbow, for scenes of
+    the kind `elbow`.
+
+    Args:
+        random: source of random numbers.
+
+    Returns:
+        Function from a nominal motion to obstacles; it returns None if no obstacle satisfies the
+        conditions of the kind.
+    """
 
     def draw(motion: Motion) -> list[Obstacle] | None:
         arm, start, goal = scene_arm(), motion.start, motion.goal
@@ -159,14 +189,18 @@ def elbow_objects(random: Generator) -> DrawObjects:
 
 
 def _elbow_places(motion: Motion, swung: Motion) -> FloatArray:
-    """Computes points that the elbow passes and no other part of the robot.
+    """Computes points that the elbow passes on the nominal motion and that an obstacle may block.
 
-    Points must remain free if the robot occupies them at start or goal or on the motion with the
-    elbow moved aside, or if wrist or hand occupy them on the nominal motion.
+    Points must remain free if the robot occupies them at start or goal, or on the motion with the
+    elbow moved aside. Points that wrist or hand occupy on the nominal motion must remain free, too.
+
+    Args:
+        motion: nominal motion.
+        swung: motion with the same tool path and the elbow moved aside.
 
     Returns:
-        (N, 2, 3) points of the elbow on the nominal motion [m], and unit vectors to them from the
-        nearest point that must remain free.
+        (N, 2, 3) points of the elbow on the nominal motion in the world [m], and unit vectors to
+        them from the nearest point that must remain free.
     """
     arm, whole = scene_arm(), range(len(motion.q[0]))
     passed = arm.centers(motion.q[::2], _ELBOW_JOINTS)
@@ -180,7 +214,15 @@ def _elbow_places(motion: Motion, swung: Motion) -> FloatArray:
 
 
 def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Obstacle:
-    """Draws a post, a board in the air or a box on a stand near one of the `_elbow_places`."""
+    """Draws an obstacle near the path of the elbow: a post, a board in the air, or a box on a
+    stand.
+
+    Args:
+        random: source of random numbers.
+        places: (N, 2, 3) points that may be blocked, and directions away from free points, from
+            `_elbow_places`.
+        number: number of the obstacle, which determines its name and color.
+    """
     point, away = random.choice(places)
     x, y, z = (
         point
@@ -209,7 +251,16 @@ def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Ob
 
 
 def _is_in_elbow_way(object: Obstacle, motion: Motion, swung: Motion, *, first: bool) -> bool:
-    """Checks the conditions of `elbow` on an obstacle; only the first one must touch the elbow."""
+    """Checks the conditions of the kind `elbow` on one obstacle: clearances at start and goal, on
+    the nominal motion, and with the elbow moved aside.
+
+    Args:
+        object: obstacle to check.
+        motion: nominal motion.
+        swung: motion with the same tool path and the elbow moved aside.
+        first: whether the obstacle is the first one of the scene, which must collide with the elbow
+            on the nominal motion.
+    """
     arm = scene_arm()
     if not ends_are_free(motion, [object]):
         return False
@@ -223,7 +274,8 @@ def _is_in_elbow_way(object: Obstacle, motion: Motion, swung: Motion, *, first: 
 
 
 PERCEPTIONS = ("depth", "depth2", "truth")
-"""Perception of a scene: its depth camera, two cameras beside the robot, or ground truth."""
+"""Names of the sources that perceive the obstacles of a scene: its depth camera, two cameras beside
+the robot, or ground truth."""
 
 
 @dataclass(frozen=True)
@@ -231,10 +283,12 @@ class _Kind:
     """Recipe of one kind of random scenes.
 
     Attributes:
-        objects: function that prepares the drawing of obstacles.
+        objects: function that draws what is drawn once for a scene, and returns the function that
+            draws obstacles for a nominal motion.
         stream: numbers that select the kind's stream of random numbers.
-        like: shipped scenario whose camera, robot and parameters the scenes have.
-        motion: function that draws the nominal motion.
+        like: name of the shipped scenario whose camera, robot and parameters the scenes have.
+        motion: function that draws the nominal motion from a source of random numbers; it returns
+            None if a draw is rejected.
     """
 
     objects: Callable[[Generator], DrawObjects]
@@ -244,9 +298,11 @@ class _Kind:
 
 
 OBSTACLE_SPEED = 0.8
-"""Maximum obstacle speed for which passive motion safety is claimed in moving scenes [m/s]."""
+"""Maximum obstacle speed for which passive motion safety (the arm rests or recedes before an
+obstacle can reach it) is claimed in scenes with moving obstacles [m/s]."""
 DRP = "drp"
-"""Name of the suite of all levels of DRPBench."""
+"""Name that selects all levels of the benchmark DRPBench on the command line, and prefix of their
+kinds of scenes."""
 _KINDS = {
     "tabletop": _Kind(partial(table_objects, cluttered=False), ()),
     "moving": _Kind(partial(moving_objects, hard=False), (1,)),
@@ -264,22 +320,24 @@ _KINDS = {
         for name, level in (LEVELS | SPEED_LEVELS).items()
     },
 }
-"""Kind of scenes -> recipe."""
+"""Name of each kind of random scenes -> recipe by which `draw_panda_scene` draws its scenes."""
 KINDS = tuple(_KINDS)
-"""Names of all kinds of scenes."""
+"""Names of all kinds of random scenes, for example `tabletop`."""
 MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
-"""Names of the kinds of scenes with moving obstacles."""
+"""Names of the kinds of random scenes with obstacles that move or appear, which have another camera
+and a claimed obstacle speed."""
 
 
 def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
-    """Returns the kinds of scenes in a list of suites, without duplicates.
+    """Returns the kinds of scenes that suites and levels on the command line select, without
+    duplicates.
 
     Args:
-        suites: kinds of scenes, or `drp` for levels of DRPBench.
-        levels: names of levels; empty: all levels of DRPBench's authors.
+        suites: kinds of scenes, or `drp` for levels of the benchmark DRPBench.
+        levels: names of levels of DRPBench; empty: all levels of its authors.
 
     Raises:
-        ValueError: if there are levels and no suite `drp`.
+        ValueError: if there are levels but no suite `drp`.
     """
     if levels and DRP not in suites:
         raise ValueError(f"--level requires --suite {DRP}, not {', '.join(suites)}")
@@ -295,15 +353,18 @@ def draw_panda_scene(
     kind: str = "tabletop",
     perception: str = "depth",
 ) -> Scenario:
-    """Draws a random scene.
+    """Draws a random scene of the Panda and returns it as a scenario, the configuration of a
+    simulation.
+
+    The same arguments give the same scene.
 
     Args:
         seed: seed of the evaluation, >= 0.
         index: index of the scene, >= 0.
         kind: kind of scenes, from `KINDS`.
-        perception: "depth", one camera: that of the shipped scenario with resting obstacles,
-            `cameras.ONE_CAMERA` with moving ones; "depth2", the pair `cameras.TWO_CAMERAS`; or
-            "truth", ground truth.
+        perception: "depth": one depth camera, that of the shipped scenario if obstacles rest, or
+            `cameras.ONE_CAMERA` if they move. "depth2": the pair `cameras.TWO_CAMERAS`. "truth":
+            exact obstacles.
 
     Raises:
         RuntimeError: if no scene is found within the maximum number of motions.
@@ -331,7 +392,12 @@ def draw_panda_scene(
 
 
 def with_perception(scenario: Scenario, perception: str) -> Scenario:
-    """Returns a copy of a scene, drawn with "depth", with one of `PERCEPTIONS`."""
+    """Returns a copy of a scene whose obstacles are perceived by another source.
+
+    Args:
+        scenario: scene, drawn with the perception "depth".
+        perception: name of the source, from `PERCEPTIONS`.
+    """
     if perception == "depth2":
         return with_workspace_cameras(scenario, TWO_CAMERAS)
     scenario = copy.deepcopy(scenario)

@@ -1,4 +1,6 @@
-"""Metrics and tables of an evaluation on the Panda; lengths in meters, times in seconds."""
+"""Metrics and printed tables of an evaluation of methods on the Panda; lengths are in meters, times
+in seconds.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from drake_oa.runs.report import TOLERANCE, latency_statistics
 from drake_oa.scenario.loading import parse_scenario
 
 ALL = "all"
-"""Name of the metrics over several kinds of scenes."""
+"""Key and kind of the metrics that cover several sets of scenes together."""
 
 _COLUMNS = (
     Column("name", "method"),
@@ -30,7 +32,7 @@ _COLUMNS = (
     Column("tool_clearance_min", "min. tool clearance [m]", "{:.3f}"),
     Column("duration_median", "median duration [s]", "{:.1f}"),
 )
-"""Columns of the table, a row for each kind of scenes and method."""
+"""Columns of the printed table, which has a row for each kind of scenes and method."""
 
 
 _LISTED_COUNTS = {
@@ -38,19 +40,22 @@ _LISTED_COUNTS = {
     "contact_pairs": "contact",
     "sources": "executed motion from",
 }
-"""Keys of the counts of scenes below the table -> heading of their lines."""
+"""Key of a metric that counts scenes by reason, contact or source -> heading of the lines below the
+table that list these counts."""
 
 
 def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
     """Returns the metrics of a suite as JSON data.
 
-    Keys: "suite", "seed", "kind", "perception", "duration", "jobs", "versions", "scenes_digest"
-    (SHA-256 of the scenes' seeds, tasks and obstacles, independent of the perception), and those of
-    `methods_metrics`. Each method also has "perception" and "runs", the results scene by scene.
+    Keys: "suite", "seed", "kind", "perception", "duration", "jobs" (number of processes),
+    "versions", "scenes_digest" (SHA-256 of the scenes' seeds, tasks and obstacles, independent of
+    the perception), and those of `methods_metrics`. Each method also has "perception" and "runs",
+    the results scene by scene.
 
     Args:
         results: results of all runs of the suite.
-        workers: number of processes on the machine, which affects real-time factors, or a cluster.
+        workers: number of processes on this machine, which affects real-time factors, or the
+            address of a Dask scheduler; "jobs" is then None.
     """
     suite, drawn = results.suite, map(parse_scenario, results.scenarios.values())
     scenes = [(scenario.seed, scenario.task, scenario.obstacles) for scenario in drawn]
@@ -96,29 +101,43 @@ def methods_metrics(runs: Mapping[str, Mapping[Any, Mapping[str, Any]]]) -> dict
 def kinds_metrics(
     results: Sequence[PandaResults], metrics: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Returns the JSON of one kind of scenes, or {"suite", "kinds": {kind: metrics}} of several."""
+    """Returns the JSON of an evaluation: the metrics of a single kind of scenes, or those of
+    several kinds by name.
+
+    Args:
+        results: results of each kind's suite.
+        metrics: `panda_metrics` of each kind's suite.
+
+    Returns:
+        `metrics[0]` for one kind; for several kinds, {"suite": "panda", "kinds": {kind: metrics}}.
+    """
     if len(metrics) == 1:
         return metrics[0]
     return {"suite": "panda", "kinds": {of["kind"]: of for of in metrics}}
 
 
 def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Returns the metrics of a method's runs; a statistic of no values is None.
+    """Returns the metrics of the runs of one method; a statistic without values is None.
 
     Numbers of scenes: `scenes`; `contacts`, `success` and `stopped`, which sum to `scenes` (see
     `evaluation`); `self_contacts`, contacts of the robot with itself; `time_limits`, runs ended by
     the time limit; `failed`, runs that raised an exception; `shortfall_count`, runs in which the
     tool's clearance to resting obstacles was more than 1 mm below the achievable clearance;
     `stop_reasons`, `contact_pairs` and `sources` (of motions that `verified` executed): reason,
-    pair or source -> number. Numbers of contacts: `avoidable_by_physics` and `avoidable_by_view`
-    (see `contact_events`). Numbers of logged instants: `claim_A` and `claim_B`, violations (see
-    `claims`), None without moving obstacles. For levels of DRPBench `drp_contacts` and
-    `drp_success`, by its rules.
+    pair or source -> number.
+
+    Numbers of contacts: `avoidable_by_physics` and `avoidable_by_view` (see `contact_events`).
+    Numbers of logged instants: `claim_A` and `claim_B`, violations of the claims of passive motion
+    safety (see `claims`), None without moving obstacles. For levels of DRPBench `drp_contacts` and
+    `drp_success`, numbers of scenes by its rules.
 
     Statistics: `success_rate`; `duration_median` of the motions [s]; `decision_latency` of all
     decisions (see `latency_statistics`), None without a latency; `tool_clearance_min`,
     `robot_clearance_min` [m]; `goal_error_max` of the scenes that were not stopped [m];
     `real_time_factor`, the median.
+
+    Args:
+        runs: results of `run_and_evaluate`.
     """
     outcome = Counter(run["outcome"] for run in runs)
     events = [event for run in runs for event in run["contact_events"] or ()]
@@ -171,7 +190,8 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def panda_table(metrics: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Tabulates the metrics of one or several kinds of scenes, a row for each kind and method.
+    """Makes a table of the metrics of one or several kinds of scenes, with a row for each kind and
+    method.
 
     Lines below the table list stop reasons, contacts, and sources of the executed motions.
 

@@ -1,12 +1,15 @@
-"""Ground-truth model of a run: the arm, and all collision geometry along its true trajectories.
+"""Ground-truth model of a run, with the arm and all collision geometry along its true trajectories.
 
-The collision geometries are those of everything but the robot. The arm is represented by enclosing
-spheres of its links (`drake_oa.robot.spheres`), which protrude by up to 3 mm, at the hand by 5 mm.
-A motion that is collision-free by this model is therefore collision-free; one that is not may miss
-an object by 5 mm. Fixed links are left out. Trajectories are sampled every `STEP`: at 1 m/s an
-obstacle is up to 4 mm away from its position at the nearest sample.
+The model contains the collision geometry of everything but the robot. Spheres that enclose its
+links represent the arm (`drake_oa.robot.spheres`); they protrude by up to 3 mm, at the hand by 5
+mm. A motion that is collision-free by this model is therefore collision-free. A motion that is not
+may miss an object by 5 mm. Fixed links are left out.
 
-The modules that evaluate runs on this model do not import `drake_oa.safety`.
+Trajectories are sampled every `STEP`: at 1 m/s an obstacle is up to 4 mm away from its position at
+the nearest sample.
+
+Modules that evaluate runs on this model do not import `drake_oa.safety`, so that the evaluation is
+independent of the motion guard.
 """
 
 from __future__ import annotations
@@ -33,20 +36,24 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 STEP = 0.008
-"""Time between two checked configurations [s], a multiple of the log's period."""
+"""Time between two checked configurations of an evaluated run, a multiple of the log's period [s].
+"""
 _MAX_MARGIN = 1e-3
-"""Clearance margin of a configuration up to which margins are computed [m]."""
+"""Upper bound of computed clearance margins, of which only the sign is used [m]."""
 _DEFAULT_ACCELERATION = 10.0
-"""Acceleration limit of a joint without a limit in the robot's model [rad/s^2]."""
+"""Acceleration limit of a joint for which the robot's model has no limit [rad/s^2]."""
 
 
 class TrueWorld(NamedTuple):
-    """Arm of n joints, and K collision geometries at T samples `STEP` apart, at rest at the last.
+    """Ground-truth model of a run: an arm of n joints, and K collision geometries at T samples
+    `STEP` apart.
+
+    The collision geometries are at rest after the last sample.
 
     Attributes:
-        arm: the arm, its minimum clearance, and the collision geometries at the last sample.
-        ball: (T, K, 8) `CollisionGeometries.ball` at each sample.
-        X_WO: (T, K, 3, 4) `CollisionGeometries.X_WO` at each sample.
+        arm: the arm, its required clearances, and the collision geometries at the last sample.
+        ball: (T, K, 8) bounding spheres `CollisionGeometries.ball` at each sample.
+        X_WO: (T, K, 3, 4) poses `CollisionGeometries.X_WO` at each sample.
         acceleration: (n,) acceleration limits of the joints [rad/s^2].
     """
 
@@ -57,7 +64,7 @@ class TrueWorld(NamedTuple):
 
 
 def make_true_world(scenario: Scenario, clearance: float = 0.0) -> TrueWorld:
-    """Makes the ground-truth model of a scenario.
+    """Makes the ground-truth model of a scenario, with the arm and all true obstacle trajectories.
 
     Args:
         scenario: scenario with a robot.
@@ -97,7 +104,7 @@ def bang_motions(
     with h = a STEP / 2, and e the distance to the target minus v STEP / 2.
 
     Args:
-        world: the arm and its limits.
+        world: the arm with its speed and acceleration limits.
         q: (n,) or (N, n) initial positions [rad].
         v: (n,) or (N, n) initial velocities [rad/s].
         legs: (N, 2, n) target positions of both legs [rad].
@@ -122,10 +129,11 @@ def bang_motions(
 
 @compiled
 def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntArray:
-    """Counts the steps of joint motions before the first collision or violated joint limit.
+    """Counts the configurations of joint motions before the first collision or violated joint
+    limit.
 
     Args:
-        world: the arm, its minimum clearance, and the collision geometries.
+        world: the arm, its required clearances, and the collision geometries.
         motions: (N, M, n) positions, a row every `STEP` [rad].
         first: (N,) index of the sample of `world` at which each motion begins; after the last
             sample everything is at rest.
