@@ -1,13 +1,13 @@
 """Robot arm: plant, kinematics as arrays, inverse kinematics, limits, and spheres that cover the
 robot.
 
-Input: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool and gains). Its
-defaults are those of the Panda; no other code here is specific to one arm. One output is a
-finalized `MultibodyPlant` of the robot alone (`plant.RobotPlant`). Its base link is welded to the
-world at X_WB, and its tool frame E is at the tool point. The other output is `arm.Chain`, the same
-arm as arrays for compiled kernels, with six or more revolute joints in series. Configurations q
-[rad, m] are in the order of the plant, with the arm's joints first. Poses X_WE are in the world.
-The package has no systems.
+Input: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool and gains). The
+defaults of the block describe the Panda; no other code of this package is specific to one arm. The
+package has two outputs. One is a finalized `MultibodyPlant` of the robot alone
+(`plant.RobotPlant`). Its base link is welded to the world at X_WB, and its tool frame E is at the
+tool point. The other output is `arm.Chain`, the same arm as arrays for compiled kernels, with six
+or more revolute joints in series. Configurations q [rad, m] are in the order of the plant, with the
+arm's joints first. Poses X_WE are in the world. The package contains no LeafSystems.
 
 - `plant`, `grasped_object`: parsing of the model, once per process; base pose, limits, grasped
   object, and corners of the tool. `formats`: conversion of models that Drake cannot read.

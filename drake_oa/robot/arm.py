@@ -30,18 +30,21 @@ from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 PULL = 20.0
 """Rate at which the arm approaches the nominal posture in its null space, relative to the duration
-of the motion [-]. At 20, the distance decreases to 1 / e in 1 / 20 of the motion."""
+of the motion [-]. At 20, the distance to the nominal posture decreases to 1 / e in 1 / 20 of the
+motion."""
 _TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
-"""Damping of the first step and of the corrective steps when the arm tracks a tool path [m^2]. At
-1e-4, a joint of a singular arm moves by 1 rad for an error of 1 cm."""
+"""Damping of the least-squares joint step when the arm tracks a tool path [m^2]: for the first step
+to each tool pose, and for the corrective steps after it. At 1e-4, a joint of a singular arm moves
+by 1 rad for an error of 1 cm."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
-"""Maximum number of corrective steps per tool pose of a path, and pose error at which the steps end
-[m, rad]."""
+"""Maximum number of corrective joint steps per tool pose of a tracked path, and pose error of the
+tool at which these steps end [m, rad]."""
 _MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
 """Maximum number of inverse-kinematics steps from one seed, and maximum pose error of a solution
 [m, rad]."""
 _ERROR_DAMPING = 0.01
-"""Ratio of the damping of an inverse-kinematics step to the squared pose error [-]."""
+"""Ratio of the damping of an inverse-kinematics step to the squared pose error of the tool [-]. Far
+from the target pose, the steps are thus damped more."""
 _MAX_PATH_ERROR = 5e-3
 """Maximum pose error at which the arm still counts as following a path of the tool [m, rad]."""
 _MIN_DIFFERENCE = 0.1
@@ -72,22 +75,23 @@ class Chain(NamedTuple):
 
 
 class Spheres(NamedTuple):
-    """Spheres that cover a robot: S spheres in G groups, one group per body, sorted by joint and
-    body.
+    """Arrays of the spheres that cover a robot: S spheres in G groups, one group per body, sorted
+    by joint and body.
 
     Attributes:
-        joint: (S,) index of the joint that moves each sphere; -1: the sphere is fixed to the world.
-        p_JS: (S, 3) center of each sphere in the frame of the joint that moves the sphere
-            (`chain_poses`), or in the world [m].
+        joint: (S,) index of the last joint that moves each sphere; -1: the sphere is fixed to the
+            world.
+        p_JS: (S, 3) center of each sphere in the joint frame, as computed by `chain_poses`, of the
+            joint `joint`; in the world for `joint` = -1 [m].
         radius: (S,) radius of each sphere [m].
         of_tool: (S,) whether each sphere belongs to the tool or to the grasped object.
         first: (G + 1,) index of the first sphere of each group; the last element is S.
-        group_joint: (G,) index of the joint that moves each group; -1: the group is fixed to the
-            world.
+        group_joint: (G,) index of the last joint that moves each group; -1: the group is fixed to
+            the world.
         bound: (G, 4) center, in the frame of `p_JS`, and radius of a sphere that contains the group
             [m].
         cluster: (G + 1,) index of the first cluster of each group, where a cluster is a set of
-            neighboring spheres; the last element is C.
+            neighboring spheres; the last element is the number C of clusters.
         cluster_first: (C + 1,) index of the first sphere of each cluster; the last element is S.
         cluster_bound: (C, 4) center, in the frame of `p_JS`, and radius of a sphere that contains
             the cluster [m].
@@ -113,7 +117,8 @@ class Spheres(NamedTuple):
 def make_chain(
     plant: MultibodyPlant, tool_frame: Frame, q: FloatArray, spheres: Spheres | None = None
 ) -> Chain:
-    """Builds the chain of the joints between the world and the tool as arrays.
+    """Builds the `Chain` of an arm, which describes the joints between the world and the tool by
+    arrays for compiled kernels.
 
     Args:
         plant: finalized plant of the robot alone, its base welded to the world.
@@ -185,11 +190,13 @@ def axis_frame(joint: RevoluteJoint) -> RigidTransform:
 
 
 class Scratch(NamedTuple):
-    """Working memory of the compiled kernels for an arm of n joints.
+    """Working memory of the compiled kinematics kernels for an arm of n joints, allocated once and
+    overwritten in each step.
 
     Attributes:
-        X: (n + 2, 12) poses of the joint frames and of the tool, as computed by `chain_poses`.
-        J, JJ: (6, n) Jacobian J of the tool; (6, 6) damped product J J^T.
+        X: (n + 2, 12) poses of the world, the joint frames and the tool, as computed by
+            `chain_poses`.
+        J, JJ: (6, n) Jacobian J of the tool; (6, 6) product J J^T plus damping.
         e, b: (6,) pose error of the tool (`pose_error`); (6,) right-hand side of a step's linear
             equations.
         null_step, dq: (n,) desired joint displacement l in the null space [rad]; (n,) joint
@@ -209,7 +216,9 @@ class Scratch(NamedTuple):
 
 @compiled
 def scratch(n: int) -> Scratch:
-    """Allocates the working memory of the kernels for an arm of n joints."""
+    """Allocates the working memory `Scratch` of the compiled kinematics kernels for an arm of n
+    joints.
+    """
     X, J, JJ = np.empty((n + 2, 12)), np.empty((6, n)), np.empty((6, 6))
     null_step, dq, is_fixed = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.bool_)
     return Scratch(X, J, JJ, np.empty(6), np.empty(6), null_step, dq, is_fixed)
@@ -226,7 +235,8 @@ def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
 
     Args:
         q: (n,) configuration [rad].
-        X_PJ: (n + 1, 4, 4) constant poses of the joint frames, see `Chain`.
+        X_PJ: (n + 1, 4, 4) pose of each joint frame, at joint angle 0, in the previous one, as in
+            `Chain`.
         X: (n + 2, 12) poses, set in place.
     """
     n = len(q)
@@ -278,12 +288,12 @@ def jacobian(X: FloatArray, J: FloatArray) -> None:
 
 @leaf
 def _solve(A: FloatArray, b: FloatArray) -> None:
-    """Solves A x = b for a positive definite matrix A by LDL^T factorization, and replaces b by the
-    solution x.
+    """Solves A x = b for a positive definite matrix A by LDL^T factorization, in place: b becomes
+    the solution x.
 
     Args:
         A: (m, m) matrix, whose lower triangle is read and overwritten.
-        b: (m,) right-hand side, replaced by the solution.
+        b: (m,) right-hand side, overwritten by the solution x.
     """
     m = len(b)
     for j in range(m):
@@ -308,8 +318,8 @@ def _solve(A: FloatArray, b: FloatArray) -> None:
 
 @leaf
 def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
-    """Computes the rotation and translation that move the last pose of X to a target pose of the
-    tool.
+    """Computes the rotation and translation that move the tool from its present pose, the last pose
+    of X, to a target pose.
 
     For a rotation by half a turn, the skew-symmetric part of the rotation matrix gives no axis.
     Then the error is a rotation of 1 rad about the world's x axis, so that one step leaves this
@@ -349,15 +359,18 @@ def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
 
 @leaf
 def step_toward(q: FloatArray, damping: float, chain: Chain, work: Scratch) -> None:
-    """Moves a configuration by one damped step toward a pose of the tool, within the joint limits.
+    """Moves a configuration by one damped least-squares step toward a pose of the tool, within the
+    joint limits.
 
-    The step is the equation of dq in the module docstring.
+    The step is dq = l + J^T (J J^T + damp I)^-1 (e - J l), with the Jacobian J, the pose error e,
+    and the desired joint displacement l in the null space. A joint that would exceed its limit is
+    fixed at the limit, and the other joints perform the step.
 
     Args:
         q: (n,) configuration, modified in place [rad].
         damping: damping of the step, `damp` in the equation [m^2].
         chain: chain of the arm.
-        work: working memory with the poses of q in `X`, the pose error in `e`, and the desired
+        work: working memory with the poses of q in `X`, the pose error e in `e`, and the
             displacement l in `null_step`.
     """
     n = len(q)
@@ -403,8 +416,10 @@ def follow(
     chain: Chain,
     work: Scratch,
 ) -> float:
-    """Moves a configuration to the next tool pose of a path, and sets `work.X` to the poses at the
-    new configuration.
+    """Moves a configuration to the next tool pose of a path by damped least-squares steps, with
+    motion of the null space along nominal postures.
+
+    The poses of the joint frames and of the tool at the new configuration are stored in `work.X`.
 
     Args:
         q: (n,) configuration, modified in place [rad].
@@ -417,7 +432,8 @@ def follow(
         work: working memory.
 
     Returns:
-        Remaining pose error of the tool: maximum of its elements [m, rad].
+        Remaining pose error of the tool: largest absolute element of the rotation and translation
+        to the target [rad, m].
     """
     chain_poses(q, chain.X_PJ, work.X)
     error = pose_error(work.X, target, work.e)
@@ -442,8 +458,8 @@ def follow(
 def reach(
     q: FloatArray, target: FloatArray, chain: Chain, near: FloatArray, pull: float
 ) -> FloatArray:
-    """Moves configurations to a pose of the tool by damped steps, as the iteration of the inverse
-    kinematics.
+    """Moves each of N configurations toward one pose of the tool by damped least-squares steps; the
+    iteration of the inverse kinematics.
 
     Args:
         q: (N, n) initial configurations, modified in place [rad].
@@ -451,10 +467,12 @@ def reach(
         chain: chain of the arm.
         near: (n,) nominal posture, which the arm tracks in its null space [rad].
         pull: fraction of the distance to the nominal posture that is corrected per step [-]. At 0,
-            the steps of a configuration end once the pose is reached.
+            the steps of a configuration end once it reaches the pose; otherwise all steps are
+            performed.
 
     Returns:
-        (N,) remaining pose error of each configuration: maximum of its elements [m, rad].
+        (N,) remaining pose error of each configuration: largest absolute element of the rotation
+        and translation to the pose [rad, m].
     """
     errors, work = np.empty(len(q)), scratch(q.shape[1])
     for row in range(len(q)):
@@ -472,8 +490,8 @@ def reach(
 
 @compiled
 def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Chain) -> FloatArray:
-    """Lets the arm track paths of the tool, and computes the distance of the joints from their
-    limits at each pose.
+    """Simulates an arm that tracks paths of the tool, and computes the distance of the joints from
+    their limits at each pose.
 
     Args:
         q_start: (n,) configuration at the start of each path, also the nominal posture [rad].
@@ -501,17 +519,18 @@ def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Cha
 def inverse_kinematics(
     chain: Chain, X_WE: FloatArray, near: FloatArray, *, seeds: int = 32, seed: int = 0
 ) -> FloatArray:
-    """Computes distinct configurations (m, n) of the arm for a pose of the tool, in order of
-    distance from `near` [rad].
+    """Computes distinct configurations (m, n) of an arm that reach a pose of the tool, in order of
+    distance from the configuration `near` [rad].
 
-    The same arguments give the same configurations. An arm of seven joints has infinitely many
-    solutions; the configurations are samples of them.
+    The result has no rows if the pose cannot be reached. The same arguments give the same
+    configurations. An arm of seven joints has infinitely many solutions; the configurations are
+    samples of them.
 
     Args:
         chain: chain of the arm.
         X_WE: (12,) pose of the tool: rotation matrix, row by row, and position [m].
-        near: (n,) configuration that is the first seed of the search [rad].
-        seeds: number of random seeds in addition to `near`.
+        near: (n,) configuration at which the first of several searches starts [rad].
+        seeds: number of further searches, which start at random configurations.
         seed: seed of the random number generator.
     """
     random = np.random.default_rng(seed)
@@ -541,7 +560,7 @@ def solve_tool_pose(
         q_seed: (nq,) configuration that is the seed of the search [rad, m].
 
     Raises:
-        ValueError: with a text "out of reach: ..." if there is no solution, or if a joint that
+        ValueError: with the text "out of reach: ..." if no solution is found, or if a joint that
             moves the tool is not revolute.
     """
     chain = make_chain(plant, plant.GetFrameByName(tool_frame), q_seed)
@@ -599,7 +618,7 @@ def rotation_of(quaternion: FloatArray) -> FloatArray:
     """Computes the rotation matrix (3, 3) of a quaternion (4,), w first, which need not have unit
     length.
 
-    All elements of the result are NaN if the quaternion is zero or not finite.
+    If the quaternion is zero or not finite, all elements of the matrix are NaN.
     """
     with np.errstate(invalid="ignore"):
         scaled = quaternion / np.abs(quaternion).max()

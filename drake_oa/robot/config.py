@@ -14,14 +14,17 @@ _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
 
 
 def _check_stable(ki: float, info: ValidationInfo) -> float:
-    """Checks that an integral gain is below kp_position kd_position, so that the controller's error
-    decays.
+    """Checks that the integral gain of a controller is below kp_position kd_position, so that its
+    tracking error decays.
 
-    The error e obeys e'' + kd e' + kp e + ki int e dt = 0.
+    The error e obeys e'' + kd e' + kp e + ki int e dt = 0, with the position gains kp and kd.
 
     Args:
         ki: integral gain [1/s^3].
-        info: validated values of the previous fields.
+        info: values of the preceding fields of `Gains`, already validated.
+
+    Returns:
+        The integral gain, unchanged.
 
     Raises:
         ValueError: if the error would not decay.
@@ -36,8 +39,9 @@ def _check_stable(ki: float, info: ValidationInfo) -> float:
 class Gains:
     """Gains of the inverse-dynamics controllers, which track the desired motion of the arm.
 
-    The controller JointInverseDynamics uses `kp_position`, `kd_position` and `ki_position` for each
-    joint, and `kd_stop`. The controller CartesianInverseDynamics uses all gains.
+    JointInverseDynamics, the default controller, uses `kp_position`, `kd_position` and
+    `ki_position` for each joint, and `kd_stop`. CartesianInverseDynamics, which tracks the pose of
+    the tool, uses all gains.
 
     The gains scale accelerations: without contact, the tracking error e obeys e'' + kd e' + kp e =
     0 for any inertia of the arm. The defaults are critically damped.
@@ -67,14 +71,15 @@ class Gains:
     """Derivative gain of the error from the nominal posture, in the null space of the tool's motion
     [1/s]. Raising it increases the damping."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
-    """Effective mass of the tool above which, near a singularity, the inverse of the Jacobian is
-    damped [kg]. Raising it gives exact tracking closer to singularities, with faster joints."""
+    """Effective mass of the tool, which grows near a singularity, above which the inverse of the
+    Jacobian is damped [kg]. Raising it gives exact tracking closer to singularities, with faster
+    joints."""
     rotation_length: float = Field(default=0.25, gt=0.0, le=10.0)
-    """Length that converts rotations of the tool to distances when task directions are compared
-    [m]. Raising it gives rotations more weight."""
+    """Length that converts rotations of the tool to distances, so that rotational and translational
+    directions of a task are comparable [m]. Raising it gives rotations more weight."""
     kd_stop: float = Field(default=10.0, gt=0.0, le=1e4)
-    """Damping of each joint while the control law cannot be evaluated [1/s]. Raising it stops the
-    arm sooner."""
+    """Damping of each joint that brakes the arm while the control law cannot be evaluated [1/s].
+    Raising it stops the arm sooner."""
 
 
 @dataclass(config=BLOCK)
@@ -91,7 +96,9 @@ class BasePose:
 
 @dataclass(config=BLOCK)
 class SphereParameters:
-    """Accuracy of the spheres that cover the robot, used to compute clearances."""
+    """Parameters of the spheres that cover the robot and replace its shapes when clearances are
+    computed: bounds of their protrusion.
+    """
 
     protrusion: float = Field(default=0.003, gt=0.0, le=0.1)
     """Approximate distance by which the covering spheres of a link protrude from the link's surface
@@ -111,8 +118,9 @@ class Robot:
     """
 
     model: str = "package://drake_oa/panda/panda_arm_hand.urdf"
-    """Model file of the robot: a package:// URL, or a file relative to the scenario. The Panda that
-    Drake provides is package://drake_models/franka_description/urdf/panda_arm_hand.urdf"""
+    """Model file of the robot: a package:// URL, or a file name relative to the scenario's folder.
+    The Panda that Drake provides is
+    package://drake_models/franka_description/urdf/panda_arm_hand.urdf"""
     base_link: str = "panda_link0"
     """Name of the base link B in the model, which is welded to the world."""
     X_WB: BasePose = Field(default_factory=BasePose)
@@ -121,30 +129,33 @@ class Robot:
     """Name of the hand link H in the model, to which the tool point and the grasped object are
     fixed."""
     p_HE: Vector3 = Field(default=[0.0, 0.0, 0.1034])
-    """Position of the tool point E in the frame of the hand link H [m]. Raising z moves the tool
-    point farther from the hand."""
+    """Position of the tool point E in the frame of the hand link H [m]. For the Panda, a larger z
+    moves the tool point farther from the hand."""
     tool_links: list[str] = Field(default=["panda_hand", "panda_leftfinger", "panda_rightfinger"])
-    """Names of the tool's links in the model; their size dilates the obstacles."""
+    """Names of the links that form the tool. Obstacles are dilated by the extents of these links,
+    so that the tool counts as a point."""
     rpy_WE: Angles = Field(default=[math.pi, 0.0, math.pi / 2.0])
     """Roll, pitch and yaw of the tool frame E in the world, unless the task gives other
     orientations [rad]. By default the tool points down, and the fingers open along the world's x
-    axis, so that the hand is narrow along the motion."""
+    axis, so that the hand is narrow along the world's y axis."""
     q_seed: list[float] = Field(default=[-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608])
-    """Configuration of the arm that is the seed of the inverse kinematics, and the nominal posture
-    in the null space [rad]. The joints of the arm are the first joints of the model."""
+    """Configuration of the arm [rad], used as the initial guess of the inverse kinematics and as
+    the nominal posture, to which the null space is attracted. The joints of the arm are the first
+    joints of the model."""
     joint_speed: list[_Speed] | None = None
-    """Maximum speed of each joint of the arm, in addition to the limits of the model [rad/s]; null:
-    only the limits of the model. Raising it allows faster motions."""
+    """Maximum speed of each joint of the arm, which may only reduce the limit of the model [rad/s];
+    null: the limits of the model. Raising it allows faster motions."""
     finger_opening: float = Field(default=0.005, ge=0.0, le=0.04)
-    """Opening of each finger of the hand [m]. Raising it widens the hand. At a joint limit, which
-    is 0 or the maximum, the simulation is slower."""
+    """Position of each finger joint of the hand, at which the fingers are held [m]. Raising it
+    widens the hand. At a joint limit, which is 0 or the maximum, the simulation is slower."""
     carried: list[Annotated[Box | Cylinder | Sphere, Tagged()]] = Field(default_factory=list)
-    """Primitive shapes of the grasped object, in the frame of the hand link H. The grasped object
-    counts as part of the tool."""
+    """Primitive shapes of an object that the robot has grasped, in the frame of the hand link H.
+    The object counts as part of the tool; empty: no object."""
     carried_mass: float = Field(default=0.5, gt=0.0, le=20.0)
     """Mass of the grasped object, distributed over its shapes by volume [kg]. Raising it increases
     the joint torques."""
     spheres: SphereParameters = Field(default_factory=SphereParameters)
-    """Accuracy of the spheres that cover the robot, used to compute clearances."""
+    """Accuracy of the spheres that cover the robot. They replace its shapes when clearances are
+    computed."""
     gains: Gains = Field(default_factory=Gains)
     """Gains of the inverse-dynamics controller, which tracks the desired motion."""

@@ -1,5 +1,5 @@
-"""Functions for the object that the robot has grasped: primitive shapes that are fixed to
-the hand.
+"""Grasped object of the robot: functions that add its primitive shapes to a plant, fixed to the
+hand, and exclude contacts with the tool.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from drake_oa.robot.config import Robot
 _COLOR = np.array([0.25, 0.35, 0.6, 1.0])
 """Color of the grasped object in images and viewers: red, green, blue and opacity [-]."""
 _FRICTION = 0.7
-"""Friction coefficient of the grasped object's surface [-]."""
+"""Coulomb friction coefficient, static and dynamic, of the grasped object's surface [-]."""
 
 
 def carried_links(robot: Robot) -> list[str]:
-    """Returns the names of the bodies of the grasped object, which `add_carried` adds, one per
-    shape.
+    """Returns the names of the bodies of the grasped object, one per shape, as `add_carried` names
+    them in the plant.
     """
     return [f"carried{row}" for row in range(len(robot.carried))]
 
 
 def tool_links(robot: Robot) -> list[str]:
-    """Returns the names of the tool's bodies in the plant, including the bodies of the grasped
-    object.
+    """Returns the names of the tool's bodies in the plant: the tool's links and the bodies of the
+    grasped object.
     """
     return [*robot.tool_links, *carried_links(robot)]
 
@@ -61,7 +61,8 @@ def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robo
 def exclude_grasp_contacts(
     plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | None
 ) -> None:
-    """Excludes contacts between the grasped object and the tool from the collision detection.
+    """Excludes the contacts between the grasped object and the tool from collision detection,
+    because the object always touches the fingers.
 
     Args:
         plant: finalized plant with the grasped object.

@@ -1,9 +1,9 @@
-"""Replacement of the inertial parameters of a model, used to simulate a controller with a wrong
-model.
+"""Replacement of the inertial parameters in a robot's model, used to simulate a controller whose
+model has errors.
 
 The shipped Panda has identified parameters (C. Gaz et al., IEEE RA-L 4(4), 2019). The shipped file
-models/panda/uniform_density.yaml has the parameters of links with uniform density. Their errors are
-typical of a robot whose parameters were not identified.
+models/panda/uniform_density.yaml has the parameters of links with uniform density instead. Its
+errors are typical of a robot whose parameters were not identified.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from drake_oa.common.config import BLOCK, ScenarioError, Vector3, length, read_y
 
 @dataclass(config=BLOCK)
 class Inertia:
-    """Inertial parameters of one link, as an entry of a file that replaces those of a model."""
+    """Inertial parameters of one link: entry of a YAML file whose values replace those of a robot's
+    model.
+    """
 
     mass: Annotated[float, Field(gt=0.0, le=1e4)]
     """Mass of the link [kg]."""
@@ -32,7 +34,8 @@ class Inertia:
 
 
 def set_inertias(urdf: Element | None, file: Path) -> None:
-    """Replaces the inertial parameters of those links of a model that a YAML file names.
+    """Replaces the inertial parameters of a URDF model by those of a YAML file, for each link that
+    the file names.
 
     Args:
         urdf: root element of a URDF, modified in place; None: the model is not a URDF.
@@ -40,7 +43,7 @@ def set_inertias(urdf: Element | None, file: Path) -> None:
 
     Raises:
         OSError: if the file does not exist.
-        ScenarioError: naming each wrong value, or a link that is not in the model.
+        ScenarioError: naming each invalid value in the file, or a link that is not in the model.
     """
     inertias = validate(dict[str, Inertia], read_yaml(file.read_text("utf-8")), "inertias")
     links = {} if urdf is None else {link.get("name"): link for link in urdf.iter("link")}

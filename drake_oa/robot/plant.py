@@ -1,6 +1,7 @@
-"""Plant of the robot alone, and limits of its joints.
+"""Plant of the robot alone, without obstacles, and limits of its joints.
 
-The controller and the self filter, which removes the robot from depth images, use the plant.
+The controller uses this plant as its model. The self filter, which removes the robot from depth
+images, uses it for kinematics and shapes.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ def known_packages() -> PackageMap:
 
 
 def make_parser(plant: MultibodyPlant) -> Parser:
-    """Creates a parser of models for a plant, which knows the packages of `known_packages`."""
+    """Creates a parser of model files for a plant, which can resolve URLs package://drake_oa/... in
+    addition to Drake's packages.
+    """
     parser = Parser(plant)
     parser.package_map().AddMap(known_packages())
     return parser
@@ -59,7 +62,7 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
         plant: plant that is not finalized.
         robot: configuration of the robot.
         inertias: URL or name of a file of inertial parameters, which replace those of the model;
-            empty: those of the model.
+            empty: the parameters of the model are used.
 
     Returns:
         Model instance of the robot.
@@ -135,7 +138,7 @@ def base_pose(robot: Robot | None) -> RigidTransform:
 
 
 def _url(url_or_file: str) -> str:
-    """Returns a URL unchanged, and converts a file name to a URL."""
+    """Returns the URL of a model file, given a URL, which is returned unchanged, or a file name."""
     return url_or_file if "://" in url_or_file else Path(url_or_file).absolute().as_uri()
 
 
@@ -148,7 +151,7 @@ class RobotLimits:
         position_lower: (nq,) lower position limits [rad, m].
         position_upper: (nq,) upper position limits [rad, m].
         velocity_limit: (nv,) maximum speeds [rad/s, m/s].
-        actuator_name: (nu,) names of the actuated joints.
+        actuator_name: (nu,) name of the joint of each actuator.
         effort_limit: (nu,) maximum actuation [N m, N]; inf: no limit.
     """
 
@@ -164,7 +167,8 @@ class RobotLimits:
 class RobotPlant:
     """Plant of the robot alone, for kinematics and control, as `make_robot_plant` creates it.
 
-    The plant is shared and must not be modified; each user creates a Context.
+    All users of a robot configuration share one plant, which must not be modified; each user
+    creates its own Context.
 
     Attributes:
         diagram: diagram of the plant and its scene graph.
@@ -215,19 +219,20 @@ class RobotPlant:
 
 
 _PLANTS: dict[tuple[str, str], RobotPlant] = {}
-"""Robot plants that this process has created, by robot configuration and file of inertial
-parameters."""
+"""Cache of the robot plants that this process has created, by robot configuration and file of
+inertial parameters."""
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
-    """Returns the plant of the robot alone, with its base welded to the world as in the station.
+    """Returns the plant of the robot alone, with its base welded to the world as in the simulated
+    station.
 
     The model of each configuration is parsed once per process, and its plant is shared.
 
     Args:
         robot: configuration of the robot.
         inertias: URL or name of a file of inertial parameters, which replace those of the model
-            (see `drake_oa.robot.inertias`); empty: those of the model.
+            (see `drake_oa.robot.inertias`); empty: the parameters of the model are used.
 
     Raises:
         ScenarioError: naming the invalid field of the robot's configuration.
@@ -239,10 +244,16 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
 
 
 def _parse(robot: Robot, inertias: str) -> RobotPlant:
-    """Builds the plant of a robot, and checks that `robot.q_seed` has a value for each joint of the
-    arm.
+    """Builds the plant of a robot from its model file, and checks that `robot.q_seed` has a value
+    for each joint of the arm.
 
-    The arguments are those of `make_robot_plant`.
+    Args:
+        robot: configuration of the robot.
+        inertias: URL or name of a file of inertial parameters, which replace those of the model;
+            empty: the parameters of the model are used.
+
+    Raises:
+        ScenarioError: naming the invalid field of the robot's configuration.
     """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -299,8 +310,8 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
 
 
 def home_positions(robot: Robot) -> FloatArray:
-    """Returns the configuration (nq,) of the robot with the arm at `q_seed` and each finger at
-    `finger_opening` [rad, m].
+    """Returns the configuration (nq,) with the arm at `robot.q_seed` and each finger at
+    `robot.finger_opening` [rad, m].
     """
     q = np.full(make_robot_plant(robot).plant.num_positions(), robot.finger_opening)
     q[: len(robot.q_seed)] = robot.q_seed

@@ -1,4 +1,8 @@
-"""Covers of a body's collision shapes by few spheres, proven to enclose them."""
+"""Covers of a body's collision shapes by few spheres, which are proven to enclose the shapes.
+
+`compute_cover` computes a cover, and `load_cover` reads it from a cache. Distances to the spheres
+replace distances to the shapes when clearances are computed.
+"""
 
 from __future__ import annotations
 
@@ -29,34 +33,45 @@ from drake_oa.geometry.collision_scene import (
 from drake_oa.geometry.directions import lattice
 
 _MAX_CENTERS = 3000
-"""Maximum number of candidate centers of a body."""
+"""Maximum number of candidate sphere centers, from which the centers that cover a body are
+selected."""
 _MAX_SAMPLES = 12000
 """Maximum number of sample points of a body that the spheres must cover."""
 _N_SURFACE_POINTS = 600
-"""Approximate number of sample points on the surface of a shape."""
+"""Approximate number of sample points on the surface of each shape of a body, which the spheres
+must cover."""
 _EDGE_SPACING = 2.7
-"""Spacing of candidate centers over the protrusion, larger if there would be too many centers."""
+"""Ratio of the spacing of candidate sphere centers to the requested protrusion [-]; larger if there
+would be too many centers."""
 _MAX_ITERATIONS = 4
-"""Maximum number of times uncovered points are added to the sample points."""
+"""Maximum number of times that the spheres are selected again with uncovered points added to the
+sample points; then the spheres grow instead."""
 _INITIAL_CELLS = 40
-"""Number of initial cells of the proof along half of a body's longest extent."""
+"""Number of initial cells along half of a body's longest extent, when the space in a body is proven
+to be covered cell by cell."""
 _MAX_GAPS = 300
-"""Number of uncovered points above which the proof stops, and the spheres are selected again."""
+"""Number of uncovered points above which the proof that spheres enclose a body stops, and the
+spheres are selected again."""
 _MIN_CELL_RATIO = 1.0 / 16.0
-"""Half the edge of the smallest cells over the protrusion."""
+"""Ratio of half the edge of the smallest cells, into which a body is divided to prove that it is
+covered, to the requested protrusion [-]."""
 _PROTRUSION_GROWTH = 1.2
-"""Factor by which the protrusion grows while too many spheres are required."""
+"""Factor by which the requested protrusion of the spheres grows while more than the maximum number
+of spheres would be required [-]."""
 _DIGITS = 9
-"""Number of decimals of lengths [m] in the cache key, so that rounding errors do not change it."""
+"""Number of decimals of lengths [m] in the cache key of a cover, so that rounding errors do not
+change the key."""
 _VERSION = 2
-"""Version of the algorithm in the cache key; to be incremented when covers change."""
+"""Version of the covering algorithm, a part of the cache key of a cover; to be incremented when
+covers change."""
 SHIPPED = package_file("package://drake_oa/panda/spheres.npz")
-"""File with the covers of the Panda's bodies: `cover_key` -> (K, 4) centers and radii [m]."""
+"""File with the precomputed sphere covers of the Panda's bodies: the key of each body (`cover_key`)
+-> (K, 4) centers and radii [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Spheres that enclose a body's shapes.
+    """Set of K spheres that enclose a body's collision shapes.
 
     Attributes:
         centers: (K, 3) centers in the frame of the body [m].
@@ -74,19 +89,20 @@ def compute_cover(
 ) -> Cover:
     """Computes spheres that enclose the union of a body's shapes.
 
-    1. Candidate balls are centered on a lattice in the shapes. The radius is the depth of the
+    1. Candidate spheres are centered on a lattice in the shapes. The radius is the depth of the
        center plus the requested protrusion (exact for a convex shape).
-    2. A greedy set cover selects few of them that cover sample points in the shapes, and each
-       selected ball shrinks to the points that only it covers.
-    3. Cells prove the space between the points to be covered: a cell is halved unless a ball
-       contains its circumscribed ball. Uncovered centers are added to the sample points; balls grow
-       over the last unproven cells.
+    2. A greedy set cover selects few candidates that cover sample points in the shapes. Each
+       selected sphere shrinks to the points that no other sphere covers.
+    3. The space between the points is proven to be covered, cell by cell: a cell is divided into
+       eight unless a sphere contains the ball around the cell. Uncovered cell centers are added to
+       the sample points, and step 2 is repeated. The spheres grow over the last unproven cells.
 
-    A body of spheres only is covered by these spheres.
+    If all shapes are spheres, these spheres are the cover.
 
     Args:
         geometries: shapes of the body, at least one, at their poses in the body.
-        protrusion: requested protrusion of the spheres; the proof may enlarge it [m].
+        protrusion: requested protrusion of the spheres from the shapes; the proof may enlarge it
+            [m].
         max_spheres: maximum number of spheres; the protrusion grows if more would be required.
 
     Raises:
@@ -137,14 +153,16 @@ def _ball_geometries(centers: FloatArray, radii: FloatArray) -> CollisionGeometr
 def load_cover(
     geometries: Sequence[CollisionGeometry], protrusion: float, max_spheres: int, message: str
 ) -> Cover:
-    """Loads the cover of a body, or computes it by `compute_cover`.
+    """Loads the sphere cover of a body from a file or from the user's cache, or else computes it by
+    `compute_cover` and stores it.
 
-    Covers of the Panda are in `SHIPPED`, others in the user's cache folder drake_oa/spheres. If the
-    cache is not writable, the cover is computed each time, which takes seconds.
+    The file `SHIPPED` contains the covers of the Panda; other covers are in the user's cache folder
+    drake_oa/spheres. If the cache is not writable, the cover is computed each time, which takes
+    seconds.
 
     Args:
         geometries, protrusion, max_spheres: arguments of `compute_cover`.
-        message: message that announces the computation.
+        message: message that is printed before the first computation, which may last seconds.
     """
 
     def compute() -> dict[str, FloatArray]:
@@ -161,14 +179,18 @@ def load_cover(
 
 @cache
 def _shipped() -> dict[str, FloatArray]:
-    """Reads the file `SHIPPED`."""
+    """Reads the precomputed sphere covers of the Panda from the file `SHIPPED`: cache key -> (K, 4)
+    centers and radii [m].
+    """
     return read_arrays(SHIPPED)
 
 
 def cover_key(
     geometries: Sequence[CollisionGeometry], protrusion: float, max_spheres: int = 200
 ) -> str:
-    """Computes the cache key of a cover: a digest of the arguments of `compute_cover`."""
+    """Computes the cache key of a sphere cover: a digest of the shapes, the protrusion, the maximum
+    number of spheres and the algorithm's version.
+    """
     digest = hashlib.sha256(repr((_VERSION, protrusion, max_spheres)).encode())
     for geometry in geometries:
         corners = geometry.placed(outline_corners(geometry))
@@ -184,12 +206,21 @@ def _is_rod(geometry: CollisionGeometry) -> bool:
 
 
 def _make_cover(scene: CollisionGeometries, centers: FloatArray, radii: FloatArray) -> Cover:
-    """Returns the cover with given balls (K, 3), (K,) of a body's shapes, and its protrusion."""
+    """Creates the cover of a body from its spheres, and computes their maximum protrusion from the
+    body's shapes.
+
+    Args:
+        scene: shapes of the body, in the frame of the body.
+        centers: (K, 3) centers of the spheres in the frame of the body [m].
+        radii: (K,) radii of the spheres [m].
+    """
     return Cover(centers, radii, max(0.0, float((radii + _distances(scene, centers)).max())))
 
 
 def _distances(scene: CollisionGeometries, points: FloatArray) -> FloatArray:
-    """Computes signed distances (N,) of points (N, 3) to the nearest collision geometry [m]."""
+    """Computes the signed distance (N,) from each of N points (N, 3) to the nearest shape of a
+    body, negative inside [m].
+    """
     return least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
 
 
@@ -218,9 +249,15 @@ def _surface_samples(geometry: CollisionGeometry) -> FloatArray:
 
 
 def _below_surface(geometry: CollisionGeometry, depth: float) -> FloatArray:
-    """Moves surface points of a shape by a depth toward their mean: (K, 3) [m].
+    """Computes candidate sphere centers (K, 3) below the surface of a shape: surface points, moved
+    by a depth toward their mean [m].
 
-    Spheres, capsules and boxes have none: their lattices contain such points.
+    The result is empty for spheres, capsules and boxes, because lattices in these shapes already
+    contain such points.
+
+    Args:
+        geometry: shape.
+        depth: distance by which the points are moved [m].
     """
     if geometry.kind == PRIMITIVE and not geometry.size[4]:
         return np.zeros((0, 3))
@@ -238,12 +275,13 @@ def _select_balls(
     refinement: int,
     points: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Selects balls that cover sample points.
+    """Computes candidate balls in the shapes of a body, and selects few of them that cover sample
+    points.
 
     Args:
         geometries, scene: shapes of the body, as a sequence and as arrays.
-        protrusion: protrusion of the balls [m].
-        min_half: half the edge of the smallest cells of the proof [m].
+        protrusion: requested protrusion of the balls from the shapes [m].
+        min_half: half the edge of the smallest cells with which the cover is proven [m].
         refinement: number of parts into which the lattice spacing is divided.
         points: (N, 3) sample points [m].
 
@@ -268,13 +306,14 @@ def _select_balls(
 
 
 def _greedy_cover(covers: BoolArray) -> IntArray:
-    """Selects few of K balls that cover N points: a greedy set cover from the corners inward.
+    """Selects few of K balls that together cover N points, by a greedy set cover that begins at
+    points covered by few balls, such as corners.
 
-    Points covered by the fewest balls come first. The ball with the most uncovered points is
-    selected for each. Balls that become unnecessary are removed.
+    For each point that is not covered yet, the ball with the most uncovered points is selected.
+    Balls that become unnecessary are removed.
 
     Args:
-        covers: (N, K) whether ball k covers point n; every point is covered by a ball.
+        covers: (N, K) whether ball k covers point n; a point that no ball covers is ignored.
 
     Returns:
         Indices of the selected balls.
@@ -298,7 +337,13 @@ def _greedy_cover(covers: BoolArray) -> IntArray:
 
 
 def _shrink(centers: FloatArray, radii: FloatArray, points: FloatArray) -> None:
-    """Shrinks each of K balls (K, 3), (K,), in place, to the points (N, 3) that only it covers."""
+    """Shrinks each ball of a cover, one after another, to the points that no other ball covers.
+
+    Args:
+        centers: (K, 3) centers of the balls [m].
+        radii: (K,) radii, modified in place; 0 for a ball that is not required [m].
+        points: (N, 3) points that remain covered [m].
+    """
     distance = cdist(centers, points)
     covers = distance <= radii[:, None]
     counts = covers.sum(axis=0)
@@ -310,14 +355,17 @@ def _shrink(centers: FloatArray, radii: FloatArray, points: FloatArray) -> None:
 def _enlarge(
     points: FloatArray, reach: float, centers: FloatArray, depth: FloatArray, radii: FloatArray
 ) -> None:
-    """Enlarges balls, in place, until each point with a neighborhood is inside one of them.
+    """Enlarges balls, in place, until each given point, with a neighborhood around it, is inside
+    one ball.
+
+    For each point, the ball grows that protrudes least from the shapes afterwards.
 
     Args:
         points: (N, 3) points [m].
-        reach: radius of the neighborhood of a point [m].
+        reach: radius of the neighborhood of each point [m].
         centers: (K, 3) centers of the balls [m].
-        depth: (K,) depths of the centers in the shapes; the ball with least protrusion grows [m].
-        radii: (K,) radii, modified [m].
+        depth: (K,) depths of the centers in the shapes [m].
+        radii: (K,) radii of the balls, modified in place [m].
     """
     while len(points):
         required_radius = np.linalg.norm(centers - points[0], axis=1) + reach
@@ -330,7 +378,9 @@ def _enlarge(
 def _sample_shapes(
     geometries: Sequence[CollisionGeometry], scene: CollisionGeometries, protrusion: float
 ) -> FloatArray:
-    """Samples points (N, 3) on the surface and inside of the union of shapes, to be covered [m]."""
+    """Samples points (N, 3) on the surface and in the interior of a body's shapes, which the
+    spheres of a cover must contain [m].
+    """
     step = max(protrusion / 3.0, _lattice_step(geometries, 7 * _MAX_SAMPLES))
     while True:
         inner = np.concatenate([_lattice(geometry, 0.0, step) for geometry in geometries])
@@ -345,7 +395,9 @@ def _sample_shapes(
 
 
 def _lattice_step(geometries: Sequence[CollisionGeometry], count: int) -> float:
-    """Computes the spacing of a lattice with about `count` points in the shapes' bounding boxes."""
+    """Computes the spacing of a point lattice that has about `count` points in the bounding boxes
+    of the shapes [m].
+    """
     volume = sum(
         float(np.prod(2.0 * geometry.half_extents))
         for geometry in geometries
@@ -361,7 +413,10 @@ def _find_gaps(
     min_half: float,
     max_gaps: float,
 ) -> tuple[FloatArray, float]:
-    """Finds cells of the shapes that are not proven to be inside a ball.
+    """Searches the shapes of a body for cells that are not proven to be inside a ball of its cover.
+
+    Cells are cubes; unproven cells are divided into eight until half their edge is at most
+    `min_half`.
 
     Args:
         geometries, scene: shapes of the body, as a sequence and as arrays.
@@ -370,8 +425,8 @@ def _find_gaps(
         max_gaps: number of uncovered cell centers above which the search stops.
 
     Returns:
-        Centers (M, 3) of unproven cells and half their edge, at most `min_half` [m]. If the search
-        stopped: uncovered centers, and inf.
+        Centers (M, 3) of the unproven cells and half their edge, at most `min_half` [m]. If the
+        search stops early: centers that are not covered, and inf.
     """
     corners = np.concatenate(
         [geometry.placed(outline_corners(geometry)) for geometry in geometries]

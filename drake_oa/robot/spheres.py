@@ -1,4 +1,6 @@
-"""Sphere model of a robot: spheres around its collision geometry, and self-collision pairs."""
+"""Sphere model of a robot, used to compute clearances: spheres around its collision geometry, and
+the pairs of bodies that can collide.
+"""
 
 from __future__ import annotations
 
@@ -34,24 +36,32 @@ from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_cover import Cover, cover_key, load_cover
 
 _ROUNDING_MARGIN = 1e-9
-"""Additional radius of bounding spheres, against rounding errors [m]."""
+"""Additional radius of the spheres that enclose a group or cluster of spheres, against rounding
+errors [m]."""
 _MAX_CLUSTER_SIZE = 8
-"""Maximum number of spheres in a cluster."""
+"""Maximum number of spheres in a cluster, a set of neighboring spheres that share a bounding
+sphere."""
 _N_SAMPLES = 2000
-"""Number of random configurations that are sampled to find self-collision pairs."""
+"""Number of random configurations at which each pair of bodies is tested for collision, to find
+pairs that are always in contact."""
 _LOW_QUANTILE = 0.05
-"""Quantile of the difference between shape distance and sphere distance, for the allowance."""
+"""Quantile of the difference between shape distance and sphere distance of two bodies, from which
+the allowed overlap of their spheres is computed [-]."""
 _MAX_SPHERES = 200
-"""Maximum number of spheres of a body; the protrusion grows if more would be required."""
+"""Maximum number of spheres that cover one body; their protrusion from the body grows if more would
+be required."""
 _BALL_ITERATIONS = 300
-"""Number of iterations of the approximate smallest enclosing ball."""
+"""Number of iterations of the algorithm that approximates the smallest ball around a set of
+spheres."""
 _SOURCE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-"""Digest of this file, part of the cache key: a change of the algorithm recomputes all arms."""
+"""Digest of this source file, a part of the cache key of sphere models. After a change of the
+algorithm, all models are therefore computed again."""
 _CONTACT_FRACTION = 0.95
-"""Fraction of the sampled configurations in contact from which a pair is excluded."""
+"""Fraction of the sampled configurations at or above which two bodies in contact are always in
+contact; their pair is then ignored [-]."""
 _OVERLAP_FRACTION = 0.02
-"""Fraction of the sampled configurations with overlapping spheres from which a pair has an
-allowance."""
+"""Fraction of the sampled configurations, with overlapping spheres but without contact, at or above
+which a pair of bodies may have overlapping spheres [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +100,22 @@ def make_arm_spheres(
     tool_links: Sequence[str],
     parameters: SphereParameters,
 ) -> ArmSpheres:
-    """Computes the sphere model of all bodies of a robot with collision geometry.
+    """Computes the sphere model of a robot: the spheres that cover each body with collision
+    geometry, and the self-collision pairs.
 
-    The result is stored in the user's cache, as are the covers of `load_cover`.
+    The result is stored in the user's cache folder, and read from the cache when the inputs are the
+    same.
 
     Args:
         robot: plant of the robot alone, with its base fixed in the world.
-        q: (nq,) positions; joints that do not move the tool frame, such as finger joints, are
-            fixed at these positions [rad, m].
+        q: (nq,) positions; joints that do not move the tool frame, such as finger joints, are fixed
+            at these positions [rad, m].
         tool_links: names of the bodies of the tool and of grasped objects.
         parameters: maximum protrusions of the spheres.
 
     Raises:
-        ValueError: if no link moved by the joints has collision geometry, a joint between base
-            and tool is not revolute, or a shape is not bounded.
+        ValueError: if no link moved by the joints has collision geometry, a joint between base and
+            tool is not revolute, or a shape is not bounded.
     """
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     joints = joints_to(plant, robot.tool_frame)
@@ -172,14 +184,16 @@ def _assemble_spheres(
     is_tool: BoolArray,
     pairs: list[tuple[int, int]],
 ) -> Spheres:
-    """Assembles the arrays of all spheres, in the frames of their joints, ordered by clusters.
+    """Assembles the covers of all bodies to the arrays `Spheres`, with centers in the frames of the
+    joints, ordered by clusters.
 
     Args:
-        covers: spheres of each group, in the frame of its body.
+        covers: spheres of each body, which form a group, in the frame of the body.
         X_JB: (4, 4) pose of each group's body in the frame of its joint.
-        joint: (G,) row of each group's joint; -1: fixed.
+        joint: (G,) index of the last joint that moves each group; -1: the group is fixed to the
+            world.
         is_tool: (G,) whether a group belongs to the tool.
-        pairs: self-collision pairs of groups.
+        pairs: indices of two groups that can collide with each other.
     """
     centers, radii, clusters, sizes = [], [], [], [0]
     for cover, X in zip(covers, X_JB, strict=True):
@@ -208,7 +222,16 @@ def _assemble_spheres(
 
 
 def _split_clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
-    """Splits rows of points p (N, 3) into clusters, recursively across the longest extent."""
+    """Splits points into clusters of neighboring points, by recursive halving across the longest
+    extent.
+
+    Args:
+        p: (N, 3) points [m].
+        rows: rows of `p` to be split.
+
+    Returns:
+        Rows of `p` in each cluster.
+    """
     if len(rows) <= _MAX_CLUSTER_SIZE:
         return [rows]
     axis = int(np.ptp(p[rows], axis=0).argmax())
@@ -218,10 +241,11 @@ def _split_clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
 
 
 def _bounding_ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
-    """Computes center and radius (4,) of a ball that encloses balls (K, 3), (K,) [m].
+    """Computes center and radius (4,) of a ball that encloses K balls with centers (K, 3) and radii
+    (K,) [m].
 
-    The ball is approximately the smallest: the center moves toward the farthest ball by steps of
-    1 / (i + 2) (M. Badoiu and K. L. Clarkson, Smaller core-sets for balls, 2003).
+    The ball is approximately the smallest: the center moves toward the farthest ball by steps of 1
+    / (i + 2) (M. Badoiu and K. L. Clarkson, Smaller core-sets for balls, 2003).
     """
     middle = centers.mean(axis=0)
     for i in range(1 + _BALL_ITERATIONS):
@@ -238,16 +262,28 @@ def _filter_pairs(
     chain: Chain,
     spheres: Spheres,
 ) -> Spheres:
-    """Removes pairs of groups that are always in contact, and computes allowances of the others.
+    """Removes the pairs of bodies that are always in contact, and computes for the other pairs how
+    far their spheres may overlap (`allowance`).
 
-    Random configurations are sampled, as in MoveIt's setup assistant. Where spheres overlap,
-    SceneGraph computes the distance of the shapes. With the difference delta between shape distance
-    and sphere distance over collision-free samples, a pair whose spheres often overlap without
-    contact has the allowance
+    Random configurations are sampled, as in MoveIt's setup assistant. If the spheres of a pair
+    overlap at a configuration, Drake's SceneGraph computes the distance of the exact shapes. The
+    allowance is positive only for a pair whose spheres often overlap without contact. With the
+    difference delta between shape distance and sphere distance at these configurations, it is
 
         max(0, min delta - (5 % quantile of delta - min delta))
 
     The second term is a margin for configurations that were not sampled.
+
+    Args:
+        robot: plant of the robot alone.
+        q: (nq,) positions; joints that do not move the tool frame are fixed at these positions
+            [rad, m].
+        geometry_ids: collision geometries of each group's body.
+        chain: chain of the arm.
+        spheres: spheres, with all pairs in `pairs`.
+
+    Returns:
+        The spheres, with the remaining pairs and their allowances.
     """
     # Joints without limits, or with a range of more than one turn, are sampled over one turn.
     is_unlimited = ~(chain.upper - chain.lower < 2.0 * np.pi)

@@ -1,7 +1,8 @@
 """Depth cameras of a scenario, and the separate scene graph in which their images are rendered.
 
-The positions of the simulated plant set the poses in this scene graph. In the scene graph of the
-plant, every step of the plant would also update the poses of the rendered geometry.
+The positions of the simulated plant set the geometry poses in this scene graph. If the scene graph
+of the plant rendered the images, every step of the plant would also update the poses of the
+rendered geometry.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ from drake_oa.world.world_model import add_world
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics and output ports of one depth camera of the simulated station.
+    """Intrinsics and output ports of one depth camera of the station, simulated or outside the
+    simulation.
 
     Attributes:
         intrinsics: intrinsics of the depth image.
@@ -77,10 +79,11 @@ class TimedCamera(LeafSystem):
       - plant_state
 
     - plant_state (input): (num_states,) present state [q, v] of the plant.
-    - depth_image: (H, W) depths along the optical axis [m].
-    - camera_pose: X_WC at the capture time of the image.
+    - depth_image: ImageDepth32F with the depths (H, W) along the optical axis [m].
+    - camera_pose: RigidTransform X_WC of the camera at the capture time of the image.
     - image_time: (1,) capture time of the image [s].
-    - plant_state (output): (num_states,) state [q, v] of the plant at the capture time.
+    - plant_state (output): (num_states,) state [q, v] of the plant at the capture time of the
+      image.
     """
 
     def __init__(self, intrinsics: CameraInfo, num_states: int, initial_state: object) -> None:
@@ -125,8 +128,8 @@ class TimedCamera(LeafSystem):
         )
 
     def release(self) -> None:
-        """Releases resources outside the diagram, such as a render engine; the next image acquires
-        them again.
+        """Releases resources outside the diagram, such as a render engine; the camera acquires them
+        again when it needs them.
         """
         raise NotImplementedError
 
@@ -159,7 +162,9 @@ class TimedCamera(LeafSystem):
         return Camera(self._intrinsics, image, pose, delay, time, state)
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        """Sets the output port `depth_image` to the present depth image."""
+        """Sets the output port `depth_image` to the depth image that the camera outputs at the time
+        of a Context.
+        """
         image: Any = output.get_mutable_value()
         image.mutable_data[:, :, 0] = self.image(context)
 
@@ -170,11 +175,16 @@ def depth_intrinsics(config: CameraConfig) -> CameraInfo:
 
 
 def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig) -> RgbdSensor:
-    """Adds the camera of a Drake configuration to a builder, with a separate scene graph and
-    without a simulated plant.
+    """Adds a rendered camera to a builder, with a separate scene graph whose poses an input port
+    sets, instead of a simulated plant.
 
-    Exports the input port "state", the state [q, v] of the scenario's plant, at which the camera
-    renders.
+    The function exports the input port "state": state [q, v] of the scenario's plant at which the
+    camera renders.
+
+    Args:
+        builder: builder without another camera.
+        scenario: scenario whose models are rendered.
+        config: configuration of the camera.
 
     Raises:
         ScenarioError: if Drake rejects the camera, for example because of an unknown base frame.
@@ -211,7 +221,7 @@ def add_mesh_normals(scene_graph: SceneGraph, source: SourceId) -> None:
     """Replaces visible meshes whose OBJ file has no normals by converted meshes that have normals.
 
     Drake's renderers reject a mesh without normals. A converted mesh has no material or texture: it
-    has the color that the model file states.
+    has the single color that the robot's or object's model file states.
 
     Args:
         scene_graph: scene graph with all geometry, without a renderer.

@@ -1,7 +1,9 @@
-"""Depth camera with delayed images, which are rendered in a background thread during the delay.
+"""Simulated depth camera with delayed images, which are rendered in a background thread during the
+delay.
 
-Rendering and noise run in one thread, parallel to the simulation. Drake's render engines work only
-in the thread that created them. Therefore this thread creates, uses and destroys all engines.
+Rendering and noise are computed in one thread for all cameras, parallel to the simulation. Drake's
+render engines work only in the thread that created them. Therefore this thread creates, uses and
+destroys all engines.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ Noise = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
 """Type of a function that returns the measured depth image for a true depth image [m] and its
 capture time [s]."""
 _CACHE_SIZE = 4
-"""Number of recently rendered images that a camera stores in its cache."""
+"""Number of recently rendered images that each simulated camera stores in its cache."""
 
 
 class Rendered(NamedTuple):
@@ -57,12 +59,14 @@ class Rendered(NamedTuple):
 
 
 class _CameraWorld:
-    """Diagram with a copy of a scenario's world, which renders depth images at given plant
-    states.
+    """Diagram with a copy of a scenario's world and one camera, which renders the depth image at a
+    given state of the plant.
     """
 
     def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
-        """Builds the diagram of a scenario's world and one camera."""
+        """Builds the diagram, which contains the models of the scenario and one camera, and a
+        Simulator that evaluates its image.
+        """
         builder = DiagramBuilder()
         self._sensor = add_camera(builder, scenario, config)
         # `AdvanceTo` releases Python's global lock while it renders; evaluating a port would not.
@@ -89,16 +93,18 @@ class _CameraWorld:
 
 
 class BackgroundCamera:
-    """Camera of a scenario whose images are rendered in a background thread.
+    """Camera of a scenario whose images are rendered in a background thread, parallel to the
+    simulation.
 
-    An image is a function of the requested state and time. Early, repeated or missing requests
-    therefore change only the wall time of a run, not the images.
+    An image is a function of the requested plant state and capture time. Early, repeated or missing
+    requests therefore change only the wall time of a run, not the images.
     """
 
     def __init__(
         self, scenario: Scenario, config: CameraConfig, noise: Noise | None = None
     ) -> None:
-        """Builds the rendered copy of the world in the background thread.
+        """Builds a copy of the scenario's world, in which the camera renders, in the background
+        thread.
 
         Args:
             scenario: scenario with a robot.
@@ -116,8 +122,10 @@ class BackgroundCamera:
         weakref.finalize(self, _end_world, self._name).atexit = False
 
     def _world(self) -> _CameraWorld:
-        """Returns the camera's rendered copy of the world in the calling thread; builds a new copy
-        after a release.
+        """Returns the copy of the scenario's world in which the camera renders, and builds the copy
+        first if it does not exist.
+
+        The method must be called in the render thread, because the copy is stored there.
         """
         worlds: dict[str, _CameraWorld] = vars(_worlds)
         if self._name not in worlds:
@@ -125,18 +133,18 @@ class BackgroundCamera:
         return worlds[self._name]
 
     def release(self) -> None:
-        """Destroys the camera's render engine and cached images; the next request builds the engine
-        again.
+        """Destroys the camera's render engine and cached images; the next request of an image
+        builds the engine again.
 
-        Python never collects a diagram that has Python systems. Without this call, the diagram
-        would never release the engine.
+        Python never collects a diagram that contains systems written in Python. Without a call of
+        this method, the engine of such a diagram would never be released.
         """
         _end_world(self._name)
         self._images.clear()
 
     def request(self, state: FloatArray, time: float) -> Future[Rendered]:
-        """Requests an image, and starts its rendering in the background thread unless it is in the
-        cache.
+        """Requests the image at a plant state and time, and starts its rendering in the background
+        thread unless it is in the cache.
 
         Args:
             state: (n,) state [q, v] of the scenario's plant.
@@ -161,20 +169,22 @@ class BackgroundCamera:
 
 
 _numbers = itertools.count()
-"""Counter of the background cameras in this process; each camera's rendered world is named by a
-number of the counter."""
+"""Counter of the background cameras in this process. A number of the counter is the name of each
+camera's rendered world."""
 _render_thread = ThreadPoolExecutor(1, "render")
-"""Thread that creates, uses and destroys the rendered worlds of all cameras."""
+"""Executor with one thread, which creates, uses and destroys the rendered worlds of all cameras."""
 _worlds = threading.local()
-"""Rendered worlds by camera name. The storage is local to the render thread, so that worlds are
-destroyed in this thread."""
+"""Rendered worlds (`_CameraWorld`) by camera name. The storage is local to the render thread, so
+that worlds are destroyed in this thread."""
 
 
 def _submit(call: Callable[[], _T]) -> Future[_T]:
     """Calls a function in the render thread, and returns the future of its result."""
 
     def run() -> _T:
-        """Calls the submitted function while garbage collection is disabled."""
+        """Calls the function submitted to the render thread, with garbage collection disabled
+        during the call.
+        """
         # A garbage collection here would destroy render engines of other threads in this thread.
         collects = gc.isenabled()
         gc.disable()
@@ -188,7 +198,9 @@ def _submit(call: Callable[[], _T]) -> Future[_T]:
 
 
 def _end_world(name: str) -> None:
-    """Destroys the rendered world of a camera in the render thread, if this world exists."""
+    """Destroys the rendered world of a camera, with its render engine, in the render thread; no
+    effect if this world does not exist.
+    """
     # At the end of the interpreter the thread no longer exists.
     with suppress(RuntimeError):
         _submit(lambda: vars(_worlds).pop(name, None))
@@ -226,12 +238,13 @@ class DelayedCamera(TimedCamera):
       noise, all pixels without a measurement are NaN.
     - camera_pose: RigidTransform X_WC of the camera at the capture time.
     - image_time: (1,) capture time of the image [s].
-    - plant_state (out): (n,) state of the plant at the capture time.
+    - plant_state (out): (n,) state [q, v] of the plant at the capture time.
 
-    The first image is output without delay, because a camera runs before the robot moves. With a
-    delay of 0, each evaluation renders the present state. The Context holds times and states; the
-    image is a function of them. Its rendering begins at the capture, and an evaluation of the port
-    waits for the end of the rendering.
+    The first image is output without delay, as if the camera had been running before the start.
+    With a delay of 0, each evaluation of `depth_image` renders the present state. The Context
+    stores only capture times and states, of which the images are functions. The rendering of an
+    image begins at its capture, and an evaluation of `depth_image` waits for the end of the
+    rendering.
 
     During a dropout no image is captured: the outputs keep the previous image. Without a previous
     image, the depths are NaN and the time is -inf.
@@ -270,19 +283,21 @@ class DelayedCamera(TimedCamera):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._capture)
 
     def release(self) -> None:
-        """Releases the camera's render engine, which the next image creates again; see
-        `BackgroundCamera.release`.
+        """Destroys the camera's render engine and cached images; the next requested image creates
+        the engine again.
         """
         self._camera.release()
 
     def is_ready(self, context: Context) -> bool:
-        """Checks whether the image that the camera outputs now is rendered, so that evaluating the
-        port `depth_image` does not wait.
+        """Checks whether the image that the camera outputs now has been rendered, so that an
+        evaluation of `depth_image` does not wait.
         """
         return self._rendering(context).done()
 
     def _read(self, context: Context) -> _Captures:
-        """Returns the last captures, which are stored in the abstract state of a Context."""
+        """Returns the times and plant states of the last two captures, which the abstract state of
+        a Context stores.
+        """
         captures: _Captures = context.get_abstract_state(self._state_index).get_value()
         return captures
 
@@ -291,8 +306,8 @@ class DelayedCamera(TimedCamera):
         return any(is_active(fault, context) for fault in self._dropouts)
 
     def _capture(self, context: Context, state: State) -> None:
-        """Stores the time and plant state of a new image and starts its rendering, except during a
-        dropout.
+        """Captures an image: stores the present time and plant state, and starts the rendering.
+        During a dropout of the camera, nothing is captured.
         """
         if self._is_dropped_out(context):
             return
@@ -306,7 +321,8 @@ class DelayedCamera(TimedCamera):
         """Returns the capture time [s] of the image that the camera outputs now, and the plant
         state (n,) at the capture time.
 
-        The time is -inf if there is no image because of a dropout.
+        If a dropout has prevented all images up to now, the time is -inf and the state is the
+        present state.
         """
         captures, now = self._read(context), context.get_time()
         is_out = self._is_dropped_out(context)
@@ -317,8 +333,8 @@ class DelayedCamera(TimedCamera):
         return captures.stamp[row], captures.state[row]
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the depth image that the camera outputs now, after waiting for its rendering [m];
-        NaN without an image.
+        """Returns the depth image (H, W) that the camera outputs now [m], after waiting for its
+        rendering; NaN if no image was captured yet.
         """
         has_come = self.capture_state(context)[0] >= 0.0
         return self._rendering(context).result().depth if has_come else np.nan
@@ -330,6 +346,8 @@ class DelayedCamera(TimedCamera):
         return self._rendering(context).result().X_WC
 
     def _rendering(self, context: Context) -> Future[Rendered]:
-        """Requests the image that the camera outputs now, and returns its future."""
+        """Requests the rendering of the image that the camera outputs now, and returns the future
+        of the rendered image.
+        """
         time, state = self.capture_state(context)
         return self._camera.request(state, max(time, 0.0))

@@ -1,4 +1,5 @@
-"""Functions and a class that pack, unpack and receive depth images as LCM messages.
+"""LCM messages of depth images: functions that pack and unpack images, and a receiver of a camera's
+images.
 
 Drake's `LcmImageArrayToImages` copies only a part of an uncompressed image (Drake 1.51: half of a
 16-bit, a quarter of a 32-bit image). This module unpacks images completely.
@@ -27,7 +28,8 @@ _MILLIMETER = 1e-3
 _MICROSECOND = 1e-6
 """Unit of time stamps in LCM image messages [s]."""
 _FAR = 65535
-"""16-bit depth value of pixels that are too far for the camera [mm]."""
+"""Largest 16-bit depth value in LCM image messages, which marks pixels that are too far for the
+camera [mm]."""
 _TYPES: dict[int, np.dtype[Any]] = {
     lcmt_image.CHANNEL_TYPE_UINT16: np.dtype(np.uint16),
     lcmt_image.CHANNEL_TYPE_FLOAT32: np.dtype(np.float32),
@@ -41,7 +43,8 @@ def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_i
 
     Args:
         depth: (H, W) depths along the optical axis [m]; 0 is too near, inf is too far, NaN is
-            missing. In the message, pixels that are too near or missing are 0.
+            missing. In the message, pixels that are too near or missing are 0, and pixels that are
+            too far are 65535.
         camera: name of the camera's frame in the message header.
         utime: capture time of the image by the wall clock [us].
     """
@@ -64,7 +67,7 @@ def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_i
 
 
 class Frame(NamedTuple):
-    """Depth image that was received from a camera.
+    """Depth image that was received from a camera outside the simulation.
 
     Attributes:
         depth: (H, W) depths along the optical axis [m]; inf is too far, NaN is missing or too near.
@@ -78,8 +81,8 @@ class Frame(NamedTuple):
 def unpack_depth(message: lcmt_image_array) -> Frame:
     """Unpacks the depth image of an LCM message.
 
-    The image may be uncompressed or compressed by zlib, with 16-bit integers [mm] or 32-bit floats
-    [m].
+    The image may be uncompressed or compressed by zlib. Depths are 16-bit integers [mm] or 32-bit
+    floats [m].
 
     Raises:
         ValueError: if the message does not hold exactly one valid depth image.
@@ -127,7 +130,7 @@ class LcmFrames:
     """Receiver of the depth images that a camera sends on an LCM channel.
 
     Attributes:
-        name: name of the channel with the bus URL, used in messages to the user.
+        name: name of the channel and URL of its LCM bus, for messages to the user.
     """
 
     def __init__(self, url: str, camera: str) -> None:
@@ -135,7 +138,7 @@ class LcmFrames:
 
         Args:
             url: URL of the LCM bus.
-            camera: name of the camera, at the end of the channel name.
+            camera: name of the camera, which is the last part of the channel's name.
 
         Raises:
             ScenarioError: for a URL that cannot be opened as an LCM bus.
@@ -181,11 +184,15 @@ class LcmFrames:
         return unpack_depth(message)
 
     def close(self) -> None:
-        """Releases the LCM bus and discards the last received image."""
+        """Releases the LCM bus and discards the last received image; `open` subscribes to the
+        camera again.
+        """
         self._bus = None
         self._received.clear()
 
     def _receive(self) -> None:
-        """Handles all pending messages of the LCM bus, so that the newest image is stored."""
+        """Handles all pending messages of the LCM bus, so that the camera's newest message is
+        stored.
+        """
         while self._bus is not None and self._bus.HandleSubscriptions(0):
             pass

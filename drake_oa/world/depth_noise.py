@@ -2,15 +2,17 @@
 
 The model and its parameter values are from these sources:
 
-- C. V. Nguyen, S. Izadi, D. Lovell, "Modeling Kinect sensor noise for improved 3D
-  reconstruction and tracking", 3DIMPVT 2012: axial and lateral deviation.
-- K. Khoshelham, S. Oude Elberink, "Accuracy and resolution of Kinect depth data for
-  indoor mapping applications", Sensors 12(2), 2012: depth from disparity in steps.
-- The scans of docs/results/real_scans.md, for values without a published source.
+- C. V. Nguyen, S. Izadi, D. Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction
+  and tracking", 3DIMPVT 2012: standard deviation of depth (axial) and of edge positions (lateral).
+- K. Khoshelham, S. Oude Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping
+  applications", Sensors 12(2), 2012: quantized disparity, from which depth is computed.
+- Measured depth images of real cameras, described in docs/results/real_scans.md, for values without
+  a published source.
 
 Missing pixels of a measured image are NaN, as in the float images of the ROS drivers of these
-cameras. Edges and normals are computed from the inverse depth w = 1 / z, which is linear in the
-image over a plane and proportional to the disparity.
+cameras. Edges and normals are computed from the inverse depth w = 1 / z. On a plane, it is a linear
+function of the pixel coordinates. It is also proportional to the disparity, the image shift that
+the camera measures.
 """
 
 from __future__ import annotations
@@ -24,53 +26,58 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 _AXIAL_OFFSET = 0.0012
-"""Standard deviation of the measured depth at the depth `_AXIAL_DEPTH` and normal incidence (Nguyen
-et al.) [m]."""
+"""Standard deviation of the measured depth at a true depth of `_AXIAL_DEPTH` and a view along the
+surface normal (Nguyen et al.) [m]."""
 _AXIAL_GROWTH = 0.0019
-"""Coefficient of (z - `_AXIAL_DEPTH`)^2 in the standard deviation of the measured depth z (Nguyen
-et al.) [1/m]."""
+"""Coefficient of the term (z - `_AXIAL_DEPTH`)^2 in the standard deviation [m] of the measured
+depth, at the true depth z [m] (Nguyen et al.) [1/m]."""
 _AXIAL_DEPTH = 0.4
 """Depth at which the standard deviation of the measured depth is smallest (Nguyen et al.) [m]."""
 _AXIAL_ANGLE = 0.0001
-"""Coefficient of the angle of incidence in the standard deviation of the measured depth, see
-`add_depth_noise` (Nguyen et al.) [m^1.5]."""
+"""Coefficient of the term 1 / sqrt(z) (theta / (pi/2 - theta))^2 in the standard deviation of the
+measured depth, at the depth z and the angle of incidence theta (Nguyen et al.) [m^1.5]."""
 _LATERAL = 0.8
-"""Standard deviation of the image position of a depth edge at normal incidence (Nguyen et al.)
-[pixel]. The growth of this deviation with the angle of incidence, below 0.1 up to 65 deg, is
-neglected. The deviation is applied at edges only; on a plane, the axial deviation includes it."""
+"""Standard deviation of the position of a depth edge in the image, for a view along the surface
+normal (Nguyen et al.) [pixel]. The growth of this deviation with the angle of incidence, below 0.1
+pixels up to 65 deg, is neglected. Only depth edges are displaced: on a plane, the standard
+deviation of the depth includes this effect."""
 _BASELINE = 0.075
-"""Distance from the camera to the light projector on its right (Khoshelham and Oude Elberink) [m].
-"""
+"""Distance between the depth camera and its light projector, which is on the right (Khoshelham and
+Oude Elberink) [m]."""
 _SUBPIXELS = 8.0
-"""Number of disparity steps per pixel (Khoshelham and Oude Elberink) [1/pixel]. One step changes
-the depth z by z^2 / (8 f baseline), which is 2.9 mm at 1 m with a focal length f of 577 pixels."""
+"""Number of disparity steps per pixel, in which the camera quantizes depth (Khoshelham and Oude
+Elberink) [1/pixel]. With the focal length f [pixel] and `_BASELINE` b, one step changes the depth z
+by z^2 / (8 f b): 2.9 mm at 1 m for f = 577 pixels."""
 _UNIT = 0.001
-"""Resolution of the depth values that the camera's driver outputs (OpenNI) [m]."""
+"""Resolution of the depth values that the driver of the simulated camera outputs (OpenNI) [m]."""
 _NEAR = 0.5
-"""Depth below which the camera measures no pixels; minimum depth in the real scans of
-docs/results/real_scans.md [m]."""
+"""Depth below which the simulated camera outputs missing pixels [m]: the minimum depth in the
+images of docs/results/real_scans.md."""
 _FAR = 5.0
-"""Depth above which the camera measures no pixels (Khoshelham and Oude Elberink) [m]."""
+"""Depth above which the simulated camera outputs missing pixels (Khoshelham and Oude Elberink)
+[m]."""
 _GRAZING_START = math.radians(70.0)
-"""Angle of incidence, from the surface normal, above which some pixels are missing [rad]."""
+"""Angle of incidence, from the surface normal, above which some pixels of the measured image are
+missing [rad]."""
 _GRAZING_END = math.radians(80.0)
-"""Angle of incidence, from the surface normal, above which all pixels are missing (upper limit of
-the measurements of Nguyen et al.) [rad]."""
+"""Angle of incidence, from the surface normal, above which all pixels of the measured image are
+missing (upper limit of the measurements of Nguyen et al.) [rad]."""
 _EDGE_JUMP = 0.02
-"""Minimum relative difference of inverse depth at which two neighboring pixels form a depth edge;
-that of a plane at an angle of incidence of 85 deg [-]."""
+"""Minimum relative difference of inverse depth at which two neighboring pixels form a depth edge
+[-]. A plane at an angle of incidence of 85 deg has this difference between neighboring pixels."""
 _EDGE_DROPOUT = 0.2
-"""Fraction of the pixels at depth edges that are missing, in patches [-]. The value is estimated
-from the real scans of docs/results/real_scans.md."""
+"""Fraction of the pixels at depth edges that are missing in the measured image, in patches [-]. The
+value is estimated from the real depth images of docs/results/real_scans.md."""
 _FLYING = 0.1
-"""Fraction of the pixels at depth edges whose depth is between both surfaces [-]. The value is
-estimated from the real scans of docs/results/real_scans.md."""
+"""Fraction of the pixels at depth edges whose measured depth is between both surfaces, called
+flying pixels [-]. The value is estimated from the real depth images of
+docs/results/real_scans.md."""
 _SMOOTH = 3, 5
-"""Widths of the filter that correlates the depth noise, along columns and along rows [pixel]. The
-values reproduce the real scans of docs/results/real_scans.md. There, residuals after subtraction of
-their mean over 21 x 21 pixels are correlated along a row by 0.72 at one pixel, 0.38 at four and
-0.08 at eight. Along a column, the correlation is 0.57 at one pixel, 0.12 at three and -0.02 at
-four."""
+"""Widths, along columns and along rows, of the uniform filter that correlates the depth noise of
+neighboring pixels [pixel]. The values reproduce correlations in the real depth images of
+docs/results/real_scans.md, after the mean over 21 x 21 pixels was subtracted. Along a row, they are
+0.72 at one pixel, 0.38 at four and 0.08 at eight. Along a column, they are 0.57 at one pixel, 0.12
+at three and -0.02 at four."""
 _PATCH = 4
 """Side length of square patches whose pixels are displaced together at depth edges, or are missing
 together [pixel]."""
@@ -88,9 +95,11 @@ def add_depth_noise(
     K: Iterable[float],
     seed: int = 0,
 ) -> _Image:
-    """Returns the depth image that a structured-light camera would measure, for a true depth image.
+    """Computes the depth image that a structured-light camera would measure, including missing
+    pixels, for a true depth image.
 
-    The standard deviation of the depth z at the angle of incidence theta (measured up to 80 deg) is
+    The standard deviation of the depth z at the angle of incidence theta (Nguyen et al. measured up
+    to 80 deg) is
 
         _AXIAL_OFFSET + _AXIAL_GROWTH (z - _AXIAL_DEPTH)^2
         + _AXIAL_ANGLE / sqrt(z) (theta / (pi/2 - theta))^2
@@ -162,16 +171,18 @@ def add_depth_noise(
 
 
 def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
-    """Computes the slope of an image along one of its axes, and the largest jump of each pixel to a
-    neighbor.
+    """Computes, for each pixel of an image, the smaller and the larger difference to its two
+    neighbors along an image axis.
+
+    The smaller difference is the slope of the surface, because it is not across a depth edge.
 
     Args:
         w: (H, W) image.
         axis: image axis along which neighbors are compared: 0 along columns, 1 along rows.
 
     Returns:
-        (H, W) smaller of the differences to both neighbors, signed along the axis; (H, W)
-        difference to the neighbor that differs more from the pixel.
+        (H, W) slope: the smaller difference, positive if w grows along the axis; (H, W) jump: value
+        of the neighbor that differs more, minus value of the pixel.
     """
     change = np.diff(w, axis=axis)
     before, after = (
@@ -184,7 +195,7 @@ def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
 
 
 def _patches(draw: Any, shape: tuple[int, ...], size: int) -> _Image:
-    """Draws an image (H, W) of random numbers that are constant within square patches.
+    """Draws an image (H, W) of random numbers, with one number per square patch of pixels.
 
     Args:
         draw: function that draws random numbers of a given shape and type.

@@ -1,9 +1,12 @@
-"""Systems that simulate the faults of a scenario: weak actuators, and external pushes of the robot.
+"""Systems that simulate two faults of a scenario: actuators with reduced torque (`WeakActuators`),
+and external pushes of the robot (`ExternalPush`).
+
+A scenario defines faults as follows:
 
     faults: [!CameraDropout {start: 1.0, duration: 0.5}, !TorqueSaturation {start: 2.0}]
 
-A fault is active for start <= t < start + duration. The fault `CameraDropout` is simulated by
-`DelayedCamera`.
+A fault is active for start <= t < start + duration. `DelayedCamera` simulates the fault
+`CameraDropout`.
 """
 
 from __future__ import annotations
@@ -21,8 +24,8 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 
 _TIME_TOLERANCE = 1e-6
-"""Tolerance for rounding errors of the simulated time, used to compare it with the start of a fault
-[s]."""
+"""Tolerance for rounding errors of the simulated time, when the time is compared with the start and
+end of a fault [s]."""
 
 
 def is_active(fault: CameraDropout | Push | TorqueSaturation, context: Context) -> bool:
@@ -31,7 +34,8 @@ def is_active(fault: CameraDropout | Push | TorqueSaturation, context: Context) 
 
 
 class ExternalPush(LeafSystem):
-    """System that outputs the external wrenches of pushes, for the robot links of a plant.
+    """System that simulates external pushes of the robot: it outputs a wrench on a link for each
+    push.
 
     .. pydrake_system::
 
@@ -41,8 +45,9 @@ class ExternalPush(LeafSystem):
       - spatial_forces
 
     - spatial_forces: abstract list of one `ExternallyAppliedSpatialForce` per push, in the world
-      frame [N, N m]. It acts at the origin of the link, and is zero before and after the push. The
-      port is connected to the input port `applied_spatial_force` of a `MultibodyPlant`.
+      frame [N, N m]. The wrench acts at the origin of the link's frame, and is zero before and
+      after the push. The port is connected to the input port `applied_spatial_force` of a
+      `MultibodyPlant`.
     """
 
     def __init__(self, pushes: Sequence[tuple[Push, BodyIndex]]) -> None:
@@ -61,7 +66,9 @@ class ExternalPush(LeafSystem):
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        """Sets the output port `spatial_forces` to the wrenches of all pushes."""
+        """Sets the output port `spatial_forces` to one wrench per push, which is zero while the
+        push is not active.
+        """
         forces = []
         for push, body in self._pushes:
             scale = float(is_active(push, context))
@@ -96,7 +103,8 @@ class WeakActuators(LeafSystem):
         """Declares the input and output ports `actuation`.
 
         Args:
-            faults: times at which the effort limits are reduced, and the remaining fractions.
+            faults: faults, each with its times and the fraction `scale` of the effort limits that
+                remains.
             effort_limits: (n,) effort limits of the actuators, in the plant's order [N m, N].
         """
         super().__init__()
@@ -110,7 +118,9 @@ class WeakActuators(LeafSystem):
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        """Sets the output port `actuation` to the clipped efforts."""
+        """Sets the output port `actuation` to the commanded efforts, clipped to the effort limits
+        that active faults reduce.
+        """
         scales = [fault.scale for fault in self._faults if is_active(fault, context)]
         limit = min(scales, default=np.inf) * self._limits
         output.SetFromVector(np.clip(self._requested.Eval(context), -limit, limit))

@@ -1,5 +1,4 @@
-"""Depth cameras outside the simulation: images from a device or another process, as they are
-received.
+"""Depth cameras outside the simulation, whose images come from a device or another process.
 
 The sender stamps images by the wall clock. `LiveCamera` converts these stamps to times of its
 Context.
@@ -28,27 +27,31 @@ from drake_oa.world.cameras import TimedCamera
 from drake_oa.world.depth_messages import Frame, LcmFrames
 
 _STATE_HISTORY = 0.5
-"""Minimum duration of the history of plant states, which is used to find the state at the capture
-time of an image, by the wall clock [s]."""
+"""Minimum duration, by the wall clock, of a camera's history of plant states, in which the state at
+the capture time of an image is interpolated [s]."""
 _MAX_AHEAD = 0.01
-"""Maximum time by which the time stamp of a valid image may be ahead of the wall clock [s]."""
+"""Maximum time by which the time stamp of an image may be ahead of the wall clock; images further
+ahead are rejected [s]."""
 _POLL_PERIOD = 0.005
-"""Simulated time between two checks whether a new image was received [s]."""
+"""Simulated time between two checks of a camera whether a new image was received [s]."""
 _WAIT_PERIOD = 0.002
-"""Wall time between two checks for the first image, while the camera waits for it [s]."""
+"""Wall time between two checks of a camera for its first image, while it waits at the
+initialization [s]."""
 
 
 @dataclass(frozen=True)
 class ExternalInputs:
-    """Inputs of cameras outside the simulation: the measured plant state, and functions of the
-    clocks.
+    """Inputs of cameras outside the simulation: the measured plant state, and functions that read
+    and convert the clocks.
 
     Attributes:
-        plant_state: output port of the measured plant state [q, v]; None: the simulated state.
+        plant_state: output port of the measured plant state [q, v]; None: the state of the
+            simulated plant is used.
         to_simulated: function that converts a recent time of the wall clock to simulated time [s];
-            None: the camera estimates the offset between the clocks, see `LiveCamera`.
+            None: the camera estimates the offset between both clocks.
         clock: function that returns the time of the wall clock [s].
-        wait: function that the camera calls repeatedly while it waits for its first image.
+        wait: function that sleeps or performs other work, which the camera calls repeatedly while
+            it waits for its first image.
     """
 
     plant_state: OutputPort | None = None
@@ -78,10 +81,12 @@ class _LiveState(Frozen):
 
     Attributes:
         depth: (H, W) depths of the last valid image [m]; None before the first image.
-        stamp: capture time of this image by the wall clock [s].
-        time: capture time of this image by the clock of the Context [s].
-        plant_state: (n,) plant state at the capture time of this image.
-        note: reason why the last received image was rejected; empty if this image is valid.
+        stamp: capture time of the last valid image by the wall clock [s]; -inf before the first
+            image.
+        time: capture time of the last valid image by the clock of the Context [s]; -inf before the
+            first image.
+        plant_state: (n,) plant state [q, v] at the capture time of the last valid image.
+        note: reason why the last received image was rejected; empty if it was valid.
         history: recent plant states with their times, oldest first.
     """
 
@@ -118,11 +123,13 @@ class LiveCamera(TimedCamera):
 
     At initialization, or at an earlier evaluation of a port, the camera subscribes to the images
     and waits for the first one. Every 5 ms it stores the newest image in the Context. An invalid
-    image is rejected; the first and the last rejection of a series are logged.
+    image is rejected. The begin of a series of rejections, each new reason, and the end of the
+    series are logged.
 
-    Without `ExternalInputs.to_simulated`, the capture time is the image's wall-clock stamp plus the
-    largest recent difference between the Context's time and the wall clock. The largest difference
-    is used because a simulator at real time may lag for some time, while the camera continues.
+    Without the function `ExternalInputs.to_simulated`, which converts wall-clock times, the capture
+    time is the image's wall-clock stamp plus the largest recent difference between the Context's
+    time and the wall clock. The largest difference is used, because a simulator at real time may
+    lag behind the wall clock for some time.
     """
 
     def __init__(
@@ -145,8 +152,8 @@ class LiveCamera(TimedCamera):
             num_states: size n of the plant's state.
             wait: maximum time to wait for the first image [s]; 0: no waiting.
             max_age: maximum age of a valid image at its reception, by the wall clock [s].
-            external: functions of the clocks; None: those of `ExternalInputs()`. The camera does
-                not use the field `plant_state`.
+            external: functions that read and convert the clocks; None: the defaults of
+                `ExternalInputs`. The camera does not use the field `plant_state`.
         """
         super().__init__(intrinsics, num_states, _LiveState())
         external = external or ExternalInputs()
@@ -163,11 +170,11 @@ class LiveCamera(TimedCamera):
         self._initial = None
 
     def _read(self, context: Context) -> _LiveState:
-        """Returns the camera's state in a Context, or the initial state if the Context is not
-        initialized.
+        """Returns the camera's state in a Context; for a Context that is not initialized, waits for
+        the first image and returns the state with this image.
 
-        The initial state is stored in the camera, because all events of one initialization read the
-        Context as it was before the initialization.
+        This initial state is also stored in the camera, because all events of one initialization
+        read the Context as it was before the initialization.
         """
         latest: _LiveState = context.get_abstract_state(self._state_index).get_value()
         if not latest.history:
@@ -175,8 +182,8 @@ class LiveCamera(TimedCamera):
         return latest
 
     def _initialize(self, context: Context, state: State) -> None:
-        """Stores the first image in the state of the Context, at the initialization of the
-        simulation.
+        """Opens the receiver, and stores the camera's state with the first image in the Context, at
+        the initialization of the simulation.
         """
         self._source.open()
         state.get_mutable_abstract_state(self._state_index).set_value(self._read(context))
@@ -184,6 +191,10 @@ class LiveCamera(TimedCamera):
     def _wait_for_first(self, context: Context, latest: _LiveState) -> _LiveState:
         """Opens the receiver, waits for the first image, and returns the camera's state with this
         image.
+
+        Args:
+            context: present Context.
+            latest: state of the camera before waiting; its history is discarded.
 
         Raises:
             ScenarioError: if no image is received within the maximum time to wait.
@@ -204,7 +215,9 @@ class LiveCamera(TimedCamera):
         return latest
 
     def _poll(self, context: Context, state: State) -> None:
-        """Stores the newest received image in the state of the Context."""
+        """Stores the newest received image, and the present plant state, in the camera's state of
+        the Context, at each periodic event.
+        """
         latest = self._check_source(context, self._read(context))
         state.get_mutable_abstract_state(self._state_index).set_value(latest)
         self._initial = None
@@ -212,7 +225,8 @@ class LiveCamera(TimedCamera):
     def _check_source(
         self, context: Context, latest: _LiveState, last_check: float | None = None
     ) -> _LiveState:
-        """Checks for a new image, and returns the camera's state after this check.
+        """Checks whether the receiver has a new image, and returns the camera's state with this
+        image if it is valid.
 
         The LCM bus may hold an image that was received after the last check but before this one.
         Such an image is ignored, not rejected, if it is too old, because the camera does not cause
@@ -258,8 +272,8 @@ class LiveCamera(TimedCamera):
         )
 
     def _rejection_reason(self, frame: Frame, now: float) -> str:
-        """Returns the reason to reject a received image as text; the text is empty if the image is
-        valid.
+        """Checks size and time stamp of a received image, and returns the reason to reject it; the
+        text is empty if the image is valid.
 
         Args:
             frame: received image.
@@ -303,7 +317,8 @@ def _state_at(history: tuple[_Instant, ...], stamp: float) -> FloatArray:
 
     Args:
         history: plant states with their times, oldest first.
-        stamp: time of the wall clock [s]; outside the history, the first or last state is returned.
+        stamp: time of the wall clock [s]; before or after the history, the first or last state is
+            returned.
     """
     walls = [instant.wall for instant in history]
     states = np.transpose([instant.plant_state for instant in history])
@@ -311,7 +326,8 @@ def _state_at(history: tuple[_Instant, ...], stamp: float) -> FloatArray:
 
 
 def fixed_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
-    """Returns the pose X_WC of the depth image of a camera whose pose in the world must be fixed.
+    """Returns the pose X_WC of a camera outside the simulation (C: frame of the depth image), and
+    checks that this pose is fixed in the world.
 
     Args:
         plant: finalized plant of the world, which contains the camera's base frame.

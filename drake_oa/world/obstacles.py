@@ -1,13 +1,13 @@
-"""Functions that add obstacles of primitive shapes to a plant, and the system that moves an
-obstacle along its trajectory.
+"""Obstacles of primitive shapes in the simulated plant, and the system that moves an obstacle along
+its trajectory.
 
 An obstacle is welded to the world unless it moves, appears or vanishes. A moving obstacle has three
 prismatic joints along the world's axes. The force of each joint moves the obstacle to its
 trajectory within one step of the plant. The obstacle pushes objects in its way; it deviates from
 its trajectory only by the effect of contact forces during one step.
 
-An absent obstacle is `ABSENT_HEIGHT` above its position. It appears and vanishes within one step,
-without intermediate positions.
+While an obstacle is absent, it is `ABSENT_HEIGHT` above its position. It appears and vanishes
+within one step, without intermediate positions.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def add_prismatic_joints(
 ) -> None:
     """Connects an obstacle to the world by actuated prismatic joints along the world's axes.
 
-    Gravity is disabled for the obstacle. The positions of its model instance are the obstacle's
-    offset (3,) [m].
+    Gravity is disabled for the obstacle. The joint positions of its model instance are the
+    obstacle's offset (3,) from X_WO along the world's axes [m].
 
     Args:
         plant: plant, not finalized.
@@ -73,7 +73,7 @@ def add_prismatic_joints(
 
 
 _FRICTION = 0.7
-"""Friction coefficient of the surfaces of obstacles [-]."""
+"""Coulomb friction coefficient, static and dynamic, of the surfaces of obstacles [-]."""
 
 
 def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceIndex:
@@ -114,8 +114,8 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
 
 
 def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
-    """Returns the model instances of a plant that are obstacles, which have names with the prefix
-    `OBSTACLE_PREFIX`.
+    """Returns the model instances of a plant that are obstacles, recognized by the prefix
+    `OBSTACLE_PREFIX` of their names.
     """
     return tuple(
         instance
@@ -136,9 +136,11 @@ class ObstacleMover(LeafSystem):
       output_ports:
       - force
 
-    - obstacle_state: (6,) offset and velocity of the obstacle in the world [m, m/s].
-    - force: (3,) forces of the prismatic joints [N], which bring the obstacle to its trajectory
-      x(t) at the end of the plant's next step h: f = m ((x(t + h) - x) / h - v) / h.
+    - obstacle_state: (6,) offset x from the configured pose, and velocity v, of the obstacle in the
+      world [m, m/s].
+    - force: (3,) forces f of the prismatic joints along the world's axes [N]. They move the
+      obstacle of mass m to the offset r(t + h) of its trajectory within one time step h of the
+      plant: f = m ((r(t + h) - x) / h - v) / h.
     """
 
     def __init__(self, obstacle: Obstacle, *, mass: float, step: float) -> None:
@@ -155,7 +157,9 @@ class ObstacleMover(LeafSystem):
         self.DeclareVectorOutputPort("force", 3, self._calc_force)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        """Sets the output port `force` to the forces of the prismatic joints."""
+        """Sets the output port `force` to the forces that move the obstacle to its trajectory
+        within one step of the plant.
+        """
         # One step of the plant is v+ = v + step f / m, then x+ = x + step v+.
         x, step = self._state.Eval(context), self._step
         target = self._obstacle.offset_at(context.get_time() + step)

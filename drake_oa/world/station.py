@@ -1,5 +1,5 @@
-"""Functions that add the simulated station of a scenario to a diagram: plant, scene graph and
-cameras.
+"""Simulated station of a scenario: functions that add its plant, scene graph and cameras to a
+diagram.
 
 `make_station` adds the arm on its base, the table, the obstacles, and the depth cameras. In
 contrast, `make_robot_plant` of `drake_oa.robot` builds the robot alone, for the controller and for
@@ -50,12 +50,13 @@ def add_cameras(
     """Adds the cameras of a scenario to a builder, and returns them by name.
 
     Args:
-        builder: builder to which the systems are added. A simulated camera is named delayed_<name>.
-            A camera of `!LcmCamera`, which does not render, is named live_<name>.
+        builder: builder to which the systems are added. The system of a simulated camera is named
+            delayed_<name>. With the perception block `!LcmCamera`, images are received by LCM, and
+            the system is named live_<name>.
         scenario: scenario with cameras.
         plant: finalized simulated plant, which is a system of the builder.
-        external: plant state and clocks of cameras outside the simulation; None: those of
-            `ExternalInputs()`.
+        external: plant state and clocks of cameras outside the simulation; None: state of the
+            simulated plant and the wall clock.
 
     Raises:
         ScenarioError: naming the camera whose configuration is invalid.
@@ -75,7 +76,17 @@ def add_cameras(
 def _simulated_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
-    """Adds a simulated camera with its noise and dropouts to a builder."""
+    """Adds a simulated camera, with its noise and its faults, to a builder, and returns its ports.
+
+    Args:
+        builder: builder to which the camera is added.
+        scenario: scenario whose world is rendered, with the noise and the faults.
+        plant: finalized simulated plant, which is a system of the builder.
+        config: configuration of the camera.
+
+    Raises:
+        ScenarioError: naming the camera, if its configuration is invalid.
+    """
     dropouts = [
         fault
         for fault in scenario.faults
@@ -107,7 +118,19 @@ def _live_camera(
     config: CameraConfig,
     external: ExternalInputs,
 ) -> Camera:
-    """Adds a camera to a builder whose images are received by LCM."""
+    """Adds a camera outside the simulation, whose images are received by LCM, to a builder, and
+    returns its ports.
+
+    Args:
+        builder: builder to which the camera is added.
+        source: perception block with the URL of the LCM bus and the time limits.
+        plant: finalized plant, which contains the camera's base frame.
+        config: configuration of the camera: name, intrinsics and pose.
+        external: plant state and clocks.
+
+    Raises:
+        ScenarioError: if the camera's pose is not fixed, or the LCM bus cannot be opened.
+    """
     X_WC = fixed_pose(plant, config)
     intrinsics = depth_intrinsics(config)
     system = LiveCamera(
@@ -133,8 +156,9 @@ def release_cameras(diagram: Diagram) -> None:
 
 
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> Noise | None:
-    """Returns the noise function of a simulated camera; None for a camera without noise, or not
-    used by perception.
+    """Returns the function that adds noise to the images of a simulated camera.
+
+    The function is None if the scenario has no noise, or if perception does not use the camera.
     """
     source = scenario.perception
     if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
@@ -152,7 +176,7 @@ class Station:
         scene_graph: scene graph with the geometry of the plant.
         robot: model instance of the robot in the plant.
         obstacles: model instances of the obstacles in the plant.
-        cameras: cameras by name; empty if none were added.
+        cameras: cameras by name; empty if no camera was added.
     """
 
     plant: MultibodyPlant
@@ -175,7 +199,8 @@ def make_station(
         builder: builder to which plant, scene graph and, if `render`, the cameras are added.
         scenario: scenario with a robot.
         render: whether the cameras of the scenario are added.
-        external: plant state and clocks of cameras outside the simulation, see `add_cameras`.
+        external: plant state and clocks of cameras outside the simulation; None: state of the
+            simulated plant and the wall clock.
 
     Raises:
         ScenarioError: naming the invalid field of the scenario.

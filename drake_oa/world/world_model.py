@@ -1,5 +1,5 @@
-"""Functions that add the models of a scenario to a plant: the robot, model directives and
-obstacles.
+"""Models of a scenario in the simulated plant: functions that add the robot, the models of Drake's
+model directives, and the obstacles.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from drake_oa.world.obstacles import add_obstacle
 
 
 def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
-    """Adds the models of a scenario to a plant: the robot, the models of its directives, and its
-    obstacles.
+    """Adds the models of a scenario to a plant: the robot, the models of its Drake model
+    directives, and its obstacles.
 
     Args:
         plant: plant that is registered with a scene graph and not finalized.
@@ -57,8 +57,11 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
 
 
 def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Returns model directives in which each `add_directives` is replaced by the directives of the
-    included file.
+    """Returns Drake model directives in which each `add_directives` is replaced by the directives
+    of the included file.
+
+    Raises:
+        ScenarioError: for a directive with an invalid file or model.
     """
     packages = known_packages()
     _check_directives(directives, packages)
@@ -72,7 +75,7 @@ def _check_directives(
     """Checks model directives, and the files that they include, before Drake reads them.
 
     Args:
-        directives: directives of the scenario, or of the last file of `chain`.
+        directives: directives of the scenario, or of the last file in `chain`.
         packages: package map, to which required installed Python packages are added.
         chain: files that include the directives, outermost file first; empty for directives of the
             scenario.

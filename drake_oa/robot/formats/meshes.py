@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from open3d.geometry import TriangleMesh
 
 _ADDED_VOLUME = 0.1
-"""Maximum volume that a single convex hull of a mesh may add, as a ratio to the volume of the hulls
-of its closed surfaces [-]."""
+"""Maximum volume that one convex hull of a whole mesh may add to the hulls of its closed surfaces,
+as a ratio [-]. Otherwise each closed surface gets its own hull."""
 
 
 def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
@@ -123,8 +123,10 @@ def _read_collada(mesh: Path) -> FloatArray:
 
 
 def _hulls(mesh: TriangleMesh) -> list[TriangleMesh]:
-    """Computes the convex hulls of a mesh's closed surfaces, or one hull of the mesh if it adds
-    little volume.
+    """Computes the convex hulls of a mesh's closed surfaces, as collision geometry of a link.
+
+    The result is one hull of the whole mesh if this hull adds little volume, or if a surface of the
+    mesh is open.
 
     Raises:
         ValueError: if a part of the mesh is flat.

@@ -1,5 +1,5 @@
-"""Conversion of an arm's MJCF model for Drake: inherited defaults, motors, and a base that can be
-welded.
+"""Conversion of an arm's MJCF model (MuJoCo's format) for Drake: inherited defaults, motors, and a
+base that can be welded to the world.
 
 Drake's parser ignores attributes that a default class inherits from another class. It reads only
 .obj meshes, supports only motors as actuators, and welds the base to the world at the pose in the
@@ -16,13 +16,14 @@ from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import convert_to_objs
 
 _DRIVES = ("motor", "general", "position", "velocity", "intvelocity")
-"""Tags of the MJCF actuators that are converted to motors."""
+"""Tags of the MuJoCo actuators in an MJCF model that are converted to motors, the only actuators
+that Drake supports."""
 _IGNORED = {
     *("light", "site", "camera"),
     *("option", "size", "visual", "statistic", "keyframe", "sensor"),
 }
-"""Tags of MJCF elements that do not influence the motion; they are removed, because Drake warns
-about them."""
+"""Tags of MJCF elements that do not influence the motion. They are removed from the model, because
+Drake warns about them."""
 
 
 def convert_mjcf(root: Element, find: Callable[[str], Path]) -> None:
@@ -31,8 +32,8 @@ def convert_mjcf(root: Element, find: Callable[[str], Path]) -> None:
     - Each default class receives the attributes that it inherits from other classes.
     - Each actuator of a joint becomes a motor, limited by the force range of the actuator.
     - A base without a joint gets a free joint, so that the scenario can weld the base.
-    - Meshes are converted, see `convert_to_objs`, including .obj files. The color of a mesh is then
-      that of the model; the .mtl files of .obj files are often missing.
+    - All meshes are converted by `convert_to_objs`, including .obj files. The color of a mesh is
+      then the color in the model, because .mtl files of .obj meshes are often missing.
 
     Args:
         root: root element of the model's file.
@@ -66,8 +67,8 @@ def convert_mjcf(root: Element, find: Callable[[str], Path]) -> None:
 
 
 def _inherit(default: Element, parent_attributes: dict[str, dict[str, str]]) -> None:
-    """Adds the attributes of the parent class to a default class of an MJCF and to its nested
-    classes.
+    """Adds the attributes of the parent class to a default class of an MJCF model and, recursively,
+    to the classes nested in it.
 
     Args:
         default: element of the default class, modified in place.
@@ -84,12 +85,12 @@ def _inherit(default: Element, parent_attributes: dict[str, dict[str, str]]) -> 
 
 
 def _motor(drive: Element, root: Element) -> Element:
-    """Returns a motor element with the force limit and the gear ratio of an actuator, which its
-    default class may state.
+    """Returns an MJCF motor that replaces an actuator, with the force limit and gear ratio of the
+    actuator or of its default class.
 
     Args:
         drive: element of the actuator.
-        root: root element of the MJCF.
+        root: root element of the MJCF model, which contains the default classes.
     """
     of_class = root.find(f".//default[@class='{drive.get('class', 'main')}']/{drive.tag}")
     values = (of_class.attrib if of_class is not None else {}) | drive.attrib

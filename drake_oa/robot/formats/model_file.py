@@ -1,4 +1,6 @@
-"""Functions that read, check and convert the file of a robot's model."""
+"""Functions that read and check the model file of a robot (URDF, SDF or MJCF), and convert it so
+that Drake can parse it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from drake_oa.robot.formats.urdf import convert_urdf
 # Drake recognizes its namespace only by the prefix "drake".
 ElementTree.register_namespace("drake", "http://drake.mit.edu")
 _CONVERSIONS = {".urdf": convert_urdf, ".xml": convert_mjcf}
-"""Functions that convert a model for Drake, by suffix of the model's file."""
+"""Functions that convert a robot model so that Drake can parse it, by suffix of the model's
+file."""
 _LENGTHS = ("size", "radius", "length", "radii")
 """Names of the dimensions of shapes in URDF and SDF, used to check that they are positive."""
 _logged: set[str] = set()
@@ -51,8 +54,12 @@ def add_installed_package(packages: PackageMap, url: str, field: str = "robot.mo
 
 
 def converted_model(file: Path, packages: PackageMap) -> ElementTree.Element | None:
-    """Returns the root element of a URDF or MJCF, converted so that Drake can read the model; None
-    for an SDF.
+    """Reads the model file of a robot, and returns its root element, converted so that Drake can
+    parse it; None for an SDF, which needs no conversion.
+
+    Args:
+        file: model file, as URDF, MJCF or SDF.
+        packages: package map that resolves the URLs of meshes.
 
     Raises:
         ScenarioError: for a mesh that cannot be read, an invalid value, or a file that is not XML.
@@ -105,8 +112,9 @@ def check_links(root: ElementTree.Element, file: Path, field: str = "robot.model
 
 
 def _numbers(text: str | None) -> list[float]:
-    """Returns the numbers in a text, separated by spaces; an empty list for invalid text, which
-    Drake rejects.
+    """Returns the numbers in a text, separated by spaces, for the check of a model's values.
+
+    The list is empty for None and for invalid text, which Drake rejects later.
     """
     try:
         return [float(word) for word in (text or "").split()]
@@ -115,8 +123,12 @@ def _numbers(text: str | None) -> list[float]:
 
 
 def with_file_name(message: str, file: Path | str) -> str:
-    """Returns a message of Drake in which the name of the model's file replaces Drake's placeholder
-    for parsed text.
+    """Returns a message of Drake's parser with the name of the model's file in place of Drake's
+    placeholder `<literal-string>`.
+
+    Args:
+        message: message about a model that Drake parsed from a string.
+        file: file of the model.
     """
     # The line number is dropped: it refers to the converted text.
     return re.sub(r"<literal-string>(\.\w+)?(:\d+)?", str(file), message)
@@ -128,11 +140,13 @@ def named_warnings(file: Path | str = "") -> Iterator[None]:
     model's file.
 
     Args:
-        file: file of the model that the block parses.
+        file: file of the model that is parsed within this context manager.
     """
 
     def is_new(record: logging.LogRecord) -> bool:
-        """Adds the file name to a warning, and checks whether the warning was not logged before."""
+        """Adds the file name to a logged warning, and returns whether this process has not logged
+        the warning yet.
+        """
         record.msg = with_file_name(str(record.msg), file)
         new = record.msg not in _logged
         _logged.add(record.msg)

@@ -1,8 +1,9 @@
-"""Conversion of URDF models for Drake: meshes as .obj, actuators, and fixed gripper linkages.
+"""Conversion of URDF models so that Drake can use them: meshes to .obj files, added actuators, and
+fixed gripper linkages.
 
 Drake reads meshes in .obj, .gltf and .vtk files. It adds no actuator to a joint without a
 <transmission>, and does not close the kinematic loops of a gripper's linkage. Most models of arms
-have .stl or .dae meshes, no transmissions, and a linkage.
+have .stl or .dae meshes, no transmissions, and a linkage in the gripper.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ from drake_oa.common.config import field_errors
 from drake_oa.robot.formats.meshes import convert_to_objs
 
 _READ_BY_DRAKE = {".obj", ".gltf", ".vtk"}
-"""Suffixes of mesh files that Drake reads, so that they are not converted."""
+"""Suffixes of the mesh files that Drake can read; meshes in other formats are converted to .obj
+files."""
 _TURNING = ("revolute", "continuous")
-"""URDF types of joints that rotate."""
+"""Types of rotational joints in a URDF."""
 
 
 def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
     """Converts a URDF model in place so that Drake can read it.
 
-    - Meshes that Drake cannot read are converted, see `convert_to_objs`.
+    - Meshes that Drake cannot read are converted by `convert_to_objs`.
     - If no joint has a transmission, each independent joint gets an actuator, with the effort limit
       of the joint.
-    - Rotational joints that mimic another joint, and that joint itself, are fixed at zero. They
-      form a gripper's linkage, while the controller holds each joint of a hand separately.
+    - A rotational joint that mimics another joint, and the mimicked joint, are fixed at zero. Such
+      joints form a gripper's linkage, but the controller holds each joint of a hand separately.
     - The link `world` and the joint that fixes the base to it are removed: the scenario sets the
       base pose.
 
@@ -54,8 +56,16 @@ def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
 
 
 def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
-    """Converts the meshes of a link that Drake cannot read to .obj files; a collision mesh becomes
-    its convex hulls.
+    """Converts those meshes of a URDF link that Drake cannot read to .obj files.
+
+    A collision mesh is replaced by one collision element per convex hull.
+
+    Args:
+        link: element of the link, modified in place.
+        find: function that returns the file of a mesh, given its URL.
+
+    Raises:
+        ScenarioError: for a mesh that cannot be read.
     """
     for shape in [*link.findall("collision"), *link.findall("visual")]:
         mesh = shape.find("geometry/mesh")
@@ -72,8 +82,10 @@ def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
 
 
 def _fix_linkage(model: Element) -> None:
-    """Fixes rotational joints that mimic another joint, and the mimicked joints, and removes the
-    transmissions of both.
+    """Changes each rotational joint of a URDF that mimics another joint, and the mimicked joint, to
+    a fixed joint.
+
+    Transmissions of these joints are removed. The joints are those of a gripper's linkage.
     """
     joints = {joint.get("name"): joint for joint in model.findall("joint")}
     fixed = set()
@@ -92,7 +104,12 @@ def _fix_linkage(model: Element) -> None:
 
 
 def _add_transmission(model: Element, joint: str) -> None:
-    """Adds a transmission and an actuator to the joint of a URDF with a given name."""
+    """Adds a <transmission> with an actuator to a URDF, so that Drake actuates the named joint.
+
+    Args:
+        model: root element of the URDF.
+        joint: name of the joint.
+    """
     transmission = SubElement(model, "transmission", name=f"{joint}_transmission")
     SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
     SubElement(transmission, "joint", name=joint)
