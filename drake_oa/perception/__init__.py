@@ -1,27 +1,29 @@
 """Perception: from depth images to tracked obstacles with velocities.
 
-Inputs: for each camera an ImageDepth32F [m] and its pose X_WC (x right, y down, z forward) every
-period, and the robot's state [q, v] for the self filter. Output: `ObstacleClouds` in the world
-frame: for each obstacle a point cloud (N, 3) [m], a velocity [m/s] and a constant track ID; the
-support plane; a stamp [s].
+Inputs: for each camera an ImageDepth32F [m] and the camera's pose X_WC (x right, y down, z forward)
+every period, and the robot's state [q, v] for the self filter (removal of points on the robot).
+Output: `ObstacleClouds` in the world frame: for each obstacle a point cloud (N, 3) [m], a velocity
+[m/s] and a constant track ID; the support plane; a stamp [s].
 
-Perception sources (block `perception` of a scenario); one replaces the other:
+Perception sources; the block `perception` of a scenario selects one of them:
 
 - `DepthPerception` (`!DepthCamera`, `!LcmCamera`): depth cameras, at the camera's rate;
 - `GroundTruthPerception` (`!GroundTruth`): exact obstacles from SceneGraph, at 15 Hz;
 - `RecordedPerception` (`!RecordedClouds`): recorded files (`recordings`), at 15 Hz.
 
-A frame consists of the images of all cameras at one instant. Its processing:
+A frame consists of the images of all cameras at one instant. It is processed in these steps:
 
-1. `segmentation`: support plane by consensus with a prior on gravity and height (`table`;
-   Fischler and Bolles 1981); pixels above it, without a table all pixels; voxels; clusters.
-2. `tracking`: data association assigns clusters to tracks by common points, else by the least total
-   distance within a gate (Hungarian method). Positions are measured by the sides of obstacles,
-   which do not shift with partial occlusion, velocities by registration of surfaces (`velocity`;
-   Chen and Medioni 1992). A constant-velocity Kalman filter corrects both (Bar-Shalom, Li and
-   Kirubarajan 2001). Remembered points gain and lose evidence.
-3. `tracking.select_output_clouds`: clouds that changed by more than noise are output; the others
-   remain equal to the bit.
+1. `segmentation` finds the support plane by consensus with a prior on gravity and height (`table`;
+   Fischler and Bolles 1981). Points above the plane, or all points without a table, are averaged in
+   voxels, and near voxels form clusters.
+2. `tracking` assigns clusters to tracks (obstacles followed over time): by common points, else by
+   the least total distance within a gate (Hungarian method). Positions are measured at the sides of
+   obstacles, which do not shift with partial occlusion, and velocities by registration of surfaces
+   (`velocity`; Chen and Medioni 1992). A constant-velocity Kalman filter corrects both (Bar-Shalom,
+   Li and Kirubarajan 2001). Each track remembers its surface points; later frames confirm or delete
+   them.
+3. `tracking.select_output_clouds` outputs clouds that changed by more than noise; the other clouds
+   in the output remain bitwise equal.
 
 `visibility` extends obstacles that the border of an image truncates, and `coverage` computes the
 share of the space near an arm that the cameras do not observe. `config` has the configuration:

@@ -1,4 +1,6 @@
-"""Share of the space near an arm that depth cameras do not observe."""
+"""Coverage of an arm's workspace by depth cameras: the share of the space near the arm that no
+camera observes.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +14,22 @@ from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.pinhole import pixel_at
 
 REACH = 0.4
-"""Maximum distance from the arm of the space whose observation is computed [m]."""
+"""Distance from the surface of the arm within which the unobserved share of space is computed
+[m]."""
 HEIGHT = 0.75
-"""Maximum height above the table of the space whose observation is computed [m]."""
+"""Height above the table up to which the unobserved share of the space near the arm is computed
+[m]."""
 _PITCH = 0.08
-"""Distance between neighboring points of the grid that samples the space [m]."""
+"""Distance between neighboring points of the grid that samples the space near the arm [m]."""
 
 
 class ViewVolume(NamedTuple):
-    """View volume of a depth camera, between its minimum and maximum depth.
+    """Volume that a depth camera can observe: the part of its field of view between its minimum and
+    maximum depth.
 
     Attributes:
-        X_WC: (4, 4) pose of the camera (x right, y down, z forward).
-        K: (4,) fx, fy, cx, cy [pixel].
+        X_WC: (4, 4) pose of the camera in the world (x right, y down, z forward).
+        K: (4,) intrinsics fx, fy, cx, cy [pixel].
         shape: rows and columns of the image.
         near: minimum depth [m].
         far: maximum depth [m].
@@ -50,11 +55,12 @@ def unobserved_share(
     Args:
         p_WS: (T, S, 3) centers of the arm's spheres in T configurations [m].
         radius: (S,) radii of the spheres [m].
-        points: (N, 3) points of the space near each configuration, see `points_near` [m].
+        points: for each of the T configurations, points (N, 3) that sample the space near the arm
+            [m]; `points_near` computes them.
         views: view volumes of the cameras.
 
     Returns:
-        Mean over the configurations, in [0, 1]: 1 without a camera.
+        Mean share over the configurations, in [0, 1]: 1 without a camera.
     """
     shares = []
     for centers, near in zip(p_WS, points, strict=True):
@@ -68,14 +74,16 @@ def unobserved_share(
 def points_near(
     p_WS: FloatArray, radius: FloatArray, table_height: float | None
 ) -> list[FloatArray]:
-    """Returns the points (N, 3) of a grid near each of T configurations of an arm [m].
+    """Returns grid points (N, 3) [m] that sample the space near an arm, for each of T
+    configurations.
 
-    They are within `REACH` of the arm, above the table and below `HEIGHT`.
+    The points are outside the arm, within `REACH` of its surface, above the table, and at most
+    `HEIGHT` above the table.
 
     Args:
-        p_WS: (T, S, 3) centers of the arm's spheres [m].
+        p_WS: (T, S, 3) centers of the spheres that cover the arm in the world [m].
         radius: (S,) radii of the spheres [m].
-        table_height: height of the table in the world [m]; None: no table.
+        table_height: height of the table in the world [m]; None: no table, and no limit of height.
     """
     points = []
     for centers in p_WS:
@@ -93,7 +101,14 @@ def points_near(
 def _is_visible(
     view: ViewVolume, points: FloatArray, p_WS: FloatArray, radius: FloatArray
 ) -> BoolArray:
-    """Checks for each point (N, 3) whether a camera observes it past the spheres p_WS (S, 3)."""
+    """Checks for each point whether a camera observes it, and no sphere of the arm occludes it.
+
+    Args:
+        view: view volume of the camera.
+        points: (N, 3) points in the world [m].
+        p_WS: (S, 3) centers of the arm's spheres [m].
+        radius: (S,) radii of the spheres [m].
+    """
     R_WC, p_WC = view.X_WC[:3, :3], view.X_WC[:3, 3]
     p_CQ = (points - p_WC) @ R_WC
     is_visible = pixel_at(p_CQ, view.shape, view.K) >= 0

@@ -1,4 +1,6 @@
-"""Perception of obstacles from depth cameras, and the state shared by all perception sources."""
+"""Perception of obstacles from depth cameras, and the tracker state that all perception sources
+share.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,14 @@ _logger = logging.getLogger("drake_oa")
 
 
 class PerceptionState:
-    """Abstract state of a perception source in its Context, and the output ports that read it."""
+    """Tracker state of a perception source, kept as abstract state in its Context, with the output
+    ports that read it.
+    """
 
     def __init__(self, system: LeafSystem) -> None:
-        """Declares the state and the output ports ``obstacles_W`` and ``cloud`` of a system."""
+        """Declares the abstract state, and the output ports ``obstacles_W`` and ``cloud``, of a
+        perception system.
+        """
         self._index = system.DeclareAbstractState(Value(TrackerState()))
         ticket = {system.abstract_state_ticket(self._index)}
         system.DeclareAbstractOutputPort(
@@ -51,18 +57,28 @@ class PerceptionState:
         output.set_value(cloud)
 
     def read(self, context: Context) -> TrackerState:
-        """Returns the tracker state in a Context."""
+        """Returns the tracker state that a Context of the perception system contains."""
         tracker: Any = context.get_abstract_state(int(self._index)).get_value()
         return tracker
 
     def write(self, state: State, tracker: TrackerState) -> None:
-        """Stores a tracker state in the State of the system."""
+        """Stores a tracker state in the State of the perception system."""
         value: Any = state.get_mutable_abstract_state(int(self._index))
         value.set_value(tracker)
 
 
 def log_change(system: LeafSystem, previous: str, note: str, time: float) -> None:
-    """Logs the note of a system if it differs from the previous note; an empty note: recovery."""
+    """Logs the note of a perception system if it differs from the previous note.
+
+    A note is the reason why an observation is degraded, and is logged as a warning. An empty note
+    is logged as the recovery.
+
+    Args:
+        system: system whose name is logged.
+        previous: note of the previous observation.
+        note: note of the present observation.
+        time: simulation time [s].
+    """
     if note == previous:
         return
     name = system.get_name() or type(system).__name__
@@ -73,11 +89,11 @@ def log_change(system: LeafSystem, previous: str, note: str, time: float) -> Non
 
 
 _NO_NEW_IMAGE = "no new image"
-"""Note of a frame in which a camera has no new image."""
+"""Note (reason why an observation is degraded) of a frame in which a camera has no new image."""
 _UPDATE_DELAY = 1e-4
-"""Delay from the arrival of delayed images to their processing [s]."""
+"""Delay by which perception processes images after their arrival from a delayed camera [s]."""
 _SAME_TIME = 1e-6
-"""Maximum difference of the stamps of images of one instant [s]."""
+"""Maximum difference between the stamps of images that count as taken at one instant [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +113,12 @@ class FreeSpace(Frozen):
     far: float = np.inf
 
     def contains(self, p_WQ: FloatArray) -> BoolArray:
-        """Checks for each of N points (N, 3) in the world [m] whether any camera observed it free.
+        """Checks for each of N points (N, 3) in the world [m] whether any camera observed it to be
+        free.
 
-        A pixel without depth observes nothing; one beyond the range observes its ray up to `far`.
+        Points between the minimum depth and the measured surface are free. A pixel without depth
+        observes no free space. A pixel with a depth beyond the range observes free space up to
+        `far`.
         """
         free = np.zeros(len(p_WQ), dtype=bool)
         for view in self.views:
@@ -113,7 +132,15 @@ class FreeSpace(Frozen):
 
 
 class _Ports(NamedTuple):
-    """Input ports of one camera; `robot` is None in a system without self filter."""
+    """Input ports of `DepthPerception` for one camera.
+
+    Attributes:
+        image: depth image.
+        pose: pose of the camera in the world.
+        robot: robot state at the time of the image, for the self filter; None without a self
+            filter.
+        stamp: time of the image [s].
+    """
 
     image: AbstractInput[Any]
     pose: AbstractInput[Any]
@@ -192,13 +219,13 @@ class DepthPerception(LeafSystem):
         missing_image_timeout: float = 0.0,
         depth_range: tuple[float, float] = (0.0, np.inf),
     ) -> None:
-        """Declares ports, state and events.
+        """Declares the ports, the state and the update events of depth perception.
 
         Args:
             camera: intrinsics of the depth camera; for several cameras a mapping from their names
                 to their intrinsics.
-            config: parameters of the segmentation; `table_height` is the prior on the table.
-                None: defaults.
+            config: parameters of the segmentation; `table_height` is the prior on the table. None:
+                defaults.
             robot: collision geometry from `robot_geometries`; None: no self filter.
             pixel_center: image coordinate of the center of the first pixel [pixel]. 0 is the
                 convention of CameraInfo. RenderEngineVtk of Drake 1.51 renders with 0.5; without
@@ -237,7 +264,7 @@ class DepthPerception(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
 
     def _declare_camera(self, suffix: str) -> _Ports:
-        """Declares the input ports of one camera, with a suffix of their names."""
+        """Declares the input ports of one camera, with a suffix appended to their names."""
         robot = self._robot
         return _Ports(
             AbstractInput(self, f"depth_image{suffix}", ImageDepth32F),
@@ -249,7 +276,10 @@ class DepthPerception(LeafSystem):
         )
 
     def _update(self, context: Context, state: State) -> None:
-        """Updates the tracks by the new images, or the note without new images."""
+        """Updates the tracked obstacles and the free space by the cameras' new images.
+
+        Without a new image, only the note of the output changes, which states the reason.
+        """
         time, previous = context.get_time(), self._state.read(context)
         count = len(self._ports)
         last_image_stamps = (
@@ -294,19 +324,27 @@ class DepthPerception(LeafSystem):
         )
 
     def _write(self, context: Context, state: State, tracker: TrackerState, note: str) -> None:
-        """Stores a tracker state with a note, and logs the note if it has changed."""
+        """Stores a tracker state with a note (reason of a degraded observation), and logs the note
+        if it has changed.
+        """
         previous = self._state.read(context).obstacles.note
         log_change(self, previous, note, context.get_time())
         obstacles = replace(tracker.obstacles, note=note)
         self._state.write(state, replace(tracker, obstacles=obstacles))
 
     def _stamp(self, port: _Ports, context: Context) -> float:
-        """Reads the stamp of a camera's image [s]; the time of the Context without one."""
+        """Reads the stamp of a camera's image [s]; if its port is not connected, the time of the
+        Context is returned.
+        """
         has_stamp = port.stamp.HasValue(context)
         return float(port.stamp.Eval(context)[0]) if has_stamp else context.get_time()
 
     def _view(self, row: int, context: Context) -> View:
-        """Reads image and pose of a camera.
+        """Reads the depth image and the pose of one camera from the input ports.
+
+        Args:
+            row: index of the camera.
+            context: Context of the system.
 
         Raises:
             ValueError: if the image has another size than the intrinsics.
@@ -324,7 +362,17 @@ class DepthPerception(LeafSystem):
         return View(depth, K, pose.GetAsMatrix4())
 
     def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> CollisionGeometries | None:
-        """Computes the collision geometry of the robot at its states in the images, or None."""
+        """Computes the collision geometry of the robot for the self filter, at its state in each
+        camera's image.
+
+        Args:
+            ports: input ports of the cameras in the frame.
+            context: Context of the system.
+
+        Returns:
+            Collision geometry in the world, one copy per different state; None without a self
+            filter.
+        """
         if self._robot is None:
             return None
         robot_ports = (port.robot for port in ports if port.robot is not None)
@@ -333,16 +381,16 @@ class DepthPerception(LeafSystem):
 
 
 def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: float) -> BoolArray:
-    """Selects the cameras whose images form the newest frame.
+    """Selects the cameras whose new images form one frame, together with the newest image.
 
     Args:
         stamps: (n,) stamps of the cameras' images [s].
-        last_stamps: (n,) stamps of the last usable images [s].
+        last_stamps: (n,) stamps of the last usable image of each camera [s].
         tolerance: maximum difference of the stamps of one frame [s].
 
     Returns:
-        (n,) whether each image is new and within the tolerance of the newest stamp; all False if
-        no image with the newest stamp is new.
+        (n,) whether each image is new and within the tolerance of the newest stamp; all False if no
+        image with the newest stamp is new.
     """
     newest = stamps.max()
     is_new = (stamps > last_stamps) & (stamps >= newest - max(_SAME_TIME, tolerance))
@@ -350,9 +398,14 @@ def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: 
 
 
 def backdate_obstacles(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:
-    """Returns the obstacles with an older stamp [s], moving ones at their positions at that time.
+    """Returns the obstacles with an older stamp, and moves moving obstacles back to their positions
+    at that time.
 
-    A receiver that extrapolates them with their velocities obtains their present positions.
+    A receiver that extrapolates the clouds with their velocities obtains the present positions.
+
+    Args:
+        obstacles: obstacles at their present positions.
+        stamp: older stamp [s]; without effect on positions if it is not finite, or not older.
     """
     age = obstacles.stamp - stamp
     clouds = obstacles.clouds_W

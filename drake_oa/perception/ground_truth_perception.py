@@ -1,4 +1,4 @@
-"""Perception with the exact obstacles of the simulated world."""
+"""Perception that outputs the exact obstacles of the simulated world, in place of cameras."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from drake_oa.perception.depth_perception import PerceptionState
 from drake_oa.perception.tracking import TrackerState
 
 _SAMPLES = 300
-"""Approximate number of sampled points on each collision geometry."""
+"""Approximate number of points that are sampled on each collision geometry of an obstacle."""
 _MIN_SPEED = 1e-3
-"""Minimum speed of a moving obstacle [m/s]; contact makes resting obstacles vibrate."""
+"""Speed below which an obstacle counts as resting [m/s]; contact makes resting obstacles
+vibrate."""
 
 
 class GroundTruthPerception(LeafSystem):
@@ -61,7 +62,7 @@ class GroundTruthPerception(LeafSystem):
 
         Args:
             plant: finalized plant that contains the obstacles.
-            inspector: inspector of its scene graph.
+            inspector: inspector of the scene graph in which the plant is registered.
             obstacles: model instance of each obstacle.
             table: support plane in the output; None: no table.
             period: time between updates [s].
@@ -82,7 +83,9 @@ class GroundTruthPerception(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
 
     def _update(self, context: Context, state: State) -> None:
-        """Reads the poses, and stores the clouds and velocities of the obstacles."""
+        """Reads the poses of the obstacles from SceneGraph, and stores their clouds and velocities
+        in the state.
+        """
         query = self._query_port.read(context)
         time, before = context.get_time(), self._state.read(context).obstacles
         dt = time - before.stamp
@@ -118,7 +121,10 @@ def _body_fixed_samples(
     inspector: SceneGraphInspector,
     instance: ModelInstanceIndex,
 ) -> tuple[tuple[FrameId, FloatArray], ...]:
-    """Samples the surface of a model instance: for each body its frame and points (N, 3) in it [m].
+    """Samples points on the collision geometries of a model instance.
+
+    Returns:
+        For each body with collision geometry, its frame and the points (N, 3) in that frame [m].
 
     Raises:
         ValueError: if no body has collision geometry.

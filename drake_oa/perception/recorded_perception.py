@@ -57,7 +57,7 @@ class RecordedPerception(LeafSystem):
         robot: RobotGeometries | None = None,
         period: float = 1.0 / 15.0,
     ) -> None:
-        """Reads the folder, and declares ports, state and events.
+        """Reads the recorded files of a folder, and declares ports, state and events.
 
         Args:
             folder: folder with .npz, .pcd, .ply or .png files.
@@ -88,11 +88,13 @@ class RecordedPerception(LeafSystem):
 
     @property
     def files_without_pose(self) -> tuple[Path, ...]:
-        """Files without a pose of the camera, sorted by stamp."""
+        """Paths of the recorded files that contain no pose of the camera, sorted by stamp."""
         return tuple(frame.path for frame in self._frames if frame.X_WC is None)
 
     def _update(self, context: Context, state: State) -> None:
-        """Processes the newest due frame, or updates the stamp after the last one."""
+        """Processes the newest recorded frame that is due; after the last frame, only updates the
+        stamp and sets all velocities to zero.
+        """
         # Update times are sums of the period, with rounding errors.
         due = int(np.searchsorted(self._start, context.get_time() + 1e-9, side="right")) - 1
         last_frame: Any = state.get_mutable_abstract_state(int(self._last_frame))
@@ -129,13 +131,13 @@ def segment_frame(
     """Segments a recorded frame into table and obstacles.
 
     Args:
-        frame: depth image with K, or points.
+        frame: recorded frame with a depth image and intrinsics K, or with points.
         X_WC: (4, 4) pose of the camera for a frame without a pose; None: unknown.
         config: parameters of the segmentation.
-        robot: collision geometry of the robot at the time of the frame, or None.
+        robot: collision geometry of the robot at the time of the frame; None: no self filter.
 
     Raises:
-        ValueError: as `segment_depth` and `segment_points`.
+        ValueError: if `config.table` is False and no pose of the camera is known.
     """
     pose = X_WC if frame.X_WC is None else frame.X_WC
     if frame.depth is not None and frame.K is not None:

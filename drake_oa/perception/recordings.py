@@ -36,13 +36,13 @@ from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 
 SUFFIXES = (".npz", ".pcd", ".ply", ".png")
-"""File name suffixes of frames."""
+"""Suffixes of files that can be read as recorded frames (depth images or point clouds)."""
 
 _SIDE_SUFFIXES = (".json", ".yaml", ".yml")
-"""File name suffixes of intrinsics of .png images."""
+"""Suffixes of files that contain the camera intrinsics of recorded .png depth images."""
 
 _MATRIX_NAMES = ("K", "k", "camera_matrix", "intrinsic_matrix")
-"""Keys of a camera matrix in an intrinsics file."""
+"""Names under which an intrinsics file may contain a 3 x 3 camera matrix."""
 
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "depth": (None, None),
@@ -52,35 +52,36 @@ _SHAPES: dict[str, tuple[int | None, ...]] = {
     "stamp": (),
     "robot_state": (None,),
 }
-"""Shapes of the arrays in a .npz file; None: any length."""
+"""Shapes of the arrays that a recorded .npz file may contain, by name; None: any length."""
 
 _HEADER = re.compile(rb"^(?:POINTS|element vertex)\s+(\d+)", re.MULTILINE)
 """Pattern of the number of points in the header of a .pcd or .ply file."""
 
 _POINTS_PER_BYTE = 88
-"""Upper bound of the number of points per byte of a file: the best ratio of LZF compression."""
+"""Upper bound of the number of points per byte of a cloud file: the best ratio of LZF compression.
+A header with more points shows a damaged file."""
 
 _DAMAGED = (
     "'{}' is truncated or contains no cloud: the number of points in its header must equal the "
     "number of points that follow; write it again as .pcd or .ply with fields x, y and z"
 )
-"""Error message for a file with a cloud that cannot be read; {}: path of the file."""
+"""Error message for a point cloud file that cannot be read; {}: path of the file."""
 
 _STAMP = re.compile(r"(?:^|[^0-9.])([0-9]+\.[0-9]+)$")
-"""Pattern of a stamp [s] at the end of a file name without suffix."""
+"""Pattern of a stamp [s] with a decimal point at the end of a file name without suffix."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """Recorded frame: a depth image with K, or points.
+    """One recorded frame, read from a file: a depth image with its intrinsics K, or a point cloud.
 
     Attributes:
         path: path of the file.
         stamp: time of the frame [s].
         depth: (H, W) depth along the optical axis [m], or None.
         K: (4,) fx, fy, cx, cy [pixel], or None.
-        points: (N, 3) in the camera frame [m], not finite where missing, or None.
-        X_WC: (4, 4) pose of the camera; None: not in the file.
+        points: (N, 3) points in the camera frame [m], not finite where missing, or None.
+        X_WC: (4, 4) pose of the camera in the world; None: not in the file.
         robot_state: (num_states,) state [q, v] of the robot in the frame, or None.
     """
 
@@ -94,9 +95,9 @@ class RecordedFrame:
 
 
 def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[RecordedFrame, ...]:
-    """Reads all frames of a folder, sorted by stamp.
+    """Reads all recorded frames (depth images or point clouds) of a folder, sorted by stamp.
 
-    Hidden files, intrinsics files (.json, .yaml) and subfolders are ignored.
+    Hidden files, intrinsics files (.json, .yaml, .yml) and subfolders are ignored.
 
     Args:
         folder: folder of the recording.
@@ -130,7 +131,7 @@ def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[Reco
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Lists the files of a folder sorted by name, without hidden files and intrinsics files."""
+    """Lists the files of a recording's folder by name, except hidden files and intrinsics files."""
     return sorted(
         path
         for path in folder.iterdir()
@@ -144,7 +145,7 @@ def read_frame(
     K: FloatArray | None = None,
     depth_scale: float | None = None,
 ) -> RecordedFrame:
-    """Reads a recorded frame from a file.
+    """Reads a recorded frame (depth image or point cloud) from a .npz, .pcd, .ply or .png file.
 
     Args:
         path: path of the file.
@@ -171,7 +172,12 @@ def read_frame(
 
 
 def _read_npz(path: Path, stamp: float) -> RecordedFrame:
-    """Reads and checks a frame in a .npz file; `stamp` [s] is used for a file without one."""
+    """Reads and checks a recorded frame in a .npz file; the argument `stamp` [s] is used if the
+    file contains none.
+
+    Raises:
+        ValueError: for missing or malformed arrays; the message names the file.
+    """
     data = {name: array for name, array in read_arrays(path).items() if name in _SHAPES}
     if ("depth" in data) == ("points" in data) or ("depth" in data and "K" not in data):
         raise ValueError(f"'{path}' must contain either 'depth' and 'K' or 'points'")
@@ -196,7 +202,11 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
 
 
 def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
-    """Reads a frame from a .pcd or .ply file."""
+    """Reads a recorded frame from a .pcd or .ply file with a point cloud.
+
+    Raises:
+        ValueError: if the file is truncated or contains no finite point.
+    """
     import open3d
 
     # Open3D allocates memory for all points of the header, and returns uninitialized memory for
@@ -222,7 +232,18 @@ def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
 def _read_depth_png(
     path: Path, stamp: float, K: FloatArray | None, depth_scale: float | None
 ) -> RecordedFrame:
-    """Reads a frame from a 16-bit .png depth image, see `read_frame`; 0: no depth."""
+    """Reads a recorded frame from a 16-bit .png depth image, in which 0 marks pixels without depth.
+
+    Args:
+        path: path of the image.
+        stamp: time of the frame [s].
+        K: (4,) intrinsics fx, fy, cx, cy [pixel]; None: from the intrinsics file.
+        depth_scale: scale of the image [m per unit]; None: from the intrinsics file, else 0.001.
+
+    Raises:
+        ValueError: if the image is not complete with 16 bits and one channel, or intrinsics or
+            scale are invalid.
+    """
     import open3d
 
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
@@ -243,7 +264,12 @@ def _read_depth_png(
 
 
 def _read_intrinsics(image: Path) -> tuple[FloatArray, float]:
-    """Reads K (4,) [pixel] and depth scale [m per unit] from the intrinsics file of an image."""
+    """Reads intrinsics K (4,) [pixel] and depth scale [m per unit] from the intrinsics file beside
+    an image.
+
+    Raises:
+        ValueError: if there is no such file, or its contents are invalid.
+    """
     stems = (image.stem, "intrinsics", "camera_info")
     names = [stem + suffix for stem in stems for suffix in _SIDE_SUFFIXES]
     path = next((image.with_name(n) for n in names if image.with_name(n).is_file()), None)
@@ -266,11 +292,11 @@ def _read_intrinsics(image: Path) -> tuple[FloatArray, float]:
 
 
 def checked_intrinsics(values: Any, where: str) -> FloatArray:
-    """Checks intrinsics, and returns them as K = [fx, fy, cx, cy].
+    """Checks the intrinsics of a camera, and returns them as K = [fx, fy, cx, cy] [pixel].
 
     Args:
         values: fx, fy, cx, cy, or a 3 x 3 camera matrix row by row.
-        where: beginning of an error message: file and field.
+        where: file and field, with which an error message begins.
 
     Raises:
         ValueError: for other sizes, values that are not finite, or focal lengths that are not

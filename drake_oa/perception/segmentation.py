@@ -11,7 +11,7 @@ Stages; each is one function, with the number of its stage in its docstring:
 7. Size and height, `_select_obstacles`: clusters that are large and high enough are obstacles.
 
 Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4) homogeneous matrices,
-as ``RigidTransform.GetAsMatrix4()`` returns them. Self filter: removal of points on the robot.
+as ``RigidTransform.GetAsMatrix4()`` returns them.
 """
 
 from __future__ import annotations
@@ -41,55 +41,66 @@ from drake_oa.perception.table import (
 )
 
 _DEVIATIONS = 6.0
-"""Number of standard deviations of depth below which a height counts as noise [1]."""
+"""Height above the table below which a point may be depth noise, in standard deviations of the
+measured height [-]."""
 _WARP_START = 1.1
-"""Minimum depth at which structured-light cameras measure a plane as bent [m].
+"""Depth beyond which structured-light cameras measure a flat table as bent upward [m].
 
-Measured in docs/results/real_scans.md.
+The value is from the scans of docs/results/real_scans.md.
 """
 _WARP = 0.15
-"""Apparent height of a bent plane over the square of the depth beyond `_WARP_START` [1/m]."""
+"""Apparent height of a flat table far from the camera, divided by the square of the depth beyond
+`_WARP_START` [1/m]."""
 _MAX_WARP = 0.04
-"""Maximum apparent height of a plane that a structured-light camera measures as bent [m]."""
+"""Maximum apparent height of a flat table that a structured-light camera measures as bent upward
+[m]."""
 _HIGHER_SHARE = 0.1
-"""Minimum fraction of an obstacle's voxels above the depth noise and bend of the table [1]."""
+"""Minimum fraction of a cluster's voxels that must be higher than depth noise and apparent bend of
+the table, for the cluster to be an obstacle [-]."""
 OCCLUSION_GAP = 0.06
-"""Maximum width of an occluded gap across which two clusters are merged [m]."""
+"""Maximum width of an occluded gap across which two clusters are merged into one obstacle [m]."""
 _BRIDGES = 16
-"""Number of shortest connections between two clusters that are tested for occlusion."""
+"""Maximum number of shortest connections between two clusters that are tested for occlusion, before
+the clusters are merged."""
 _BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
-"""Places along a connection of two clusters that are tested for occlusion, in lengths of it [1]."""
+"""Places (5, 1, 1) along a connection of two clusters that are tested for occlusion, as fractions
+of its length [-]."""
 _MIN_HEIGHT = 0.004
-"""Minimum height of an obstacle's points above the table at zero depth [m]."""
+"""Minimum height of an obstacle's points above the table, to which the allowance for depth noise is
+added [m]."""
 _OVERHANG = 0.15
-"""Maximum distance by which an obstacle may overhang the edge of the table [m]."""
+"""Maximum distance by which an obstacle may extend beyond the edge of the table and its margin
+[m]."""
 _OVER_TABLE = 0.15
-"""Minimum fraction of the voxels of an overhanging cluster that are above the table [1]."""
+"""Minimum fraction of a cluster's voxels over the table for which its voxels beyond the edge are
+included [-]."""
 _MIN_OCCUPANCY = 2
-"""Minimum number of points in an occupied voxel."""
+"""Minimum number of points in a voxel that is used; voxels with fewer points are ignored."""
 _STRIDE = 4
-"""Row and column stride of the pixels used to fit the table [pixel]."""
+"""Row and column stride of the pixels of an image to which the table is fitted [pixel]."""
 _CLOUD_SAMPLES = 20_000
-"""Approximate number of points of a cloud used to fit the table."""
+"""Approximate number of points of a cloud to which the table is fitted."""
 _NO_TABLE = "no support plane found"
-"""Note of an image without a table."""
+"""Note (reason why an image or cloud is not usable) if no support plane is found in it."""
 _NO_DEPTH = "hardly any depth is measured"
-"""Note of an image with depth in less than `LEAST_SHARE` of its pixels."""
+"""Note (reason why an image or cloud is not usable) if less than the fraction `LEAST_SHARE` of its
+pixels has depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Table and obstacles of one frame.
+    """Table and obstacles segmented from one frame: depth images of one instant, or a point cloud.
 
     Attributes:
         clouds_W: for each obstacle an (N_i, 3) array of the mean points of its voxels in the world
-            frame [m], largest obstacle first; without a table all points off the robot.
-        labels: for each usable image, or for the cloud, the obstacle (N,) of each pixel
-            (row-major) or point as row of `clouds_W`; -1: none.
+            frame [m], largest obstacle first; without a table, from all points off the robot.
+        labels: for each usable image, or for the cloud, an array (N,) with the obstacle of each
+            pixel (row-major) or point, as index into `clouds_W`; -1: none.
         table: support plane in the world frame, or None.
         points_W: (N, 3) all points above the table, without a table all points, in the world frame
             [m]; including the robot's, for visualization.
-        plane_rms: root mean square distance of the plane's samples from it [m]; NaN without plane.
+        plane_rms: root mean square distance of the plane's samples from the plane [m]; NaN without
+            plane.
         X_WC: (4, 4) pose of the first camera. If no pose was given, the pose for which the table is
             the plane z = 0 (see `segment_depth`).
         usable: whether a table was found or is not expected; False: the frame contains no
@@ -112,27 +123,30 @@ class Segmentation:
 
     @property
     def pixels(self) -> tuple[IntArray, ...]:
-        """Flat indices of the pixels or points of each obstacle, consecutive over the images."""
+        """Flat indices of each obstacle's pixels, or points of a cloud, counted consecutively over
+        all usable images.
+        """
         label = np.concatenate([np.zeros(0), *self.labels])
         return tuple(np.flatnonzero(label == row) for row in range(len(self.clouds_W)))
 
 
 class _Frame(NamedTuple):
-    """One image or cloud, with its table.
+    """One depth image or point cloud during segmentation, with the support plane found in it.
 
-    The points are p_CQ = depth * ray.
+    The points in the camera frame C are p_CQ = depth * ray.
 
     Attributes:
-        ray: (N, 3) float32; z = 1 in an image, unit vectors in a cloud.
-        depth: (N,) float32 [m].
+        ray: (N, 3) float32 rays through the points in C; z = 1 in an image, unit vectors in a
+            cloud.
+        depth: (N,) float32 depth, in a cloud distance from the camera [m].
         depth_range: minimum and maximum depth in use [m].
-        X_WC: (4, 4) pose; None: unknown.
+        X_WC: (4, 4) pose of the camera in the world; None: unknown.
         view: the image; None: a cloud.
         table: support plane in the world; None: not found.
-        extent_W: (E, 3) points that span the table's extent in this frame [m].
+        extent_W: (E, 3) points in the world that span the visible extent of the table [m].
         samples: number of samples on the table.
         rms: root mean square distance of these samples from the table [m].
-        note: empty, or the reason why this frame is not usable by itself.
+        note: empty, or the reason why this image or cloud is not usable by itself.
     """
 
     ray: NDArray[np.float32]
@@ -147,22 +161,27 @@ class _Frame(NamedTuple):
     note: str = ""
 
     def is_valid(self, depth: NDArray[np.float32]) -> BoolArray:
-        """Checks for each depth [m] whether it is in the range."""
+        """Checks for each depth [m] whether it lies in the range of depths that the segmentation
+        uses.
+        """
         return np.asarray((depth >= self.depth_range[0]) & (depth <= self.depth_range[1]))
 
     def points(self, index: IntArray) -> NDArray[np.float32]:
-        """Computes the points (M, 3) with some indices (M,) in the camera frame C [m]."""
+        """Computes the points (M, 3) of an image or cloud at the indices (M,), in the camera frame
+        C [m].
+        """
         return np.take(self.ray, index, axis=0) * self.depth[index, None]
 
 
 class _AbovePlane(NamedTuple):
-    """Points of one frame above the support plane; all points without a table.
+    """Points of one depth image or cloud above the support plane; without a table, all its points.
 
     Attributes:
         frame: image or cloud of the points.
-        p_WQ: (N, 3) points [m].
-        number: (N,) indices of the points in the frame.
-        is_higher: (N,) whether each point is higher than noise and bend of the camera.
+        p_WQ: (N, 3) points in the world [m].
+        number: (N,) indices of the points in the image or cloud.
+        is_higher: (N,) whether each point is higher than depth noise and apparent bend of the
+            table.
     """
 
     frame: _Frame
@@ -178,22 +197,23 @@ def segment_depth(
     config: SegmentationConfig | None = None,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments a depth image into the table and one cluster per obstacle.
+    """Segments a depth image into the table and one cluster of points per obstacle.
 
-    If the pose of the camera is unknown, the table defines the world: z along its normal (toward
-    the camera), x along the camera's x axis. The origin is the intersection of table and optical
-    axis, without intersection the foot of the camera on the table.
+    If the pose of the camera is unknown, the table defines the world: z along the table's normal
+    (toward the camera), x along the camera's x axis. The origin is the intersection of table and
+    optical axis; without an intersection, the camera's perpendicular foot on the table.
 
     Args:
-        depth: (H, W) depth along the optical axis [m]; 0 (too near), inf (too far)
-            and NaN (missing) are ignored.
+        depth: (H, W) depth along the optical axis [m]; 0 (too near), inf (too far) and NaN
+            (missing) are ignored.
         K: (4,) fx, fy, cx, cy [pixel].
         X_WC: (4, 4) pose of the camera; None: unknown.
         config: parameters; None: defaults.
-        robot: collision geometry of the robot at the time of the image, or None.
+        robot: collision geometry of the robot at the time of the image, whose points are removed;
+            None: no points are removed.
 
     Returns:
-        Segmentation; without a table one with a note and no clouds.
+        Table and obstacles; if an expected table is not found, only a note with the reason.
 
     Raises:
         ValueError: without X_WC if `config.table` is False.
@@ -206,19 +226,21 @@ def segment_views(
     config: SegmentationConfig | None = None,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments depth images of one instant together; otherwise as `segment_depth`.
+    """Segments depth images of one instant together into the table and one cluster of points per
+    obstacle.
 
     The largest table of all images is also used for images without a table, or with a different
     one. An image with hardly any depth is ignored, and listed in `unusable_views`; if all are
-    ignored, the frame is not usable.
+    ignored, the frame is not usable. Otherwise the images are processed as by `segment_depth`.
 
     Args:
         views: one or more depth images: depth, K and X_WC of each, as in `segment_depth`.
         config: parameters; None: defaults.
-        robot: collision geometry of the robot at the time of the images, or None.
+        robot: collision geometry of the robot at the time of the images, whose points are removed;
+            None: no points are removed.
 
     Raises:
-        ValueError: as `segment_depth`.
+        ValueError: without the pose X_WC of a camera if `config.table` is False.
     """
     config = config or SegmentationConfig()
     frames = []
@@ -236,14 +258,22 @@ def segment_points(
     config: SegmentationConfig | None = None,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments a point cloud without image structure; otherwise as `segment_depth`.
+    """Segments a point cloud without image structure into the table and one cluster of points per
+    obstacle.
+
+    The cloud is processed as an image by `segment_depth`, but clusters are not merged across
+    occluded gaps.
 
     Args:
         points: (N, 3) points in the frame C [m]; rows that are not finite or all zero are ignored.
         X_WC: (4, 4) pose of C: of the camera, or the identity for points in the world; None:
             unknown.
         config: parameters; `near` and `far` have no effect. None: defaults.
-        robot: collision geometry of the robot at the time of the cloud, or None.
+        robot: collision geometry of the robot at the time of the cloud, whose points are removed;
+            None: no points are removed.
+
+    Raises:
+        ValueError: without X_WC if `config.table` is False.
     """
     points = np.asarray(points, dtype=np.float32)
     distance = np.linalg.norm(points, axis=1)
@@ -256,7 +286,15 @@ def segment_points(
 def _segment(
     frames: Sequence[_Frame], config: SegmentationConfig, robot: CollisionGeometries | None
 ) -> Segmentation:
-    """Runs the stages of the module on images of one instant, or on a cloud."""
+    """Segments images of one instant, or one cloud, into table and obstacles, by the seven stages
+    in the module's docstring.
+
+    Args:
+        frames: images of one instant, or one cloud, without tables.
+        config: parameters of the segmentation.
+        robot: collision geometry of the robot, whose points are removed; None: no points are
+            removed.
+    """
     frames = [_find_plane(frame, config) for frame in frames]
     # The largest table is also used for images without one.
     largest = max(frames, key=lambda frame: frame.samples)
@@ -302,7 +340,12 @@ def _segment(
 
 
 def _find_plane(frame: _Frame, config: SegmentationConfig) -> _Frame:
-    """Returns a frame with its table, or with a note (stage 1)."""
+    """Fits the support plane to a subsample of an image or cloud (stage 1 of the segmentation).
+
+    Returns:
+        The image or cloud with the table, with a note (reason) if depth or table are missing, or
+        unchanged if `config.table` is False.
+    """
     # Infinite depth is a measurement of free space; missing depth is none.
     if np.count_nonzero(frame.depth > 0.0) < max(1.0, LEAST_SHARE * frame.depth.size):
         return frame._replace(note=_NO_DEPTH)
@@ -336,11 +379,20 @@ def _find_plane(frame: _Frame, config: SegmentationConfig) -> _Frame:
 def _points_above(
     frame: _Frame, table: TablePlane | None, config: SegmentationConfig
 ) -> _AbovePlane:
-    """Finds the points of a frame above the table; all points without a table (stage 2).
+    """Finds the points of an image or cloud above the table; all points without a table (stage 2 of
+    the segmentation).
 
-    A pixel of ray r (z = 1) and depth z has the height z n . r - offset above the plane. The
-    standard deviation of the height of a point on the plane is `DEPTH_NOISE` z |offset|, since that
-    of the depth is `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
+    A pixel with ray r (z = 1) and depth z has the height z n . r - offset above the plane n . p =
+    offset. The standard deviation of the height of a point on the plane is `DEPTH_NOISE` z
+    |offset|, since that of the depth is `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
+
+    Args:
+        frame: image or cloud with its own plane.
+        table: largest table of all images; None: no table.
+        config: `max_height` is used.
+
+    Raises:
+        ValueError: if the pose of the camera is unknown, and no table in its image defines it.
     """
     X_WC, depth = frame.X_WC, frame.depth
     if X_WC is None:
@@ -370,7 +422,14 @@ def _points_above(
 def _is_off_robot(
     means: FloatArray, robot: CollisionGeometries, config: SegmentationConfig
 ) -> BoolArray:
-    """Checks for each point (M, 3) whether its distance to the robot is large enough (stage 4)."""
+    """Checks for each point whether it is at least `robot_margin` away from the robot (stage 4 of
+    the segmentation, self filter).
+
+    Args:
+        means: (M, 3) mean points of the voxels in the world [m].
+        robot: collision geometry of the robot in the world.
+        config: `robot_margin` is used.
+    """
     margin = config.robot_margin
     return np.asarray(least_distances(robot, means, 0.0, margin, margin) >= margin)
 
@@ -378,15 +437,16 @@ def _is_off_robot(
 def _is_over_table(
     means: FloatArray, parts: Sequence[_AbovePlane], table: TablePlane, config: SegmentationConfig
 ) -> BoolArray:
-    """Checks which points belong to objects above the table, overhanging ones included (stage 5).
+    """Checks which points belong to objects over the table, overhanging objects included (stage 5
+    of the segmentation).
 
     An object with contact to a wall behind the table does not include the wall: most of the wall is
     beside the table, and the wall continues beyond the maximum overhang.
 
     Args:
         means: (M, 3) points in the world frame [m].
-        parts: points of the frames, with the extents of their tables.
-        table: the largest table.
+        parts: points of the images, with the extents of their tables.
+        table: the largest table of all images.
         config: `table_margin`, `cluster_tolerance` and `voxel` are used.
 
     Returns:
@@ -413,16 +473,17 @@ def _clusters(
     parts: Sequence[_AbovePlane],
     config: SegmentationConfig,
 ) -> IntArray:
-    """Clusters voxels, and merges clusters across short gaps that are occluded (stage 6).
+    """Clusters voxels, and merges clusters across short gaps that are occluded in the images (stage
+    6 of the segmentation).
 
-    The rim and the inside of a bowl are separate clusters without the merge. Two boxes with a gap
-    between them remain separate if an image observes the table through the gap.
+    Without the merge, the rim and the inside of a bowl would be separate clusters. Two boxes with a
+    gap between them remain separate if an image observes the table through the gap.
 
     Args:
         means: (M, 3) mean points of the voxels in the world frame [m].
         is_used: (M,) whether each voxel is clustered.
-        voxel_of: (N,) voxel of each point of the frames.
-        parts: points of the frames.
+        voxel_of: (N,) voxel of each point of the images.
+        parts: points of the images or of the cloud.
         config: `cluster_tolerance`, `voxel` and `min_cluster_voxels` are used; smaller clusters are
             not merged.
 
@@ -465,11 +526,13 @@ def _clusters(
 def _select_obstacles(
     label: IntArray, is_higher: BoolArray | None, config: SegmentationConfig
 ) -> IntArray:
-    """Selects the clusters that are large and high enough, and sorts them by size (stage 7).
+    """Selects the clusters that are large and high enough to be obstacles, and sorts them by size
+    (stage 7 of the segmentation).
 
     Args:
         label: (M,) cluster of each voxel, -1: none.
-        is_higher: (M,) whether each voxel is higher than noise and bend; None: without a table.
+        is_higher: (M,) whether each voxel is higher than depth noise and apparent bend of the
+            table; None: without a table.
         config: `min_cluster_voxels` is used.
 
     Returns:
@@ -487,9 +550,12 @@ def _select_obstacles(
 
 
 def _pixel_labels(parts: Sequence[_AbovePlane], point_label: IntArray) -> list[NDArray[np.int16]]:
-    """Lists the labels of all pixels of each frame, from the labels of the points of all frames.
+    """Returns for each image the labels of all its pixels, given the labels of the points above the
+    table.
 
-    A pixel without a point in `parts` has the label -1.
+    Args:
+        parts: points above the table in each image or cloud; every other pixel gets the label -1.
+        point_label: (N,) obstacle or cluster of the points of all images in sequence, -1: none.
     """
     labels, ends = [], np.cumsum([len(part.number) for part in parts])[:-1]
     for part, values in zip(parts, np.split(point_label, ends), strict=True):
@@ -500,9 +566,14 @@ def _pixel_labels(parts: Sequence[_AbovePlane], point_label: IntArray) -> list[N
 
 
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:
-    """Computes the pose X_WC of the camera in the world defined by a table, see `segment_depth`."""
+    """Computes the pose X_WC (4, 4) of a camera in the world that the table defines, as
+    `segment_depth` describes.
+
+    Args:
+        plane: table in the frame of the camera.
+    """
     n = plane.normal
-    """Computes the pose X_WC of the camera in the world of a table, see `segment_depth`."""
+    # The ray (0, 0, t) intersects the plane n . p = offset, if in front and not nearly parallel
     # to the plane (3 degrees).
     t = plane.offset / n[2] if abs(n[2]) > 0.05 else -1.0
     origin_C = np.array([0.0, 0.0, t]) if t > 0.0 else plane.offset * n

@@ -1,10 +1,11 @@
-"""Support plane of a scene, usually a table: a robust fit with a prior on gravity and height.
+"""Support plane of a scene, usually a table: a robust fit to depth points, with a prior on gravity
+and height.
 
 A plane is ``normal . p = offset``, with a unit normal that points to free space. Planes that
 contradict gravity are rejected, so that a wall never replaces a table with fewer points.
 
-The table covers the convex hull of its visible points, and continues beyond the border of the
-image, since the feet of objects near the lowest row are not visible.
+The table covers the convex hull of its visible points, and is assumed to continue beyond the border
+of the image, since the feet of objects near the lowest row are not visible.
 """
 
 from __future__ import annotations
@@ -18,54 +19,70 @@ from scipy import ndimage
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 DEPTH_NOISE = 0.0015
-"""Standard deviation of depth over the square of the depth [1/m]."""
+"""Standard deviation of a measured depth divided by the square of that depth [1/m]: the camera
+noise that the table fit and the segmentation assume."""
 LEAST_SHARE = 0.05
-"""Minimum fraction of a frame's points with depth, and of its samples on the table [1]."""
+"""Minimum fraction of an image's pixels that have depth, and of the sampled points that lie on the
+support plane, for both to be usable [-]."""
 HEIGHT_TOLERANCE = 0.05
-"""Maximum difference of the table's height from the expected one [m]."""
+"""Maximum difference of the table's height from the expected height, or between two images, to be
+the same table [m]."""
 _PLANE_TOLERANCE = 0.006
-"""Maximum distance from a plane of a point on it, at depth 0 [m]."""
+"""Maximum distance from a plane of a point that lies on it, at depth 0 [m]. At depth z the
+allowance for noise is added, `DEPTH_NOISE` z^2."""
 _PLANE_TILT = math.radians(5.0)
-"""Maximum tilt of the table against gravity with a known camera pose [rad]."""
+"""Maximum angle between the normal of a detected table and the vertical, if the camera's pose is
+known [rad]."""
 _UP_UNKNOWN = np.array([0.0, -1.0, -1.0]) / math.sqrt(2.0)
-"""Unit vector opposite to gravity in the frame of a camera pitched down by 45 degrees."""
+"""Assumed upward direction if the camera's pose is unknown: opposite to gravity for a camera
+pitched down by 45 degrees, in the camera frame."""
 _PLANE_TILT_UNKNOWN = math.radians(50.0)
-"""Maximum tilt of the table against `_UP_UNKNOWN` [rad]."""
+"""Maximum angle between the normal of a detected table and `_UP_UNKNOWN`, if the camera's pose is
+unknown [rad]."""
 _BANDS = (2.0, 1.0, 0.7, 0.5, 0.5)
-"""Widths of the bands of points in successive least-squares fits, relative to the tolerance [1].
+"""Maximum distances of the points used in five successive least-squares fits of a plane, relative
+to the tolerance of a point on the plane [-].
 
-Narrow bands exclude the feet of objects.
+The last, narrow bands exclude the feet of objects.
 """
 _REFINED_POINTS = 4000
-"""Approximate number of points in a least-squares fit of a plane."""
+"""Approximate maximum number of points in a least-squares fit of the support plane."""
 _SEARCHES = 5
-"""Maximum number of RANSAC searches for a plane with an accepted tilt."""
+"""Maximum number of RANSAC searches for a support plane. Each search leaves out the points of
+previous planes, which were tilted too much."""
 _TRIALS = 300
-"""Number of random triples of points in one RANSAC search for a plane."""
+"""Number of random triples of points that one RANSAC search tries as planes."""
 _RANSAC_POINTS = 800
-"""Approximate number of points in a RANSAC search for a plane."""
+"""Approximate maximum number of points in a RANSAC search for the support plane."""
 _BIN = 0.01
-"""Width of a histogram bin of heights, and half the thickness of a plane in RANSAC [m]."""
+"""Maximum distance of a RANSAC inlier from its plane, and width of a bin in the histogram of
+heights above a plane [m]."""
 _OBJECT_HEIGHT = 0.45
-"""Maximum height of an object above its support [m]."""
+"""Assumed maximum height of an object above its support [m]. It distinguishes the top of a box on a
+table from a table above the floor."""
 _TABLE_HEIGHT = 1.3
-"""Maximum height of a table above the floor [m]."""
+"""Maximum height above the floor at which a level surface counts as a table [m]."""
 _LEAST_TABLE = 0.1
-"""Minimum area of a table on a floor [m^2]."""
+"""Minimum area of a level surface above the floor that counts as a table [m^2]."""
 _LARGEST_TOP = 0.4
-"""Maximum area of the top of a box that is mistaken for a table [m^2]."""
+"""Maximum area of a plane that may be the top of a box, so that a wider level below it is the table
+[m^2]."""
 _BEYOND_IMAGE = 0.3
-"""Distance by which a table is extended beyond the border of the image [m]."""
+"""Distance by which the extent of a table is assumed to continue beyond the border of the image
+[m]."""
 _BORDER = 2
-"""Width of the border of the image, in rows and columns of the grid of samples."""
+"""Width of the image border at which a table is assumed to continue beyond the image, in rows or
+columns of the sampling grid."""
 _ANGLES = np.arange(48) * (2.0 * np.pi / 48)
-"""Angles (48,) of the half-planes that bound the extent of a table [rad]."""
+"""Directions (48,) in the table's plane of the half-planes that bound the extent of the table
+[rad]."""
 _OUTWARD = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-"""Outer normals (48, 2) of the half-planes that bound a table's extent, in axes of the plane."""
+"""Outer normals (48, 2) of the half-planes that bound the extent of a table, in two axes of the
+table's plane."""
 
 
 class PlaneFit(NamedTuple):
-    """Plane ``normal . p = offset`` fitted to points.
+    """Plane ``normal . p = offset`` fitted to N points.
 
     Attributes:
         normal: (3,) unit normal in the frame of the points.
@@ -81,12 +98,13 @@ class PlaneFit(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Samples of a frame, and constraints on its support plane.
+    """Sampled points of a depth image or cloud, and the conditions that a support plane fitted to
+    them must satisfy.
 
     Attributes:
         points: (N, 3) samples in the frame of the camera [m].
-        tolerance: (N,) maximum distances from a plane of samples on it [m].
-        up: (3,) unit vector opposite to gravity.
+        tolerance: (N,) maximum distance from a plane at which each sample lies on it [m].
+        up: (3,) unit vector opposite to gravity in the frame of the camera.
         max_tilt: maximum angle between `up` and the normal of the plane [rad].
     """
 
@@ -97,18 +115,20 @@ class _Samples(NamedTuple):
 
     @property
     def min_inliers(self) -> int:
-        """Minimum number of samples on a plane."""
+        """Minimum number of samples that must lie on a plane for it to be the support plane."""
         return max(20, int(LEAST_SHARE * len(self.points)))
 
     def accepts(self, normal: FloatArray) -> bool:
-        """Checks whether the tilt of a plane with a normal is small enough."""
+        """Checks whether a plane with the unit normal (3,) is level enough, within `max_tilt`, to
+        be the support plane.
+        """
         return bool(normal @ self.up >= math.cos(self.max_tilt))
 
 
 def find_table(
     points: FloatArray, distance: FloatArray, X_WC: FloatArray | None, table_height: float | None
 ) -> PlaneFit | None:
-    """Finds the table in the frame of the camera.
+    """Finds the support plane (table) among points in the frame of the camera.
 
     A table of known height is searched near that height. Otherwise the plane with the most points
     (RANSAC) is the table, unless it is the floor around a table, or the top of a box on the table
@@ -116,12 +136,13 @@ def find_table(
 
     Args:
         points: (N, 3) points in the frame of the camera [m].
-        distance: (N,) their distances from the camera [m].
-        X_WC: (4, 4) pose of the camera; None: unknown.
+        distance: (N,) depth of each point along the optical axis, or its distance from the camera
+            [m].
+        X_WC: (4, 4) pose of the camera in the world; None: unknown.
         table_height: height of the table in the world [m]; None: unknown.
 
     Returns:
-        The plane; None if no plane has enough points.
+        The plane in the frame of the camera; None if no plane has enough points.
     """
     up, max_tilt = _UP_UNKNOWN, _PLANE_TILT_UNKNOWN
     if X_WC is not None:
@@ -145,7 +166,11 @@ def find_table(
 
 
 def _search_plane(samples: _Samples) -> tuple[FloatArray, float] | None:
-    """Finds normal and offset of the largest plane with an accepted tilt, by RANSAC."""
+    """Finds the largest plane whose tilt is accepted, by RANSAC.
+
+    Returns:
+        Unit normal (3,) and offset [m] of the plane; None if none is found.
+    """
     step = 1 + len(samples.points) // _RANSAC_POINTS
     points, random = samples.points[::step].astype(np.float32), np.random.default_rng(0)
     for _ in range(_SEARCHES):
@@ -165,12 +190,20 @@ def _search_plane(samples: _Samples) -> tuple[FloatArray, float] | None:
 
 
 def _find_supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
-    """Finds the offset of a plane parallel to a fit that supports the scene instead, or None.
+    """Finds a level surface, parallel to a fitted plane, that supports the scene in place of that
+    plane.
 
-    - The fit is a floor: the table is a wide level above it, higher than objects, and nearer to the
-      camera.
-    - The fit is the top of a box: the support is a wider level below it, within the height of
-      objects.
+    - If the fitted plane is a floor: the table is a wide level above it, higher than objects, and
+      nearer to the camera.
+    - If the fitted plane is the top of a box: the support is a wider level below it, within the
+      height of objects.
+
+    Args:
+        samples: sampled points of the image or cloud.
+        fit: plane with the most points.
+
+    Returns:
+        Offset of the level surface along the normal of the fitted plane [m]; None if there is none.
     """
     points, inliers = samples.points, samples.points[fit.inliers]
     height = points @ fit.normal - fit.offset
@@ -196,7 +229,13 @@ def _find_supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
 
 
 def _area(points: FloatArray, normal: FloatArray) -> float:
-    """Computes the area [m^2] of a uniform rectangle with the variances of points along a plane."""
+    """Estimates the area [m^2] that points cover along a plane: that of a uniform rectangle with
+    the same variances.
+
+    Args:
+        points: (N, 3) points [m].
+        normal: (3,) unit normal of the plane.
+    """
     axes = plane_axes(normal)
     return float(12.0 * np.sqrt(max(np.linalg.det(axes @ np.cov(points.T) @ axes.T), 0.0)))
 
@@ -204,12 +243,13 @@ def _area(points: FloatArray, normal: FloatArray) -> float:
 def _refine(
     samples: _Samples, normal: FloatArray, offset: float, allowed: BoolArray | None = None
 ) -> PlaneFit | None:
-    """Fits a plane by weighted least squares in successively narrower bands.
+    """Refines a plane by weighted least-squares fits to the samples in successively narrower bands
+    around it.
 
     Args:
-        samples: samples of the frame.
-        normal: (3,) initial normal.
-        offset: initial offset [m].
+        samples: sampled points of the image or cloud, with tolerances and conditions.
+        normal: (3,) initial unit normal.
+        offset: initial offset along the normal [m].
         allowed: (N,) whether each sample may lie on the plane; None: all.
 
     Returns:
@@ -240,15 +280,17 @@ def _refine(
 def table_extent(
     fit: PlaneFit, points: FloatArray, pixel: IntArray, shape: tuple[int, ...]
 ) -> FloatArray:
-    """Computes points (E, 3) that span the extent of a table in the frame of the camera [m].
+    """Computes points (E, 3) whose convex hull is the extent of a table, in the frame of the camera
+    [m].
 
-    An opening of the table's mask by 3 x 3 pixels removes the thin line where its plane
-    intersects a wall.
+    They are the border points of the table's mask in the image, and points beyond the left, right
+    and lower borders of the image, where the table is assumed to continue. An opening of the mask
+    by 3 x 3 pixels removes the thin line along which the table's plane intersects a wall.
 
     Args:
         fit: plane of the table.
-        points: (N, 3) samples of the fit [m].
-        pixel: (N,) flat indices of the samples in a grid.
+        points: (N, 3) samples to which the plane was fitted [m].
+        pixel: (N,) flat indices of the samples in the grid of sampled pixels.
         shape: rows and columns of the grid.
     """
     mask = np.zeros(shape, dtype=bool)
@@ -274,7 +316,7 @@ def table_extent(
 
 
 def distance_beyond(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray) -> FloatArray:
-    """Computes distances of points beyond the convex extent of the table.
+    """Computes how far points lie beyond the convex extent of a table, along its plane.
 
     Args:
         p_WQ: (N, 3) points [m].
@@ -282,8 +324,8 @@ def distance_beyond(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray)
         normal_W: (3,) unit normal of the table.
 
     Returns:
-        (N,) distances along the plane to the half-planes that bound the extent, the largest for
-        each point [m]: negative inside; infinite for a table without extent.
+        (N,) largest distance of each point beyond the half-planes that bound the extent [m]:
+        negative inside; infinite for a table without extent.
     """
     outward = _OUTWARD @ plane_axes(normal_W)
     reach = (outward @ table_W.T).max(axis=1, initial=-np.inf)
@@ -291,7 +333,7 @@ def distance_beyond(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray)
 
 
 def plane_axes(normal: FloatArray) -> FloatArray:
-    """Computes orthonormal axes (2, 3) of the plane with a unit normal."""
+    """Computes two orthonormal axes (2, 3) that span the plane with a given unit normal (3,)."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])

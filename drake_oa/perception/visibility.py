@@ -1,8 +1,8 @@
 """Nearest points of two clouds, and extension of obstacles that the border of an image truncates.
 
-Obstacles beyond the border of an image are not observed. The upper end of a post that extends
-above the image, or its foot nearer than the minimum depth, is unknown, and no motion may pass
-there. A cloud that ends at the upper or lower border, or at the minimum depth, is therefore
+Parts of obstacles beyond the border of an image are not observed. The upper end of a post that
+extends above the image, or its foot nearer than the minimum depth, is unknown, and no motion may
+pass there. A cloud that ends at the upper or lower border, or at the minimum depth, is therefore
 extended upright by its visible length. Left and right borders do not extend it.
 """
 
@@ -23,16 +23,18 @@ from drake_oa.geometry.distance_field import VOXEL
 def mutual_nearest(
     query: FloatArray, points: FloatArray, radius: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Finds the nearest point to each query within a radius, and the nearest query to each point.
+    """Finds the nearest point to each query point within a radius, and the distance from each point
+    to its nearest query point.
 
     Args:
-        query: (Q, 3) [m].
-        points: (N, 3) [m].
+        query: (Q, 3) query points [m].
+        points: (N, 3) points [m].
         radius: maximum distance [m].
 
     Returns:
-        (Q,) index of the nearest point, -1 without one in the radius; (Q,) its distance and
-        (N,) the distance of the nearest query, ``radius`` without one [m].
+        Three arrays: (Q,) index of the point nearest to each query point, -1 without one in the
+        radius; (Q,) the distance to that point [m]; and (N,) the distance from each point to the
+        nearest query point [m]. Distances are ``radius`` without a neighbor.
     """
     from_query, nearest = cKDTree(points).query(query, distance_upper_bound=radius)
     from_point, _ = cKDTree(query).query(points, distance_upper_bound=radius)
@@ -41,16 +43,19 @@ def mutual_nearest(
 
 
 _MAX_EXTENSION = 0.5
-"""Maximum length by which a truncated obstacle is extended [m]."""
+"""Maximum length by which an obstacle that the border of an image truncates is extended [m]."""
 _BORDER_DISTANCE = 1.5 * VOXEL
-"""Maximum distance of a truncated obstacle from the border of the image [m]."""
+"""Maximum distance of a point from the border of the image, or from the minimum depth, at which an
+obstacle counts as truncated there [m]."""
 
 
 class ImageRange(NamedTuple):
-    """Vertical range of a pinhole camera's image, and its minimum depth.
+    """Vertical range of a pinhole camera's image and its minimum depth, beyond which obstacles may
+    be truncated.
 
     Attributes:
-        fy, cy, height: focal length, center and height of the image along its columns [pixel].
+        fy, cy, height: focal length, principal point and height of the image along its columns
+            [pixel].
         near: minimum depth that the camera measures [m].
     """
 
@@ -88,7 +93,14 @@ def with_occluded_extents(
 
 
 def _extents(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
-    """Yields the points (M, 3) [m] that extend a cloud (N, 3) beyond each border of an image."""
+    """Yields points (M, 3) [m] that extend an obstacle's cloud beyond each border of an image at
+    which it is truncated.
+
+    Args:
+        cloud: (N, 3) points of the obstacle in the world [m].
+        X_WC: (4, 4) pose of the camera in the world.
+        image: vertical range and minimum depth of the camera.
+    """
     _, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
     # Distances of the points from the upper and lower border at their depth. Each border extends
     # the cloud up or down in the world, whichever its outward direction is closer to.
