@@ -2,13 +2,14 @@
 
 In: a recipe. Out: a .safetensors file for each chain, with its networks, the range of its inputs,
 and its provenance. The package is not imported by systems that run on the robot. A regressor chain
-predicts the parameters kappa, psi and alpha of the paper's coupling term, each from the inputs and
-the parameters before it. The inputs are lambda1', lambda2' (semi-axes of the obstacle's section
-along and across the baseline) and the requested clearance Delta. Lengths are in baselines L, kappa
-in 1/L^2, psi in rad, and alpha in 1/T (T: demonstrated duration); in the recipe `paper` alpha is in
-rad/s and L = 1 m.
+predicts the parameters kappa, psi and alpha of a coupling term, which turns the motion away from an
+obstacle, each from the inputs and the parameters before it. The inputs are lambda1' and lambda2',
+the semi-axes of the obstacle's section along and across the baseline (line from start to goal), and
+the requested clearance Delta. Lengths are in units of the baseline's length L, kappa in 1/L^2, psi
+in rad, and alpha in 1/T (T: demonstrated duration); in the recipe `paper` alpha is in rad/s and
+L = 1 m.
 
-Recipe `paper` (`PaperRecipe`): Table I of the paper.
+Recipe `paper` (`PaperRecipe`): Table I of the paper (Pairet et al., RA-L 2019).
 
 1. `lattice` rolls out the paper's lattice of 12.5 million motions on the action level (equations of
    motion) of the authors' released code (`released_law`); `paper` selects those with a clearance of

@@ -1,8 +1,9 @@
-"""Roll-outs of the paper's training set: a lattice of motions around one ellipse.
+"""Roll-outs (simulations) of the paper's training set: a lattice of motions past one ellipse.
 
-Motions go from rest at (0, 0) to (1, 0) around an ellipse at (0.5, 0), as in the paper's sec. V-A.
-The action level (equations of motion) is that of the authors' released code (`released_law`) or
-that of the running system.
+Motions go from rest at (0, 0) to (1, 0) around an ellipse at (0.5, 0) [m], as in section V-A of
+Pairet et al., RA-L 2019. The lattice varies the ellipse's semi-axes and the parameters of the
+coupling term, which turns the motion. The action level (equations of motion) is that of the
+authors' released code (`released_law`) or that of the running system.
 """
 
 from __future__ import annotations
@@ -32,20 +33,26 @@ from drake_oa.policy.rollout import Scene, roll_out_tool
 from drake_oa.training.released_law import STEPS, ReleasedMotions
 
 ActionLevelName = Literal["released", "running"]
-"""Action level of the authors' released code or of the running system."""
+"""Name of an action level, that is, of the equations of motion by which motions are simulated.
+
+"released" are those in the released code of Pairet et al., RA-L 2019, and "running" are those of
+this package's policy."""
 
 _BATCH = 512
-"""Number of motions that are rolled out at once."""
+"""Number of motions of the training set that are rolled out (simulated) at once."""
 _COARSE = 20
-"""Stride of the steps at which distances are measured first."""
+"""Stride in time steps of the first, coarse search for contacts of a motion with the ellipse."""
 _CENTER = 0.5
-"""x coordinate of the ellipse's center on the baseline [m]."""
+"""x coordinate of the ellipse's center, the middle between start and goal of the motions [m]."""
 _GOAL = np.array([1.0, 0.0, 0.0])
-"""Goal position of all motions [m]."""
+"""Goal position (3,) of all motions of the training set, which start at the origin [m]."""
 
 
 class PaperLattice(NamedTuple):
-    """Lattice of ellipses and coupling-term parameters, by default that of the paper.
+    """Lattice of ellipses and coupling-term parameters, by default that of Pairet et al.
+
+    A coupling term turns the motion away from the ellipse. The training set has one motion past the
+    ellipse for each combination of these values. The baseline is the line from start to goal.
 
     Attributes:
         lambda1: semi-axes of the ellipse along the baseline [m].
@@ -65,11 +72,12 @@ class PaperLattice(NamedTuple):
 def roll_out_lattice(
     lattice: PaperLattice, action_level: ActionLevelName
 ) -> tuple[FloatArray, FloatArray]:
-    """Rolls out every motion of a lattice.
+    """Rolls out (simulates) every motion of a lattice and measures clearances and goal errors.
 
     Args:
-        lattice: lattice of A, B, C, D and E values; alpha is in 1/T on the running action level.
-        action_level: action level of the motions.
+        lattice: lattice of A, B, C, D and E values; on the running action level alpha is in 1/T,
+            with the demonstrated duration T.
+        action_level: action level (equations of motion) of the motions.
 
     Returns:
         Two arrays (A, B, C, D, E) in the order of the lattice's fields: the minimum distance to the
@@ -102,7 +110,13 @@ def roll_out_lattice(
 
 @compiled
 def _least_distances(path: FloatArray, axes: Triple, least: FloatArray) -> None:
-    """Sets `least` (N,) to distances of paths (N, T, 3) from the ellipsoid [m], 0 on contact."""
+    """Computes the minimum distance of each of N paths from the ellipsoid at the lattice's center.
+
+    Args:
+        path: (N, T, 3) positions [m].
+        axes: semi-axes of the ellipsoid [m].
+        least: (N,) minimum distances, 0 on contact [m]; output.
+    """
     for n in range(len(path)):
         least[n], last, distance = np.inf, triple(path[n], 0), 0.0
         # Most motions are in contact, which a coarse stride usually detects.
@@ -117,10 +131,11 @@ def _least_distances(path: FloatArray, axes: Triple, least: FloatArray) -> None:
 
 
 def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> FloatArray:
-    """Rolls out motions around the ellipse on the released code's action level.
+    """Rolls out (simulates) motions past the ellipse by the released equations of Pairet et al.
 
     Args:
-        parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2].
+        parameters: (N, 3) parameters alpha [rad/s], psi [rad] and kappa [1/m^2] of the coupling
+            term, which turns the motion away from the ellipse.
         lambda1: semi-axis of the ellipse along the baseline [m]; motions end inside the ellipse.
         lambda2: semi-axis of the ellipse across the baseline [m].
 
@@ -137,13 +152,15 @@ def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> Fl
 
 
 def running_paths(parameters: FloatArray) -> FloatArray:
-    """Rolls out motions around the ellipse's center on the running system's action level.
+    """Rolls out (simulates) motions past the ellipse's center by the running system's equations.
 
-    Lengths are in baselines L and times in demonstrated durations T, on which the path's shape does
-    not depend. With four times as many steps, the median clearance is 0.4 mm per meter larger.
+    Lengths are in units of L, the distance from start to goal, and times in units of T, the
+    demonstrated duration. The path's shape depends on neither. With four times as many steps, the
+    median clearance is 0.4 mm per meter of L larger.
 
     Args:
-        parameters: (N, 3) alpha [1/T], psi [rad] and kappa [1/L^2].
+        parameters: (N, 3) parameters alpha [1/T], psi [rad] and kappa [1/L^2] of the coupling term,
+            which turns the motion away from the center.
 
     Returns:
         (N, 1001, 3) positions [L].

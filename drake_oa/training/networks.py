@@ -1,7 +1,8 @@
 """Networks of the regressor chain in torch: layers, training by Levenberg-Marquardt, errors.
 
-Levenberg-Marquardt takes damped Gauss-Newton steps; each accepted step has a lower loss than the
-previous one.
+A regressor chain predicts the parameters of a coupling term, which turns the motion away from an
+obstacle. Levenberg-Marquardt takes damped Gauss-Newton steps; each accepted step has a lower loss
+than the previous one.
 """
 
 from __future__ import annotations
@@ -20,25 +21,32 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.inference.regressor import Network
 
 HIDDEN = (24, 24, 24)
-"""Widths of the hidden tanh layers, as in the paper."""
+"""Widths of the hidden tanh layers of each regressor network, as in Pairet et al., RA-L 2019."""
 TRAIN_SHARE = 0.7
-"""Fraction of the rows used for training, as in the paper."""
+"""Fraction of the data rows used for training, as in Pairet et al., RA-L 2019 [-].
+
+The other rows are used to test the trained networks."""
 DECAY = 1e-8
-"""Weight of the squared network parameters in the loss; small, as alpha needs large ones."""
+"""Weight of the squared network parameters in the training loss (weight decay) [-].
+
+It is small, because the network for the strength alpha of the coupling term needs large parameters.
+"""
 _DAMPING = 1e-3
-"""Initial damping of the Gauss-Newton steps."""
+"""Initial damping of the Levenberg-Marquardt steps by which networks are trained [-]."""
 _DECREASE = 0.1
-"""Factor on the damping after a step that lowers the loss."""
+"""Factor on the Levenberg-Marquardt damping after a training step that lowers the loss [-]."""
 _INCREASE = 10.0
-"""Factor on the damping after a step that does not lower the loss."""
+"""Factor on the Levenberg-Marquardt damping after a step that does not lower the loss [-]."""
 _DAMPING_RANGE = 1e-12, 1e10
-"""Range of the damping; the fit ends if no step up to its maximum lowers the loss."""
+"""Minimum and maximum damping of the Levenberg-Marquardt steps by which networks are trained [-].
+
+Training ends if no step with a damping up to the maximum lowers the loss."""
 _BLOCK = 8192
-"""Number of rows that are differentiated at once, which bounds the memory."""
+"""Number of training rows that are differentiated at once, which limits the required memory."""
 
 
 class Round(NamedTuple):
-    """Training round with a limited number of iterations and rows.
+    """Training round of a network, with a limited number of iterations and training rows.
 
     Many iterations on few rows find the minimum; few iterations on many rows refine it.
 
@@ -52,9 +60,16 @@ class Round(NamedTuple):
 
 
 def make_perceptron(n_inputs: int, rng: np.random.Generator) -> nn.Sequential:
-    """Makes a network of tanh layers with a linear output in float64.
+    """Makes a network of tanh layers and one linear output, with random initial parameters.
 
-    The variance of the initial weights is 1 / n_in, that of the initial biases 1 / 4.
+    In a layer with n_in inputs, the variance of the weights is 1 / n_in, that of the biases 1 / 4.
+
+    Args:
+        n_inputs: number of inputs.
+        rng: random generator.
+
+    Returns:
+        Network from (N, n_inputs) to (N, 1) in float64.
     """
     layers: list[nn.Module] = []
     for n_in, n_out in pairwise([n_inputs, *HIDDEN, 1]):
@@ -70,9 +85,17 @@ def make_perceptron(n_inputs: int, rng: np.random.Generator) -> nn.Sequential:
 def normal_equations(
     network: nn.Module, x: Tensor, y: Tensor, weight: Tensor
 ) -> tuple[Tensor, Tensor, float]:
-    """Computes J^T W J (P, P), J^T W e (P,) and e^T W e for the errors e = y - network(x).
+    """Computes the terms of a weighted Gauss-Newton step for the P parameters of a network.
 
-    J is the Jacobian of the outputs with respect to the P network parameters.
+    Args:
+        network: module from rows (N, d) to (N, 1).
+        x: (N, d) inputs.
+        y: (N,) targets.
+        weight: (N,) nonnegative weights of the rows, the diagonal of W.
+
+    Returns:
+        J^T W J (P, P), J^T W e (P,) and e^T W e, with the errors e = y - network(x) and the
+        Jacobian J of the outputs with respect to the parameters.
     """
     parameters = {name: value.detach() for name, value in network.named_parameters()}
     derivatives = vmap(
@@ -95,7 +118,7 @@ def fit(
     iterations: int,
     on_step: Callable[[float], None] = lambda loss: None,
 ) -> None:
-    """Fits a network by weighted least squares (Levenberg 1944, Marquardt 1963).
+    """Fits a network to targets by weighted least squares (Levenberg 1944, Marquardt 1963).
 
     Args:
         network: module from rows (N, d) to (N, 1), whose parameters are the initial values and
@@ -137,18 +160,18 @@ def train_network(
     weight: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
 ) -> Network:
-    """Fits a new network to rows of inputs and targets.
+    """Makes a network, trains it on rows of inputs and targets, and returns it with its scaling.
 
     Args:
         x: (N, d) inputs, in random order.
         y: (N,) targets.
         seed: seed of the initial weights.
-        rounds: rounds of the fit, in order.
+        rounds: rounds of training, in order; each uses a number of rows from the first one.
         weight: (N,) weights of the rows.
         bounds: (d + 1,) minima and (d + 1,) maxima of inputs and target, for scaling to [-1, 1].
 
     Returns:
-        The fitted network, with its scaling.
+        Trained network, which scales inputs and output itself.
     """
     low, high = bounds
     gain = 2.0 / np.where(high > low, high - low, 1.0)
@@ -166,5 +189,10 @@ def train_network(
 
 
 def nmse(y: FloatArray, prediction: FloatArray) -> float:
-    """Computes the normalized mean squared error: the mean squared error over the variance of y."""
+    """Computes the normalized mean squared error of predictions, mean of (y - p)^2 / variance of y.
+
+    Args:
+        y: (N,) true values.
+        prediction: (N,) predicted values p.
+    """
     return float(np.mean((y - prediction) ** 2) / np.var(y))

@@ -1,8 +1,11 @@
 """Training of the regressor chains RC(lambda') and RC(lambda', Delta) by the paper's recipe.
 
-The training set (sec. V-A, recovered from the released network) is a lattice of ellipses in the
-middle of a 1 m baseline and of coupling-term parameters. It has a row for each motion with a
-clearance of at least 1 cm, on the action level of the released code or of the running system.
+A regressor chain predicts the parameters of a coupling term, which turns the motion away from an
+obstacle, from the obstacle's semi-axes lambda' and the requested clearance Delta. The training set
+(section V-A of Pairet et al., RA-L 2019, recovered from the released network) is a lattice of
+ellipses, in the middle between start and goal 1 m apart, and of coupling-term parameters. It has a
+row for each motion with a clearance of at least 1 cm. The action level (equations of motion) is
+that of the released code or of the running system.
 """
 
 from __future__ import annotations
@@ -28,29 +31,40 @@ from drake_oa.training.networks import (
 from drake_oa.training.released_law import STEPS
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
-"""Names of the two chains of Table I: without and with the requested clearance Delta."""
+"""Names of the two regressor chains in Table I of Pairet et al., RA-L 2019.
+
+A regressor chain predicts the parameters of a coupling term. The inputs of the first chain are the
+semi-axes lambda' of an obstacle's section. The second has the requested clearance Delta as well."""
 
 MIN_CLEARANCE = 0.01
-"""Minimum clearance of a motion in the training set [m]."""
+"""Minimum distance from the obstacle of a motion that is included in the training set [m]."""
 
 NEAR_GOAL = 1.3
-"""Maximum distance to the goal at the end of a motion that is used for training [m]."""
+"""Maximum distance from the goal at the end of a motion that is used for training or test [m]."""
 
 SATURATED = 5e-4
-"""Difference between the clearances of start and motion up to which the start limits both [m]."""
+"""Maximum difference of the start's distance from the obstacle and the motion's clearance [m].
+
+Up to this difference the start counts as the point of the motion nearest to the obstacle. Such
+motions do not train the strength alpha of the coupling term in the chain with requested clearance.
+"""
 
 ACTION_LEVELS = {
     "released": ("released code: tau^2 on the spring, 1000 steps of 3 ms", "rad/s"),
     "running": ("the running system's: exact turns, 1000 steps", "1/T"),
 }
-"""Action level -> description for the metadata, and unit of alpha."""
+"""Name of an action level -> its description and the unit of alpha, for the file of a chain.
+
+An action level is the equations of motion by which the training set is simulated; alpha is the
+strength of the coupling term."""
 
 
 class PaperSet(NamedTuple):
-    """Training set: N motions with at least the minimum clearance.
+    """Training set of the regressor chains: N motions past an ellipse with the minimum clearance.
 
     Attributes:
-        values: (N, 5) lambda1' [m], lambda2' [m], kappa [1/m^2], psi [rad] and alpha.
+        values: (N, 5) semi-axes lambda1' and lambda2' of the ellipse [m], and parameters kappa
+            [1/m^2], psi [rad] and alpha of the coupling term; `ACTION_LEVELS` has alpha's unit.
         clearance: (N,) minimum distance to the ellipse, the chain's input Delta [m].
         goal_error: (N,) distance to the goal at the end of the motion [m].
         rollouts: number of rolled-out motions of the lattice.
@@ -63,14 +77,14 @@ class PaperSet(NamedTuple):
 
 
 def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> PaperSet:
-    """Rolls out a lattice and selects the motions with at least the minimum clearance.
+    """Rolls out (simulates) a lattice of motions and selects those with the minimum clearance.
 
     Args:
-        lattice: lattice of motions.
-        action_level: action level of the motions; the unit of alpha is in `ACTION_LEVELS`.
+        lattice: lattice of ellipses and coupling-term parameters.
+        action_level: action level (equations of motion); `ACTION_LEVELS` has the unit of alpha.
 
     Returns:
-        The training set, in the lattice's order.
+        The training set. Its rows are sorted by lambda1', lambda2', alpha, psi and kappa.
 
     Raises:
         ValueError: if no motion has the minimum clearance.
@@ -89,7 +103,7 @@ def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> Pap
 
 
 def group_means(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Averages the targets of rows with equal inputs.
+    """Averages the targets of training rows with equal inputs, to train on fewer rows.
 
     Weighted least squares on the means, with the numbers of rows as weights, has the same solution.
 
@@ -105,12 +119,15 @@ def group_means(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class PaperRecipe(NamedTuple):
-    """Parameters of a training recipe.
+    """Recipe of training regressor chains: motions of the training set, and rounds of training.
+
+    A regressor chain predicts the parameters of a coupling term, which avoids an obstacle.
 
     Attributes:
-        lattice: lattice of motions to roll out.
-        rounds: chain -> rounds of training of its networks for kappa, psi and alpha.
-        action_level: action level of the motions.
+        lattice: lattice of ellipses and coupling-term parameters, whose motions are simulated.
+        rounds: name of a chain -> rounds of training of each of its networks for the coupling-term
+            parameters kappa, psi and alpha, in this order.
+        action_level: action level (equations of motion) by which the motions are simulated.
     """
 
     lattice: PaperLattice
@@ -119,23 +136,24 @@ class PaperRecipe(NamedTuple):
 
 
 _SINGLE_ROUND = (Round(60, 5000),)
-"""Rounds of training without refinement on more rows."""
+"""Rounds of training a network without refinement: 60 iterations on 5,000 rows."""
 _REFINED_ROUNDS = (Round(60, 5000), Round(20, 40000))
-"""Rounds of training with refinement on more rows."""
+"""Rounds of training a network with refinement: few rows first, then fewer iterations on more."""
 _ROUNDS = {
     CHAINS[0]: ((Round(60, 100),), _SINGLE_ROUND, _REFINED_ROUNDS),
     CHAINS[1]: (_REFINED_ROUNDS, _REFINED_ROUNDS, (Round(300, 5000), Round(100, 40000))),
 }
-"""Chain -> rounds of training of its networks for kappa, psi and alpha."""
+"""Name of a regressor chain -> rounds of training of its networks for kappa, psi and alpha."""
 
 
 def paper_recipe(name: str, iterations: int | None = None) -> PaperRecipe:
-    """Returns a training recipe by name.
+    """Returns a recipe of training regressor chains by name.
 
     Args:
-        name: "paper" (both chains on the released code's action level) or "paper_running"
-            (RC(lambda', Delta) for the running system, alpha per demonstrated duration).
-        iterations: maximum number of iterations of each round; None: the recipe's.
+        name: "paper" for both chains by the equations of motion in the released code of Pairet et
+            al., or "paper_running" for RC(lambda', Delta) by those of the running system, with
+            alpha per demonstrated duration.
+        iterations: maximum number of iterations of each round; None: as in the recipe.
     """
     rounds = {
         chain: [
@@ -157,17 +175,20 @@ FILES = {
     },
     "paper_running": {CHAINS[1]: "paper_chain_running.safetensors"},
 }
-"""Recipe -> chain -> name of its weights file."""
+"""Name of a recipe -> name of a regressor chain -> file name of the trained chain."""
 
 
 Errors = dict[str, dict[str, float]]
-"""Errors of a chain: target -> NMSE on `train` and `test` rows, and number of `rows`."""
+"""Errors of a regressor chain: target -> errors of its network.
+
+The keys of a network are `train` and `test`, the normalized mean squared errors on these rows, and
+`rows`, the number of all rows. Targets are kappa, psi and alpha."""
 
 
 def train_paper(
     recipe: PaperRecipe, seed: int
 ) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, Errors]]:
-    """Rolls out the training set and trains the chains of a recipe.
+    """Rolls out (simulates) the training set and trains the regressor chains of a recipe.
 
     Each network of a chain is trained on the true values of the parameters before it.
 
@@ -176,7 +197,7 @@ def train_paper(
         seed: seed of the train/test split, of the order of rows, and of the initial weights.
 
     Returns:
-        The training set, chain name -> chain, and chain name -> errors of its networks.
+        The training set, name -> trained chain, and name -> errors of the chain's networks.
     """
     rows = build_paper_set(recipe.lattice, recipe.action_level)
     in_train = np.random.default_rng((seed, 0)).random(len(rows.values)) < TRAIN_SHARE

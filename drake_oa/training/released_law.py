@@ -1,8 +1,12 @@
-"""Action level (equations of motion) of the paper's released code, for its tables and training.
+"""Action level (equations of motion) in the released code of Pairet et al., RA-L 2019.
+
+It simulates the motions of the paper's training set and tables.
 
 Differences from the running system's action level (`drake_oa.policy`): the coupling term
-accelerates the unscaled velocity, tau^2 multiplies the spring instead of scaling time, the forcing
-term is not scaled, and integration is semi-implicit Euler. With the coupling term C::
+accelerates the unscaled velocity, the temporal scaling tau multiplies the spring by tau^2 instead
+of scaling time, it does not scale the forcing term f, and integration is semi-implicit Euler. With
+the position x, velocity v, goal g, time step h and the coupling term C, which turns the motion away
+from an obstacle::
 
     a = tau^2 alpha_x (beta_x (g - x) - v) + f + C
     v += h a,   x += h v
@@ -38,24 +42,26 @@ from drake_oa.policy.coupling import (
 )
 
 ALPHA_X = 10.0
-"""Damping gain alpha_x of the spring in the released code [1/s]."""
+"""Gain alpha_x of the movement primitive's spring and damper in the code of Pairet et al. [1/s]."""
 BETA_X = 2.5
-"""Stiffness ratio beta_x of the spring in the released code [1/s]."""
+"""Gain beta_x of the movement primitive's spring in the released code of Pairet et al. [1/s]."""
 ALPHA_K = 0.5
-"""Decay rate of the phase in the released code [1/s]."""
+"""Decay rate of the movement primitive's phase in the released code of Pairet et al. [1/s]."""
 N_BASIS = 35
-"""Number of basis functions of the forcing term in the released code."""
+"""Number of basis functions of the forcing term in the released code of Pairet et al. [-].
+
+The forcing term makes a movement primitive reproduce its demonstration."""
 
 _PARALLEL = 1e-9
-"""Sine of the angle between two directions below which they span no plane."""
+"""Sine of the angle between velocity and obstacle direction below which they span no plane [-]."""
 _STILL = 1e-5
-"""Speed below which the coupling term is 0 [m/s]."""
+"""Speed below which the coupling term, which turns the motion away from an obstacle, is 0 [m/s]."""
 _MAX_SPEED = 1e4
-"""Speed above which a motion counts as diverged and ends [m/s]."""
+"""Speed above which a simulated motion counts as diverged and ends [m/s]."""
 
 
 class Steps(NamedTuple):
-    """Time steps of a roll-out.
+    """Number and length of the time steps of a roll-out (simulation of a motion).
 
     Attributes:
         number: number of steps.
@@ -67,16 +73,23 @@ class Steps(NamedTuple):
 
 
 STEPS = Steps(1000, 0.003)
-"""Time steps of the motions in the paper's training set."""
+"""Time steps of the motions in the training set of Pairet et al.: 1000 steps of 3 ms each."""
 
 
 @cache
 def released_forcing(steps: Steps) -> FloatArray:
-    """Computes the forcing term (S,) of a straight demonstration over 1 m [m/s^2].
+    """Computes the forcing term in the code of Pairet et al. for a straight demonstration of 1 m.
 
-    The demonstration has constant speed. Its forcing term is fitted, for each basis function, by a
-    quadratic polynomial of the phase. Basis functions are Gaussians with the mean and variance of
-    the phase in equal parts of its range.
+    The forcing term makes a movement primitive reproduce its demonstration. The demonstration has
+    constant speed. Its forcing term is fitted, for each basis function, by a quadratic polynomial
+    of the phase. Basis functions are Gaussians with the mean and variance of the phase in equal
+    parts of its range.
+
+    Args:
+        steps: S time steps of the demonstration.
+
+    Returns:
+        (S,) forcing term along the line from start to goal [m/s^2].
     """
     k = (1.0 - ALPHA_K * steps.length) ** np.arange(steps.number)
     speed = 1.0 / ((steps.number - 1) * steps.length)
@@ -92,12 +105,16 @@ def released_forcing(steps: Steps) -> FloatArray:
 
 
 class ReleasedMotions:
-    """Roll-out of N motions from rest at the origin to (baseline, 0, 0), with one obstacle each.
+    """Roll-out (simulation) of N motions by the released equations of Pairet et al., RA-L 2019.
+
+    Each motion has one obstacle. The motions go from rest at the origin to the goal (baseline, 0,
+    0). The coupling term of each motion turns its velocity away from the center of its obstacle.
 
     Attributes:
         position: (N, 3) positions [m].
         velocity: (N, 3) velocities [m/s].
-        normal: (N, 3) unit normals n of the planes through velocity and obstacle's center.
+        normal: (N, 3) unit normals n of the planes spanned by velocity and direction of the
+            obstacle's center.
         angle: (N,) angles theta between velocity and direction of the obstacle's center [rad].
         distance: (N,) distances d of the obstacle's center [m]; 0 if the coupling term is 0.
         is_over: (N,) whether the motion has ended and stays at rest.
@@ -119,10 +136,12 @@ class ReleasedMotions:
         Args:
             baseline: (N,) distances from start to goal [m].
             center: (N, 3) centers of the obstacles [m].
-            tau: (N,) temporal scalings.
+            tau: (N,) temporal scalings, whose squares multiply the spring.
             steps: time steps of the demonstration; afterwards the forcing term is 0.
-            original: whether the coupling term is Hoffmann's (eq. 7).
-            end: semi-axes of an ellipsoid around each center, inside which motions end [m].
+            original: whether the coupling term is that of Hoffmann et al., (7) of Pairet et al.,
+                RA-L 2019, instead of (8).
+            end: semi-axes of an ellipsoid around each center, inside which motions end [m]; zero:
+                motions do not end there.
         """
         goal, stiffness = baseline[:, None] * (1.0, 0.0, 0.0), ALPHA_X * tau**2
         self._constants = goal, center, stiffness, end, original, steps.length
@@ -136,8 +155,8 @@ class ReleasedMotions:
         """Integrates all motions over a number of steps.
 
         Args:
-            parameters: (N, 3) alpha [rad/s], psi [rad] and kappa [1/m^2]; for the original term
-                gamma [1/s], beta [1/rad] and an unused value.
+            parameters: (N, 3) parameters alpha [rad/s], psi [rad] and kappa [1/m^2] of the coupling
+                terms; for the original term gamma [1/s], beta [1/rad] and an unused value.
             count: number of steps.
 
         Returns:
@@ -168,9 +187,16 @@ def _advance(
     parameters: FloatArray,
     forcing: FloatArray,
 ) -> None:
-    """Integrates N motions over S steps and writes positions (N, S + 1, 3) to `path`.
+    """Integrates N motions of `ReleasedMotions` over S steps.
 
-    The first positions are read as the start; the arrays of `state` are updated.
+    Args:
+        path: (N, S + 1, 3) positions [m]; the first is input, the others output.
+        state: velocity, normal, angle, distance and is_over of `ReleasedMotions`; updated.
+        constants: goals (N, 3) [m], centers of the obstacles (N, 3) [m], tau^2 alpha_x (N,) [1/s],
+            semi-axes of the ellipsoid in which motions end [m], whether the coupling term is the
+            original one, and time step [s].
+        parameters: (N, 3) parameters of the coupling terms.
+        forcing: (S,) forcing term for a distance of 1 m from start to goal [m/s^2].
     """
     velocity, normal, angle, distance, is_over = state
     goal, center, stiffness, end, original, h = constants
