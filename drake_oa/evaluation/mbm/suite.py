@@ -1,9 +1,11 @@
-"""Conversion of MotionBenchMaker problems to scenarios and suites of the Panda's evaluation.
+"""Conversion of MotionBenchMaker's motion planning problems to scenarios and suites of the Panda's
+evaluation.
 
 The task of a problem is to reach the goal's tool pose among the problem's obstacles. The
-demonstration is a straight minimum-jerk motion of the tool between the tool poses of the start and
-goal configurations, rotating about a fixed axis. The nominal posture moves from the start's joints
-to the goal's. The grasped obstacle, which contains the goal's tool point, is left out.
+demonstration (the motion without avoidance) is a straight minimum-jerk motion of the tool between
+the tool poses of the start and goal configurations, rotating about a fixed axis. The nominal
+posture, to which the arm's null space is attracted, moves from the start's joints to the goal's.
+The grasped obstacle, which contains the goal's tool point, is left out.
 """
 
 from __future__ import annotations
@@ -44,33 +46,39 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import Task
 
 DURATION = 5.0
-"""Duration of the demonstrated motion [s]."""
+"""Duration of the demonstrated tool motion from start to goal of a motion planning problem [s]."""
 CLEARANCE = 0.03
-"""Maximum requested clearance; less is requested if start or goal have less [m]."""
+"""Maximum requested clearance of a motion planning problem [m]. The clearance of the robot at start
+or goal is requested instead if it is less."""
 MIN_CLEARANCE = 1e-3
-"""Requested clearance if start or goal have less than that [m]."""
+"""Minimum requested clearance of a motion planning problem, even if the robot has less at start or
+goal [m]."""
 
 _FINGER_MARGIN = 1e-3
-"""Minimum distance of the fingers from their joint limits [m]: at a limit, the plant's steps cost
-more."""
+"""Minimum distance between the fingers and their joint limits [m]. At a limit, a step of the
+simulated plant requires more computing time."""
 
 
 def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
-    """Converts a problem to the text of a scenario.
+    """Converts a motion planning problem to the text of a scenario.
 
     Args:
         text: YAML texts of the problem.
         robot: text of a scenario with the robot.
-        seen: whether two depth cameras perceive the obstacles; else perception is `GroundTruth`.
+        seen: whether two depth cameras perceive the obstacles; else perception is ground truth.
     """
     scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
     return scenario_text(with_task_cameras(scenario) if seen else scenario)
 
 
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
-    """Converts a problem to a scenario with ground-truth perception.
+    """Converts a motion planning problem to a scenario with ground-truth perception.
 
     If goal joints are beyond the robot's limits, the task has the goal's tool pose alone.
+
+    Args:
+        problem: problem with joint positions for all joints of the arm.
+        robot: robot of the problem.
 
     Raises:
         ValueError: if the problem has other joints than the robot.
@@ -132,12 +140,12 @@ _CRITERIA = Criteria(
     keeps_request=True,
     planner_states=200_000,
 )
-"""Conditions of success as in published benchmarks on these problems.
+"""Conditions of success for runs on motion planning problems, as in published benchmarks on these
+problems.
 
 Joints may exceed their limits by 1 mrad, since a joint with its goal at a limit settles around it.
 The planner needs more than the 40,000 states of random scenes: three of the first six problems of
-`cage` require them.
-"""
+the set `cage` require them."""
 
 
 def mbm_suites(
@@ -149,7 +157,8 @@ def mbm_suites(
     perception: str = "truth",
     duration: float | None = None,
 ) -> list[PandaSuite]:
-    """Makes a suite of each set of problems in an archive.
+    """Makes a suite, on which methods are evaluated, of each set of motion planning problems in an
+    archive.
 
     Args:
         file: archive, see `problems.read_archive`.
@@ -184,10 +193,9 @@ def mbm_suites(
 def mbm_metrics(
     results: Sequence[PandaResults], metrics: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Returns the JSON of an evaluation on MotionBenchMaker problems.
+    """Returns the JSON of an evaluation on MotionBenchMaker's motion planning problems.
 
-    Its keys: "suite"; "sets", name of a set -> `panda_metrics`; "all", `methods_metrics` over all
-    sets.
+    Keys: "suite"; "sets", name of a set -> `panda_metrics`; "all", `methods_metrics` over all sets.
 
     Args:
         results: results of each set's suite.

@@ -1,19 +1,23 @@
 """Claims of passive motion safety, checked at every logged instant of a run against ground truth.
 
-At the logged instant t_k let s be the stamp of the newest observation that has arrived. A point i
-of the arm is the center c_i of an enclosing sphere of radius r_i, and u_i its velocity. Since the
-stamp, an object slower than V has traveled at most V (t_k - s). It can touch the point only if it
-was within the reach
+Claim (A): before an object slower than V = 0.8 m/s can reach a point of the arm, the point is at
+rest or moves away. Claim (B): no point of the arm is faster than v_unseen = 0.25 m/s toward a place
+that may contain an object that no camera has observed.
+
+At the logged instant t_k let s be the stamp (time of measurement) of the newest observation that
+has arrived. A point i of the arm is the center c_i of an enclosing sphere of radius r_i, and u_i
+its velocity. Since the stamp, an object slower than V has traveled at most V (t_k - s). It can
+touch the point only if at the stamp it was within the reach
 
     rho_i = r_i + V (t_k - s)
 
-of its center at the stamp. The ball of radius rho_i around c_i(t_k) is sampled at the places p_ij =
-c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place is
-observed free if some camera has it in its image, at a depth that perception uses and at most at the
-true depth of its pixel. A place is unobserved if at s it was neither observed free nor occupied by
-true collision geometry or the arm. The point is fully observed if none of its places is unobserved.
-Let d_i(t) be the distance of c_i(t) to the collision geometries that move at s, at their poses of
-time s. The claims are violated at t_k if for some i
+of the point's position c_i(t_k). The ball of radius rho_i around c_i(t_k) is sampled at the places
+p_ij = c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place
+is observed free if some camera has it in its image, at a depth that perception uses and at most at
+the true depth of its pixel. A place is unobserved if at s it was neither observed free nor occupied
+by true collision geometry or the arm. The point is fully observed if none of its places is
+unobserved. Let d_i(t) be the distance of c_i(t) to the collision geometries that move at s, at
+their poses of time s. The claims are violated at t_k if for some i
 
     (A)  the point is fully observed,  d_i(t_k) <= rho_i,
          and  (d_i(t_k) - d_i(t_k+1)) / (t_k+1 - t_k) > e
@@ -21,18 +25,16 @@ time s. The claims are violated at t_k if for some i
 
 with e = 0.02 m/s.
 
-(A): before an object slower than V can reach a point of the arm, the point is at rest or moves
-away. An object moves at s if its trajectory displaces it by more than 1 mm from s - 33 ms to s + 33
-ms. The claim assumes that an object observed at rest stays at rest for the time in which the arm
+On (A): an object moves at s if its trajectory displaces it by more than 1 mm from s - 33 ms to s +
+33 ms. The claim assumes that an object observed at rest stays at rest for the time in which the arm
 stops.
 
-(B): if observation is incomplete, no point is faster than v_unseen toward an unobserved place. Only
-the speed toward such places is limited: the arm occludes space behind it in every image, so that
-unobserved space is near each of its points at all times.
+On (B): only the speed toward unobserved places is limited. The arm occludes space behind it in
+every image, so that unobserved space is near each of its points at all times.
 
-Before the first observation all places are unobserved; without cameras (ground-truth perception),
-none are. An unobserved place between two samples may be missed: a reported violation of (B) is a
-violation, but their absence is not proven.
+Before the first observation all places count as unobserved. Without cameras (perception of exact
+obstacles) all places count as observed. An unobserved place between two samples may be missed: a
+reported violation of (B) is a violation, but a run without reports is not proven to satisfy (B).
 """
 
 from __future__ import annotations
@@ -58,26 +60,36 @@ from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.delayed_camera import BackgroundCamera
 
 V = 0.8
-"""Maximum speed of obstacles for which claim (A) is made [m/s]."""
+"""Maximum speed of obstacles for which claim (A) is made [m/s]: the arm rests or recedes before an
+obstacle can reach it."""
 V_UNSEEN = 0.25
-"""Maximum speed of a point of the arm toward an unobserved place in claim (B) [m/s]."""
+"""Maximum speed of a point of the arm toward an unobserved place, by claim (B) of passive motion
+safety [m/s]."""
 _MAX_REST_SPEED = 0.02
-"""Approach speed e up to which a point of the arm counts as at rest [m/s]."""
+"""Speed e of a point of the arm toward an obstacle up to which the point counts as at rest in claim
+(A) [m/s]."""
 _MAX_DISTANCE = 1e3
-"""Distance reported if no collision geometry moves [m]."""
+"""Upper bound of the distances from the arm to moving collision geometry, reported if none moves
+[m]."""
 _SURFACE_MARGIN = 0.01
-"""Distance from a surface up to which a place counts as occupied, since images have pixels [m]."""
+"""Distance from a surface up to which a place counts as occupied, since the pixels of depth images
+have a finite size [m]."""
 _MIN_DISPLACEMENT = 1e-3
-"""Displacement within twice `_DISPLACEMENT_TIME` above which an object counts as moving [m]."""
+"""Displacement of an object in 66 ms, twice `_DISPLACEMENT_TIME`, above which the object counts as
+moving [m]."""
 _DISPLACEMENT_TIME = 0.033
-"""Time before and after a stamp between which displacements are measured [s]."""
+"""Time before and after the measurement of an observation between which the displacement of an
+object is evaluated, to decide whether it moves [s]."""
 _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
-"""(53, 3) sampled places in the unit ball: its center, and `DIRECTIONS` at two radii."""
+"""Places (53, 3) in the unit ball at which observation is checked: its center, and 26 directions at
+half and at full radius."""
 
 
 DepthView = tuple[NDArray[np.float32], ViewVolume]
-"""True depth image (H, W) of a camera [m], 0 below its depth range and inf above it; and pose and
-intrinsics of the camera."""
+"""Type of a camera's view at one time: its true depth image, and its pose, intrinsics and depth
+range.
+
+The depth image (H, W) is in meters, 0 below the camera's depth range and inf above it."""
 
 
 def claim_violations(
@@ -87,18 +99,20 @@ def claim_violations(
     stamp: FloatArray,
     views: Callable[[float], Sequence[DepthView]] | None = None,
 ) -> dict[str, BoolArray]:
-    """Finds the instants that violate a claim, by the inequalities in the module's docstring.
+    """Finds the logged instants that violate a claim of passive motion safety, by the inequalities
+    in the module's docstring.
 
     Args:
         world: the arm, and the true collision geometries along their trajectories.
         t: (T,) logged instants [s].
         q: (T, n) joint positions [rad].
-        stamp: (T,) stamp of the newest observation at each instant [s]; -inf without one.
-        views: function from a stamp [s] to the depth images of all cameras, called only where a
-            claim depends on them; None: all space is observed.
+        stamp: (T,) time of measurement of the newest observation at each instant [s]; -inf without
+            one.
+        views: function from a time of measurement [s] to the depth images of all cameras, called
+            only if a claim depends on them; None: all space is observed.
 
     Returns:
-        "A" and "B" -> (T,) whether the claim is violated.
+        "A" and "B" -> (T,) whether the claim is violated at each instant.
     """
     radius = world.arm.spheres.radius
     centers = sphere_centers(world.arm.chain, world.arm.spheres, q)
@@ -131,19 +145,19 @@ def claim_violations(
 
 
 def _row(world: TrueWorld, time: float) -> int:
-    """Returns the index of the sample of `world` nearest to a time [s]."""
+    """Returns the index of the ground-truth sample in `world` that is nearest to a time [s]."""
     return round(min(max(time / STEP, 0.0), len(world.ball) - 1.0))
 
 
 def _moves_at(world: TrueWorld, time: float) -> BoolArray:
-    """Returns a mask (K,) of the collision geometries that move at a time [s]."""
+    """Computes a mask (K,) of those collision geometries of `world` that move at a time [s]."""
     rows = [_row(world, time + offset) for offset in (-_DISPLACEMENT_TIME, _DISPLACEMENT_TIME)]
     before, after = world.ball[rows, :, :3]
     return np.asarray(np.linalg.norm(after - before, axis=1) > _MIN_DISPLACEMENT)
 
 
 def _geometries_at(world: TrueWorld, time: float) -> CollisionGeometries:
-    """Returns the collision geometries at their poses at a time [s]."""
+    """Returns the collision geometries of `world` at their true poses at a time [s]."""
     row = _row(world, time)
     return world.arm.geometries._replace(ball=world.ball[row], X_WO=world.X_WO[row])
 
@@ -154,7 +168,7 @@ def is_unobserved(
     arm: tuple[FloatArray, FloatArray],
     views: Sequence[DepthView],
 ) -> BoolArray:
-    """Finds places that, at one time, are neither observed free nor occupied.
+    """Finds places that, at one time, no camera observes as free and no object or link occupies.
 
     Args:
         places: (N, 3) positions in the world [m].
@@ -184,12 +198,16 @@ def is_unobserved(
 
 
 def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict[str, BoolArray]:
-    """Finds the instants of a logged run that violate a claim, see `claim_violations`.
+    """Finds the instants of a logged run that violate a claim of passive motion safety, see the
+    module's docstring.
 
     Args:
         scenario: scenario of the run; true depth images of its cameras are rendered.
         log: log of the run.
         world: arm and true collision geometries of the scenario.
+
+    Returns:
+        "A" and "B" -> (T,) whether the claim is violated at each of the T logged instants.
     """
     arrived = np.searchsorted(log.observation_time, log.t, side="right")
     stamp = np.append(-np.inf, log.observation_stamp)[arrived]

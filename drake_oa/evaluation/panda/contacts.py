@@ -1,4 +1,5 @@
-"""Contacts of a finished run: closing speeds, and whether the contacts were avoidable.
+"""Contacts of a finished run: closing speeds, and whether a motion of the arm could have avoided
+them.
 
 A contact of a link with an object ends when they have been apart for 0.1 s. Its closing speed is
 the speed of the arm's contact point along the contact normal, positive into the object. It is
@@ -6,15 +7,15 @@ computed from the logged velocities one instant earlier, before the impact has c
 
 - Avoidable by physics: at least one of 500 joint motions from the logged joint state 0.2 s before
   the contact is collision-free until 1.5 s after it. A motion has one or two legs, each
-  time-optimal to a random configuration within the limits of position, velocity and acceleration;
-  collisions are checked with the enclosing spheres of `true_world`. Such a motion is a proof; its
+  time-optimal to a random configuration within the limits of position, velocity and acceleration.
+  Collisions are checked with the enclosing spheres of `true_world`. Such a motion is a proof; its
   absence proves nothing.
-- Avoidable by view: such a motion exists from one of the `LEADS`, and in the 0.2 s until the
-  deadline an observation had arrived with the obstacle's velocity within 20 % of the true one. The
-  deadline is 0.1 s before the latest lead with such a motion.
+- Avoidable by view: a collision-free motion exists from one of the times `LEADS` before the
+  contact, and the obstacle's velocity was observed in time, within 20 % of the true one. In time
+  means in the 0.2 s before a deadline, which is 0.1 s before the latest start of such a motion.
 
-A contact that begins within 1 s of another one has the results of the first one, as the arm may
-then already be pressed by the obstacle.
+A contact that begins within 1 s after the end of another one is as avoidable as that one, since the
+obstacle may still press the arm.
 """
 
 from __future__ import annotations
@@ -34,30 +35,40 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
 
 MOTION_COUNT = 500
-"""Number of joint motions that are sampled from one joint state."""
+"""Number of random joint motions from one joint state among which a collision-free one is searched.
+"""
 LEAD = 0.2
-"""Time before a contact at which the motions of `avoidable_by_physics` start [s]."""
+"""Time before a contact at which the motions start that decide whether the contact was avoidable by
+physics [s]."""
 LEADS = (0.05, 0.1, LEAD, 0.3, 0.5)
-"""Times before a contact at which sampled motions start [s]."""
+"""Times before a contact at which random joint motions start, to find the latest time at which the
+contact could be avoided [s]."""
 CLEAR_TIME = 1.5
-"""Time after a contact until which a sampled motion must be collision-free [s]."""
+"""Time after a contact until which a random joint motion must be collision-free to prove that the
+contact was avoidable [s]."""
 WARNING = 0.1
-"""Time from the deadline of `avoidable_by_view` to the start of the latest avoiding motion [s]."""
+"""Time from the latest useful observation of an obstacle to the start of the latest motion that
+avoids a contact with it [s]."""
 VELOCITY_AGE = 0.2
-"""Time before the deadline in which a correct velocity must have been observed [s]."""
+"""Maximum age of a useful observation of an obstacle's velocity at the deadline, which is `WARNING`
+before the latest avoiding motion [s]."""
 VELOCITY_TOLERANCE = 0.2
-"""Maximum error of a correct velocity, as a fraction of the true speed."""
+"""Maximum error of an observed obstacle velocity that counts as correct, as a fraction of the true
+speed [-]."""
 AT_REST = 0.02
-"""Joint speed below which the arm is at rest [rad/s], and error of a correct velocity of a slow
-obstacle [m/s]."""
+"""Joint speed below which the arm counts as at rest [rad/s]. It is also the permitted error of a
+correctly observed velocity if the obstacle is slow [m/s]."""
 _SEPARATION_TIME = 0.1
-"""Time without contact after which a new touch of the same pair is another contact [s]."""
+"""Time without contact after which a new touch of the same link and object is another contact [s].
+"""
 _EVENT_DURATION = 1.0
-"""Time after a contact in which further contacts have the same avoidability [s]."""
+"""Time after the end of a contact in which further contacts are not assessed, but have the same
+avoidability [s]."""
 
 
 def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list[dict[str, Any]]:
-    """Assesses each contact of a run with an obstacle or the environment.
+    """Assesses each contact of a run with an obstacle or the environment: closing speed, energy and
+    avoidability.
 
     Args:
         scenario: scenario of the run, with a robot.
@@ -65,13 +76,20 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
         world: arm and true collision geometries of the scenario.
 
     Returns:
-        For each contact, in order of time: `time` of the first touch [s]; `link`; `obstacle`, the
-        model instance; `closing_speed` at the first touch and its maximum during the contact,
-        `closing_speed_max` [m/s]; `arm_at_rest`, all joints slower than 0.02 rad/s; `receding`,
-        closing speed not positive; `energy`, kinetic energy of the robot [J];
-        `avoidable_by_physics`; `avoidable_by_view`; and `parked_contact`, the configurations at
-        which an arm at rest would be touched, out of "start", "goal" and "first_sight" (the
-        configuration at the first observation of the obstacle, from then on).
+        A dictionary for each contact, in order of time, with these keys:
+
+        - time: time of the first touch [s].
+        - link: name of the robot's link.
+        - obstacle: name of the touched model instance.
+        - closing_speed, closing_speed_max: closing speed at the first touch, and its maximum during
+          the contact [m/s].
+        - arm_at_rest: whether all joints are slower than 0.02 rad/s.
+        - receding: whether the closing speed is not positive.
+        - energy: kinetic energy of the robot [J].
+        - avoidable_by_physics, avoidable_by_view: whether the contact was avoidable, as defined in
+          the module's docstring.
+        - parked_contact: configurations at which an arm at rest would be touched, out of "start",
+          "goal" and "first_sight" (at the first observation of the obstacle, from then on).
     """
     end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     trajectories = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
@@ -98,7 +116,16 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
 
 
 def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[str, Any]]:
-    """Finds the contacts of a log, their last instants, closing speeds and kinetic energy."""
+    """Finds the contacts between links and objects in a log, in order of time.
+
+    Args:
+        evaluator: evaluator of contacts for the scenario of the run.
+        log: log of the run.
+
+    Returns:
+        For each contact the keys of `contact_events` from `time` to `energy`, and `end`, its last
+        instant [s].
+    """
     events = list[dict[str, Any]]()
     current: dict[str, dict[str, Any]] = {}
     for row, time in enumerate(log.t.tolist()):
@@ -124,7 +151,14 @@ def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[s
 
 
 def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray) -> bool:
-    """Checks whether an object touches an arm at rest at q (nq,) at any of the times [s]."""
+    """Checks whether an object touches the arm, at rest at a configuration, at any of several
+    times.
+
+    Args:
+        evaluator: evaluator of contacts for the scenario of the run.
+        q: (nq,) positions of the robot.
+        times: times [s].
+    """
     return any(
         evaluator.contact_speeds(q, 0.0 * q, evaluator.positions_at(time))[0] for time in times
     )
@@ -133,13 +167,17 @@ def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray)
 def _assess_avoidability(
     world: TrueWorld, log: MotionLog, time: float, known: FloatArray
 ) -> dict[str, bool]:
-    """Checks whether a contact was avoidable by physics and by view, see the module's docstring.
+    """Checks whether a contact was avoidable by physics and by view, as defined in the module's
+    docstring.
 
     Args:
         world: arm and true collision geometries of the scenario.
         log: log of the run.
         time: time of the contact [s].
         known: times at which correct velocities of the obstacle were observed [s].
+
+    Returns:
+        "avoidable_by_physics" and "avoidable_by_view" -> whether the contact was avoidable.
     """
     index, counts = world.arm.chain.q_index, {}
     for lead in LEADS:
@@ -158,7 +196,8 @@ def _assess_avoidability(
 def count_escapes(
     world: TrueWorld, q: FloatArray, v: FloatArray, first: int, steps: int, seed: int = 0
 ) -> int:
-    """Counts the collision-free motions out of `MOTION_COUNT` random ones.
+    """Counts the random joint motions from a joint state, out of `MOTION_COUNT`, that are
+    collision-free.
 
     The first motion brakes. Half of the targets of the others are uniform within the joint limits,
     half are near the configuration at which the arm would stop.
@@ -186,10 +225,15 @@ def count_escapes(
 
 
 def observation_times(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
-    """Computes at which times an obstacle and its correct velocity were observed.
+    """Computes the times at which a run observed an obstacle, and observed its correct velocity.
 
-    An ellipsoid belongs to the obstacle if its center is in the ball around the obstacle's true
-    shapes at the stamp. Its velocity is correct within 20 % of the true one, or 0.02 m/s.
+    An observed ellipsoid belongs to the obstacle if its center is in the ball around the obstacle's
+    true shapes at the time of the image. Its velocity is correct within 20 % of the true one, or
+    0.02 m/s.
+
+    Args:
+        log: log of the run.
+        obstacle: true obstacle.
 
     Returns:
         Arrival time of the first observation [s], inf without one, and arrival times of the

@@ -1,4 +1,5 @@
-"""Baseline: Drake's differential inverse kinematics on the station, along the nominal motion.
+"""Baseline method that follows the nominal motion by Drake's differential inverse kinematics with
+collision constraints.
 
     goal -> dmp_integrator [-> orientation_integrator] -> commanded_joints
     commanded_joints -> differential_ik -> commanded_joints -> controller -> plant
@@ -6,16 +7,16 @@
 The baseline replaces the layer `safety` of a diagram without perception
 (`drake_oa.diagrams.avoidance`); it knows the obstacles exactly. At each step of
 `DifferentialInverseKinematicsSystem` a quadratic program computes the joint velocity v, at the
-commanded positions, that moves the tool best toward the desired pose. It is subject to joint
-velocity limits and, for every pair (robot link, object) with padded distance phi = d - p below the
-influence distance, to
+commanded positions, that moves the tool best toward the desired pose. The program is subject to
+joint velocity limits. For every pair (robot link, object) with distance d and padding p, whose
+padded distance phi = d - p is below the influence distance, it is also subject to
 
-    phi + (dphi/dq) v dt >= s,
+    phi + (dphi/dq) v dt >= s.
 
-so that the minimum clearance of a pair is s + p. The safety distance s is the smaller of the
-minimum clearances of tool and arm, and the padding p is the remainder. Between d = 0 and d = p the
-gradient of Drake 1.51 has the wrong sign (RobotLocomotion/drake#25016), which would increase a
-penetration. Since s > 0, this region begins at a distance s below the minimum clearance.
+Hence the minimum clearance of a pair is s + p. The safety distance s is the smaller of the minimum
+clearances of tool and arm, and the padding p is the remainder. Between d = 0 and d = p the gradient
+of Drake 1.51 has the wrong sign (RobotLocomotion/drake#25016), which would increase a penetration.
+Since s > 0, this region begins at a distance s below the minimum clearance.
 """
 
 from __future__ import annotations
@@ -56,35 +57,47 @@ from drake_oa.world.obstacles import obstacle_instances
 from drake_oa.world.world_model import add_world
 
 _EDGE_STEP = 0.1
-"""Step of the collision checker's edge checks, which the program does not use [rad]."""
+"""Step of Drake's collision checker for edges in joint space, a required argument without effect
+here [rad]."""
 SELF_DISTANCE = 0.005
-"""Minimum distance between links [m]. It is above 0, where the gradient's sign changes, and below
-the 13 mm between links of the UR5 that cannot move apart."""
+"""Minimum distance between links of the robot in the differential IK baseline [m].
+
+It is above 0, where the gradient's sign changes, and below the 13 mm between links of the UR5 that
+cannot move apart."""
 INFLUENCE = 0.2
-"""Excess of a pair's distance over the safety distance above which the pair is ignored [m]."""
+"""Excess of a pair's distance over the safety distance above which the differential IK baseline
+ignores the pair of link and object [m]."""
 HORIZON = 0.3
-"""Time dt of the collision constraint [s], in which a link may consume its clearance margin. With
-the policy's step of 8 ms the program was infeasible in 8 of 9 scenes; with 0.3 s in 1 of 9."""
+"""Time dt in which a link may consume its clearance margin, in the collision constraint of the
+differential IK baseline [s].
+
+With the policy's step of 8 ms the quadratic program was infeasible in 8 of 9 scenes; with 0.3 s it
+was in 1 of 9."""
 GAIN = 0.2
-"""Fraction of the pose error that the desired tool velocity corrects in one step."""
+"""Fraction of the tool's pose error that the desired tool velocity of the differential IK baseline
+corrects in one step [-]."""
 SPEED_FACTOR = 1.2
-"""Maximum desired tool velocity along an axis, as a multiple of the nominal motion's maximum
-speed."""
+"""Maximum desired tool velocity along an axis in the differential IK baseline, as a multiple of the
+nominal motion's maximum speed [-]."""
 ANGULAR_LIMIT = 2.5
-"""Maximum desired angular velocity of the tool about an axis [rad/s]."""
+"""Maximum desired angular velocity of the tool about an axis in the differential IK baseline
+[rad/s]."""
 WEIGHT = 100.0
-"""Weight of the tool's velocity error relative to the posture's."""
+"""Weight of the tool's velocity error in the differential IK baseline, relative to the weight of
+the posture [-]."""
 KP = 2500.0
-"""Stiffness of the joint controller [1/s^2]."""
+"""Stiffness of the joint controller that tracks the commands of the differential IK baseline
+[1/s^2]."""
 KD = 100.0
-"""Damping of the joint controller [1/s]."""
+"""Damping of the joint controller that tracks the commands of the differential IK baseline [1/s].
+"""
 
 
 ARM_DISTANCE = 0.02
-"""Largest minimum clearance of links other than the tool to obstacles, and of every link to the
-environment [m]."""
+"""Upper bound of the minimum clearance that the differential IK baseline maintains between other
+links than the tool and obstacles, and between all links and the environment [m]."""
 METHOD = "DifferentialInverseKinematics"
-"""Name of this method in the log's field `inference`."""
+"""Name of the differential IK baseline in the field `inference` of a log."""
 
 
 def make_collision_checker(
@@ -95,9 +108,12 @@ def make_collision_checker(
     world_padding: float,
     self_padding: float,
 ) -> SceneGraphCollisionChecker:
-    """Makes a collision checker with paddings of a scenario's world, equal to the station's.
+    """Makes Drake's collision checker of a scenario's world, with one padding for each kind of
+    pairs.
 
-    Fixed links are left out, since no joint velocity changes their distances.
+    A padding is subtracted from the distance of a pair. The world contains the same robot,
+    obstacles and environment as the simulated station. Fixed links are left out, since no joint
+    velocity changes their distances.
 
     Args:
         scenario: scenario with a robot.
@@ -132,7 +148,8 @@ def make_collision_checker(
 def make_differential_ik(
     scenario: Scenario, checker: SceneGraphCollisionChecker, safety: float
 ) -> DifferentialInverseKinematicsSystem:
-    """Makes Drake's differential IK system, to be evaluated every `scenario.policy.period`.
+    """Makes Drake's differential IK system with cost, limits and collision constraints, to be
+    evaluated every `scenario.policy.period`.
 
     Args:
         scenario: scenario with a robot.
@@ -165,7 +182,8 @@ def make_differential_ik(
 
 
 class CommandedJoints(LeafSystem):
-    """Integrator of the commanded joint velocity, and source of the differential IK's inputs.
+    """Integrator of the joint velocity from Drake's differential IK system, and source of that
+    system's inputs.
 
     .. pydrake_system::
 
@@ -184,32 +202,34 @@ class CommandedJoints(LeafSystem):
       - position
       - nominal_posture
 
-    - joint_velocity: (n,) solution of the program [rad/s, m/s].
+    - joint_velocity: (n,) joint velocity computed by the differential IK system [rad/s, m/s].
     - desired_position: (3,) tool position p_WE of the nominal motion [m].
     - desired_velocity: (3,) tool velocity v_WE of the nominal motion [m/s].
     - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Not connected: the
       orientation is `rpy_WE` of the scenario's robot.
-    - desired_angular_velocity (optional): (3,) w_WE [rad/s].
-    - desired_posture (optional): (2m,) nominal posture of the arm's m joints [rad, rad/s]. Not
-      connected: the posture is that of the start.
+    - desired_angular_velocity (optional): (3,) angular velocity w_WE of the tool [rad/s], connected
+      whenever desired_orientation is.
+    - desired_posture (optional): (2m,) nominal posture of the arm's m joints and its derivative
+      [rad, rad/s]. Not connected: the posture is that of the start.
     - plant_state: state of the station's plant, from which the obstacles' positions are read.
     - desired_joint_state: (2m,) commanded positions [rad] and velocities [rad/s] of the arm.
-    - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame at a time
-      look_ahead later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
+    - desired_cartesian_poses: abstract `BusValue` with the desired pose X_WE of the tool frame,
+      extrapolated by a time look_ahead that compensates the lag of the command: p_WE + look_ahead
+      v_WE, and exp(look_ahead w_WE) R_WE.
     - position: positions of the whole plant, with the robot at its commanded positions [rad, m].
-    - nominal_posture: positions of the whole plant, with the robot in its posture [rad, m].
+    - nominal_posture: positions of the whole plant, with the robot in its nominal posture [rad, m].
 
-    The discrete state is the commanded positions q and velocities v. Each period h, v becomes the
-    solution of the program and q becomes q + h v.
+    The discrete state is the commanded positions q and velocities v. Each period h of the policy, v
+    becomes the input joint_velocity and q becomes q + h v.
     """
 
     def __init__(self, scenario: Scenario, plant: MultibodyPlant, q_start: FloatArray) -> None:
-        """Declares the ports.
+        """Declares ports, discrete state and periodic update of the system.
 
         Args:
             scenario: scenario with a robot.
             plant: plant of the collision checker, with the same positions as the station's plant.
-            q_start: (n,) positions of the robot at the start, fingers included.
+            q_start: (n,) positions of the robot at the start, fingers included [rad, m].
         """
         super().__init__()
         robot, self._q_start, n = robot_of(scenario), np.array(q_start), len(q_start)
@@ -283,7 +303,14 @@ class CommandedJoints(LeafSystem):
         self._set_positions(context, q_robot, output)
 
     def _set_positions(self, context: Context, q_robot: FloatArray, output: BasicVector) -> None:
-        """Sets an output to the plant's positions, with the robot's replaced by q_robot."""
+        """Sets an output to the positions of the whole plant, with those of the robot replaced by
+        q_robot.
+
+        Args:
+            context: context of the system.
+            q_robot: (n,) positions of the robot [rad, m].
+            output: value of the output port.
+        """
         q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
         self._plant.SetPositionsInArray(self._robot, q_robot, q)
         output.set_value(q)
@@ -291,7 +318,9 @@ class CommandedJoints(LeafSystem):
 
 @contextlib.contextmanager
 def _without_solver_messages() -> Iterator[None]:
-    """Suppresses messages of Drake and OSQP about infeasible steps and inactive constraints."""
+    """Suppresses messages of Drake and the solver OSQP about infeasible steps and inactive
+    constraints.
+    """
     logger = logging.getLogger("drake")
     level, out = logger.level, os.dup(1)
     logger.setLevel(logging.ERROR)
@@ -309,24 +338,25 @@ def _without_solver_messages() -> Iterator[None]:
 
 
 def simulate_differential_ik(scenario: Scenario, duration: float | None = None) -> MotionLog:
-    """Simulates a motion with the differential IK baseline until it ends as in `simulate`.
+    """Simulates a motion with the differential IK baseline until it terminates, as `simulate` does.
 
-    The desired tool pose follows the nominal motion and then stays at the goal. While the program
-    is infeasible the robot is held. The tool's minimum clearance is the achievable clearance: the
-    requested one, limited by the clearances at start and goal. That of other links is at most
-    `ARM_DISTANCE`.
+    The desired tool pose follows the nominal motion and then stays at the goal. While the quadratic
+    program is infeasible the robot is held.
+
+    The minimum clearance of the tool is the achievable clearance: the requested one, limited by the
+    clearances at start and goal. The minimum clearance of other links is at most `ARM_DISTANCE`.
 
     Args:
         scenario: scenario with a robot; its perception and inference are not used.
-        duration: time limit [s]; None: `MAX_TIME_SCALING` demonstrated durations.
+        duration: time limit [s]; None: that of `simulate`.
 
     Returns:
         The log, without observations; its `inference` is `METHOD`.
 
     Raises:
         ScenarioError: if the scenario has no robot, or its start or goal is out of reach.
-        MotionInterruptedError: if the simulation raised an exception or was interrupted; it has
-            the log until then, and the cause.
+        MotionInterruptedError: if the simulation raised an exception or was interrupted; it has the
+            log until then, and the cause.
     """
     robot = robot_of(scenario)
     # A minimum clearance above that of the start would make the first step infeasible.

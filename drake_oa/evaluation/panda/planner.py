@@ -1,19 +1,21 @@
-"""Planners that know all obstacles exactly, to determine which scenes have a solution.
+"""Planners that know all obstacles exactly, to determine which scenes of an evaluation have a
+solution.
 
-Resting obstacles (`run_planner`): OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) in the joint
-space of the arm, from the start configuration to the task's goal joints or else to configurations
-with the tool at the goal pose. Between start and goal the tool's orientation is free, so that the
-planner may use every motion of the evaluated methods, and more. A state is valid if it is within
-the joint limits, the clearance of the moving links to every obstacle is at least the minimum
-clearance, and the robot touches neither environment nor itself (Drake's
+Resting obstacles (`run_planner`): OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) plans in the
+joint space of the arm. It plans from the start configuration to the task's goal joints, or else to
+configurations with the tool at the goal pose. Between start and goal the tool's orientation is
+free, so that the planner may use every motion of the evaluated methods, and more. A state is valid
+if it is within the joint limits, the clearance of the moving links to every obstacle is at least
+the minimum clearance, and the robot touches neither environment nor itself (Drake's
 `SceneGraphCollisionChecker`). Requires the extra `baselines`: pip install 'drake_oa[baselines]'.
 
 Moving obstacles with known trajectories (`find_motion`): a tree grows from the start at time 0;
 each node is a configuration at rest at a time. A random edge waits, and then moves to another
 configuration in minimum time (`bang_motions`). From each node at which the arm can stay until all
-obstacles are at rest, RRT-Connect (`plan_path`) searches a path among them to the goal. A resulting
-motion is a proof that the scene has a solution: it is within the limits of position, velocity and
-acceleration, and collision-free by enclosing spheres. Without a motion nothing is proven.
+obstacles are at rest, RRT-Connect (`plan_path`) searches a path among the resting obstacles to the
+goal. A resulting motion is a proof that the scene has a solution: it is within the limits of
+position, velocity and acceleration, and collision-free by enclosing spheres. Without a motion
+nothing is proven.
 
 The limits count states, not seconds: same scenario, seed and limits give the same plan.
 """
@@ -48,39 +50,57 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 CLEARANCE = 0.025
-"""Minimum clearance of the whole robot to resting obstacles [m], at which the supervisor stops."""
+"""Default minimum clearance between the whole robot and resting obstacles in a plan [m]."""
 STATES = 40_000
-"""Maximum number of states that are checked for one path among resting obstacles."""
+"""Maximum number of states that RRT-Connect checks for one path among resting obstacles."""
 _CHECK_STEP = 0.03
-"""Joint-space distance between checked states of an edge [rad]."""
+"""Joint-space distance between the configurations of an edge that are checked for collisions [rad].
+"""
 _MAX_STEP = 0.6
-"""Maximum joint-space length of an edge of RRT-Connect's trees [rad]."""
+"""Maximum joint-space length of an edge of the trees in RRT-Connect [rad]."""
 _GOAL_SEEDS = 12
-"""Number of random seeds of inverse kinematics for goal configurations."""
+"""Number of random seeds of the inverse kinematics that computes goal configurations for the
+planner."""
 _SPEED_FRACTION = 0.5
-"""Joint speed of a plan as a fraction of the maximum joint speed."""
+"""Assumed joint speed of a planned path among resting obstacles, as a fraction of the maximum joint
+speed [-]."""
 _SUBSTEPS = 4
-"""Number of evaluated configurations for each step of a plan."""
+"""Factor by which a planned path is subdivided before its clearances are evaluated."""
 
 MOVING_CLEARANCE = 0.005
-"""Minimum clearance of the whole robot, among moving obstacles, to all objects and itself [m]."""
+"""Minimum clearance of the whole robot to all objects, and between its links, in a plan among
+moving obstacles [m]."""
 MOVING_STATES = 3_000_000
-"""Maximum number of checked configurations among moving obstacles: 10 to 25 s of processor time."""
+"""Maximum number of configurations that are checked to find a motion among moving obstacles, which
+requires 10 to 25 s of processor time."""
 _PATH_STATES = 20_000
-"""Maximum number of configurations checked by one path search among resting obstacles."""
+"""Maximum number of configurations that one path search checks after all obstacles have come to
+rest."""
 _BATCH = 64
-"""Number of random motions that are checked at once."""
+"""Number of random motions among moving obstacles that are computed and checked at once."""
 _MOTION_STEPS = 150
-"""Number of steps of a random motion, within which the arm comes to rest."""
+"""Number of steps of a random motion among moving obstacles, within which the arm comes to rest
+again."""
 _MAX_JOINT_MOTION = 1.0
-"""Maximum displacement of a joint in one random motion [rad]."""
+"""Maximum displacement of a joint in one random motion among moving obstacles [rad]."""
 _MAX_WAIT = 50
-"""Maximum number of steps for which the arm waits before a random motion."""
+"""Maximum number of steps for which the arm waits before it starts a random motion among moving
+obstacles."""
 
 
 def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
-    """Returns configurations (nq,) at the goal: the task's goal joints, or several by inverse
-    kinematics, the given one first."""
+    """Returns one or several goal configurations for the planner.
+
+    The task's goal joints are the only goal if the task has them. Otherwise further configurations
+    with the tool at the goal pose are computed by inverse kinematics.
+
+    Args:
+        scenario: scenario with a robot.
+        q_goal: (nq,) configuration at the goal, which is the first result [rad, m].
+
+    Returns:
+        Configurations (nq,) of the robot at the goal [rad, m].
+    """
     solution = [q_goal]
     if scenario.task.q_goal is not None:
         return solution
@@ -126,7 +146,12 @@ def run_planner(
 
 
 def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[str, dict[str, Any]]:
-    """Plans by RRT-Connect among resting obstacles.
+    """Plans a path among resting obstacles by OMPL's RRT-Connect.
+
+    Args:
+        scenario: scenario with a robot.
+        clearance: minimum clearance between robot and obstacles [m].
+        states: maximum number of checked states.
 
     Returns:
         The reason for a missing plan ("" if there is a plan), and the plan's metrics.
@@ -209,7 +234,7 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
 
 
 def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
-    """Plans among moving obstacles by `find_motion`.
+    """Plans a motion among moving obstacles with known trajectories, see `find_motion`.
 
     Returns:
         The reason for a missing plan ("" if there is a plan), and the plan's metrics.
@@ -228,7 +253,8 @@ def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
 
 
 class JointMotion(NamedTuple):
-    """Planned motion of the arm among moving obstacles.
+    """Planned motion of the arm among moving obstacles, and a path to the goal after they have come
+    to rest.
 
     Attributes:
         q: (T, n) joint positions, a row every `STEP`, until all obstacles are at rest [rad].
@@ -242,10 +268,12 @@ class JointMotion(NamedTuple):
 def find_motion(
     world: TrueWorld, q_start: FloatArray, goals: FloatArray, seed: int
 ) -> tuple[JointMotion | None, int]:
-    """Searches a collision-free motion from rest at time 0 to rest at a goal configuration.
+    """Searches a collision-free motion among moving obstacles, from rest at time 0 to rest at a
+    goal configuration.
 
     Args:
-        world: the arm, its minimum clearance, and the collision geometries.
+        world: the arm, its minimum clearance, and the collision geometries along their
+            trajectories.
         q_start: (n,) joint positions at time 0 [rad].
         goals: (m, n) goal configurations [rad].
         seed: seed of the random motions.
