@@ -1,4 +1,6 @@
-"""Fraction of the space near the arm that no camera observes, and better camera poses."""
+"""Check of a scenario's cameras: fraction of the space near the arm that no camera observes, and a
+better camera pose.
+"""
 
 from __future__ import annotations
 
@@ -29,19 +31,29 @@ from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.world_model import add_world
 
 MAX_UNOBSERVED_FRACTION = 0.15
-"""Unobserved fraction of the space near the arm above which a camera pose is suggested."""
+"""Fraction of the space near the arm that may be unobserved by all cameras; above this fraction
+`view_note` suggests a camera pose."""
 _DISTANCE = 2.1
-"""Distance of the suggested cameras from the mean position of the arm's spheres [m]."""
+"""Distance of a suggested camera from its target, the mean position of the arm along the nominal
+motion [m]."""
 _AZIMUTHS = tuple(math.radians(degrees) for degrees in range(0, 360, 45))
-"""Azimuths of the candidate cameras about the vertical, from the world's x axis [rad]."""
+"""Azimuths of the camera poses that are evaluated for a suggestion: angles about the vertical from
+the world's x axis [rad]."""
 _ELEVATIONS = tuple(math.radians(degrees) for degrees in (20, 35, 50))
-"""Elevations of the candidate cameras above the horizontal plane [rad]."""
+"""Elevations of the camera poses that are evaluated for a suggestion: angles above the horizontal
+plane [rad]."""
 _CONFIGURATIONS = 5
-"""Number of configurations of the nominal motion, start and goal included."""
+"""Number of arm configurations, evenly spaced in time from start to goal of the nominal motion, for
+which the observed space is computed."""
 
 
 def spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Computes centers (T, S, 3) and radii (S,) of the arm's spheres on the nominal motion [m]."""
+    """Computes the spheres that cover the arm, in several configurations from start to goal of the
+    nominal motion.
+
+    Returns:
+        Centers (T, S, 3) of S spheres in T configurations, in the world [m], and radii (S,) [m].
+    """
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
     q_start, q_goal = end_positions(scenario)
@@ -52,7 +64,15 @@ def spheres_along(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
 
 
 def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
-    """Computes the volume in which each camera of the perception measures depth."""
+    """Computes, for each camera of a scenario's perception, the volume in which the camera measures
+    depth.
+
+    Cameras on moving bodies have their initial poses.
+
+    Args:
+        scenario: scenario with the cameras.
+        source: perception block of the scenario, with the names of cameras and the range of depth.
+    """
     limits = source.segmentation
     scene_graph, plant = SceneGraph(), MultibodyPlant(time_step=scenario.plant_step)
     # Obstacles have visual geometry.
@@ -68,7 +88,14 @@ def view_volumes(scenario: Scenario, source: CameraSource) -> list[ViewVolume]:
 
 
 def _view_volume(camera: CameraConfig, X_WC: RigidTransform, near: float, far: float) -> ViewVolume:
-    """Computes the view volume of a camera with pose X_WC between two depths [m]."""
+    """Computes the view volume of a camera: the space inside its image, between two depths.
+
+    Args:
+        camera: camera with image size, field of view and its own range of depth.
+        X_WC: pose of the camera in the world.
+        near: minimum depth that the perception uses [m].
+        far: maximum depth that the perception uses [m].
+    """
     intrinsics = depth_intrinsics(camera)
     return ViewVolume(
         X_WC.GetAsMatrix4(),
@@ -82,7 +109,10 @@ def _view_volume(camera: CameraConfig, X_WC: RigidTransform, near: float, far: f
 def camera_pose_around(
     target: FloatArray, azimuth: float, elevation: float, distance: float
 ) -> RigidTransform:
-    """Computes the pose X_WC of a camera that looks at a target, with a horizontal x axis.
+    """Computes the pose X_WC of a camera that looks at a target from a given direction and
+    distance.
+
+    The x axis of the camera is horizontal.
 
     Args:
         target: (3,) target in the world [m].
@@ -96,9 +126,11 @@ def camera_pose_around(
 
 
 def view_note(scenario: Scenario) -> str:
-    """Returns one line about the unobserved space near the arm; "" without cameras.
+    """Returns one line of text with the fraction of the space near the arm that no camera observes.
 
-    Above `MAX_UNOBSERVED_FRACTION` it suggests the best pose of a single camera.
+    Above `MAX_UNOBSERVED_FRACTION`, the line also suggests the pose of a single camera that
+    observes more of the space, or states that there is none. The line is empty if the perception
+    uses no cameras.
     """
     source = scenario.perception
     if not isinstance(source, CameraSource):

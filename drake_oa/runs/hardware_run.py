@@ -1,4 +1,6 @@
-"""Run of a scenario's diagram with an arm and cameras that communicate by LCM messages."""
+"""Run of a scenario on hardware: its diagram commands a real arm and reads its cameras by LCM
+messages.
+"""
 
 from __future__ import annotations
 
@@ -33,19 +35,21 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import release_cameras
 
 _WARMUP_DONE = 0.3
-"""Simulated time of the warm-up, in which every layer is evaluated at least once [s]."""
+"""Duration of the warm-up, in simulated time, in which each layer is evaluated at least once before
+the arm moves [s]."""
 _IMAGE_DELAY = 0.05
-"""Additional delay of images, in wall time, at which the motion guard does not slow down [s]."""
+"""Delay of camera images, in wall time, for which the motion guard does not slow the motion of a
+real arm [s]."""
 
 
 @dataclass(frozen=True)
 class HardwareSetup:
-    """Diagram that is ready to command an arm.
+    """Diagram that is ready to command a real arm, after a warm-up, with its scenario.
 
     Attributes:
         scenario: scenario of the run.
-        known_scenario: the scenario without its obstacles, which the cameras perceive.
-        diagram: diagram with the messages of the arm in place of the simulated world.
+        known_scenario: copy of the scenario without its obstacles, which only the cameras perceive.
+        diagram: diagram that exchanges messages with arm and cameras instead of simulating them.
     """
 
     scenario: Scenario
@@ -56,12 +60,16 @@ class HardwareSetup:
 def prepare_hardware(
     scenario: Scenario, link: RobotLink, meshcat: Meshcat | None = None
 ) -> HardwareSetup:
-    """Checks that the arm is ready, builds its diagram, and simulates the beginning as a warm-up.
+    """Checks that a real arm is ready, builds the diagram that commands it, and runs a warm-up
+    without commands.
 
     Args:
         scenario: scenario of the run.
         link: link to the arm; images arrive on the same LCM bus.
         meshcat: viewer, or None.
+
+    Returns:
+        Setup for `drive`.
 
     Raises:
         ScenarioError: naming the wrong field.
@@ -93,22 +101,25 @@ def drive(
     duration: float | None = None,
     on_step: OnStep = lambda monitor, root: None,
 ) -> MotionLog:
-    """Executes the avoiding motion on the arm; it terminates as in `simulate`.
+    """Executes the motion that avoids obstacles on a real arm until the motion has terminated, and
+    closes the link.
 
     Args:
         setup: result of `prepare_hardware`.
-        link: link to the arm of that setup.
-        duration: time limit [s], see `simulate`.
-        on_step: function that is called once a period, see `simulate`.
+        link: link to the arm of this setup.
+        duration: time limit in simulated time [s]; None: that of `MotionMonitor`.
+        on_step: function that is called once per period of the policy, with the monitor of the
+            motion and the root Context of the diagram.
 
     Returns:
-        The log of the commanded motion.
+        Log of the commanded motion.
 
     Raises:
-        MotionInterruptedError: as `simulate` does, and if the arm was stopped.
+        MotionInterruptedError: if an exception or a signal interrupted the run, or if the arm was
+            stopped; contains the log until then.
     """
-    # Real obstacles are unknown, so the trajectories of the scenario's obstacles tell the monitor
-    # until when the world moves.
+    # Real obstacles are unknown. From the trajectories of the scenario's obstacles, the monitor
+    # knows until when the world may move.
     monitor = MotionMonitor(setup.diagram, setup.scenario, duration, on_step)
     simulator = Simulator(setup.diagram)
     try:
@@ -122,7 +133,15 @@ def drive(
 
 
 def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
-    """Returns the log with the events of the command streamer added to the notes of the policy."""
+    """Returns a copy of a log in which the notes of the policy include the events of the command
+    streamer.
+
+    The command streamer is the process that sends positions to the arm.
+
+    Args:
+        log: log of the commanded motion.
+        link: link to the arm, which has collected the events.
+    """
     events = [
         *zip(log.event_time.tolist(), log.event_hold, log.event, strict=True),
         *((t, HoldReason.SPEED_SCALE.value, note) for t, note in link.events),
@@ -131,13 +150,15 @@ def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
 
 
 def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
-    """Returns the log of the simulated arm of a station, from its true state.
+    """Creates the log of an arm that a station simulated for commands of another process
+    (`drake-oa station`).
 
-    Data of the command source, such as observations and decisions, are unknown and empty.
+    The log contains the true states of the arm. Observations and decisions are known only to the
+    process that sent the commands, so their attributes are empty.
 
     Args:
         scenario: scenario of the station.
-        station: station that was created with `log`.
+        station: station that was created with `log=True`.
     """
     t, signals = logged_signals(station.diagram, station.simulator.get_context())
     events = zip(station.event_times, station.validator.events, strict=False)

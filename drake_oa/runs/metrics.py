@@ -1,7 +1,8 @@
-"""Collisions, clearances and path length of a logged motion.
+"""Contacts, clearances and path length of a logged motion, evaluated on the true geometry of its
+scenario.
 
-They are computed at every logged instant by SceneGraph's distance and penetration queries,
-independently of the collision model with which the motion was planned.
+For a robot, SceneGraph's distance and penetration queries compute contacts and clearances at every
+logged instant. They are independent of the collision model with which the motion was planned.
 """
 
 from __future__ import annotations
@@ -34,21 +35,25 @@ from drake_oa.world.station import make_station
 
 @dataclass(frozen=True, eq=False)
 class MotionMetrics:
-    """Clearances and contacts of a motion.
+    """Contacts of a robot's motion over T instants, and its clearances: distances to the nearest
+    obstacle.
 
     Attributes:
-        contacts: "link - object" of every pair in contact at any instant, in order of the first
-            contact.
+        contacts: names "link - object" of all pairs that are in contact at any instant, in the
+            order of their first contacts.
         initial_contacts: pairs of `contacts` that are in contact at the first instant.
-        new_contacts: pairs of `contacts` whose contact begins after the first instant, in order.
-            A pair that separates and touches again is in both.
-        self_contacts: "link - link" of the robot's links in contact, in order.
-        contact_depth: pair of `contacts` or `self_contacts` -> its maximum penetration [m].
+        new_contacts: pairs of `contacts` that begin a contact after the first instant, in the order
+            of these beginnings. A pair of `initial_contacts` that separates and touches again is in
+            both.
+        self_contacts: names "link - link" of all pairs of the robot's links that are in contact at
+            any instant, in the order of their first contacts.
+        contact_depth: maximum penetration [m] of each pair of `contacts` and `self_contacts`, by
+            the name of the pair.
         tool_clearance: (T,) distance of the tool to the nearest obstacle [m]; negative in
             penetration, inf without obstacles.
         resting_clearance: (T,) distance of the tool to the nearest obstacle that never moves [m].
         robot_clearance: (T,) distance of the whole robot to the nearest obstacle [m].
-        p_WE: (T, 3) tool point [m].
+        p_WE: (T, 3) positions of the tool point E in the world [m].
     """
 
     contacts: tuple[str, ...]
@@ -63,23 +68,34 @@ class MotionMetrics:
 
 
 MIN_PENETRATION = 1e-9
-"""Penetration below which two shapes are not in contact [m].
+"""Penetration depth below which two shapes do not count as in contact [m].
 
-Touching shapes, for example a grasped object and the hand, penetrate by rounding.
+The reason is rounding: shapes that only touch, such as a grasped object and the hand, may penetrate
+by a rounding error.
 """
 Contacts = dict[str, float]
-"""Maximum penetrations [m] by the names of the pairs in contact at one instant."""
+"""Type of the contacts at one instant: maximum penetration [m] of each pair of bodies in contact,
+by the name of the pair."""
 Hits = dict[str, PenetrationAsPointPair]
-"""Points of maximum penetration by the names of the pairs in contact at one instant."""
+"""Type of the points of maximum penetration at one instant, by the name of each pair of bodies in
+contact."""
 
 
 def path_length(path: FloatArray) -> float:
-    """Computes the length of a polyline (T, D) [m]."""
+    """Computes the length [m] of a path (T, D), whose T points are joined by straight lines."""
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetrics:
-    """Computes the metrics of a motion (T, 3) [m] of a point without a robot among ellipsoids."""
+    """Computes contacts and clearances of a point that moves among ellipsoids, for scenarios
+    without a robot.
+
+    The point counts as tool and as whole robot. It is in contact if it is inside an ellipsoid.
+
+    Args:
+        p_WE: (T, 3) positions of the point in the world [m].
+        ellipsoids: obstacles; those with zero velocity are the resting ones.
+    """
     if len(ellipsoids) == 0:
         clearance = np.full((len(p_WE), 0), np.inf)
     else:
@@ -101,14 +117,14 @@ def _metrics(
     clearance: FloatArray,
     p_WE: FloatArray,
 ) -> MotionMetrics:
-    """Creates the metrics of a motion from its clearances and contacts at each instant.
+    """Creates the metrics of a motion from its contacts and clearances at each of T instants.
 
     Args:
-        contacts: contacts of the robot with objects at each instant.
-        self_contacts: contacts between links of the robot at each instant.
-        clearance: (3, T) clearances [m] of the robot, of the tool, and of the tool to resting
-            obstacles.
-        p_WE: (T, 3) tool point [m].
+        contacts: contacts of the robot with objects, one item for each instant.
+        self_contacts: contacts between links of the robot, one item for each instant.
+        clearance: (3, T) clearances [m]; the rows are those of the robot, of the tool, and of the
+            tool to resting obstacles.
+        p_WE: (T, 3) positions of the tool point in the world [m].
     """
     robot, tool, resting = clearance
     depth, self_depth = _max_penetrations(contacts), _max_penetrations(self_contacts)
@@ -127,7 +143,14 @@ def _metrics(
 
 
 def _max_penetrations(instants: Iterable[Contacts]) -> Contacts:
-    """Returns the maximum penetration of each pair over all instants, in order of first contact."""
+    """Returns the maximum penetration [m] of each pair of bodies over all instants, by the name of
+    the pair.
+
+    The pairs are in the order of their first contacts.
+
+    Args:
+        instants: contacts at each instant.
+    """
     depths: Contacts = {}
     for contacts in instants:
         for pair, depth in contacts.items():
@@ -136,10 +159,13 @@ def _max_penetrations(instants: Iterable[Contacts]) -> Contacts:
 
 
 class ClearanceEvaluator:
-    """Evaluator of a robot's clearances and contacts on the true geometry, by SceneGraph."""
+    """Evaluator of a robot's clearances and contacts on the true geometry of a scenario, by queries
+    to Drake's SceneGraph.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Builds the station, which costs as much time as many evaluations.
+        """Builds the plant and scene graph of a scenario, which costs as much time as many
+        evaluations.
 
         Args:
             scenario: scenario with a robot and its world.
@@ -193,11 +219,11 @@ class ClearanceEvaluator:
                 than the robot moves; None or (T, 0): only the robot moves.
 
         Returns:
-            Clearances to the obstacles. Contacts count with every object, such as obstacles and
-            the table, and between links of the robot that no joint connects.
+            Metrics. Clearances count obstacles only. Contacts count every object, such as obstacles
+            and the table, and links of the robot that no joint connects to each other.
 
         Raises:
-            ValueError: if q_world is not of this station.
+            ValueError: if q_world does not have the shape (T, n).
         """
         if q_world is None or q_world.shape[1] == 0:
             q_world = np.broadcast_to(self._q_world, (len(q), len(self._q_world)))
@@ -220,18 +246,24 @@ class ClearanceEvaluator:
         return _metrics(contacts, self_contacts, clearance, p_WE)
 
     def _query_at(self, q: FloatArray, q_world: FloatArray) -> QueryObject:
-        """Returns the QueryObject at positions (n,) of the world and (nq,) of the robot."""
+        """Sets the positions of the world and of the robot, and returns SceneGraph's QueryObject.
+
+        Args:
+            q: (nq,) positions of the robot, which replace those in q_world.
+            q_world: (n,) all positions of the station's plant.
+        """
         self._plant.SetPositions(self._plant_context, q_world)
         self._plant.SetPositions(self._plant_context, self._station.robot, q)
         return self._query_port.Eval(self._graph_context)
 
     def positions_at(self, time: float) -> FloatArray:
-        """Computes positions (n,) of the station's plant with the obstacles on their trajectories.
+        """Computes the positions (n,) of the plant at a time at which moving obstacles follow their
+        trajectories.
 
         All other bodies, the robot included, are at their initial positions.
 
         Args:
-            time: time of the trajectories [s].
+            time: simulated time [s].
         """
         q_world = np.array(self._q_world)
         for obstacle in self._trajectories:
@@ -242,7 +274,10 @@ class ClearanceEvaluator:
         return q_world
 
     def geometries_at(self, time: float) -> CollisionGeometries:
-        """Computes the collision geometries of all bodies but the robot at a time [s], at rest."""
+        """Computes the collision geometries of all bodies except the robot at a simulated time [s].
+
+        Their poses follow the obstacles' trajectories; their velocities are zero.
+        """
         self._plant.SetPositions(self._plant_context, self.positions_at(time))
         geometries = []
         for geometry, body in self._others:
@@ -253,7 +288,8 @@ class ClearanceEvaluator:
     def contact_speeds(
         self, q: FloatArray, v: FloatArray, q_world: FloatArray
     ) -> tuple[dict[str, float], float]:
-        """Computes the approach speed of each contact of the robot, and its kinetic energy.
+        """Computes the speed of the robot's link into the object for each contact, and the robot's
+        kinetic energy.
 
         Args:
             q: (nq,) positions of the robot, in the plant's order.
@@ -261,8 +297,9 @@ class ClearanceEvaluator:
             q_world: (n,) all positions of the station's plant.
 
         Returns:
-            Pair "link - object" -> velocity [m/s] of the link at the point of maximum penetration,
-            along the contact normal, positive into the object; and the kinetic energy [J].
+            Speeds [m/s] by the name "link - object" of the pair, and the kinetic energy [J]. A
+            speed is the velocity of the link at the point of maximum penetration, along the contact
+            normal, positive into the object.
         """
         hits, _ = self._deepest_hits(self._query_at(q, q_world))
         self._plant.SetVelocities(self._plant_context, self._station.robot, v)
@@ -277,7 +314,12 @@ class ClearanceEvaluator:
         return speeds, float(self._plant.EvalKineticEnergy(self._plant_context))
 
     def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
-        """Returns the maximum penetrations of pairs "link - object", and of pairs "link - link"."""
+        """Finds the point of maximum penetration of each pair of bodies in contact, without
+        penetrations below `MIN_PENETRATION`.
+
+        Returns:
+            Points of pairs "link - object", and points of pairs "link - link" of the robot.
+        """
         hits: Hits = {}
         self_hits: Hits = {}
         for hit in query.ComputePointPairPenetration():
@@ -297,10 +339,12 @@ class ClearanceEvaluator:
         return hits, self_hits
 
     def _clearances(self, query: QueryObject) -> FloatArray:
-        """Returns the minimum distances of robot, tool, and tool to resting obstacles (3,) [m].
+        """Computes the minimum distances (3,) to obstacles [m]: of the robot, of the tool, and of
+        the tool to resting obstacles.
 
-        Bounding balls give lower bounds of all pair distances. Pairs are evaluated in order of
-        these bounds, until no bound is below the minimum; inf: no obstacle.
+        Bounding balls give a lower bound for the distance of each pair of collision geometries.
+        Pairs are evaluated in the order of these bounds, until no bound is below a minimum. A
+        distance without an obstacle within `OUT_OF_WORLD` is inf.
         """
         robot, obstacles = self._robot_balls, self._obstacle_balls
         apart = robot.centers(self._plant_context)[:, None] - obstacles.centers(self._plant_context)
@@ -318,10 +362,11 @@ class ClearanceEvaluator:
 
 
 class _Balls:
-    """Bounding balls of collision geometries, fixed to their bodies.
+    """Bounding balls of N collision geometries, which move with the bodies and bound distances from
+    below.
 
     Attributes:
-        geometry_ids: IDs of N collision geometries.
+        geometry_ids: IDs of the collision geometries.
         radius: (N,) radii of the balls [m]; inf for half spaces.
     """
 
@@ -333,18 +378,24 @@ class _Balls:
         self._p_BC, self.radius = ball[:, :3], ball[:, 3]
 
     def centers(self, context: Context) -> FloatArray:
-        """Returns the centers (N, 3) of the balls in the world [m]."""
+        """Returns the centers (N, 3) of the bounding balls in the world [m].
+
+        Args:
+            context: context of the plant.
+        """
         X_WB = [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self._bodies]
         poses = np.reshape(X_WB, (-1, 3, 4))
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], self._p_BC) + poses[:, :, 3])
 
 
 _EVALUATORS: dict[str, ClearanceEvaluator] = {}
-"""Evaluators of the last four scenarios, by the YAML text of each."""
+"""Cache of the clearance evaluators of up to four scenarios, by the scenario's YAML text."""
 
 
 def clearance_evaluator(scenario: Scenario) -> ClearanceEvaluator:
-    """Returns the evaluator of a scenario, which is cached: equal scenarios share one station."""
+    """Returns the clearance evaluator of a scenario from a cache, so that equal scenarios share one
+    evaluator.
+    """
     text = scenario_text(scenario)
     if text not in _EVALUATORS:
         _EVALUATORS[text] = ClearanceEvaluator(scenario)
@@ -356,5 +407,12 @@ def clearance_evaluator(scenario: Scenario) -> ClearanceEvaluator:
 def robot_metrics(
     scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
 ) -> MotionMetrics:
-    """Computes the metrics of a robot's motion in a scenario, see `ClearanceEvaluator.metrics`."""
+    """Computes contacts and clearances of a robot's motion in a scenario, see
+    `ClearanceEvaluator.metrics`.
+
+    Args:
+        scenario: scenario with a robot.
+        q: (T, nq) positions of the robot.
+        q_world: (T, n) all positions of the plant; None or (T, 0): only the robot moves.
+    """
     return clearance_evaluator(scenario).metrics(q, q_world)

@@ -1,12 +1,12 @@
-"""Log of one motion, and the file of the logs of a run.
+"""Log of one motion as arrays over time, and the .npz file that contains the logs of one run.
 
-The file is a NumPy .npz archive of schema `SCHEMA_VERSION`. The key `schema_version` holds that
-number. Each motion has one key MOTION/ATTRIBUTE for every attribute of `MotionLog`, where MOTION is
-"nominal" or "avoiding". Texts are string arrays, of dimension 0 for a single text. `numpy.load`
-reads the file without pickle.
+The file is a NumPy .npz archive, which `numpy.load` reads without pickle. Its key `schema_version`
+holds the number `SCHEMA_VERSION`. Each motion has one key MOTION/ATTRIBUTE for every attribute of
+`MotionLog`. MOTION is "nominal" or "avoiding", or "leg_1", "leg_2" and so on for `drake-oa play`.
+Texts are string arrays, of dimension 0 for a single text.
 
 W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms), F
-observations, at most M obstacles in one of them, E notes, S changes of the supervision and D
+observations of at most M obstacles each, E notes of the policy, S changes of the supervision and D
 decisions. nq, nv and nu are the numbers of positions, velocities and actuators of the robot, 0
 without a robot.
 
@@ -17,33 +17,38 @@ t                     (T,)           s         simulated time
 q                     (T, nq)        rad, m    positions of the robot
 v                     (T, nv)        rad/s     velocities of the robot (m/s: prismatic)
 torque                (T, nu)        N m, N    applied actuation
-saturated             (T,)           1         1 if a joint is at its effort limit, else 0
-p_WE                  (T, 3)         m         actual tool point; without a robot the desired one
-desired_position      (T, 3)         m         desired tool point p_WE
+saturated             (T,)           -         1 if a joint is at its effort limit, else 0
+p_WE                  (T, 3)         m         actual position of the tool point in W; without a
+                                               robot the desired one
+desired_position      (T, 3)         m         desired position of the tool point in W
 desired_velocity      (T, 3)         m/s       first derivative of desired_position
 desired_acceleration  (T, 3)         m/s^2     second derivative of desired_position
-phase                 (T,)           1         canonical phase k, from 1 down to 0
-speed_scale           (T,)           1         speed scale of the motion guard in [0, 1]; 1 without
-                                               a guard
+phase                 (T,)           -         canonical phase k of the movement primitive, from 1
+                                               down to 0
+speed_scale           (T,)           -         fraction of full speed that the motion guard permits,
+                                               in [0, 1]; 1 without a guard
 tracking_error        (T,)           m         distance of E to its desired position, from the
                                                controller; NaN without one
 q_world               (T, n)         rad, m    all positions of the station's plant; (T, 0) if only
                                                the robot moves
 observation_time      (F,)           s         times at which observations became available
-observation_stamp     (F,)           s         times that the observations describe; inf: given
-                                               ellipsoids
-p_WO                  (F, M, 3)      m         centers of the ellipsoids; NaN rows where an
-                                               observation has fewer than M
-R_WO                  (F, M, 3, 3)   1         orientations, principal axes in columns
+observation_stamp     (F,)           s         times at which the scene was as observed; inf: the
+                                               scenario gives the ellipsoids
+p_WO                  (F, M, 3)      m         centers of the obstacles' ellipsoids in W; NaN rows
+                                               for observations of fewer than M ellipsoids
+R_WO                  (F, M, 3, 3)   -         orientations of the ellipsoids in W; the columns are
+                                               the principal axes
 semi_axes             (F, M, 3)      m         semi-axes of the ellipsoids
-v_WO                  (F, M, 3)      m/s       velocities of the centers
-obstacle_id           (F, M)         -         track IDs of the obstacles; -1: none
-out_of_range          (F,)           1         number of obstacles beyond the training range of the
+v_WO                  (F, M, 3)      m/s       velocities of the centers in W
+obstacle_id           (F, M)         -         IDs of the ellipsoids; -1: no ellipsoid
+out_of_range          (F,)           -         number of obstacles beyond the training range of the
                                                regressor chain
 inference             ()             text      "Verified" or "Paper"; "" for the nominal motion
-shortfall             (T,)           m         predicted clearance shortfall of the verified motion
+shortfall             (T,)           m         clearance that the verified motion is predicted to
+                                               lack
 event_time            (E,)           s         times at which the note of the policy changed
-event                 (E,)           text      notes of the policy; "": the motion continues
+event                 (E,)           text      notes that explain why the policy holds the motion;
+                                               "": the motion continues
 supervision_time      (S,)           s         times at which the guard's supervision changed
 supervision_action    (S,)           text      "run", "slow", "hold" or "stop" from then on
 supervision_reason    (S,)           text      reason of the action; "" for "run"
@@ -57,26 +62,28 @@ stop_reason           ()             text      "goal", or the reason of another 
 wall_time             ()             s         wall-clock time of the simulation
 avoid_obstacles       ()             bool      whether obstacles were avoided
 scenario              ()             text      the scenario as YAML, defaults included
-seed                  ()             1         seed of the scenario
+seed                  ()             -         seed of the scenario
 versions              (P,)           text      packages, date and source digest: "name value"
 goal                  (T, 3)         m         position of the goal
-desired_orientation   (T, 4)         1         quaternion w, x, y, z of the desired R_WE; (0, 4):
-                                               constant
-orientation_error     (T, 3)         rad       rotation vector from actual to desired orientation
-                                               in W; (0, 3): constant
+desired_orientation   (T, 4)         -         quaternion w, x, y, z of the desired R_WE; (0, 4):
+                                               constant orientation
+orientation_error     (T, 3)         rad       rotation vector in W from actual to desired
+                                               orientation; (0, 3): constant orientation
 desired_posture       (T, 2n)        rad,      nominal configuration of the null space, then its
                                      rad/s     velocities; (T, 0): none
-guard_action          (T,)           1         action of the guard: 0 follow, 1 slow, 2 wait, 3
+guard_action          (T,)           -         action of the guard: 0 follow, 1 slow, 2 wait, 3
                                                evade, 4 brake; (0,): no guard
 guard_contact         (T,)           s         time of the first contact predicted on the verified
                                                motion; inf: none
-guard_claim           (T,)           1         claim that limits the speed: 0 none, 1 (A), 2 (B)
-clearance_reduction   (T,)           m         reduction of the requested clearance at start or
-                                               goal; (0,): unknown
-motion_source         (T,)           1         source of the motion: -1 none, 0 nominal, 1 chain, 2
+guard_claim           (T,)           -         claim of passive motion safety that limits the speed:
+                                               0 none, 1 (A) moving obstacles, 2 (B) unobserved
+                                               space
+clearance_reduction   (T,)           m         reduction of the requested clearance because start or
+                                               goal leaves less; (0,): unknown
+motion_source         (T,)           -         source of the motion: -1 none, 0 nominal, 1 chain, 2
                                                search, 3 joint_path
-motion_end            ()             s         end of the motion; later instants are the world
-                                               until it rests; NaN: none
+motion_end            ()             s         time at which the motion terminated, after which the
+                                               world comes to rest; NaN: no termination
 settled               ()             bool      whether the world came to rest
 decision_time         (D,)           s         times at which decisions started; (0,): without
                                                compute latency
@@ -103,42 +110,55 @@ from drake_oa.common.files import read_arrays, replace_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 
 SCHEMA_VERSION = 3
-"""Version of the schema of log files; a file without the key `schema_version` has version 1."""
+"""Version of the keys and shapes in log files, stored under the key `schema_version`; a file
+without this key has version 1."""
 
 _SCHEMA_KEY = "schema_version"
 DECISION_SIGNAL = "decision_"
-"""Prefix of the logged signals that hold decisions; the name of the layer follows."""
+"""Prefix in the names of logged signals with start time and compute latency of a layer's decisions;
+the name of the layer follows."""
 
 
 def _empty(*shape: int) -> Any:
-    """Returns a dataclass field with an empty array as default, for keys that a file may lack."""
+    """Returns a dataclass field of `MotionLog` whose default is an empty array, for keys that a log
+    file may lack.
+
+    Args:
+        shape: shape of the default, with at least one 0.
+    """
     return field(default_factory=partial(np.zeros, shape))
 
 
 class MotionEnd(StrEnum):
-    """Termination of a motion; `MotionLog.stop_reason` describes it in words."""
+    """Kind of termination of a motion; `MotionLog.stop_reason` states the reason in words."""
 
     GOAL = "goal"
-    """The tool reached the goal."""
+    """Termination because the tool reached the goal."""
     STOPPED = "stopped"
-    """The motion guard stopped the motion for good."""
+    """Termination because the motion guard stopped the motion for good."""
     HELD = "held"
-    """The motion was held longer than the maximum hold time."""
+    """Termination because the motion was held, at rest on its path, longer than the maximum hold
+    time."""
     MISSED = "goal missed"
-    """The tool did not reach the goal in the verified time."""
+    """Termination because the tool was not at the goal at the end of the time in which the motion
+    should arrive."""
     LEFT = "goal left"
-    """The tool evaded an obstacle at the goal and did not return."""
+    """Termination at the goal, from which the tool was away again at the end of the simulation, for
+    example to evade an obstacle."""
     TIME_LIMIT = "time limit"
-    """The maximum duration elapsed."""
+    """Termination because the maximum duration of the motion elapsed."""
     INTERRUPTED = "interrupted"
-    """A signal or an exception interrupted the run."""
+    """Interruption of the run by an exception, by a signal such as Ctrl-C, or by a restart of the
+    motion in `drake-oa play`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionLog:
-    """Log of one motion: T instants, F observations of up to M obstacles.
+    """Log of one motion: signals at T instants, F observations of up to M obstacles, notes and
+    decisions.
 
-    The attributes are the keys of the file; the module's table has shape, unit and frame of each.
+    The attributes are the keys of a log file. The table in the docstring of the module
+    `drake_oa.runs.motion_log` lists shape, unit and meaning of each.
     """
 
     t: FloatArray
@@ -200,28 +220,40 @@ class MotionLog:
 
     @property
     def simulated_time(self) -> float:
-        """Time until the world was at rest or the run ended [s]."""
+        """Simulated time of the last logged instant, at which the world was at rest or the run
+        ended [s].
+        """
         return float(self.t[-1]) if len(self.t) else 0.0
 
     @property
     def duration(self) -> float:
-        """Duration of the motion [s]."""
+        """Simulated time from the start to the termination of the motion [s]; without a
+        termination, to the last logged instant.
+        """
         return self.simulated_time if math.isnan(self.motion_end) else self.motion_end
 
     @property
     def moving(self) -> slice:
-        """Instants of the motion, without those after its end."""
+        """Slice of the T logged instants that belong to the motion, without those after its
+        termination.
+        """
         return slice(int(np.searchsorted(self.t, self.duration, side="right")))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Returns the attributes as arrays, by the keys of the file."""
+        """Returns all attributes as NumPy arrays, by the keys of a log file; texts become arrays of
+        strings.
+        """
         return {
             name: np.asarray(value, dtype=str if isinstance(value, tuple) else None)
             for name, value in vars(self).items()
         }
 
     def observation(self, row: int) -> EllipsoidSet:
-        """Returns the ellipsoids of the observation in one of the F rows."""
+        """Returns the ellipsoids of one of the F observations.
+
+        Args:
+            row: index of the observation.
+        """
         is_present = np.isfinite(self.p_WO[row]).all(axis=1)
         return EllipsoidSet(
             stamp=float(self.observation_stamp[row]),
@@ -234,10 +266,16 @@ class MotionLog:
 
 
 def pack_ellipsoids(frames: Sequence[EllipsoidSet]) -> dict[str, Any]:
-    """Packs F sets of ellipsoids into attributes of a log, padded by NaN and ID -1 to M rows.
+    """Packs F observed sets of ellipsoids into arrays with M rows each, for attributes of a
+    `MotionLog`.
+
+    M is the maximum number of ellipsoids in a set. Missing rows are NaN, and their ID is -1.
+
+    Args:
+        frames: sets of ellipsoids in the order of the observations.
 
     Returns:
-        `observation_stamp`, `p_WO`, `R_WO`, `semi_axes`, `v_WO` and `obstacle_id`.
+        Arrays `observation_stamp`, `p_WO`, `R_WO`, `semi_axes`, `v_WO` and `obstacle_id`, by name.
     """
     shape = (len(frames), max(map(len, frames), default=0))
     empty = EllipsoidSet()
@@ -254,10 +292,14 @@ def pack_ellipsoids(frames: Sequence[EllipsoidSet]) -> dict[str, Any]:
 
 
 def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Packs the logged signals (T, 2) of the ports `decision` into attributes of a log.
+    """Collects the decisions of all layers from logged signals, for attributes of a `MotionLog`.
+
+    Args:
+        signals: logged signals by name. A signal with the prefix `DECISION_SIGNAL` has the shape
+            (T, 2), with start time and compute latency [s] of the layer's last decision.
 
     Returns:
-        `decision_time`, `decision_latency` and `decision_layer`.
+        `decision_time`, `decision_latency` and `decision_layer`, by name, in the order of time.
     """
     decisions = []
     for name, rows in signals.items():
@@ -273,10 +315,10 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 
 def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
-    """Writes the logs of motions into one file, which is replaced atomically.
+    """Writes the logs of several motions to one log file, which is replaced atomically.
 
     Args:
-        path: the file.
+        path: log file (.npz).
         logs: logs by the names of the motions.
 
     Raises:
@@ -289,11 +331,12 @@ def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
 
 
 def load_logs(path: Path) -> dict[str, MotionLog]:
-    """Reads the logs of a file by the names of the motions.
+    """Reads a log file, and returns its logs by the names of the motions.
 
     Raises:
         OSError: if the file cannot be opened.
-        ValueError: if it is no motion log, is damaged, has another schema, or lacks a key.
+        ValueError: if the file is no motion log, is damaged, has another schema version, or lacks a
+            key.
     """
     try:
         return _motions(read_arrays(path))
@@ -302,7 +345,14 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
 
 
 def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
-    """Creates the logs of a file from its arrays; raises ValueError for another schema."""
+    """Creates the logs of all motions from the arrays of a log file, and returns them by name.
+
+    Args:
+        arrays: arrays of the file by key, such as "avoiding/q".
+
+    Raises:
+        ValueError: if there is no motion, or if the file has another schema version.
+    """
     motions = [key.removesuffix("/stop_reason") for key in arrays if key.endswith("/stop_reason")]
     if not motions:
         raise ValueError("it has no key MOTION/stop_reason")
@@ -326,7 +376,9 @@ def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
 
 
 def _value(array: np.ndarray) -> Any:
-    """Returns the value of an attribute of `MotionLog` from its array in a file."""
+    """Converts an array of a log file to the value of a `MotionLog` attribute: scalar, array, or
+    tuple of texts.
+    """
     if array.ndim == 0:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array

@@ -1,4 +1,6 @@
-"""Readings of the panel on a viewer's page: time, method, clearances, contacts and hold reason."""
+"""Text of the panel on the viewer's web page: time, method, clearances, contacts and hold reason of
+a motion.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +20,23 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.panel import LivePage, Reading, panel_page
 
 _PERIOD = 0.1
-"""Simulated time between two readings of the panel [s]."""
+"""Simulated time between two updates of the text in the panel of the viewer's page [s]."""
 
 
 def motion_name(is_avoiding: bool) -> str:
-    """Returns the name of a motion for the title of a page."""
+    """Returns the name of the avoiding or of the nominal motion, for the title of a viewer page."""
     return "avoiding motion" if is_avoiding else "nominal motion (without avoidance)"
 
 
 class PanelReadings:
-    """Readings of the panel during one motion, with minimum clearances and contacts until then."""
+    """Generator of the texts (readings) that the panel of the viewer's page displays during one
+    motion.
+
+    Minimum clearances and contacts accumulate over the calls of `read`.
+    """
 
     def __init__(self, scenario: Scenario, is_avoiding: bool) -> None:
-        """Creates the evaluator that measures clearances on the true geometry.
+        """Creates the evaluator that computes clearances and contacts on the true geometry.
 
         Args:
             scenario: scenario of the motion.
@@ -51,14 +57,15 @@ class PanelReadings:
     def read(
         self, now: float, state: str, q: FloatArray, q_world: FloatArray, source: float = -1.0
     ) -> Reading:
-        """Computes the reading of the panel at a time.
+        """Computes the text of the panel at one time of the motion.
 
         Args:
-            now: time [s].
-            state: reason of a hold, or the state of the motion.
-            q: (N, nq) positions of the robot since the previous reading, at least one row.
+            now: simulated time [s].
+            state: last line of the text: reason of a hold, or state of the motion.
+            q: (N, nq) positions of the robot since the previous reading; the last of at least one
+                row is the present one.
             q_world: (N, n) all positions of the world, or (N, 0): only the robot moves.
-            source: source of the motion, see `drake_oa.planning.search.SOURCES`; -1: none.
+            source: index of the motion's source in `drake_oa.planning.search.SOURCES`; -1: none.
         """
         lines = [f"t = {now:.1f} s", self._method]
         if source >= 0.0:
@@ -83,7 +90,8 @@ class PanelReadings:
 
 
 def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
-    """Returns the readings of the panel for a logged motion, one every 0.1 s, at least one.
+    """Returns the texts of the viewer's panel for a logged motion: a reading every 0.1 s, at least
+    one.
 
     Args:
         scenario: scenario of the log.
@@ -104,7 +112,9 @@ def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
 
 
 def _logged_state(log: MotionLog, now: float) -> str:
-    """Returns the logged hold reason or guard action at a time [s], as `motion_state`."""
+    """Returns the state of a logged motion at a simulated time [s] in words: hold reason, guard
+    action, or "running".
+    """
     row = int(np.searchsorted(log.supervision_time, now, side="right")) - 1
     supervision = (
         (log.supervision_action[row], log.supervision_reason[row]) if row >= 0 else ("run", "")
@@ -114,7 +124,8 @@ def _logged_state(log: MotionLog, now: float) -> str:
 
 
 def label_page(page: str, name: str, scenario: Scenario, log: MotionLog) -> str:
-    """Returns the HTML page of a recording with the panel added.
+    """Adds the panel with title and readings to the HTML page of a recorded motion, and returns the
+    page.
 
     Args:
         page: HTML of a viewer after `drake_oa.viewing.viewer.recording`.
@@ -127,20 +138,27 @@ def label_page(page: str, name: str, scenario: Scenario, log: MotionLog) -> str:
 
 
 class LivePanel:
-    """Updater of the panel of a live page from a running simulation."""
+    """Callable that updates the text panel of a live viewer page during a simulation."""
 
     def __init__(self, page: LivePage, scenario: Scenario, is_avoiding: bool = True) -> None:
-        """Creates the readings of a motion for a page, see `PanelReadings`."""
+        """Creates the generator of the panel's texts for one motion.
+
+        Args:
+            page: live page with the panel.
+            scenario: scenario of the motion.
+            is_avoiding: whether the motion avoids obstacles.
+        """
         self._page, self._readings = page, PanelReadings(scenario, is_avoiding)
         self._next, self._state = 0.0, ""
 
     def __call__(self, monitor: MotionMonitor, root: Context, state: str = "") -> None:
-        """Waits for the page, and updates the reading every 0.1 s and when the state changes.
+        """Waits until the page has drawn the last frame, and updates the panel every 0.1 s and at
+        changes of state.
 
         Args:
             monitor: monitor of the motion.
             root: root Context of the diagram.
-            state: text to display in place of the monitor's state.
+            state: text to display in place of the state from the monitor; empty: no replacement.
         """
         self._page.pace()
         now, state = root.get_time(), state or monitor.state

@@ -1,4 +1,5 @@
-"""Interactive run of a scenario: clearance, goal and obstacles change while the arm moves.
+"""Interactive run of a scenario (`drake-oa play`), in which a user changes clearance, goal and
+obstacles while the arm moves.
 
 After a change the diagram is built again, and a new motion starts from rest at the present
 configuration. Between changes the diagram and its time steps are those of `drake-oa run`.
@@ -38,23 +39,27 @@ from drake_oa.world.station import release_cameras
 from drake_oa.world.world_model import flat_directives
 
 TICK = 1.0 / 30.0
-"""Simulated time between two readings of the controls [s]."""
+"""Simulated time of one step of `PlaySession`, before which buttons and sliders are read [s]."""
 SETTLING_TIME = 0.3
-"""Time for which the controls must not move before a change becomes active [s]."""
+"""Time for which all sliders and buttons must stay unchanged before a change becomes active [s]."""
 _MAX_LEGS = 20
-"""Maximum number of motions in the log; older ones are deleted."""
+"""Maximum number of motions of an interactive run whose logs are stored; older logs are deleted."""
 _MAX_LATENESS = 0.1
-"""Maximum delay of a tick that later ticks make up for [s]."""
+"""Maximum delay of an interactive run behind the selected speed that the following steps catch up
+[s]."""
 _METHODS = ("verified", "paper", "nominal")
-"""Names of the methods, in the order in which the button selects them."""
+"""Names of the methods of obstacle avoidance, in the order in which a button of the viewer selects
+them."""
 _NEXT = "next method (verified, paper, nominal)"
-"""Name of the button that selects the next method."""
+"""Name of the button in the viewer that selects the next method of obstacle avoidance."""
 _SOURCE = "camera or ground truth"
-"""Name of the button that switches the source of the obstacles."""
+"""Name of the button in the viewer that switches the source of obstacles: camera or true shapes."""
 
 
 def _welds(scenario: Scenario) -> dict[str, Any]:
-    """Returns the directives that weld obstacles to the world, by the names of the obstacles."""
+    """Returns the model directives of a scenario that weld obstacles to the world, by obstacle
+    name.
+    """
     prefix = f"{OBSTACLE_PREFIX}_"
     welds = [item.add_weld for item in scenario.directives if item.add_weld is not None]
     return {
@@ -65,7 +70,9 @@ def _welds(scenario: Scenario) -> dict[str, Any]:
 
 
 def obstacle_poses(scenario: Scenario) -> dict[str, RigidTransform]:
-    """Returns the poses X_WO of the movable obstacles of a scenario, by their names."""
+    """Returns the poses X_WO in the world of all obstacles that `move_obstacle` can move, by
+    obstacle name.
+    """
     poses = {item.name: pose(item) for item in scenario.obstacles}
     for name, weld in _welds(scenario).items():
         poses[name] = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
@@ -73,12 +80,13 @@ def obstacle_poses(scenario: Scenario) -> dict[str, RigidTransform]:
 
 
 def move_obstacle(scenario: Scenario, name: str, X_WO: RigidTransform) -> None:
-    """Sets the pose of an obstacle in a scenario.
+    """Sets the pose of an obstacle in a scenario: in its block `obstacles`, or in its weld
+    directive.
 
     Args:
         scenario: scenario to modify.
         name: name of the obstacle, a key of `obstacle_poses`.
-        X_WO: new pose of the obstacle.
+        X_WO: new pose of the obstacle in the world.
     """
     welds = _welds(scenario)
     if name in welds:
@@ -90,21 +98,23 @@ def move_obstacle(scenario: Scenario, name: str, X_WO: RigidTransform) -> None:
 
 
 class PlaySession:
-    """Interactive run of one scenario, which `tick` advances until `is_stopped`.
+    """Interactive run of one scenario with controls in the viewer; `tick` advances it until
+    `is_stopped` is True.
 
-    The arm moves to the goal and back to the start, repeatedly. The page moves a slider
-    "NAME: x [m]" into a folder NAME of the obstacle.
+    The arm moves to the goal and back to the start, repeatedly. The page shows the sliders of an
+    obstacle, such as "NAME: x [m]", in a folder NAME.
 
     Attributes:
         meshcat: viewer with the sliders and buttons.
         page: page with the viewer and the panel.
         logs: logs of the finished motions by the names "leg_1", "leg_2" and so on.
         is_stopped: whether the stop button was pressed.
-        is_returning: whether the present motion leads back to the start.
+        is_returning: whether the present motion ends at the start of the scenario.
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat, page: LivePage) -> None:
-        """Builds the diagram of a scenario and starts its motion.
+        """Adds the controls to the viewer, builds the diagram of a scenario, and starts the first
+        motion.
 
         Args:
             scenario: scenario with a robot.
@@ -132,7 +142,9 @@ class PlaySession:
         self._begin(None)
 
     def _add_controls(self) -> list[str]:
-        """Adds buttons and sliders; returns the names of all sliders except the speed's."""
+        """Adds buttons and sliders to the viewer, and returns the names of all sliders except
+        "speed".
+        """
         for name, key in (
             ("pause", "Space"),
             ("reset", "KeyR"),
@@ -158,11 +170,20 @@ class PlaySession:
         return [name for name, *_ in sliders]
 
     def _clicks(self, name: str) -> int:
-        """Returns how often a button was pressed."""
+        """Returns the number of times that a button of the viewer was pressed.
+
+        Args:
+            name: name of the button.
+        """
         return int(self.meshcat.GetButtonClicks(name))
 
     def _settings(self) -> dict[str, Any]:
-        """Returns the values of the controls: sliders [m, rad], "inference" and "has_camera"."""
+        """Reads the controls of the viewer.
+
+        Returns:
+            Values of the sliders by name [m, rad]; under "inference" the selected method, and under
+            "has_camera" whether a camera is the source of the obstacles.
+        """
         turn = self._clicks(_NEXT) + _is_paper(self._scenario)
         can_see = isinstance(self._scenario.perception, CameraSource)
         return {
@@ -172,7 +193,9 @@ class PlaySession:
         }
 
     def tick(self) -> None:
-        """Applies changed controls, advances by `TICK` unless paused, and updates the panel."""
+        """Applies changed controls, advances the simulation by `TICK` unless paused, and updates
+        the viewer's panel.
+        """
         self.is_stopped = self._clicks("stop") > 0
         settings = self._settings()
         if settings != self._settings_now:
@@ -193,10 +216,11 @@ class PlaySession:
         self._panel(self._monitor, self._root(), self.status(paused))
 
     def run(self, each_tick: Callable[[], None] = lambda: None) -> None:
-        """Ticks at the selected speed until the stop button is pressed.
+        """Advances the simulation at the selected speed until the stop button is pressed.
 
         Args:
-            each_tick: function that is called before each tick; its exceptions end the run.
+            each_tick: function that is called before each step of `TICK`; its exceptions end the
+                run.
         """
         due = time.monotonic()
         while not self.is_stopped:
@@ -207,18 +231,21 @@ class PlaySession:
             time.sleep(max(0.0, due - time.monotonic()))
 
     def finish(self) -> dict[str, MotionLog]:
-        """Ends the present motion, and returns the logs of all motions."""
+        """Ends the present motion, and returns the logs of the last motions by the names "leg_1",
+        "leg_2" and so on.
+        """
         self._end_leg()
         return self.logs
 
     def _begin(self, q: FloatArray | None) -> None:
-        """Starts a motion with the settings of the controls.
+        """Builds the diagram with the present settings of the controls, and starts a new motion
+        from rest.
 
-        Settings with an error are refused: the sliders return to the previous values, and the
-        present motion continues.
+        Invalid settings are refused: the sliders return to the previous values, and the present
+        motion continues.
 
         Args:
-            q: configuration (nq,) of the start; None: the start of the scenario.
+            q: (nq,) configuration at which the motion starts; None: the start of the scenario.
         """
         settings = self._tried_settings = self._settings_now
         avoid_obstacles = settings["inference"] != "nominal"
@@ -254,11 +281,18 @@ class PlaySession:
         simulator.set_monitor(monitor)
 
     def _contacts(self) -> frozenset[str]:
-        """Returns the pairs in contact at the present configuration."""
+        """Returns the names "link - object" of the pairs in contact at the present configuration of
+        the robot.
+        """
         return frozenset(self._evaluator.metrics(*self._monitor.positions(self._root())).contacts)
 
     def _modified_scenario(self, settings: dict[str, Any], q: FloatArray | None) -> Scenario:
-        """Returns the scenario with the settings, its motion from q (nq,) or from its start."""
+        """Returns a copy of the scenario that is modified by the settings of the controls.
+
+        Args:
+            settings: values of the controls, as `_settings` returns them.
+            q: (nq,) configuration at which the motion starts; None: the start of the scenario.
+        """
         scenario = copy.deepcopy(self._scenario)
         task = scenario.task
         task.clearance = settings["clearance [m]"]
@@ -283,11 +317,13 @@ class PlaySession:
         return scenario
 
     def tool_point(self) -> FloatArray:
-        """Returns the present tool point (3,) in the world [m]."""
+        """Returns the present position (3,) of the tool point in the world [m]."""
         return self._monitor.tool_point(self._root())
 
     def _positions(self) -> FloatArray:
-        """Returns the present configuration (nq,), clipped to the joint limits."""
+        """Returns the present configuration (nq,) of the robot, clipped to values inside the joint
+        limits.
+        """
         q = self._monitor.positions(self._root())[0][0]
         lower, upper = self._limits.position_lower, self._limits.position_upper
         return np.clip(q, lower + 1e-6, upper - 1e-6)
@@ -299,13 +335,15 @@ class PlaySession:
         return self._simulator.get_context()
 
     def status(self, paused: bool = False) -> str:
-        """Returns the text of the panel: refusal of a change, "paused", or state of the motion."""
+        """Returns the last line of the viewer's panel: refusal of a change, "paused", or state of
+        the motion.
+        """
         if self._refusal:
             return f"refused: {self._refusal}"
         return "paused" if paused else self._monitor.state
 
     def _end_leg(self) -> None:
-        """Ends the present motion, if any, and adds its log to `logs`."""
+        """Ends the present motion (leg), if any, and adds its log to `logs`."""
         if self._simulator is None:
             return
         self._simulator.clear_monitor()
@@ -325,5 +363,7 @@ class PlaySession:
 
 
 def _is_paper(scenario: Scenario) -> bool:
-    """Checks whether the method of a scenario is the paper's."""
+    """Checks whether a scenario uses the method of Pairet et al., RA-L 2019, without verification
+    by roll-outs.
+    """
     return isinstance(scenario.inference, Paper)
