@@ -1,8 +1,12 @@
-"""Safety: commanded joint motion of the arm, on the verified motion or an evasive maneuver.
+"""Safety layer: joint commands of the arm, along the verified motion or on an evasive maneuver.
 
-In:  robot_state (2m,) [rad, rad/s]; desired motion of the tool; desired_posture (2n,) [rad, rad/s];
-     policy_state `PolicyState`; motion `PlannedMotion`; collision_scene_W `CollisionScene` (W,
-     [m]); free_space_W `FreeSpace`.
+The verified motion is the joint motion q(s) that MotionVerifier predicted and checked by
+simulation. Normalized time s is time over the demonstrated duration T times the temporal scaling
+tau. The robot has m joints, and its arm n joints.
+
+In:  robot_state (2m,) [rad, m, rad/s, m/s]; desired motion of the tool; desired_posture (2n,)
+     [rad, rad/s]; policy_state `PolicyState`; motion `PlannedMotion`, the verified motion;
+     collision_scene_W `CollisionScene` in the world W [m]; free_space_W `FreeSpace`.
 Out: desired_joint_state (2n,) [rad, rad/s] and desired_joint_acceleration (n,) [rad/s^2] for
      `JointInverseDynamics`; speed_scale in [0, 1] and evasion_velocity (3,) [m/s] for
      `DmpIntegrator`; supervision `Supervision`.
@@ -13,11 +17,12 @@ System
 Method
     While no contact is predicted on the verified motion at full speed, the arm follows it, with the
     tool at the desired pose. Otherwise a decision compares it with slower motions and with evasive
-    maneuvers: joint trajectories of two legs over 1.4 s, among obstacles at constant velocity. The
-    phase rests during a maneuver. Old observations and saturated torques slow the phase down. A
-    contact, detected by the joint error, restarts the command at the measured configuration.
+    maneuvers. A maneuver is a joint trajectory of two legs over 1.4 s, among obstacles at constant
+    velocity. The phase of the movement primitive rests during a maneuver. Old observations and
+    saturated torques slow the motion down. A contact, detected by the joint error, restarts the
+    command at the measured configuration.
 
-Parts: `motion_guard` (system), `maneuvers` (decision), `joint_motions` (kernels of joint
+Modules: `motion_guard` (system), `maneuvers` (decision), `joint_motions` (kernels of joint
 trajectories), `passive_safety` (claims that limit the speed), `supervision` (speed scale).
 
 Configuration: `config`, the block `guard` of a scenario.

@@ -1,4 +1,6 @@
-"""Configuration of safety: the block `guard` of a scenario."""
+"""Configuration of the motion guard, which commands the joints of the arm: the block `guard` of a
+scenario file.
+"""
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -8,39 +10,52 @@ from drake_oa.common.config import BLOCK
 
 @dataclass(config=BLOCK)
 class GuardParameters:
-    """Parameters of the motion guard: search, contact reaction, and old observations."""
+    """Parameters of the motion guard: search for evasive maneuvers, reaction to contact, and limits
+    of the speed.
+
+    The motion guard commands the joints of the arm. They follow the verified motion (checked by
+    simulation), or a maneuver that evades moving obstacles.
+    """
 
     candidates: int = Field(default=96, ge=16, le=10_000)
-    """Number of candidate maneuvers in a decision [1]. Raising it searches more widely and takes
-    longer."""
+    """Number of candidate maneuvers that the motion guard compares in each decision [-]. Raising it
+    searches more widely and takes longer."""
     refinements: int = Field(default=48, ge=0, le=10_000)
-    """Number of variations of the best maneuvers in a decision [1]. Raising it finds better
-    maneuvers and takes longer."""
+    """Number of random variations of the best candidate maneuvers that each decision also compares
+    [-]. Raising it finds better maneuvers and takes longer."""
     speed_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
-    """Fraction of the joint speed limits that maneuvers may use [1]. Raising it evades faster."""
+    """Fraction of the joint speed limits that evasive maneuvers may use [-]. Raising it makes the
+    arm evade faster."""
     acceleration: float = Field(default=5.0, gt=0.0, le=100.0)
-    """Maximum joint acceleration of maneuvers [rad/s^2]. Raising it evades faster."""
+    """Maximum joint acceleration of evasive maneuvers, braking included [rad/s^2]. Raising it makes
+    the arm evade and brake faster."""
     acceleration_limit: float = Field(default=10.0, gt=0.0, le=1000.0)
-    """Maximum joint acceleration of the commanded motion [rad/s^2]. Raising it follows sharp turns
-    more closely."""
+    """Maximum joint acceleration of the command while it follows the verified motion [rad/s^2].
+    Raising it makes the command deviate less in sharp turns."""
     margin_moving: float = Field(default=0.12, gt=0.0, le=1.0)
-    """Clearance margin to moving obstacles below which proximity costs [m]. Raising it increases
-    the distance to them."""
+    """Distance beyond the required clearance to moving obstacles within which a predicted
+    trajectory is penalized for proximity [m]. Raising it makes the arm avoid moving obstacles at a
+    larger distance."""
     contact_error: float = Field(default=0.05, gt=0.0, le=1.0)
-    """Tracking error of a joint at which a contact is detected, and the command restarts from the
-    measured configuration [rad]; a feedback torque equivalent to 0.6 times this error is a contact
-    too. Raising it tolerates larger errors."""
+    """Error between measured and commanded position of a joint above which a contact is detected
+    [rad]. A contact is also detected above the feedback torque that corresponds to 0.6 times this
+    error. The command then restarts from the measured configuration. Raising it avoids false
+    contacts, but detects contacts later."""
     contact_time: float = Field(default=0.5, ge=0.0, le=60.0)
-    """Time after a contact in which the speed is limited [s]. Raising it limits longer."""
+    """Time after a contact during which maneuvers move no point of the arm faster than `v_unseen`
+    [s]."""
     obstacle_speed: float = Field(default=0.0, ge=0.0, le=10.0)
-    """Maximum speed V of obstacles for which passive motion safety is claimed [m/s]; 0: no claim,
-    obstacles count as at rest unless they are observed to move. Raising it increases the distance
-    to moving obstacles, and reduces the speed near unobserved space."""
+    """Maximum speed of obstacles that the checks of passive motion safety assume [m/s]; 0: no
+    checks. With these checks, a part of the arm that an obstacle may reach at this speed is at rest
+    or moves away from it. Raising it increases the distance to moving obstacles, and reduces the
+    speed near unobserved space."""
     v_unseen: float = Field(default=0.25, gt=0.0, le=2.0)
-    """Maximum speed of any point of the arm toward unobserved space, and after a contact [m/s].
-    Raising it moves faster."""
+    """Maximum speed of any point of the arm toward unobserved space, checked if `obstacle_speed` is
+    not 0, and in maneuvers after a contact [m/s]. Raising it makes the arm faster there."""
     stale_frames: float = Field(default=2.5, ge=1.0, le=1e6)
-    """Number of missing frames after which the motion slows down [1]; above the age
-    `policy.max_observation_age` it is held. Raising it tolerates longer gaps in perception."""
+    """Age of the last observation, in periods between camera images, above which the motion slows
+    down [-]. Above the age `policy.max_observation_age` the motion is held. Raising it tolerates
+    longer gaps in perception."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
-    """Seed of the random candidate maneuvers [1]."""
+    """Seed of the random numbers from which candidate maneuvers are drawn [-]; equal seeds
+    reproduce the maneuvers."""

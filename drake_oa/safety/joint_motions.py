@@ -1,7 +1,9 @@
-"""Joint trajectories: tracking of the tool, legs of maneuvers, and costs of proximity.
+"""Compiled functions for joint trajectories of the motion guard: tracking of a tool motion, evasive
+maneuvers, and costs of contact and proximity.
 
-A maneuver consists of two legs. In each leg, every joint moves to its target with a trapezoidal
-velocity profile, of bounded speed and acceleration, and rests there.
+A maneuver is a joint trajectory that leaves the verified motion to evade obstacles. A maneuver
+consists of two legs. In each leg, every joint moves to its target with a trapezoidal velocity
+profile, of bounded speed and acceleration, and rests there.
 """
 
 from __future__ import annotations
@@ -24,13 +26,17 @@ from drake_oa.planning.collision_model import (
 from drake_oa.robot.arm import Chain, chain_poses, follow, scratch, step_toward
 
 _VELOCITY_DAMPING = 1e-4
-"""Damping of the differential inverse kinematics of the tracked velocity [m^2]."""
+"""Damping of the differential inverse kinematics that computes joint velocities from the desired
+tool velocity [m^2]."""
 _CONTACT_DEPTH = 0.03
-"""Penetration depth that doubles the cost of a contact [m]."""
+"""Depth of penetration at which the cost of a predicted contact is twice that of a contact of depth
+0 [m]."""
 _LIMIT_TOLERANCE = 1e-3
-"""Violation of a joint limit that is tolerated as an interpolation error [rad]."""
+"""Violation of a joint limit that is tolerated in predicted trajectories as an interpolation error
+[rad]. A larger violation counts as a contact."""
 _MIN_MOTIONS_PER_THREAD = 8
-"""Minimum number of trajectories per additional thread."""
+"""Minimum number of trajectories for each additional thread that evaluates trajectories in parallel
+[-]."""
 
 
 @compiled
@@ -43,12 +49,13 @@ def track(
     step: float,
     rate: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the joint state after one step in which the tool tracks a desired motion.
+    """Computes the joint state of the arm after one time step in which the tool tracks a desired
+    motion.
 
     Args:
         chain: kinematics of the arm.
         q: (n,) current configuration [rad].
-        X_WE: (12,) current desired tool pose: rotation, row by row, and position [m].
+        X_WE: (12,) current desired tool pose: rotation matrix, row by row, and position [m].
         V_WE: (6,) mean desired tool velocity during the step: angular [rad/s], linear [m/s].
         posture: (2n,) nominal posture at the end of the step [rad], and its velocity [rad/s].
         step: duration of the step [s].
@@ -79,7 +86,8 @@ def advance_leg(
     q: FloatArray, v: FloatArray, target: FloatArray, speed: FloatArray, acceleration: FloatArray,
     step: float,
 ) -> None:  # fmt: skip
-    """Advances joints, in place, by one step of a leg toward its target.
+    """Advances a joint state, in place, by one time step of a leg: a motion in which each joint
+    moves to a target and rests there.
 
     Args:
         q, v: (n,) positions [rad] and velocities [rad/s].
@@ -105,20 +113,24 @@ def advance_leg(
 
 
 _CONVERGENCE = 30.0
-"""Rate at which joints converge to a path within their limits [1/s]."""
+"""Maximum rate at which `approach` reduces the error between the joints and a moving path [1/s]."""
 
 
 def approach(
     x: FloatArray, path: FloatArray, speed: FloatArray, acceleration: float, step: float
 ) -> FloatArray:
-    """Computes the joint state after one step toward a moving path, within the limits.
+    """Computes the joint state after one time step in which the joints approach a moving path, with
+    bounded speed and acceleration.
 
     Args:
         x: (2n,) current positions [rad] and velocities [rad/s].
-        path: (2n,) positions and velocities of the path after the step [rad, rad/s].
+        path: (2n,) positions [rad] and velocities [rad/s] of the path after the step.
         speed: (n,) maximum joint speeds [rad/s].
         acceleration: maximum joint acceleration [rad/s^2].
         step: duration of the step [s].
+
+    Returns:
+        (2n,) positions [rad] and velocities [rad/s] after the step.
     """
     n, max_change = len(speed), acceleration * step
     q, v = x[:n], x[n:]
@@ -130,12 +142,14 @@ def approach(
 
 
 class Legs(NamedTuple):
-    """N maneuvers of two legs each.
+    """Arrays of N joint maneuvers of two legs each; in a leg every joint moves to a target and
+    rests there.
 
     Attributes:
-        target: (N, 2, n) target configurations [rad].
-        speed: (N, 2, n) maximum joint speeds [rad/s].
-        switch: (N,) times from the start of the maneuver to that of the second leg [s].
+        target: (N, 2, n) target configurations of both legs [rad].
+        speed: (N, 2, n) maximum joint speeds in both legs [rad/s].
+        switch: (N,) times at which the second leg begins, from the start of the maneuver [s]; inf:
+            the second leg never begins.
     """
 
     target: FloatArray
@@ -148,15 +162,19 @@ def roll_out_legs(
     q: FloatArray, v: FloatArray, legs: Legs, acceleration: FloatArray, step: float, every: int,
     samples: int,
 ) -> FloatArray:  # fmt: skip
-    """Rolls out maneuvers to sampled configurations (N, samples, n) [rad].
+    """Simulates N joint maneuvers of two legs each, all from the same joint state, and samples
+    their configurations.
 
     Args:
-        q, v: (n,) joint state at the start [rad, rad/s].
-        legs: N maneuvers.
+        q, v: (n,) positions [rad] and velocities [rad/s] at the start.
+        legs: targets, speeds and switch times of the N maneuvers.
         acceleration: (n,) maximum joint accelerations [rad/s^2].
-        step: duration of a step [s].
+        step: duration of a time step [s].
         every: number of steps between two samples, and before the first one.
         samples: number of samples.
+
+    Returns:
+        (N, samples, n) configurations [rad].
     """
     N, n = len(legs.target), len(q)
     rollouts = np.empty((N, samples, n))
@@ -171,27 +189,32 @@ def roll_out_legs(
 
 
 _RESTING_MARGIN = 0.03
-"""Clearance margin to resting obstacles below which proximity costs [m]."""
+"""Distance beyond the required clearance to resting obstacles within which a trajectory is
+penalized for proximity [m]."""
 _MARGIN_GROWTH = 0.1
-"""Growth rate of the margin of moving obstacles with the prediction time [m/s]."""
+"""Rate at which the distance that is penalized as proximity to a moving obstacle grows with the
+prediction time, because predictions become less accurate [m/s]."""
 _CONTACT_DECAY = 0.8
-"""Time constant with which costs decay with the prediction time [s]."""
+"""Time constant with which the costs of contact and of proximity to moving obstacles decrease with
+the prediction time [s]."""
 
 
 class MotionCosts(NamedTuple):
-    """Costs of contact and proximity of N trajectories, as (N,) arrays.
+    """Costs of predicted contact and proximity of N joint trajectories, each an array (N,).
 
-    With the clearance margins d(t) of a configuration, T = 0.8 s, D = 30 mm and the time t_1 of the
-    first contact, at which the integrals end,
+    Let d(t) be the clearance margin at time t: distance to obstacles minus required clearance. With
+    T = 0.8 s, D = 30 mm and the time t_1 of the first contact, at which the integrals end,
 
         contact      = T exp(-t_1 / T) (1 + min(-d(t_1) / D, 3))
         near_moving  = integral of exp(-t / T) max(1 - d(t) / (margin + 0.1 m/s t), 0)^2 dt
         near_resting = integral of max(1 - d(t) / 30 mm, 0)^2 dt
 
+    where margin is the parameter `margin_moving` of the motion guard.
+
     Attributes:
-        contact: cost of the first contact; 0: no contact [s].
+        contact: cost of the first contact [s]; 0: no contact.
         near_moving, near_resting: costs of proximity to moving and resting obstacles [s].
-        first: time t_1 of the first contact, from the start; inf: no contact [s].
+        first: time t_1 of the first contact, from the start [s]; inf: no contact.
     """
 
     contact: FloatArray
@@ -203,7 +226,8 @@ class MotionCosts(NamedTuple):
 def evaluate_motions(
     resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray, step: float, margin: float
 ) -> MotionCosts:
-    """Computes the costs of N trajectories among resting and moving obstacles.
+    """Computes the costs of contact and proximity of N joint trajectories among resting and moving
+    obstacles.
 
     Args:
         resting: collision model with the clearances required from resting obstacles and between
@@ -211,7 +235,11 @@ def evaluate_motions(
         moving: collision model with the clearances required from moving obstacles; -inf for others.
         q: (N, T, n) configurations, the first one a step after `moving.now` [rad].
         step: time between two configurations [s].
-        margin: clearance margin to moving obstacles below which proximity costs, at time 0 [m].
+        margin: distance beyond the clearance required from moving obstacles within which proximity
+            is penalized at time 0 [m].
+
+    Returns:
+        Costs and times of the first contact, (N,) each.
     """
     table = np.zeros((len(q), 5))
     threads = min(CORES, len(q) // _MIN_MOTIONS_PER_THREAD + 1)
@@ -225,9 +253,16 @@ def _evaluate_some(
     part: int, parts: int, resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray,
     step: float, margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Evaluates trajectories part, part + parts, ... (one thread's share).
+    """Evaluates the trajectories part, part + parts, ... of `evaluate_motions`, which are one
+    thread's share.
 
-    Writes the fields of `MotionCosts` and the number of checked configurations into out (N, 5).
+    Writes the four fields of `MotionCosts` and the number of checked configurations into the
+    columns of out (N, 5).
+
+    Args:
+        part, parts: index of the thread's share, and number of shares.
+        resting, moving, q, step, margin: arguments of `evaluate_motions`.
+        out: (N, 5) costs, initially 0.
     """
     chain, spheres = resting.chain, resting.spheres
     T, n = q.shape[1:]

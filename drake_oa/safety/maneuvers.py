@@ -1,18 +1,20 @@
-"""Decisions of the motion guard: selection of a joint trajectory among moving obstacles.
+"""Decisions of the motion guard: selection of the joint trajectory of least cost among resting and
+moving obstacles.
 
-Each decision compares joint trajectories over a horizon of 1.4 s. They are the verified motion at
-several speeds (follow, slow, wait), and evasive maneuvers of two legs: brake, return to the
-verified motion, random targets and via points, and refinements of the best of these. The
-trajectory with the least cost
+The verified motion is the joint motion q(s) over normalized time s that MotionVerifier predicted
+and checked. Each decision compares joint trajectories over a horizon of 1.4 s. They are the
+verified motion at several speeds (follow, slow, wait), and evasive maneuvers of two legs: brake,
+return to the verified motion, random targets and via points, and refinements of the best of these.
+The trajectory with the least cost
 
     J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + delay
 
 is selected, with hysteresis for the current maneuver. `contact`, `near_moving` and `near_resting`
-are costs of `joint_motions.MotionCosts`, `turn` is the integral of the angle between the tool and
-its orientation on the verified motion, and `delay` is the time lost on the verified motion.
+are costs of `joint_motions.MotionCosts`. `turn` is the integral of the angle between the tool and
+its orientation on the verified motion. `delay` is the time lost on this motion.
 Obstacles move at constant velocity, and the margin to them grows with time. Every trajectory ends
-at rest: the phase of a followed motion stops within `hold_time`, and each leg of a maneuver ends
-at its target.
+at rest: the phase of a followed motion stops within `hold_time`, and each leg of a maneuver ends at
+its target.
 """
 
 from __future__ import annotations
@@ -53,71 +55,93 @@ ACTIONS: tuple[Action, ...] = get_args(Action)
 _FOLLOW_OPTIONS: tuple[tuple[Action, float], ...] = (
     ("follow", 1.0), ("slow", 0.6), ("slow", 0.3), ("slow", 0.15), ("wait", 0.0),
 )  # fmt: skip
-"""Actions and speed scales at which the verified motion is evaluated."""
+"""Actions of the motion guard that follow the verified motion (checked by simulation), each with
+its speed scale: the fraction of full speed."""
 HORIZON = 1.4
-"""Time over which trajectories are predicted [s]."""
+"""Time over which the motion guard predicts the trajectories of the arm and of obstacles [s]."""
 _SAMPLES = 28
-"""Number of evaluated configurations of each trajectory."""
+"""Number of configurations at which each predicted trajectory of the arm is checked for contact and
+proximity [-]."""
 _CONTACT_WEIGHT = 60.0
-"""Weight w_c of predicted contact in the cost."""
+"""Weight w_c of predicted contact in the cost from which the motion guard selects a trajectory [-].
+"""
 _MOVING_WEIGHT = 6.0
-"""Weight w_m of proximity to moving obstacles in the cost."""
+"""Weight w_m of proximity to moving obstacles in the cost from which the motion guard selects a
+trajectory [-]."""
 _RESTING_WEIGHT = 2.0
-"""Weight w_r of proximity to resting obstacles in the cost."""
+"""Weight w_r of proximity to resting obstacles in the cost from which the motion guard selects a
+trajectory [-]."""
 _TURN_WEIGHT = 0.1
-"""Weight w_o of the tool's orientation error in the cost [1/rad]."""
+"""Weight w_o, in the cost of a maneuver, of the angle between the tool and its orientation on the
+verified motion (checked by simulation) [1/rad]."""
 _TURN_STRIDE = 2
-"""Number of samples between two evaluated tool orientations."""
+"""Number of samples of a trajectory between two samples at which the tool's orientation is
+evaluated [-]."""
 _HYSTERESIS = 0.1
-"""Maximum reduction of the cost of the current maneuver, by hysteresis [s]."""
+"""Maximum reduction of the cost of the current maneuver, so that the guard selects another one only
+for a clear advantage [s]."""
 _MOVING_CONTACT_DISTANCE = 0.012
-"""Distance to moving obstacles, beyond their padding, below which a trajectory is a contact [m]."""
+"""Distance from the arm to a moving obstacle, beyond the obstacle's padding (position uncertainty),
+below which a predicted trajectory counts as a contact [m]."""
 _RESTING_CONTACT_DISTANCE = 0.004
-"""Distance to resting obstacles below which a trajectory is a contact, unless the verified motion
-comes closer [m]."""
+"""Distance to a resting obstacle below which a predicted trajectory counts as a contact, unless the
+verified motion (checked by simulation) comes closer [m]."""
 _DISTANCE_SLACK = 2e-3
-"""Reduction of required distances below those of the current configuration [m], and tolerance of
-the tool's turn limit [rad]."""
+"""Tolerance by which required distances are below those of the current configuration [m]. Also the
+tolerance of the maximum angle by which a maneuver turns the tool [rad]."""
 _VERIFIED_SLACK = 5e-3
-"""Reduction of required distances below those of the verified motion [m]."""
+"""Tolerance by which the distances that maneuvers require from resting obstacles are below those of
+the verified motion (checked by simulation) [m]."""
 _SELF_CLEARANCE = 5e-3
-"""Required clearance between links of the arm [m]."""
+"""Required distance between links of the arm in a maneuver, unless the present configuration or the
+verified motion (checked by simulation) has less [m]."""
 _MAX_NEARNESS = 0.02
-"""Cost `near_moving` up to which the verified motion is followed without alternatives [s]."""
+"""Maximum cost `near_moving` of proximity to moving obstacles at which the verified motion (checked
+by simulation) is followed without comparing alternatives [s]."""
 _OFFSET_DECAY = 4.0
-"""Rate at which an offset from the verified motion decays in predictions [1/s]."""
+"""Rate at which the joints' predicted offset from the verified motion (checked by simulation)
+decays while the arm follows this motion [1/s]."""
 _LIMIT_MARGIN = 0.03
-"""Distance of maneuver targets from the joint limits [rad]."""
+"""Minimum distance of the target configurations of maneuvers from the joint limits [rad]."""
 _N_PARENTS = 8
-"""Number of best maneuvers that are refined."""
+"""Number of maneuvers of least cost from which the motion guard derives random variations [-]."""
 _MAX_CLAIM_CHECKS = 40
-"""Number of trajectories of least cost that are checked for passive motion safety."""
+"""Maximum number of trajectories, in the order of their costs, that a decision checks for passive
+motion safety [-]."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
-"""Costs of violated claims, less than that of any predicted contact [s]."""
+"""Additional cost of a trajectory that violates claim "A" or "B" of passive motion safety [s]; less
+than the cost of any predicted contact.
+
+The module `passive_safety` defines the claims, which limit the speed toward moving obstacles (A)
+and unobserved space (B)."""
 _BRAKE_SAMPLES = 8
-"""Number of samples after one period, while the arm brakes, that are checked for claims."""
+"""Number of configurations along the braking motion that are checked for passive motion safety, if
+the arm brakes after one decision period [-]."""
 ON_PATH_DEVIATION = 0.01
-"""Maximum joint deviation from the verified motion at which the arm follows it again [rad]."""
+"""Maximum joint deviation from the verified motion (checked by simulation) at which the arm may
+leave a maneuver and follow this motion again [rad]."""
 REST_SPEED = 0.1
-"""Maximum joint speed at which the arm follows the verified motion again [rad/s]."""
+"""Maximum speed of any joint at which the arm may leave a maneuver and follow the verified motion
+(checked by simulation) again [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuardDecision(Frozen):
-    """Trajectory selected by the motion guard.
+    """Decision of the motion guard: to follow the verified motion (checked by simulation) at a
+    certain speed, or to execute a joint maneuver.
 
     Attributes:
         action: "follow": follow the verified motion at full speed; "slow": follow it at a fraction
-            of full speed; "wait": its phase rests; "evade": execute an evasive maneuver; "brake":
-            come to rest.
-        scale: speed scale of the phase, in [0, 1].
-        target: (2, n) target configurations of the two legs of a maneuver [rad]; (0, n): the
+            of full speed; "wait": rest on it; "evade": execute an evasive maneuver; "brake": come
+            to rest.
+        scale: fraction of full speed at which the verified motion is followed, in [0, 1].
+        target: (2, n) target configurations of the two legs of a maneuver [rad]; empty: the
             verified motion is followed.
-        speed: (2, n) maximum joint speeds in the legs [rad/s].
-        switch: time at which the second leg starts [s].
+        speed: (2, n) maximum joint speeds in the two legs [rad/s].
+        switch: time at which the second leg starts [s]; inf: the maneuver has one leg.
         contact: time of the first contact predicted on the verified motion at full speed [s]; inf:
             no contact.
-        obstacle: label of the nearest moving obstacle; "": no obstacle moves.
+        obstacle: label of the moving obstacle that is nearest to the arm; "": no obstacle moves.
         claim: claim of passive motion safety that rejected a trajectory of less cost; "": none.
     """
 
@@ -132,36 +156,46 @@ class GuardDecision(Frozen):
 
     @property
     def action_number(self) -> int:
-        """Row of the action in `ACTIONS`."""
+        """Index of the decision's action in `ACTIONS`, for the output port guard_action of
+        MotionGuard.
+        """
         return ACTIONS.index(self.action)
 
     @property
     def claim_number(self) -> int:
-        """Row of the claim in `CLAIMS`."""
+        """Index of the violated claim of passive motion safety in `CLAIMS`, for the output port
+        guard_claim of MotionGuard.
+        """
         return CLAIMS.index(self.claim)
 
     @property
     def follows(self) -> bool:
-        """Whether the verified motion is followed."""
+        """Whether the decision is to follow the verified motion (checked by simulation), at any
+        speed or at rest, instead of a maneuver.
+        """
         return not len(self.target)
 
 
 @dataclass(frozen=True, eq=False)
 class GuardInputs(Frozen):
-    """Inputs of one decision of the motion guard.
+    """Inputs of one decision of the motion guard, predicted for the time at which the decision
+    becomes active.
+
+    The verified motion is the joint motion q(s) over normalized time s that MotionVerifier
+    predicted and checked.
 
     Attributes:
         begin: time at which the decision becomes active [s].
-        q, v: (n,) predicted joint state at `begin` [rad, rad/s].
+        q, v: (n,) predicted positions [rad] and velocities [rad/s] of the joints at `begin`.
         q_path: (n,) configuration on the verified motion at the current phase [rad].
         is_on_path: whether the arm follows the verified motion, or rests on it.
         s: normalized time of the verified motion at `begin`.
         rate, full_rate: ds/dt at the current and at full speed [1/s].
-        motion: verified motion.
-        scene: collision scene.
-        free_space: space observed as free; None: all space outside collision geometry.
+        motion: verified motion; without configurations: no motion is verified.
+        scene: collision scene, all collision geometry except the robot's.
         speed_fraction: fraction of the maneuvers' speed limits that may be used.
         decision_count: number of previous decisions, which seeds the random candidates.
+        free_space: space observed as free; None: all space outside collision geometry.
     """
 
     begin: float
@@ -180,7 +214,9 @@ class GuardInputs(Frozen):
 
 
 class GuardSearch:
-    """Search for joint trajectories of one arm among moving obstacles."""
+    """Search of the motion guard for the joint trajectory of least cost: the verified motion
+    (checked by simulation) at some speed, or an evasive maneuver.
+    """
 
     def __init__(
         self,
@@ -196,7 +232,7 @@ class GuardSearch:
         """Stores the constants of the search.
 
         Args:
-            chain, arm_spheres: kinematics and spheres of the arm.
+            chain, arm_spheres: kinematics of the arm, and spheres that cover it.
             config: configuration of the policy: time step, hold time.
             period: time between decisions [s].
             padding: position uncertainty of moving obstacles, added to their clearance [m].
@@ -226,11 +262,12 @@ class GuardSearch:
         )
 
     def decide(self, previous: GuardDecision, inputs: GuardInputs) -> GuardDecision:
-        """Selects the trajectory from `inputs.begin` on.
+        """Selects the trajectory that the arm executes from `inputs.begin` on: the verified motion
+        (checked by simulation) at some speed, or a maneuver.
 
         Args:
-            previous: active decision.
-            inputs: inputs of this decision.
+            previous: active decision, whose maneuver is one of the candidates.
+            inputs: inputs of the new decision.
         """
         model = _GuardModel(
             self._chain,
@@ -284,13 +321,14 @@ class GuardSearch:
         q: FloatArray,
         cost: FloatArray,
     ) -> GuardDecision:
-        """Selects the trajectory of least cost, including the costs of violated claims.
+        """Selects the trajectory of least cost, after adding the costs of violated claims of
+        passive motion safety.
 
         Args:
             model: collision model of the decision.
-            options: N trajectories.
+            options: N candidate trajectories.
             q: (N, T, n) configurations along the trajectories [rad].
-            cost: (N,) costs without those of claims [s].
+            cost: (N,) costs of the trajectories without the costs of violated claims [s].
         """
         inputs, min_cost = model.inputs, math.inf
         claim: Claim = ""
@@ -307,7 +345,17 @@ class GuardSearch:
         return replace(selected, claim=claim, obstacle=model.nearest)
 
     def _find_violated_claim(self, q: FloatArray, inputs: GuardInputs) -> Claim:
-        """Returns the claim violated by a trajectory q (T, n) that brakes after one period."""
+        """Finds the claim of passive motion safety that a trajectory violates if the arm brakes
+        after one decision period.
+
+        Args:
+            q: (T, n) configurations along the trajectory [rad].
+            inputs: inputs of the decision.
+
+        Returns:
+            "A" or "B", defined in the module `passive_safety`; "": no claim is violated, or checks
+            are switched off.
+        """
         p, m = self._parameters, self._until_next
         if p.obstacle_speed == 0.0:
             return ""
@@ -328,14 +376,30 @@ class GuardSearch:
         )  # fmt: skip
 
     def _evaluate(self, model: _GuardModel, q: FloatArray) -> MotionCosts:
-        """Computes the costs of contact and proximity of trajectories q (N, T, n) [rad]."""
+        """Computes the costs of contact and proximity of N trajectories.
+
+        Args:
+            model: collision models of the decision.
+            q: (N, T, n) configurations along the trajectories [rad].
+        """
         margin = self._parameters.margin_moving
         return evaluate_motions(model.resting, model.moving, q, self._interval, margin)
 
     def _cost(
         self, costs: MotionCosts, options: list[GuardDecision], q: FloatArray, inputs: GuardInputs
     ) -> FloatArray:
-        """Computes the total costs J (N,) of trajectories q (N, T, n) [s]."""
+        """Computes the total costs J (N,) [s] of N trajectories from contact, proximity, turn of
+        the tool, and delay.
+
+        The equation of J is in the module docstring. The cost is inf if a maneuver turns the tool
+        beyond its limit.
+
+        Args:
+            costs: costs of contact and proximity.
+            options: N trajectories: the verified motion at several speeds, and maneuvers.
+            q: (N, T, n) configurations along the trajectories [rad].
+            inputs: inputs of the decision.
+        """
         horizon = self._times[-1]
         cost = _CONTACT_WEIGHT * costs.contact + _MOVING_WEIGHT * costs.near_moving
         cost = cost + _RESTING_WEIGHT * costs.near_resting
@@ -355,9 +419,16 @@ class GuardSearch:
         return np.asarray(cost)
 
     def _turns(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
-        """Computes angles (N, 1 + T / 2) of the tool to its orientation on the verified motion.
+        """Computes the angles between the tool's orientation along N trajectories and its
+        orientation on the verified motion (checked by simulation) [rad].
 
-        Column 0 belongs to `inputs.q`, the others to every second sample of q (N, T, n) [rad].
+        Args:
+            q: (N, T, n) configurations along the trajectories [rad].
+            inputs: inputs of the decision; `q_path` determines the orientation on the verified
+                motion.
+
+        Returns:
+            (N, 1 + T / 2) angles: first at `inputs.q`, then at every second configuration of q.
         """
         n = q.shape[2]
         samples = np.insert(q[:, _TURN_STRIDE - 1 :: _TURN_STRIDE], 0, inputs.q, axis=1)
@@ -370,13 +441,25 @@ class GuardSearch:
     # --- candidates ------------------------------------------------------------------------
 
     def _rates(self, inputs: GuardInputs, scale: float) -> FloatArray:
-        """Computes the rates ds/dt (T,) while the phase changes to a fraction of full speed."""
+        """Predicts the rates ds/dt (T,) of normalized time [1/s] while the verified motion (checked
+        by simulation) changes to a fraction of full speed.
+
+        Args:
+            inputs: inputs of the decision, with the current rate.
+            scale: fraction of full speed, in [0, 1].
+        """
         max_change = inputs.full_rate / self._hold_time * self._times
         target = scale * inputs.full_rate
         return inputs.rate + np.clip(target - inputs.rate, -max_change, max_change)
 
     def _followed_motion(self, inputs: GuardInputs, scale: float) -> FloatArray:
-        """Predicts configurations (T, n) along the verified motion at a fraction of full speed."""
+        """Predicts the configurations (T, n) [rad] of an arm that follows the verified motion
+        (checked by simulation) at a fraction of full speed.
+
+        Args:
+            inputs: inputs of the decision; without a verified motion the arm rests.
+            scale: fraction of full speed, in [0, 1].
+        """
         motion = inputs.motion
         if not len(motion.q):
             return np.tile(inputs.q, (_SAMPLES, 1))
@@ -385,7 +468,13 @@ class GuardSearch:
         return np.asarray(motion.joints(s) + np.exp(-_OFFSET_DECAY * self._times)[:, None] * offset)
 
     def _roll_out(self, options: list[GuardDecision], inputs: GuardInputs) -> FloatArray:
-        """Rolls out maneuvers to configurations (N, T, n) [rad]."""
+        """Simulates N maneuvers, starting from the joint state of the inputs, to configurations (N,
+        T, n) [rad].
+
+        Args:
+            options: N maneuvers.
+            inputs: inputs of the decision.
+        """
         legs = Legs(
             np.stack([option.target for option in options]),
             np.stack([option.speed for option in options]),
@@ -398,15 +487,20 @@ class GuardSearch:
         )  # fmt: skip
 
     def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Returns the configuration (n,) in which full braking ends [rad]."""
+        """Computes the configuration q + sign(v) v^2 / (2 a) (n,) [rad] in which all joints rest
+        after braking at the acceleration a.
+
+        Args:
+            q, v: (n,) positions [rad] and velocities [rad/s] at which braking begins.
+        """
         q_rest = q + np.sign(v) * v**2 / (2.0 * self.acceleration)
         return np.asarray(np.clip(q_rest, self._lower, self._upper))
 
     def advance(self, maneuver: GuardDecision, x: FloatArray, time: float) -> None:
-        """Advances a joint state, in place, by one step of a maneuver.
+        """Advances a joint state, in place, by one time step of a maneuver.
 
         Args:
-            maneuver: decision with two legs.
+            maneuver: maneuver of two legs.
             x: (2n,) positions [rad] and velocities [rad/s].
             time: time at the start of the step [s].
         """
@@ -416,11 +510,19 @@ class GuardSearch:
         advance_leg(q, v, target, speed, self.acceleration, self._step)
 
     def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
-        """Returns the braking maneuver from a joint state (n,) [rad], (n,) [rad/s]."""
+        """Returns the maneuver in which all joints brake to rest from positions q (n,) [rad] and
+        velocities v (n,) [rad/s].
+        """
         return _maneuver("brake", self.stop(q, v), self.speed)
 
     def _maneuvers(self, previous: GuardDecision, inputs: GuardInputs) -> list[GuardDecision]:
-        """Returns candidate maneuvers, the current one first if a maneuver is active."""
+        """Generates the candidate maneuvers of a decision: standard ones (brake, return to the
+        verified motion) and random ones.
+
+        Args:
+            previous: active decision; if it is a maneuver, this is the first candidate.
+            inputs: inputs of the decision.
+        """
         p, begin = self._parameters, inputs.begin
         rng = np.random.default_rng([p.seed, inputs.decision_count])
         max_speed = self.speed * inputs.speed_fraction
@@ -465,7 +567,14 @@ class GuardSearch:
     def _refine(
         self, options: list[GuardDecision], cost: FloatArray, inputs: GuardInputs
     ) -> list[GuardDecision]:
-        """Returns random variations of the maneuvers of least cost."""
+        """Generates random variations of the `_N_PARENTS` maneuvers of least cost, as further
+        candidates of a decision.
+
+        Args:
+            options: N candidates: the verified motion at several speeds, and maneuvers.
+            cost: (N,) costs of the candidates [s].
+            inputs: inputs of the decision.
+        """
         rng = np.random.default_rng([self._parameters.seed, inputs.decision_count, 1])
         ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
         n, refined = len(inputs.q), []
@@ -492,7 +601,17 @@ def _maneuver(
     second_speed: FloatArray | None = None,
     switch: float = math.inf,
 ) -> GuardDecision:
-    """Returns a maneuver of two legs; without a second target, of one leg."""
+    """Returns a maneuver of one or two legs; in a leg every joint moves to a target and rests
+    there.
+
+    Args:
+        action: "evade" or "brake".
+        first, speed: (n,) target configuration [rad] and maximum joint speeds [rad/s] of the first
+            leg.
+        second, second_speed: (n,) the same quantities of the second leg; None: there is no second
+            leg.
+        switch: time at which the second leg starts [s].
+    """
     if second is None or second_speed is None:
         second, second_speed = first, speed
     return GuardDecision(
@@ -503,12 +622,13 @@ def _maneuver(
 def _synchronized_speeds(
     q: FloatArray, target: FloatArray, speed: FloatArray, fraction: float
 ) -> FloatArray:
-    """Computes joint speeds (n,) with which all joints arrive at a target at the same time [rad/s].
+    """Computes joint speeds (n,) [rad/s] at which all joints of the arm reach a target at the same
+    time.
 
     Args:
         q, target: (n,) current and target configuration [rad].
         speed: (n,) maximum joint speeds [rad/s].
-        fraction: fraction of the fastest synchronized speeds.
+        fraction: fraction of the fastest synchronized speeds, in (0, 1].
     """
     distance = np.abs(target - q)
     seconds = max(float((distance / speed).max()), 1e-3) / fraction
@@ -516,26 +636,31 @@ def _synchronized_speeds(
 
 
 def _sample_motion(motion: PlannedMotion) -> FloatArray:
-    """Returns about 80 configurations (M, n), or all if fewer, along a planned motion [rad]."""
+    """Returns about 80 configurations (M, n), or all if there are fewer, along a planned motion of
+    the arm [rad].
+    """
     return motion.q[:: max(len(motion.q) // 80, 1)]
 
 
 class _GuardModel:
-    """Collision models of one decision, for resting and for moving obstacles.
+    """Collision models of one decision of the motion guard: one model for resting and one for
+    moving obstacles.
 
-    With d_gk(q) the distance of group g to geometry k, and protrusion_g that of the spheres from
-    their body, the required clearances are
+    The arm is covered by spheres in groups, one group per body. The distance of group g to geometry
+    k is d_gk(q), and protrusion_g is the distance by which the spheres extend beyond their body.
+    The required clearances are
 
         resting:  min( 4 mm, d_gk(q_now) - 2 mm,
                        max( min over verified motion of d_gk - 5 mm, -protrusion_g ) )
         moving:   min( padding + 12 mm, d_gk(q_now) - 2 mm )
 
-    so that a maneuver never requires more than the current configuration or the verified motion
-    achieves. The requirement for the self-distance is reduced likewise.
+    so that a maneuver never requires more than the current configuration q_now or the verified
+    motion (checked by simulation) achieves. The requirement for the self-distance is reduced
+    likewise.
 
     Attributes:
         inputs: inputs of the decision.
-        resting, moving: collision models with these clearances.
+        resting, moving: collision models with these required clearances.
     """
 
     def __init__(
@@ -546,10 +671,10 @@ class _GuardModel:
         padding: float,
         verified_self_distance: float,
     ) -> None:
-        """Computes the required clearances.
+        """Computes the required clearances, and builds both collision models.
 
         Args:
-            chain, arm_spheres: kinematics and spheres of the arm.
+            chain, arm_spheres: kinematics of the arm, and spheres that cover it.
             inputs: inputs of the decision.
             padding: position uncertainty of moving obstacles [m].
             verified_self_distance: minimum self-distance of the verified motion [m].
@@ -601,7 +726,9 @@ class _GuardModel:
 
     @cached_property
     def nearest(self) -> str:
-        """Label of the moving obstacle nearest to the current configuration; "": none moves."""
+        """Label of the moving obstacle that is nearest to the arm in its current configuration; "":
+        no obstacle moves.
+        """
         if not self._is_moving.any():
             return ""
         distances = self._distances[~self._is_fixed].min(axis=0, initial=math.inf)

@@ -1,4 +1,9 @@
-"""Motion guard: commands the arm's joints on the verified motion, or on an evasive maneuver."""
+"""Drake system that commands the arm's joints along the verified motion, or on a maneuver that
+evades obstacles.
+
+The verified motion is the joint motion q(s) over normalized time s that MotionVerifier predicted
+and checked by simulation.
+"""
 
 from __future__ import annotations
 
@@ -52,50 +57,66 @@ from drake_oa.safety.supervision import (
 
 _logger = logging.getLogger("drake_oa")
 _NULL_SPACE_RATE = 20.0
-"""Rate at which the null space converges to the nominal posture [1/s]."""
+"""Rate at which the null space of the arm converges to the nominal posture while the tool tracks
+the desired motion [1/s]."""
 _SHIFT_TIME = 0.1
-"""Time constant with which the desired position converges to the tool of a stuck arm [s]."""
+"""Time constant with which the desired position converges to the tool of an arm that cannot return
+to its motion [s]."""
 _SHIFT_TOLERANCE = 5e-4
-"""Distance to the tool at which the desired position stops, so that replanning has a fixed start
-[m]."""
+"""Distance within which the desired position no longer moves toward the tool of an arm that cannot
+return to its motion [m]. Replanning then has a fixed start."""
 _PROGRESS_TIMEOUT = 1.0
-"""Time without progress toward the verified motion after which the arm is stuck [s]."""
+"""Time without progress of a maneuver toward the verified motion (checked by simulation) after
+which the arm counts as stuck [s]."""
 _MIN_PROGRESS = 0.02
-"""Minimum decrease of the deviation from the verified motion that counts as progress [rad]."""
+"""Minimum decrease of the joints' deviation from the verified motion (checked by simulation) that
+counts as progress of a maneuver [rad]."""
 _MAX_WAIT = 5.0
-"""Maximum time for which a stuck arm waits for a new motion before it tries to return [s]."""
+"""Maximum time for which an arm that cannot return to its motion waits for a new one, before it
+tries again [s]."""
 _REST_SPEED = 0.01
-"""Joint speed below which the arm counts as at rest [rad/s]."""
+"""Maximum joint speed at which an arm that cannot return to the verified motion (checked by
+simulation) counts as at rest [rad/s]."""
 _POSE_TOLERANCE = 0.03
-"""Maximum error between the desired tool pose and the pose of the arm at rest [m, rad]."""
+"""Maximum error between desired and actual tool pose at which an arm that was stuck may follow the
+desired motion again [m, rad]."""
 _DAMPING = 0.1
-"""Ratio of damping to stiffness of the joint controller [s]."""
+"""Ratio kd / kp of damping to stiffness of the joint controller, used to detect contact from its
+feedback torque [s]."""
 _FEEDBACK_FRACTION = 0.6
-"""Fraction of `contact_error` that is the contact threshold for the feedback torque."""
+"""Ratio of the contact threshold for the feedback torque, as a joint error, to the threshold
+`contact_error` for the joint error itself [-]."""
 _MAX_PERIODS = 3.0
-"""Number of periods without a newer decision after which the arm brakes."""
+"""Number of periods without a newer decision of the motion guard after which the motion is held, or
+a maneuver is replaced by braking [-]."""
 _VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
-"""Verbs of the supervisor's actions in log messages."""
+"""Verbs for the supervisor's actions (slow, hold, stop) in log messages."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuardState(Frozen):
-    """State of the guard between two steps.
+    """State of the motion guard between two steps of the joint command, each of length
+    `policy.period`.
+
+    The verified motion is the joint motion q(s) over normalized time s that MotionVerifier
+    predicted and checked.
 
     Attributes:
         end: end time of the current step [s].
-        x: (2n,) commanded joint state at the end of the step [rad, rad/s].
-        acceleration: (n,) commanded acceleration during the step [rad/s^2].
-        path: (2n,) joint state on the verified motion at the end of the step [rad, rad/s].
-        shift_velocity: (3,) velocity that moves the desired position to the tool [m/s].
-        pending: active and pending decision.
+        x: (2n,) commanded joint positions [rad] and velocities [rad/s] at the end of the step.
+        acceleration: (n,) commanded joint acceleration during the step [rad/s^2].
+        path: (2n,) joint positions [rad] and velocities [rad/s] on the verified motion at the end
+            of the step.
+        shift_velocity: (3,) velocity that moves the desired position to the tool of a stuck arm
+            [m/s]; 0 otherwise.
+        pending: active decision of the guard, and the decision in progress.
         stuck_since: time since which the arm makes no progress toward the verified motion [s]; inf:
             it makes progress, or is on this motion.
-        min_deviation: minimum joint deviation from the verified motion since then [rad].
-        expiry: time at which the active decision is too old [s].
-        slow_until: time until which the speed is limited after a contact [s].
+        min_deviation: minimum joint deviation from the verified motion since `stuck_since` [rad].
+        expiry: time at which the active decision becomes too old [s].
+        slow_until: time until which maneuvers are slow after a contact [s].
         decision_count: number of decisions so far.
-        supervision: state of the monitors.
+        supervision: state of the supervisor, which scales the speed of the motion.
     """
 
     end: float = -math.inf
@@ -115,33 +136,43 @@ class GuardState(Frozen):
 
     @property
     def decision(self) -> GuardDecision:
-        """Active decision."""
+        """Decision of the motion guard that is being executed: to follow the verified motion
+        (checked by simulation), or a maneuver.
+        """
         return self.pending.active
 
     @property
     def speed_scale(self) -> float:
-        """Speed scale of the phase, in [0, 1]: fraction of its full rate."""
+        """Fraction of full speed at which the movement primitive runs, in [0, 1]; 0 during a
+        maneuver.
+        """
         return self.supervision.speed_scale if self.decision.follows else 0.0
 
     @property
     def speed(self) -> float:
-        """Largest commanded joint speed [rad/s]."""
+        """Largest commanded speed of any joint at the end of the current step [rad/s]."""
         return float(np.abs(self.x[len(self.x) // 2 :]).max())
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the arm waits for a new motion that starts at its current configuration."""
+        """Whether the arm waits for a new motion from its current configuration, after 1 s without
+        progress toward the verified motion (checked by simulation).
+        """
         return self.end - self.stuck_since > _PROGRESS_TIMEOUT
 
     @property
     def is_on_path(self) -> bool:
-        """Whether the command follows the verified motion, or rests on it."""
+        """Whether the joint command follows the verified motion (checked by simulation), or rests
+        close to it.
+        """
         n = len(self.path) // 2
         is_near = bool((np.abs(self.x - self.path)[:n] <= ON_PATH_DEVIATION).all())
         return self.decision.follows or (self.speed <= REST_SPEED and is_near and not self.is_stuck)
 
     def at(self, time: float) -> FloatArray:
-        """Computes the commanded joint state (2n,) at a time within the current step [s]."""
+        """Computes the commanded joint state (2n,) [rad, rad/s] at a time within the current step
+        [s], by constant acceleration.
+        """
         elapsed = min(time - self.end, 0.0)
         q, v = np.split(self.x, 2)
         q = q + elapsed * v + 0.5 * elapsed**2 * self.acceleration
@@ -149,7 +180,7 @@ class GuardState(Frozen):
 
 
 class MotionGuard(LeafSystem):
-    """System that commands the arm's joints on the verified motion or on an evasive maneuver.
+    """Drake system that commands the arm's joints on the verified motion or an evasive maneuver.
 
     .. pydrake_system::
 
@@ -181,14 +212,16 @@ class MotionGuard(LeafSystem):
       - guard_claim
       - supervision
 
-    - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
+    - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s]; the
+      arm has n of these joints.
     - policy_state: abstract `PolicyState` of the movement primitive.
     - desired_position, desired_velocity: (3,) position and velocity of the tool point in the world
       frame [m, m/s].
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE.
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
     - desired_posture: (2n,) nominal posture of the null space, and its velocity [rad, rad/s].
-    - motion: abstract `PlannedMotion`, the verified motion q(s).
+    - motion: abstract `PlannedMotion`, the verified motion: the joint motion q(s) over normalized
+      time s that MotionVerifier predicted and checked.
     - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot.
     - free_space_W (optional): abstract `FreeSpace`. Not connected: all space outside collision
       geometry counts as free.
@@ -202,32 +235,35 @@ class MotionGuard(LeafSystem):
     - evasion_velocity: (3,) velocity in the world frame by which `DmpIntegrator` shifts its motion
       to the tool of a stuck arm [m/s]; 0 otherwise.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
-    - decision: (2,) start time and compute latency of the last decision [s].
+    - decision: (2,) start time and simulated compute latency of the last decision [s].
     - path_state: (2m,) robot state with the arm on the verified motion at the current phase: the
       start of the predictions of `MotionVerifier` [rad, m, rad/s, m/s].
     - tracking_error: (3,) desired minus actual position of the tool point [m].
     - orientation_error: (3,) rotation vector from the actual to the desired orientation [rad].
-    - guard_action: (1,) row of `drake_oa.safety.maneuvers.ACTIONS`.
+    - guard_action: (1,) index of the active decision's action in
+      `drake_oa.safety.maneuvers.ACTIONS`.
     - guard_contact: (1,) time of the first contact predicted on the verified motion [s]; inf: none.
-    - guard_claim: (1,) row of `drake_oa.safety.passive_safety.CLAIMS`: the claim that limits the
-      speed.
+    - guard_claim: (1,) index in `drake_oa.safety.passive_safety.CLAIMS` of the claim of passive
+      motion safety that limits the speed.
 
     While no maneuver is active, a damped Gauss-Newton step in each step of the command places the
     tool at the desired pose, and the null space follows the nominal posture. Once per `period`,
     `drake_oa.safety.maneuvers` compares this motion with slower ones and, if obstacles move, with
-    evasive maneuvers. The phase rests during a maneuver; afterwards the arm returns to the motion.
-    An arm without progress for 1 s is stuck: it stops, the desired position moves to the tool, and
-    the guard waits for a new motion from there. If no newer decision becomes active in time, the
-    phase or the arm comes to rest.
+    evasive maneuvers (joint trajectories of two legs). The phase of the movement primitive rests
+    during a maneuver; afterwards the arm returns to the verified motion. An arm without progress
+    for 1 s is stuck: it stops, the desired position moves to the tool, and the guard waits for a
+    new motion from there. If no newer decision becomes active in time, the phase or the arm comes
+    to rest.
 
-    Contact reaction, with the error e between measured and commanded joint position, and gains kp,
-    kd of the joint controller. It is triggered by
+    With the error e between measured and commanded joint position, and the gains kp and kd of the
+    joint controller, a contact is detected if
 
         |e| > contact_error   or   |e + (kd / kp) de/dt| > 0.6 contact_error
 
-    The command then restarts at rest from the measured configuration, and for `contact_time` no
-    point of the arm moves faster than `v_unseen`. The second term is the feedback torque over
-    kp M, a residual: at most 0.003 rad without contact, and 0.01 rad with a wrong model of the arm.
+    The command then restarts at rest from the measured configuration. For `contact_time`, maneuvers
+    move no point of the arm faster than `v_unseen`. The second term is the feedback torque over
+    kp M, with the mass matrix M. Without contact it is at most 0.003 rad, or 0.01 rad with a wrong
+    model of the arm.
     """
 
     def __init__(
@@ -245,11 +281,11 @@ class MotionGuard(LeafSystem):
         turn_limit: float | None = None,
         compute_latency: LatencyModel | None = None,
     ) -> None:
-        """Declares the ports.
+        """Declares the ports and the state of the motion guard.
 
         Args:
             robot: plant of the robot alone, with joints of one degree of freedom.
-            chain, arm_spheres: kinematics and spheres of the arm.
+            chain, arm_spheres: kinematics of the arm, and spheres that cover it.
             duration: duration T of the movement primitive [s].
             q_start: (n,) commanded configuration before initialization [rad].
             config: configuration of the policy; its period is the step of the command.
@@ -335,7 +371,11 @@ class MotionGuard(LeafSystem):
         return context.get_abstract_state(self._state).get_value()
 
     def _path_state(self, context: Context) -> FloatArray:
-        """Returns the value (2m,) of the port path_state."""
+        """Computes the value (2m,) of the output port path_state: the state of the robot [rad, m,
+        rad/s, m/s] with its arm on the verified motion (checked by simulation).
+
+        While the arm is on this motion or stuck, the value is the measured state.
+        """
         x, state = self._robot.Eval(context).copy(), self._read(context)
         if not state.is_on_path and not state.is_stuck:
             x[self._index] = state.path[: self._n]
@@ -343,7 +383,9 @@ class MotionGuard(LeafSystem):
         return x
 
     def _scene(self, context: Context) -> CollisionScene:
-        """Returns the collision scene; one without observation if the input is not finite."""
+        """Returns the collision scene of the input port; if it is not finite, an empty scene that
+        counts as no observation.
+        """
         scene = self._collision_scene.read(context)
         note = "the collision scene is not finite"
         return scene if scene.is_finite else CollisionScene(note=note)
@@ -354,11 +396,15 @@ class MotionGuard(LeafSystem):
         return x[self._index], x[self._size + self._index]
 
     def _desired_pose(self, context: Context) -> FloatArray:
-        """Returns the desired tool pose (12,): rotation, row by row, and position [m]."""
+        """Returns the desired tool pose (12,) from the input ports: rotation matrix, row by row,
+        and position [m].
+        """
         return np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
 
     def _tool_error(self, context: Context) -> FloatArray:
-        """Computes position error and rotation vector (6,) from actual to desired tool pose."""
+        """Computes the error (6,) from actual to desired tool pose: position [m], then rotation
+        vector [rad].
+        """
         q, _ = self._arm_state(context)
         return _pose_error(self._desired_pose(context), tool_poses(self._chain, q[None])[0])
 
@@ -394,13 +440,15 @@ class MotionGuard(LeafSystem):
         value.set_value(self._advance(context, current, time, has_moving=scene.moves))
 
     def _brake(self, state: GuardState, x: FloatArray) -> GuardState:
-        """Returns the guard state in which the arm brakes from a joint state (2n,)."""
+        """Returns the guard state in which the arm starts to brake from a joint state x (2n,) [rad,
+        rad/s], and older decisions are discarded.
+        """
         maneuver = self._search.brake(*np.split(x, 2))
         pending = replace(state.pending.discard(), active=maneuver)
         return replace(state, pending=pending, expiry=math.inf)
 
     def _activate(self, state: GuardState, time: float) -> GuardState:
-        """Returns the guard state with the expiry of a newly active decision.
+        """Returns the guard state with the expiry time of a decision that has just become active.
 
         A braking maneuver is recomputed from the current joint state.
         """
@@ -416,7 +464,8 @@ class MotionGuard(LeafSystem):
     def _react_to_contact(
         self, state: GuardState, q: FloatArray, v: FloatArray, time: float
     ) -> GuardState:
-        """Detects contact by the measured joint state, and returns the guard state after it.
+        """Detects a contact of the arm by the measured joint state, and returns the guard state, in
+        which the command then restarts at rest.
 
         Args:
             state: state of the guard.
@@ -442,7 +491,18 @@ class MotionGuard(LeafSystem):
     def _supervise(
         self, context: Context, state: GuardState, scene: CollisionScene, time: float
     ) -> GuardState:
-        """Evaluates the monitors of observations, path, torques and the guard's decisions."""
+        """Evaluates the monitors that limit the speed of the motion, and returns the guard state
+        with the new speed scale.
+
+        The monitors check the age of the observation, the guard's decision, the deviation from the
+        verified motion (checked by simulation), and torque saturation.
+
+        Args:
+            context: context of the system.
+            state: state of the guard.
+            scene: collision scene.
+            time: current time [s].
+        """
         previous = state.supervision
         policy = self._policy.read(context)
         is_late = state.decision.follows and time > state.expiry
@@ -471,13 +531,17 @@ class MotionGuard(LeafSystem):
     def _advance(
         self, context: Context, state: GuardState, time: float, *, has_moving: bool
     ) -> GuardState:
-        """Computes the next step of the commanded motion, and returns the guard state with it.
+        """Computes the next step of the joint command, on the verified motion (checked by
+        simulation) or the active maneuver.
 
         Args:
             context: context of the system.
             state: state of the guard.
             time: current time [s].
             has_moving: whether an obstacle moves.
+
+        Returns:
+            State of the guard after the step.
         """
         n, step, chain = self._n, self._step_length, self._chain
         X_WE, posture = self._desired_pose(context), np.array(self._posture.Eval(context))
@@ -524,7 +588,8 @@ class MotionGuard(LeafSystem):
     def _stuck_since(
         self, state: GuardState, deviation: float, time: float, *, has_moving: bool
     ) -> tuple[float, float]:
-        """Computes the time since which the arm makes no progress toward the verified motion.
+        """Computes the time since which the arm makes no progress toward the verified motion
+        (checked by simulation).
 
         Args:
             state: state of the guard.
@@ -533,7 +598,8 @@ class MotionGuard(LeafSystem):
             has_moving: whether an obstacle moves; a moving arm then may still be evading.
 
         Returns:
-            Time [s], inf if the arm is on the motion, and minimum deviation since then [rad].
+            Time since which there is no progress [s], inf if the arm is on the motion; and minimum
+            deviation since this time [rad].
         """
         if (
             time - state.stuck_since > _PROGRESS_TIMEOUT + _MAX_WAIT
@@ -569,9 +635,16 @@ class MotionGuard(LeafSystem):
     def _inputs(
         self, context: Context, state: GuardState, scene: CollisionScene, time: float
     ) -> GuardInputs:
-        """Returns the inputs of a decision, predicted for the time at which it becomes active.
+        """Returns the inputs of a decision of the motion guard, predicted for the time at which the
+        decision becomes active.
 
         The predicted time is the current time plus the latency of the previous decision.
+
+        Args:
+            context: context of the system.
+            state: state of the guard.
+            scene: collision scene.
+            time: current time [s].
         """
         n, step = self._n, self._step_length
         policy = self._policy.read(context)
@@ -612,6 +685,10 @@ class MotionGuard(LeafSystem):
 
 
 def _pose_error(X_d: FloatArray, X: FloatArray) -> FloatArray:
-    """Computes position error and rotation vector (6,) from pose X to pose X_d (12,) [m, rad]."""
+    """Computes the error (6,) from a tool pose X to a desired pose X_d: position [m], then rotation
+    vector [rad].
+
+    A pose (12,) is a rotation matrix, row by row, and a position [m].
+    """
     rotation = X_d[:9].reshape(3, 3) @ X[:9].reshape(3, 3).T
     return np.append(X_d[9:] - X[9:], rotation_vector(np.ascontiguousarray(rotation)))

@@ -1,21 +1,22 @@
-"""Passive motion safety: claims that limit the arm's speed by the last observation.
+"""Passive motion safety: claims that limit the arm's speed toward moving obstacles and toward
+unobserved space.
 
-The arm follows a trajectory for one period, and then brakes. It is covered by spheres with centers
-c_i, velocities u_i and radii r_i. With the stamp s of the observation,
+The arm follows a trajectory for one decision period, and then brakes. It is covered by spheres with
+centers c_i, velocities u_i and radii r_i. The last observation has the stamp s. An obstacle slower
+than V can touch sphere i at time t only if at s it was within the distance
 
     rho_i(t) = r_i + V (t - s)
 
-is the distance from c_i(t) within which an obstacle of speed below V that was outside at s may
-touch sphere i. Let d_i be the distance of c_i to the moving obstacles at their positions at s. A
-trajectory violates claim
+of the position c_i(t). Let d_i(t) be the distance of c_i(t) to the moving obstacles at their
+positions at s. A trajectory violates claim
 
     (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases faster than 0.02 m/s
     (B)  if u_i(t) . n > v_unseen for a direction n from c_i(t) to a point within rho_i(t) that is
          neither observed as free at s nor occupied by a known obstacle or the arm
 
 at some time until the arm rests. Hence a sphere that an obstacle slower than V may reach is at rest
-or moves away, and the arm does not enter unobserved space faster than v_unseen. A point is observed
-as free if it is in front of the measured depth of its pixel; a pixel without depth gives no
+or moves away. The arm does not enter unobserved space faster than v_unseen. A point is observed as
+free if it is in front of the measured depth of its pixel; a pixel without depth gives no
 information. Points are sampled at the center of the ball of radius rho_i, and in 26 directions at
 half and full radius.
 """
@@ -38,13 +39,16 @@ Claim = Literal["", "A", "B"]
 CLAIMS: tuple[Claim, ...] = get_args(Claim)
 
 _REST_SPEED = 0.02
-"""Approach speed up to which a sphere counts as at rest [m/s]."""
+"""Speed toward a moving obstacle up to which a sphere of the arm counts as at rest, in claim (A) of
+passive motion safety [m/s]."""
 _OCCUPIED_MARGIN = 0.01
-"""Distance to a collision geometry or the arm up to which a point counts as occupied [m]."""
+"""Distance from a collision geometry or from the arm within which a point counts as occupied, and
+not as unobserved space [m]."""
 _BALL_SAMPLES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
-"""(52, 3) sample points in the unit ball, without its center."""
+"""Sample points (52, 3) in the unit ball without its center, scaled to test whether the space near
+the arm is observed [-]."""
 _SAMPLE_RADII = np.linalg.norm(_BALL_SAMPLES, axis=1)
-"""(52,) distances of the sample points from the center of the unit ball."""
+"""Distances (52,) of the points `_BALL_SAMPLES` from the center of the unit ball [-]."""
 
 
 def violated_claim(
@@ -58,14 +62,19 @@ def violated_claim(
     V: float,
     v_unseen: float,
 ) -> Claim:
-    """Returns the first of the claims "A" and "B" that a trajectory violates; "": none.
+    """Finds the first claim of passive motion safety that a trajectory of the arm violates: "A",
+    "B", or "" for none.
+
+    Claim A limits the speed toward moving obstacles, claim B the speed toward unobserved space (see
+    the module docstring).
 
     Args:
-        chain, spheres: kinematics and spheres of the arm.
-        t: (T,) times of the trajectory until it rests, increasing [s].
+        chain, spheres: kinematics of the arm, and spheres that cover it.
+        t: (T,) times of the trajectory until the arm rests, increasing [s].
         q: (T, n) configurations at these times [rad].
         scene: collision scene of the last observation.
-        free_space: space observed as free; None: all space outside collision geometry.
+        free_space: space observed as free; None: all space outside collision geometry, so that
+            claim B always holds.
         V: maximum speed of obstacles [m/s].
         v_unseen: maximum speed toward unobserved space [m/s].
     """
@@ -102,12 +111,13 @@ def _is_any_unknown(
     geometries: CollisionGeometries,
     stamp: float,
 ) -> bool:
-    """Checks whether any sample point (N, 3) is outside the arm and all collision geometries.
+    """Checks whether any of N unobserved sample points is outside the arm and outside all collision
+    geometries.
 
     Args:
-        samples: (N, 3) sample points [m].
-        p_WS, radius: (S, 3) centers and (S,) radii of the arm's spheres [m].
-        geometries: collision geometries.
+        samples: (N, 3) sample points in the world [m].
+        p_WS, radius: (S, 3) centers in the world and (S,) radii of the arm's spheres [m].
+        geometries: collision geometries of obstacles and environment.
         stamp: time at which the geometries are evaluated [s].
     """
     for i in range(len(samples)):

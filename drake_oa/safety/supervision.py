@@ -1,11 +1,13 @@
-"""Supervision: speed scale of the phase, limited by monitors.
+"""Supervision of the motion: speed scale of its phase, limited by monitors.
 
-Each monitor returns a `SpeedLimit`, a fraction of the full phase rate ds/dt = 1 / (tau T). The
-smallest limit is active. The path is a function of normalized time s only, and therefore does not
-depend on the speed.
+The speed scale is the fraction of the full phase rate ds/dt = 1 / (tau T). T is the demonstrated
+duration, and tau the temporal scaling. Each monitor returns a `SpeedLimit`, and the smallest limit
+is active. The path is a function of normalized time s only, and therefore does not depend on the
+speed. A hold with a lasting cause becomes a stop. The verified motion is the joint motion that
+MotionVerifier checked by simulation.
 
 ===================  =====================================  ====================================
-Monitor              slows                                  holds (lasting: becomes a stop)
+Monitor              slows                                  holds
 ===================  =====================================  ====================================
 monitor_observation  observation older than a fresh age     observation older than its maximum
                                                             age, or no observation
@@ -32,33 +34,41 @@ from drake_oa.safety.maneuvers import GuardDecision
 Action = Literal["run", "slow", "hold", "stop"]
 
 _SATURATION_TIME = 0.1
-"""Duration of torque saturation after which the speed is reduced [s]."""
+"""Duration of torque saturation after which the supervisor reduces the speed of the motion, and
+again after each further such duration [s]."""
 _SATURATION_FACTOR = 0.7
-"""Factor of the speed for each `_SATURATION_TIME` of torque saturation."""
+"""Factor by which the supervisor reduces the speed of the motion after each 0.1 s of torque
+saturation [-]."""
 _MIN_SPEED_SCALE = 0.1
-"""Minimum speed scale of the limits by old observations and torque saturation."""
+"""Minimum fraction of full speed to which old observations or torque saturation slow the motion
+down [-]."""
 RECOVERY_TIME = 0.3
-"""Time in which the speed rises from rest to full speed [s]."""
+"""Time in which the supervisor raises the speed of the motion from rest to full speed [s]."""
 _HOLD_BELOW = 0.05
-"""Speed scale below which a motion is held."""
+"""Limit of the speed, as a fraction of full speed, below which the supervisor holds the motion [-].
+"""
 _RESUME_ABOVE = 0.3
-"""Speed scale above which a held motion resumes."""
+"""Limit of the speed, as a fraction of full speed, from which the supervisor resumes a held motion
+[-]."""
 _HOLD_TIMEOUT = 3.0
-"""Duration of a hold with a lasting cause after which it becomes a stop [s]."""
+"""Duration after which the supervisor turns a hold into a stop, if the cause persists while the arm
+rests [s]."""
 _MIN_EVENT_DURATION = 0.5
-"""Minimum time between two logged events of the same action [s]."""
+"""Minimum duration of an event of the supervisor, so that rapid changes of its action or cause are
+not logged [s]."""
 _FULL_SPEED_THRESHOLD = 0.95
-"""Speed scale below which the action is "slow"."""
+"""Fraction of full speed below which the supervisor's action is "slow" instead of "run" [-]."""
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """Upper limit of a monitor for the speed of the phase.
+    """Limit that one monitor of the supervisor sets for the speed of the motion.
 
     Attributes:
-        scale: speed scale, in [0, 1].
-        cause: name of the event; limits with the same cause belong to the same event.
-        reason: description of the event with numbers.
+        scale: maximum fraction of full speed, in [0, 1].
+        cause: short name of the event, such as "torque"; limits with the same cause belong to the
+            same event.
+        reason: description of the event with numbers, for log and report.
         is_lasting: whether the cause persists while the motion is at rest.
     """
 
@@ -69,24 +79,25 @@ class SpeedLimit:
 
 
 NO_LIMIT = SpeedLimit()
-"""Limit of a monitor without an event: full speed."""
+"""Result of a monitor that has detected no event: full speed is allowed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Supervision(Frozen):
-    """Action and speed scale of the supervisor, and the state of its monitors.
+    """State of the supervisor: its action, the speed scale of the motion, and the state of its
+    monitors.
 
     Attributes:
-        action: "run"; "slow"; "hold": at rest until the cause ends; "stop": at rest, for a cause
-            that is not expected to end by itself.
-        speed_scale: speed scale of the phase, in [0, 1].
+        action: "run": full speed; "slow": reduced speed; "hold": at rest until the cause ends;
+            "stop": at rest, for a cause that is not expected to end by itself.
+        speed_scale: fraction of full speed at which the motion may run, in [0, 1].
         reason, cause: reason and cause of the active limit; "" while the action is "run".
         since: start time of the current action and cause [s].
         blocked_since: start time of a hold with a lasting cause [s]; inf: no such hold.
         saturated_since: start of the torque saturation, or time of its last speed reduction [s];
             inf: not saturated.
-        torque_scale: speed scale of torque saturation, in [0, 1].
-        is_faulted: whether an input is not finite; such a stop never ends.
+        torque_scale: fraction of full speed that torque saturation allows, in [0, 1].
+        is_faulted: whether an input was not finite; such a stop never ends.
     """
 
     action: Action = "run"
@@ -100,7 +111,9 @@ class Supervision(Frozen):
     is_faulted: bool = False
 
     def latch_fault(self, reason: str, time: float) -> Supervision:
-        """Returns the state of a stop that never ends, with a reason and its time [s]."""
+        """Returns the supervisor's state after a fault at a given time [s]: a stop that never ends,
+        with a reason for the log.
+        """
         return replace(
             self, action="stop", speed_scale=0.0, reason=reason, cause=reason, since=time,
             is_faulted=True,
@@ -115,10 +128,12 @@ def supervise(
     *,
     is_waiting: bool = False,
 ) -> Supervision:
-    """Computes action and speed scale from the limits of all monitors.
+    """Computes the supervisor's action and the speed scale of the motion from the limits of all
+    monitors.
 
-    The speed scale falls at once, since the movement primitive ramps it, and rises at a bounded
-    rate. Transitions, with the smallest limit and hysteresis between hold and resume:
+    The speed scale falls at once, since the movement primitive changes its speed gradually, and
+    rises at a bounded rate. "Limit" is the smallest limit, "scale" the speed scale. Transitions,
+    with hysteresis between hold and resume:
 
     ============  ===========================================  ==========
     Action        Condition                                    Next
@@ -179,7 +194,10 @@ def supervise(
 def monitor_observation(
     scene: CollisionScene, time: float, max_fresh_age: float, max_age: float
 ) -> SpeedLimit:
-    """Limits the speed by the age of the last valid observation.
+    """Limits the speed of the motion by the age of the last valid observation of obstacles.
+
+    The limit falls linearly with the age from full speed at `max_fresh_age`, but not below 0.1.
+    Above `max_age` it is 0.
 
     Args:
         scene: collision scene of the observation.
@@ -204,12 +222,13 @@ def monitor_observation(
 def monitor_guard(
     decision: GuardDecision, time: float, *, is_late: bool, has_moving: bool
 ) -> SpeedLimit:
-    """Limits the speed to that of the guard's decision.
+    """Limits the speed of the motion to the speed that the motion guard has decided; 0 during a
+    maneuver.
 
     Args:
         decision: active decision of the guard.
         time: current time [s].
-        is_late: whether the decision has expired.
+        is_late: whether the decision has expired because no newer one was completed in time.
         has_moving: whether an obstacle moves; then a wait is expected to end by itself.
     """
     if is_late:
@@ -228,15 +247,22 @@ def monitor_guard(
 
 
 _SLOW_DEVIATION = 0.02
-"""Joint deviation from the verified motion above which the phase slows down [rad]."""
+"""Deviation of the commanded joints from the verified motion (checked by simulation) above which
+the motion slows down [rad]."""
 _HOLD_DEVIATION = 0.1
-"""Joint deviation from the verified motion above which the phase rests [rad]."""
+"""Deviation of the commanded joints from the verified motion (checked by simulation) at which the
+allowed speed of the motion reaches 0 [rad]."""
 
 
 def monitor_path(distance: float) -> SpeedLimit:
-    """Limits the speed by the joint deviation of the command from the verified motion [rad].
+    """Limits the speed of the motion by the deviation of the commanded joints from the verified
+    motion (checked by simulation).
 
-    The command deviates if the limit of its joint acceleration prevents it from following.
+    The command deviates if the limit of its joint acceleration prevents it from following. The
+    limit of the speed falls linearly from full speed at 0.02 rad to 0 at 0.1 rad.
+
+    Args:
+        distance: maximum deviation of any joint [rad].
     """
     if distance <= _SLOW_DEVIATION:
         return NO_LIMIT
@@ -250,7 +276,8 @@ def monitor_torque(
     time: float,
     elapsed: float,
 ) -> tuple[Supervision, SpeedLimit]:
-    """Limits the speed while torques are saturated, and recovers linearly afterwards.
+    """Limits the speed of the motion while joint torques are saturated; afterwards the limit rises
+    linearly to full speed.
 
     The limit is multiplied by `_SATURATION_FACTOR` for each `_SATURATION_TIME` of saturation.
 
@@ -259,6 +286,9 @@ def monitor_torque(
         is_saturated: whether a commanded joint torque exceeds its effort limit.
         time: current time [s].
         elapsed: time since the previous step [s].
+
+    Returns:
+        State of the supervisor with the updated saturation, and limit of the speed.
     """
     saturated_since, scale = state.saturated_since, state.torque_scale
     if not is_saturated:
