@@ -2,14 +2,17 @@
 
 The message types are those of Drake: `lcmt_panda_command` on channel PANDA_COMMAND,
 `lcmt_panda_status` on PANDA_STATUS, and `lcmt_image_array` on DRAKE_RGBD_CAMERA_IMAGES_<camera>.
-Stamps are wall-clock times [us]. Positions are those of the arm's seven joints [rad].
+Time stamps are wall-clock times [us]. Positions in the arm's messages are those of its seven joints
+[rad].
 
 Modules that compute and send the motion (`drake-oa run --hardware`):
 
 - `hardware_station.add_hardware` adds the robot's messages and live cameras to a diagram, instead
-  of the simulated world. `robot_link` has the systems, and checks the arm before it moves.
-- `command_streamer.CommandStreamer` runs in a separate process. It sends the commands that the
-  diagram writes a little ahead into a `SharedTrajectory`, and stops the arm after a failure.
+  of the simulated world. `robot_link` has the systems that connect the arm to the diagram, and
+  checks the arm before it moves.
+- `command_streamer.CommandStreamer` runs in a separate process. The diagram writes planned
+  positions into a `SharedTrajectory`, a little ahead of time; the streamer sends them to the arm,
+  and stops the arm after a failure.
 
 Modules that simulate the arm behind the messages (`drake-oa station`):
 

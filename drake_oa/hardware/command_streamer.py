@@ -1,11 +1,11 @@
-"""Streaming of joint position commands from a shared trajectory, and validation of received
-commands.
+"""Streaming of joint position commands to an arm from memory shared between processes, and
+validation of received commands.
 
-A decision may last longer than the period of commands. Therefore the diagram writes the planned
-joint positions into shared memory, a little ahead, and a `CommandStreamer` in a separate process
-sends commands at a constant rate. Near the end of the written positions, the streamer slows the
-motion down and waits; it never extrapolates. A `CommandValidator`, which does not depend on LCM,
-checks each command before the simulated arm follows it.
+A decision of the diagram may last longer than the period of commands. Therefore the diagram writes
+the planned joint positions into shared memory, a little ahead of time. A `CommandStreamer` in a
+separate process sends them as commands at a constant rate. Near the end of the written positions,
+the streamer slows the motion down and waits; it never extrapolates. A `CommandValidator`, which
+does not depend on LCM, checks each command before the simulated arm follows it.
 """
 
 import ctypes
@@ -28,16 +28,19 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import RobotLimits
 
 STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
-"""Name of the LCM channel of the arm's statuses, and name of the LCM channel of its commands."""
+"""Names of two LCM channels: the channel on which the arm sends its statuses, and the channel on
+which it receives commands."""
 ARM_JOINTS = 7
-"""Number of arm joints in LCM messages of a Panda."""
+"""Number of arm joints in the LCM messages of a Panda; hardware runs require an arm with this
+number of joints."""
 POSITION_MODE = int(PandaControlMode.kPosition)
-"""Control mode in the messages of a Panda that follows joint positions."""
+"""Control mode in the LCM messages of a Panda: the arm follows commanded joint positions."""
 MICROSECOND = 1e-6
 """Unit of the time stamps in LCM messages [s]."""
 
 _logger = logging.getLogger("drake_oa")
-"""Logger of the package drake_oa, for warnings about commands."""
+"""Logger of the package drake_oa, used for failures of the arm and for events of received
+commands."""
 
 _BLOCKED_MODES = {
     lcmt_panda_status.kGuiding: "being guided by hand",
@@ -45,15 +48,15 @@ _BLOCKED_MODES = {
     lcmt_panda_status.kUserStopped: "stopped by its user",
     lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
 }
-"""Descriptions of the robot modes in which the arm does not follow commands, by their number in a
-status message."""
+"""Robot modes of a Panda in which the arm does not follow commands: number of the mode in a status
+message -> description for messages."""
 
 _ROWS = 4096
-"""Capacity of each buffer of joint positions in a `SharedTrajectory`, planned and measured [rows].
-"""
+"""Number of rows in each of the two buffers of a `SharedTrajectory`, which store planned and
+measured joint positions."""
 _NOTE_SIZE = 400
 """Maximum size of the text `SharedTrajectory.note`, which states why the arm is stopped or holds
-[byte]."""
+its position [byte]."""
 _SENT_COUNT = 400
 """Number of recently sent commands that a `CommandStreamer` stores, to compare them with received
 commands and statuses."""
@@ -62,35 +65,38 @@ commands and statuses."""
 COMMAND_PERIOD = 0.004
 """Wall time between two commands to the arm [s]."""
 LEAD = 0.04
-"""Time by which the diagram writes planned positions ahead of the sent commands [s]. Pauses of the
-diagram that last up to half of this time do not slow down the arm."""
+"""Time by which the diagram writes planned positions ahead of the commands sent to the arm [s].
+Pauses of the diagram that last up to half of this time do not slow down the arm."""
 _RAMP = 0.15
-"""Time in which the arm accelerates from rest to full speed, and decelerates to rest after a
-failure [s]."""
+"""Time in which the streamed motion accelerates from rest to full speed, and decelerates to rest
+when no valid status arrives [s]."""
 STATUS_TIMEOUT = 0.1
 """Time without a valid status of the arm after which the arm holds and simulated time pauses [s]. A
 status that is older than this time on arrival is invalid."""
 _STOP_TIMEOUT = 0.3
-"""Time without a valid status after which the run ends, in addition to `STATUS_TIMEOUT` [s]."""
+"""Time without a valid status of the arm, in addition to `STATUS_TIMEOUT`, after which the command
+streamer stops the arm permanently [s]."""
 _RESTART_TOLERANCE = 0.03
-"""Maximum distance of each joint from its planned position at which the motion may start from rest
-[rad]."""
+"""Maximum distance of each joint from its planned position at which the streamed motion may start
+or resume from rest [rad]. At a larger distance the arm was moved, and is stopped."""
 _MAX_TRACKING_ERROR, _TRACKING_WINDOW = 0.1, 0.2
-"""Maximum distance of each joint from the nearest of its recent commands [rad], and maximum age of
-a recent command [s]. A larger distance stops the arm."""
+"""Maximum distance between the measured arm and the nearest of its recent commands, per joint
+[rad], and maximum age of a recent command [s]. A larger distance stops the arm."""
 COMMAND_TIMEOUT = 0.1
-"""Time for which the arm follows a command, and maximum difference between the command's stamp and
-the wall clock [s]. The driver of the arm's vendor uses an equal value."""
+"""Time after which a simulated arm no longer follows its last command, and maximum difference
+between a command's stamp and the wall clock [s]. The driver of the arm's vendor uses an equal
+value."""
 MAX_SPEED_RATIO = 1.2
-"""Maximum ratio of the speed between two valid commands to the speed limit of each joint [-]."""
+"""Maximum ratio of the speed between two commands to the speed limit of each joint [-]; faster
+commands are rejected."""
 STEP_TOLERANCE = 0.01
-"""Joint displacement that is allowed between two valid commands in addition to the maximum speed
-[rad]."""
+"""Displacement of each joint between two commands that is valid in addition to the displacement at
+maximum speed [rad]."""
 
 
 def beyond_limits(q: FloatArray, limits: RobotLimits) -> str:
-    """Returns an error text for the first joint whose position is outside its limits; "" if all
-    joints are within their limits.
+    """Returns an error text that names the first joint whose position is outside its limits; "" if
+    all joints are within their limits.
 
     Args:
         q: (n,) joint positions [rad].
@@ -107,15 +113,16 @@ class SharedTrajectory(ctypes.Structure):
     """Memory that the diagram and the command streamer share: planned and measured joint positions,
     and the progress of the motion.
 
-    Each field is written by one of the two processes only. A row is written before the count of
-    rows increases.
+    The two processes access the memory without locks: each field has one writer, and a row is
+    written before the count of rows increases.
 
     Attributes:
-        is_stopped: 1 after the streamer has stopped the arm permanently.
-        executed_time: simulated time of the last command that was sent [s].
-        end_requested: 1 after the diagram, or the streamer without its parent process, has
-            requested the end of the streamer.
-        max_tracking_error: largest distance so far between a joint and its recent commands [rad].
+        is_stopped: 1 after the streamer has stopped the arm permanently, otherwise 0.
+        executed_time: simulated time of the last command that was sent to the arm [s].
+        end_requested: 1 if the streamer must bring the arm to rest and end. The diagram sets the
+            value; the streamer sets it if its parent process has ended.
+        max_tracking_error: largest distance so far between a measured joint and the nearest of its
+            recent commands [rad].
     """
 
     _fields_ = (
@@ -131,29 +138,31 @@ class SharedTrajectory(ctypes.Structure):
     )
 
     def write_planned(self, t: float, q: FloatArray) -> None:
-        """Appends the planned joint positions q (7,) [rad] at a simulated time t [s] to the shared
+        """Appends planned joint positions q (7,) [rad] for a simulated time t [s] to the shared
         memory.
         """
         self._planned[self._planned_count % _ROWS][:] = [t, *q]
         self._planned_count += 1
 
     def write_measured(self, q: FloatArray, v: FloatArray) -> None:
-        """Appends the joint positions q (7,) [rad] and velocities v (7,) [rad/s] of a status to the
-        shared memory.
+        """Appends the joint positions q (7,) [rad] and velocities v (7,) [rad/s] that the arm's
+        status reports to the shared memory.
         """
         self._measured[self._measured_count % _ROWS][:] = [*q, *v]
         self._measured_count += 1
 
     @property
     def planned_until(self) -> float:
-        """Simulated time of the last planned positions in the shared memory [s]; -inf if there are
-        none.
+        """Simulated time of the latest planned joint positions in the shared memory [s]; -inf if no
+        positions were planned.
         """
         count = self._planned_count
         return float(self._planned[(count - 1) % _ROWS][0]) if count else -math.inf
 
     def planned(self, t: float) -> FloatArray:
-        """Interpolates the planned joint positions (7,) [rad] at a simulated time t [s]."""
+        """Interpolates the planned joint positions (7,) [rad] in the shared memory at a simulated
+        time t [s].
+        """
         count = self._planned_count
         latest = np.arange(max(0, count - _ROWS // 2), count) % _ROWS
         times, *joints = np.ctypeslib.as_array(self._planned)[latest].T
@@ -161,8 +170,8 @@ class SharedTrajectory(ctypes.Structure):
 
     @property
     def measured(self) -> tuple[FloatArray, FloatArray]:
-        """Joint positions (7,) [rad] and velocities (7,) [rad/s] of the last status; NaN before the
-        first status.
+        """Joint positions (7,) [rad] and velocities (7,) [rad/s] in the arm's last valid status;
+        NaN before the first status.
         """
         count, row = self._measured_count, np.full(2 * ARM_JOINTS, np.nan)
         if count:
@@ -186,17 +195,17 @@ def shared_trajectory() -> SharedTrajectory:
 
 
 class _StoppedError(Exception):
-    """Failure after which the arm must stop permanently; the message of this exception is the
+    """Failure after which the arm must stop permanently; the text of the exception states the
     reason.
     """
 
 
 class CommandStreamer:
-    """Sender of the commands that are planned in a `SharedTrajectory`; also monitors the arm and
-    stops it after failures.
+    """Sender of joint position commands to an arm, which reads planned positions from a
+    `SharedTrajectory`, monitors the arm, and stops it after failures.
 
-    One second of wall time executes `rate` seconds of the trajectory, and less while not even half
-    of `LEAD` is written ahead. Failures have these consequences::
+    One second of wall time executes `rate` seconds of the trajectory, or less if the diagram has
+    written less than half of `LEAD` ahead. Failures have these consequences::
 
         no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
         no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
@@ -205,7 +214,8 @@ class CommandStreamer:
     """
 
     def __init__(self, trajectory: SharedTrajectory, lcm: DrakeLcm, rate: float) -> None:
-        """Subscribes to the statuses of the arm and to the commands on the LCM bus.
+        """Subscribes to the statuses of the arm, and to all commands on the LCM bus, so that a
+        second command source is detected.
 
         Args:
             trajectory: trajectory shared with the diagram.
@@ -224,13 +234,18 @@ class CommandStreamer:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the end of the streamer was requested and the commanded arm is at rest."""
+        """Whether the end of the streamer was requested and the arm's commands are at rest, so that
+        the process may end.
+        """
         trajectory = self._trajectory
         is_at_rest = self._pace < 1e-3 or trajectory.planned_until <= trajectory.executed_time
         return bool(trajectory.end_requested and (trajectory.is_stopped or is_at_rest))
 
     def step(self, now: float, tick: float | None = None) -> None:
-        """Handles the received messages, and sends the next command to the arm.
+        """Checks the received messages, and sends the next command to the arm.
+
+        A failure stops the arm permanently: its reason is stored in the shared trajectory and
+        logged, and no command is sent any more.
 
         Args:
             now: time of the wall clock, which may be adjusted [s].
@@ -243,8 +258,12 @@ class CommandStreamer:
             _logger.warning("stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
-        """Handles the received messages, and sends the next command to the arm; arguments as in
-        `step`.
+        """Checks the received messages and, unless there is a problem, sends the next command of
+        the shared trajectory to the arm.
+
+        Args:
+            now: time of the wall clock, which may be adjusted [s].
+            tick: time of a monotonic clock [s].
 
         Raises:
             _StoppedError: if the arm must stop permanently.
@@ -362,8 +381,8 @@ class CommandStreamer:
 
 
 def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, parent: int) -> None:
-    """Sends the commands of a shared trajectory to the arm until the end is requested or the parent
-    process has ended.
+    """Sends the positions of a shared trajectory to the arm as commands, until the end is requested
+    or the parent process has ended.
 
     This function is the entry point of the streamer's process.
 
@@ -392,17 +411,17 @@ def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, par
 
 
 class CommandValidator:
-    """Validator of received commands, which also computes the desired motion of the arm that
-    follows them.
+    """Validator of received joint position commands, which computes the desired motion of the
+    simulated arm from the valid commands.
 
-    Commands are rejected if they are old, out of limits, discontinuous, or of another control mode.
-    They are also rejected if their stamps are not in order, as with two command sources. After
+    A command is rejected if it is old, out of limits, discontinuous, or of another control mode. It
+    is also rejected if its stamp is not after the previous one, as with two command sources. After
     `COMMAND_TIMEOUT` without a valid command, the arm holds its last desired position, and may
     follow commands again from there.
 
     Attributes:
-        events: log lines of the events: begin of following, begin of holding, and rejected
-            commands.
+        events: texts of the events so far: the arm begins to follow commands, it begins to hold, or
+            a command is rejected.
     """
 
     def __init__(self, q: FloatArray, limits: RobotLimits) -> None:
@@ -451,18 +470,22 @@ class CommandValidator:
 
     @property
     def is_holding(self) -> bool:
-        """Whether the arm holds its position because there is no valid command to follow."""
+        """Whether the arm holds its position, because no valid command was received within
+        `COMMAND_TIMEOUT`.
+        """
         return self._stamp is None
 
     def _update(self, now: float) -> None:
-        """Lets the arm hold if its last command has expired at a time of the wall clock [s]."""
+        """Sets the desired velocity to zero, so that the arm holds, if the last command has expired
+        at a time of the wall clock [s].
+        """
         if self._stamp is not None and now - self._accepted_at > COMMAND_TIMEOUT:
             self._v, self._stamp = np.zeros_like(self._q), None
             self._log(f"holding: no command for {COMMAND_TIMEOUT:g} s")
 
     def _problem(self, command: lcmt_panda_command, now: float) -> str:
-        """Returns the reason to reject a command at a time of the wall clock [s]; "" if the command
-        is valid.
+        """Checks a command at a time of the wall clock [s], and returns the reason to reject it; ""
+        if the command is valid.
         """
         n, limits, elapsed = len(self._q), self._limits, 0.0
         age = now - MICROSECOND * command.utime
@@ -489,10 +512,10 @@ class CommandValidator:
         return f"{name} jumps by {step[j]:.3g} rad, at most {allowed[j]:.3g} allowed"
 
     def _log(self, event: str) -> None:
-        """Logs and stores an event, unless it repeats the previous one.
+        """Logs and stores an event of the command validation, unless it repeats the previous event.
 
-        Two events are the same if their texts before " is " are equal, whatever the numbers after
-        it.
+        Two events are the same if their texts up to the first " is " are equal; numbers after " is
+        " may differ.
         """
         if not self.events or self.events[-1].split(" is ")[0] != event.split(" is ")[0]:
             self.events.append(event)

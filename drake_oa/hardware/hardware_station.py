@@ -1,5 +1,5 @@
-"""Functions that prepare a scenario for hardware, and add the messages of its robot and cameras to
-a diagram instead of a simulated world.
+"""Scenarios and diagrams for runs on hardware, in which messages of the arm and the cameras replace
+the simulated world.
 """
 
 from __future__ import annotations
@@ -49,13 +49,14 @@ def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
 
 
 def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0) -> Scenario:
-    """Returns a copy of a scenario for a run on hardware: without obstacles, with perception by
-    `!LcmCamera`.
+    """Returns a copy of a scenario for a run on hardware: without simulated obstacles, and with
+    images received by LCM (`!LcmCamera`).
 
     Args:
         scenario: scenario with `!DepthCamera` or `!LcmCamera`.
         lcm_url: URL of the LCM bus.
-        image_delay: known delay of the images [s], by which the monitor of stale images is relaxed.
+        image_delay: known delay of the images [s], by which the guard's limit for the age of
+            images, `guard.stale_frames`, is raised.
 
     Raises:
         ScenarioError: naming a field that requires a simulated world, or if the scenario has no
@@ -91,14 +92,15 @@ def add_hardware(
     link: RobotLink,
     q_measured: FloatArray,
 ) -> StationModel:
-    """Adds the messages of the robot and its live cameras to a diagram, instead of a simulated
-    world.
+    """Adds the LCM messages of the arm and the live cameras to a diagram, in place of a simulated
+    world, for a run on hardware.
 
-    Only the robot model is simulated: the plant integrates the controller's torques, and the
-    plant's positions are the commands of the arm.
+    Only a model of the robot is simulated: the plant integrates the controller's torques, and the
+    positions of the plant are sent to the arm as commands.
 
     Args:
-        signals: builder of the diagram, to which the same signals as by `add_station` are added.
+        signals: builder of the diagram; the added signals are the same as those of the simulated
+            station (`add_station`).
         scenario: scenario from `hardware_scenario`.
         avoid_obstacles: whether the diagram avoids obstacles, passed to `add_station`.
         link: link to the arm.
@@ -120,8 +122,11 @@ def add_hardware(
 
 
 def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Returns model directives without those of obstacles; files that they include are replaced by
-    their directives.
+    """Returns Drake model directives without those that add or weld obstacles, because real
+    obstacles replace them on hardware.
+
+    Each included file is replaced by its directives. Obstacles are recognized by the prefix
+    `OBSTACLE_PREFIX`.
     """
     models = []
     for directive in flat_directives(directives):

@@ -1,4 +1,6 @@
-"""Simulated Panda arm and depth cameras that use the same LCM messages as the real devices."""
+"""Simulated Panda arm and depth cameras that send and receive the same LCM messages as the real
+devices, to test hardware runs.
+"""
 
 from __future__ import annotations
 
@@ -41,36 +43,44 @@ from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.station import make_station, release_cameras
 
 _STIFFNESS = 400.0
-"""Proportional gain of the simulated arm's joint controller, which is critically damped [1/s^2]."""
+"""Proportional gain of the joint controller with which the simulated arm follows commands; the
+controller is critically damped [1/s^2]."""
 _MAX_LATENESS = 0.9
-"""Lateness of an image up to which the station does not wait for its rendering, as a ratio to the
-period of the camera [-]."""
+"""Maximum time by which the station postpones an image that is not rendered yet, before it waits
+for the rendering, as a ratio to the period of the camera [-]."""
 _AT_REST, _REST_TIME = 0.01, 1.0
-"""Maximum speed of joints that count as at rest [rad/s, m/s], and time at rest after which a run
-ends [s]."""
+"""Maximum speed at which joints of the simulated robot count as at rest [rad/s, m/s], and time at
+rest after which a run of the station ends [s]."""
 _CATCH_UP = 0.02
-"""Maximum delay of the simulation relative to the wall clock that later steps make up for [s]."""
+"""Maximum delay of the simulation behind the wall clock that later, faster steps compensate [s];
+the rest of a longer delay remains."""
 
 _logger = logging.getLogger("drake_oa")
-"""Logger of the package drake_oa, for warnings about invalid messages."""
+"""Logger of the package drake_oa, used for warnings about invalid command messages."""
 
 
 class _ImageSender:
     """Sender of the depth images of one simulated camera as LCM messages."""
 
     def __init__(self, name: str, camera: Camera, period: float) -> None:
-        """Initializes the sender of a camera with a given name and period [s]."""
+        """Initializes the sender of a camera's images.
+
+        Args:
+            name: name of the camera in the messages and their channel.
+            camera: output ports and delay of the simulated camera.
+            period: time between two images [s].
+        """
         self._name, self._camera, self._period = name, camera, period
         self._system = camera.depth_image.get_system()
         self._count, self._sent = 0, -math.inf
 
     def is_due(self, root: Context, now: float, is_paused: bool) -> bool:
-        """Checks whether an image of the camera must be sent at a time of the wall clock.
+        """Checks whether the station must send an image of the camera now.
 
         While the simulation is paused, the last image is sent again every period. Otherwise, an
-        image that is not yet rendered is sent later, so that statuses of the arm are not delayed.
-        Once the image is late by more than `_MAX_LATENESS` of a period, the station waits for its
-        rendering.
+        image that is not rendered yet is sent later, so that rendering does not delay the statuses
+        of the arm. Once the image is late by more than `_MAX_LATENESS` of a period, the station
+        waits for the rendering.
 
         Args:
             root: Context of the station's diagram.
@@ -85,8 +95,8 @@ class _ImageSender:
         return lateness >= 0.0 and (not waits or self._system.is_ready(context))
 
     def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, is_paused: bool) -> None:
-        """Sends the latest image of the camera, with its capture time by the wall clock as time
-        stamp.
+        """Sends the latest image of the camera as an LCM message, whose time stamp is the capture
+        time by the wall clock.
 
         Args:
             root: Context of the station's diagram.
@@ -111,15 +121,16 @@ class PandaStation:
 
     The arm follows the positions that a `CommandValidator` accepts, by inverse dynamics with PD
     control. Other joints of the robot hold their start positions. A status message is sent after
-    each step of the plant. Simulated time begins at 0. Stamps and velocities in messages are by the
-    wall clock: at half the rate, the maximum speeds of the arm are half as high.
+    each step of the plant. Simulated time begins at 0. Stamps and velocities in messages refer to
+    the wall clock: if simulated time runs at half the rate of wall time, the maximum speeds of the
+    arm are half as high.
 
     Attributes:
         diagram: diagram of the simulated robot, obstacles and cameras.
         simulator: simulator of the diagram.
         validator: validator of the received commands.
-        event_times: simulated times of the validator's events [s].
-        num_positions: number of positions of the whole plant.
+        event_times: simulated time of each event in `validator.events` [s].
+        num_positions: number of positions of the whole plant, obstacles included.
     """
 
     def __init__(
@@ -139,8 +150,8 @@ class PandaStation:
             lcm: LCM bus of the messages.
             rate: maximum ratio of simulated time to wall time [-].
             waits: whether the simulation pauses until the first valid command, so that obstacles
-                start with the motion. In this case, `run` ends once no commands are received and
-                all bodies are at rest.
+                start with the motion. In this case, `run` ends once no commands are received, the
+                robot is at rest, and no obstacle will move any more.
             log: whether states and torques are logged.
             clock: function that returns the time of the wall clock [s].
 
@@ -214,8 +225,8 @@ class PandaStation:
             camera.depth_image.Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
 
     def step(self) -> None:
-        """Handles received commands, advances the plant by one step, and sends the status and due
-        images.
+        """Handles received commands, advances the simulated plant by one step, and sends the arm's
+        status and the camera images that are due.
         """
         while self._lcm.HandleSubscriptions(0):
             pass
@@ -234,8 +245,8 @@ class PandaStation:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the run has ended, because a station with `waits` is at rest after its last
-        command.
+        """Whether a station that waits for a first command (`waits`) has ended its run: no valid
+        command is received, and all bodies are at rest.
         """
         root = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(root)
@@ -245,11 +256,11 @@ class PandaStation:
         return self._ends_itself and not self._is_waiting and is_at_rest
 
     def run(self, duration: float, each_step: Callable[[], None] = lambda: None) -> None:
-        """Runs the station until a simulated time, no faster than its rate of simulated time to
-        wall time.
+        """Runs the station until a simulated time, or until `is_finished`, no faster than at its
+        rate of simulated time to wall time.
 
-        After a step that lasts too long, later steps make up for `_CATCH_UP` at most. Otherwise the
-        arm would move faster by the wall clock than it is commanded.
+        If steps last too long, later steps are faster to catch up with the wall clock, but only by
+        up to `_CATCH_UP`. Otherwise the arm would move faster by the wall clock than commanded.
 
         Args:
             duration: simulated time at which the run ends [s]; inf: the run ends when `each_step`
@@ -271,7 +282,9 @@ class PandaStation:
             release_cameras(self.diagram)
 
     def _receive(self, data: bytes) -> None:
-        """Decodes a received LCM message, and passes the command to the validator."""
+        """Decodes a received LCM message as a command, and passes the command to the validator;
+        logs and ignores a message that cannot be decoded.
+        """
         # LCM handlers must not raise.
         try:
             self.validator.receive(lcmt_panda_command.decode(data), self._clock())
@@ -281,7 +294,9 @@ class PandaStation:
             )
 
     def _actuate(self) -> None:
-        """Sets the desired state of the joint controller, which it tracks until the next step."""
+        """Sets the desired state of the simulated robot's joint controller from the last valid
+        command; the controller tracks this state until the next step.
+        """
         n = len(self._q_start)
         desired = np.concatenate([self._q_start, np.zeros(n)])
         q, v = self.validator.desired(self._clock())

@@ -1,4 +1,6 @@
-"""Link to an arm behind LCM messages, and the systems that connect this link to a diagram."""
+"""Link between a diagram and an arm that is commanded by LCM messages, and the systems that connect
+this link to the diagram.
+"""
 
 from __future__ import annotations
 
@@ -27,21 +29,22 @@ from drake_oa.hardware.command_streamer import (
 from drake_oa.robot.plant import RobotLimits
 
 _POLL_PERIOD = 5e-4
-"""Wall time between two checks of the command streamer's progress, while the diagram waits [s]."""
+"""Wall time between two checks of the command streamer's progress, while the diagram waits for the
+arm [s]."""
 STARTUP_TIMEOUT = 30.0
 """Maximum time from the start of the command streamer's process to the first status of the arm [s].
 """
 _START_TOLERANCE, _START_SPEED = 0.1, 0.05
-"""Maximum distance of each joint from the scenario's start [rad], and maximum speed of each joint
-[rad/s], with which the motion may begin."""
+"""Maximum distance of each measured joint from the scenario's start [rad], and maximum measured
+speed of each joint [rad/s], at which a hardware run may begin."""
 _TABLE_TOLERANCE, _TABLE_TILT = 0.015, math.radians(1.5)
-"""Maximum difference in height between the perceived and the configured table [m], and maximum
-angle between both planes [rad]."""
+"""Maximum difference in height [m] and maximum angle [rad] between the perceived and the configured
+table, used to check the configured camera pose."""
 
 
 class HardwareError(Exception):
-    """Failure that prevents or ends the motion of the arm; the message of this exception is the
-    reason.
+    """Failure that prevents or ends the motion of the arm in a hardware run; the text of the
+    exception states the reason.
     """
 
 
@@ -50,8 +53,8 @@ class RobotLink:
     messages.
 
     The diagram writes planned positions into shared memory. A `CommandStreamer` in a separate
-    process, started by `start`, sends the commands, so that long computations of the diagram do not
-    delay them.
+    process, which `start` starts, sends them to the arm, so that long computations of the diagram
+    do not delay the commands.
 
     Attributes:
         trajectory: planned and measured positions, in memory that is shared with the command
@@ -60,7 +63,8 @@ class RobotLink:
         url: URL of the LCM bus.
         clock: function that returns the time of the wall clock [s].
         wait: function that is called repeatedly while the link waits.
-        events: changes of the command streamer's state, as simulated time [s] and text.
+        events: changes of the arm's state (stopped, holds, resumed), each as simulated time [s] and
+            text.
     """
 
     def __init__(
@@ -77,7 +81,8 @@ class RobotLink:
         Args:
             lcm_url: URL of the LCM bus.
             rate: maximum ratio of simulated time to wall time [-].
-            wait: function that is called repeatedly while the diagram is too far ahead of the arm.
+            wait: function that is called repeatedly while the diagram waits, for example because it
+                is too far ahead of the arm.
             raise_if_requested: function that raises KeyboardInterrupt if the user has requested the
                 end of the run.
             clock: function that returns the time of the wall clock [s].
@@ -90,8 +95,8 @@ class RobotLink:
         self._process: BaseProcess | None = None
 
     def start(self) -> None:
-        """Starts the process of the command streamer, which sends no command before the first call
-        of `write`.
+        """Starts the process of the command streamer. The streamer sends no command before `write`
+        has written the first planned positions.
         """
         self._process = multiprocessing.get_context("spawn").Process(
             target=stream_commands,
@@ -103,8 +108,8 @@ class RobotLink:
         self._process.start()
 
     def close(self) -> None:
-        """Brings the arm to rest along the planned positions, and ends the process of the command
-        streamer.
+        """Requests that the command streamer brings the arm to rest along the planned positions,
+        and ends the streamer's process.
         """
         self.trajectory.end_requested = 1.0
         if self._process is not None:
@@ -115,9 +120,10 @@ class RobotLink:
 
     @contextmanager
     def warmup(self) -> Iterator[None]:
-        """Suppresses commands within the block, in which simulated time follows the wall clock.
+        """Context manager for slow work before the motion, during which no commands are sent and
+        simulated time follows the wall clock.
 
-        The block contains slow initial work, such as loading kernels and waiting for images.
+        The work includes, for example, loading compiled kernels and waiting for images.
         """
         self._warmed_up_since = self.clock()
         try:
@@ -126,22 +132,25 @@ class RobotLink:
             self._warmed_up_since = math.nan
 
     def to_simulated(self, stamp: float) -> float:
-        """Computes the simulated time that the arm had executed at a recent time of the wall clock
-        [s].
+        """Converts a recent time of the wall clock to simulated time [s]: the time in the planned
+        motion that the arm had executed then.
+
+        Args:
+            stamp: time of the wall clock [s].
         """
         if not math.isnan(self._warmed_up_since):
             return self.rate * (stamp - self._warmed_up_since)
         return self.trajectory.executed_time - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
-        """Waits for a status of the arm, and checks that the arm can start the motion.
+        """Waits for a status of the arm, and checks before a run that the arm can start the motion.
 
         Args:
             q_start: (7,) start configuration of the scenario [rad].
             limits: limits of these joints, in the same order.
 
         Returns:
-            (7,) measured positions [rad].
+            (7,) measured positions of the arm's joints [rad].
 
         Raises:
             HardwareError: if the arm sends no status, is not at the start, is beyond its limits, is
@@ -177,8 +186,8 @@ class RobotLink:
         return q
 
     def write(self, t: float, q: FloatArray) -> None:
-        """Writes planned joint positions, and waits until simulated time is at most `LEAD` ahead of
-        the arm.
+        """Writes planned joint positions for the command streamer, and waits until simulated time
+        is at most `LEAD` ahead of the arm.
 
         Args:
             t: simulated time [s].
@@ -204,7 +213,8 @@ class RobotLink:
             self._check_streamer(t)
 
     def _check_streamer(self, t: float) -> None:
-        """Records a change of the command streamer's state as an event at a simulated time t [s].
+        """Checks whether the command streamer has stopped, held or resumed the arm, and records
+        each change as an event at a simulated time t [s].
 
         Raises:
             HardwareError: if the command streamer has stopped the arm or has ended.
@@ -222,8 +232,8 @@ class RobotLink:
 
 
 class CommandStream(LeafSystem):
-    """System that writes the planned joint positions of the arm to a `RobotLink`, and paces the
-    simulation.
+    """System that writes the planned joint positions of the arm to a `RobotLink`, and delays the
+    simulation so that it stays just ahead of the arm.
 
     .. pydrake_system::
 
@@ -235,8 +245,8 @@ class CommandStream(LeafSystem):
     - robot_state: (2n,) positions and velocities of the simulated robot [rad, m, rad/s, m/s]. The
       positions of its arm are the planned positions.
     - obstacles_W (optional): abstract `ObstacleClouds`, the observation that contains the perceived
-      table. This table is compared with the configured one at initialization (`check_table`). Not
-      connected: the table is not checked.
+      table. At initialization, the perceived table is compared with the configured table
+      (`check_table`). Not connected: the table is not checked.
 
     The system writes positions every `COMMAND_PERIOD`, and waits while simulated time is more than
     `LEAD` ahead of the arm.
@@ -265,22 +275,24 @@ class CommandStream(LeafSystem):
         self.DeclarePeriodicPublishEvent(COMMAND_PERIOD, 0.0, self._publish)
 
     def _begin(self, context: Context) -> None:
-        """Checks the perceived table at the initialization of the simulation, if the port
-        `obstacles_W` is connected.
+        """Compares the perceived table with the configured table at the initialization of the
+        simulation, if the port `obstacles_W` is connected.
         """
         if self._obstacles.HasValue(context):
             perceived: ObstacleClouds = self._obstacles.Eval(context)
             check_table(perceived, self._table)
 
     def _publish(self, context: Context) -> None:
-        """Writes the present positions of the arm's joints to the link."""
+        """Writes the present positions of the simulated arm's joints to the link, as planned
+        positions of the arm.
+        """
         q = self._state.Eval(context)[self._arm]
         self._link.write(context.get_time(), q)
 
 
 def check_table(perceived: ObstacleClouds, table: TablePlane | None) -> None:
-    """Checks the configured camera pose, by comparing the perceived table with the configured
-    table.
+    """Checks whether the configured camera pose is correct, by comparing the perceived table with
+    the configured table.
 
     Args:
         perceived: observation of the obstacles, which contains the perceived table.
@@ -306,7 +318,8 @@ def check_table(perceived: ObstacleClouds, table: TablePlane | None) -> None:
 
 
 class MeasuredState(LeafSystem):
-    """System that outputs the measured state of the robot, as replacement of a simulated state.
+    """System that outputs the measured state of the robot, for a diagram in which the simulated
+    state is only the planned state.
 
     .. pydrake_system::
 
@@ -314,9 +327,9 @@ class MeasuredState(LeafSystem):
       output_ports:
       - measured_state
 
-    - measured_state: (2n,) positions and velocities of the robot [rad, m, rad/s, m/s]. Joints
-      without measurements, such as those of the fingers, have their start positions and zero
-      velocities.
+    - measured_state: (2n,) positions and velocities of the robot [rad, m, rad/s, m/s]. Velocities
+      are with respect to simulated time. Joints without measurements, such as those of the fingers,
+      have their start positions and zero velocities.
     """
 
     def __init__(self, link: RobotLink, arm: list[int], q_start: FloatArray) -> None:
@@ -334,8 +347,8 @@ class MeasuredState(LeafSystem):
         port.disable_caching_by_default()
 
     def _calc(self, _: Context, output: BasicVector) -> None:
-        """Sets the output port to the last measurements of the arm, and to the start positions of
-        other joints.
+        """Sets the output port `measured_state` to the last measurements of the arm's joints, and
+        to the start positions of other joints.
         """
         n = len(self._q)
         state: Any = np.concatenate([self._q, np.zeros(n)])

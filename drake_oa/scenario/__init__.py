@@ -17,7 +17,7 @@ The package also computes values that follow from several blocks: configurations
 orientations at start and goal (`end_poses`), movement primitives of demonstrations
 (`demonstration`), and periods and margins of a perception block (`sources`). Only `diagrams`,
 `world`, `runs` and the packages above them import a scenario. A layer is built from its block
-alone.
+alone, without the rest of the scenario.
 
 Read `scenario` first, then `loading`.
 """

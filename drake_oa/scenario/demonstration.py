@@ -1,5 +1,5 @@
-"""Functions that read the demonstrated motions of a scenario and average them into movement
-primitives.
+"""Demonstrated motions of a scenario: functions that read them from files, average them, and fit
+movement primitives to the average.
 """
 
 from __future__ import annotations
@@ -34,16 +34,17 @@ _NPZ_FORMAT = (
     "it must be an .npz with `path` (T, 3), optionally `t` (T,), and optionally the "
     "orientations R_WE as `quaternion` (T, 4), w first, or `R` (T, 3, 3)"
 )
-"""Required arrays of an .npz demonstration file, as text of error messages."""
+"""Description of the valid arrays in an .npz demonstration file, a part of error messages."""
 _QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
-"""Names of the CSV columns that hold the quaternion of the tool's orientation, w first."""
+"""Names of the columns of a CSV demonstration that contain the quaternion of the tool's
+orientation, w first."""
 _HEADER = "x,y,z in any order, optionally with t, and optionally with qw,qx,qy,qz"
-"""Valid column names of a CSV demonstration file, as text of error messages."""
+"""Description of the valid column names in a CSV demonstration file, a part of error messages."""
 _CSV_FORMAT = (
     f"it must be a CSV whose first line names its columns, {_HEADER}, and every other line has a "
     "number for each of them"
 )
-"""Required content of a CSV demonstration file, as text of error messages."""
+"""Description of the valid content of a CSV demonstration file, a part of error messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +70,12 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
         file: .npz with `path` (T, 3), optionally `t` (T,), and optionally `quaternion` (T, 4), w
             first, of any sign and length, or `R` (T, 3, 3); or .csv whose header names columns of
             t, x, y, z, qw, qx, qy, qz. May be a package:// URL.
-        duration: duration that is assigned to the motion if the file has no times [s].
+        duration: duration of the motion if the file has no times; the samples are then evenly
+            spaced in time [s].
 
     Raises:
-        ValueError: if the file cannot be read or imitated; the message names the sample and the
-            valid format.
+        ValueError: if the file cannot be read, or no movement primitive can be fitted to it; the
+            message names the sample and the valid format.
         OSError: if the file does not exist.
     """
     path = package_file(str(file))
@@ -94,8 +96,8 @@ def read_demonstrations(task: Task) -> list[Demonstration]:
     """Reads the demonstration files of `task.demonstration`.
 
     Raises:
-        ScenarioError: naming the file, if it cannot be read or imitated, or if it has no
-            orientations while other files have them.
+        ScenarioError: naming the file, if it cannot be read or used, or if it has no orientations
+            while other files have them.
     """
     demonstrations = []
     for file in task.demonstration:
@@ -148,22 +150,27 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:
-    """Returns the constants that the position and orientation primitives share, by
-    parameter name.
+    """Returns the constants that the position and the orientation primitive share, as keyword
+    arguments of the functions that fit them.
     """
     names = ("n_basis", "alpha_x", "beta_x", "alpha_k")
     return {name: getattr(policy, name) for name in names}
 
 
 def _file_field(task: Task) -> str:
-    """Returns the field `task.demonstration` with its file names, as the beginning of error
-    messages.
+    """Returns the name of the field `task.demonstration` with the task's file names, as the
+    beginning of error messages.
     """
     return f"task.demonstration: {', '.join(map(repr, task.demonstration))}"
 
 
 def _read_archive(path: Path) -> dict[str, FloatArray]:
-    """Reads the known arrays of an .npz demonstration by name, and ignores other arrays."""
+    """Reads the arrays `path`, `t`, `quaternion` and `R` of an .npz demonstration file, as far as
+    they exist, by name.
+
+    Raises:
+        ValueError: if the file has no `path`.
+    """
     arrays = read_arrays(path)
     if "path" not in arrays:
         raise ValueError("it has no `path`")
@@ -171,7 +178,12 @@ def _read_archive(path: Path) -> dict[str, FloatArray]:
 
 
 def _read_csv(path: Path) -> dict[str, FloatArray]:
-    """Reads a CSV demonstration into the same named arrays as those of an .npz demonstration."""
+    """Reads a CSV demonstration file into arrays with the names and shapes of an .npz
+    demonstration: `path`, `t`, `quaternion`.
+
+    Raises:
+        ValueError: if the header or a number is invalid.
+    """
     with path.open(encoding="utf-8-sig") as file:
         header = file.readline(1000).strip()
         names = [name.strip() for name in header.split(",")]
@@ -195,8 +207,9 @@ def _check_arrays(arrays: dict[str, FloatArray], duration: float) -> Demonstrati
     """Checks the arrays of a demonstration file and returns them as a demonstration.
 
     Args:
-        arrays: arrays by name, as in an .npz demonstration.
-        duration: duration that is assigned to a motion without times [s].
+        arrays: arrays by name, as in an .npz demonstration file: `path`, and optionally `t` and
+            `quaternion` or `R`.
+        duration: duration of a motion without times [s].
 
     Raises:
         ValueError: if a movement primitive cannot be fitted to the arrays.

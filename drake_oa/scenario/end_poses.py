@@ -1,6 +1,5 @@
-"""Functions for the configurations of the arm and the poses of its tool at start and goal.
-
-The module also computes the tool's orientation between start and goal.
+"""Configurations of the arm and poses of its tool at the start and goal of a scenario's motion, and
+the tool's orientation in between.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 _MAX_ANGLE_STEP = math.radians(10.0)
-"""Maximum mean angle between neighboring tool orientations that `ToolOrientation.samples` returns
-[rad]."""
+"""Maximum mean angle between neighboring orientations of the tool, when its orientation along a
+motion is sampled [rad]."""
 _MIN_SAMPLES = 5
-"""Minimum number of tool orientations that `ToolOrientation.samples` returns."""
+"""Minimum number of samples of the tool's orientation along a motion."""
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class ToolOrientation:
     """Orientation of the tool frame E along a motion, from start to goal.
 
     Attributes:
-        primitive: movement primitive of the orientation.
+        primitive: movement primitive that generates the orientations between start and goal.
         R_WS: (3, 3) orientation R_WE of the tool frame at the start.
         R_WG: (3, 3) orientation R_WE of the tool frame at the goal.
     """
@@ -73,8 +72,9 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
 
     The result is None if the orientation is constant, or if the scenario has no robot.
 
-    The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing one is
-    that of the demonstration, or `robot.rpy_WE` if the demonstration has no orientations.
+    The orientations at start and goal are `task.rpy_start` and `task.rpy_goal`. A missing field is
+    replaced by the demonstrated orientation, or by `robot.rpy_WE` if the demonstration has no
+    orientations.
 
     Raises:
         ScenarioError: naming the inconsistent field of the task.
@@ -107,8 +107,7 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
     """Returns the orientations R_WE of the tool frame at start and goal of a scenario's motion.
 
     Raises:
-        ScenarioError: if the scenario has no robot, or if its orientations are inconsistent, see
-            `tool_orientation`.
+        ScenarioError: if the scenario has no robot, or if its orientations contradict each other.
     """
     orientation = tool_orientation(scenario)
     if orientation is None:
@@ -121,8 +120,8 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
 
 
 def robots_along_motion(scenario: Scenario) -> list[Robot]:
-    """Returns copies of the robot's configuration block, one per sampled tool orientation of the
-    motion.
+    """Returns copies of the robot's configuration block, one for each sampled orientation of the
+    tool along the motion.
 
     Each copy has one of the orientations as `rpy_WE`, in the order from start to goal. The list is
     empty without a robot, and has one item if the orientation is constant.
@@ -143,17 +142,18 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
 
 
 _POSE_TOLERANCE = 1e-3
-"""Maximum difference of each element between the pose given by `task` and the tool pose at the
-given configuration, position in meters and rotation matrix [m, -]."""
+"""Tolerance between the tool pose that `task` gives for start or goal and the tool pose at the
+given configuration: maximum difference of an element of position or rotation matrix [m, -]."""
 _ENDS = ("start", "goal")
 """Names of the two ends of a motion, as in the field names `q_start` and `q_goal`."""
 
 
 def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
-    """Returns the configurations (nq,) of the robot that the task gives for the ends of the motion
-    [rad, m].
+    """Returns the configurations (nq,) of the robot that the task states for start and goal of the
+    motion, as a dictionary [rad, m].
 
     The keys are "start" for `task.q_start` and "goal" for `task.q_goal`; a null field has no entry.
+    Joints that are not part of the arm have their home positions.
 
     Raises:
         ScenarioError: for a wrong number of joints, or a joint outside its limits.
@@ -184,8 +184,8 @@ def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
 
 
 def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
-    """Sets the task's tool position and orientation at start and goal to the poses that follow from
-    `task.q_start` and `task.q_goal`.
+    """Sets the tool's position and orientation at start and goal in the task to the poses at the
+    configurations `task.q_start` and `task.q_goal`.
 
     Args:
         scenario: scenario, modified in place.
@@ -214,8 +214,9 @@ def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> Flo
     """Computes nominal postures (T, n), which the arm tracks in its null space, at normalized times
     s (T,) [rad].
 
-    q(s) = q_start + m(s) (q_goal - q_start), with the minimum-jerk profile m from 0 to 1. The
-    normalized time s is 0 at the start and 1 at the end of the motion.
+    The postures are q(s) = q_start + m(s) (q_goal - q_start), with the minimum-jerk profile m from
+    0 to 1. The normalized time s is 0 at the start and 1 at the end of the motion. Configurations
+    are (n,) arrays.
     """
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)
@@ -225,7 +226,7 @@ def start_positions(scenario: Scenario) -> FloatArray:
     """Returns the configuration (nq,) of the robot at the start of the motion [rad, m].
 
     Raises:
-        ScenarioError: for a start or goal that is out of reach, see `end_positions`.
+        ScenarioError: for a start or goal that is out of reach.
     """
     return end_positions(scenario)[0]
 

@@ -10,14 +10,16 @@ from pydantic.dataclasses import dataclass
 from drake_oa.common.config import BLOCK, Vector3
 
 _Time = Annotated[float, Field(ge=0.0, le=1e6)]
-"""Type of a simulated time in a fault block [s]."""
+"""Type of a simulated time in the configuration block of a fault [s]."""
 _Duration = Annotated[float, Field(gt=0.0, le=1e6)]
-"""Type of the duration of a fault [s]."""
+"""Type of the duration of a fault in its configuration block [s]."""
 
 
 @dataclass(config=BLOCK)
 class CameraDropout:
-    """Fault block of a camera that delivers no new images; its driver repeats the last image."""
+    """Fault block of a camera that delivers no new images for some time; its driver repeats the
+    last image.
+    """
 
     start: _Time = 1.0
     """Simulated time at which the camera stops delivering new images [s]."""
@@ -47,9 +49,9 @@ class ModelError:
     """
 
     inertias: str = "package://drake_oa/panda/uniform_density.yaml"
-    """File of the controller's inertial parameters, as a package:// URL or a path; see
-    `drake_oa.robot.inertias` for its format. The default file describes a Panda with links of
-    uniform density."""
+    """File of the controller's inertial parameters, as a package:// URL or a path. It is a YAML
+    file with mass, center of mass and rotational inertia of each link. The default file describes a
+    Panda with links of uniform density."""
 
 
 @dataclass(config=BLOCK)
@@ -59,7 +61,7 @@ class Push:
     start: _Time = 1.0
     """Simulated time at which the wrench begins to act [s]."""
     duration: _Duration = 0.2
-    """Time for which the wrench acts [s]. Raising it pushes the arm farther from its path."""
+    """Time for which the wrench acts [s]. A longer push moves the arm farther from its path."""
     force: Vector3 = Field(default=[0.0, 20.0, 0.0])
     """Force of the wrench at the origin of the link's frame, in world axes [N]."""
     torque: Vector3 = Field(default=[0.0, 0.0, 0.0])

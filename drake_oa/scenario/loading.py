@@ -1,8 +1,8 @@
-"""Functions that read scenarios from YAML files, check them, and write them as YAML text.
+"""Functions that read a scenario (all parameters of a run) from a YAML file, check it, and write it
+as YAML text.
 
-The text of a scenario is read as plain data, overrides are merged into the data, and pydantic
-checks every field while it builds the `Scenario`. Afterwards, fields of several blocks are checked
-for consistency.
+The text is read as plain data, overrides are merged into the data, and pydantic checks every field
+while it builds the `Scenario`. Afterwards, fields of several blocks are checked for consistency.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,8 +34,8 @@ def scenario_path(name_or_file: str) -> Path:
     """Finds the file of a scenario by the name of a shipped scenario or by path.
 
     Raises:
-        ScenarioError: if the argument is neither a shipped name nor a file; lists the shipped
-            names.
+        ScenarioError: if the argument is neither a shipped name nor a file; the message lists the
+            shipped names.
     """
     shipped = shipped_scenarios()
     if name_or_file in shipped:
@@ -55,8 +55,8 @@ def load_scenario(name_or_file: str, overrides: Sequence[str] = ()) -> Scenario:
 
     Args:
         name_or_file: name of a shipped scenario (see `shipped_scenarios`), or path of a file.
-        overrides: texts "a.b=c": the YAML value c replaces field b of block a. A value with a tag
-            ("perception=!GroundTruth {}") replaces the whole block.
+        overrides: texts of the form "a.b=c", where the YAML value c replaces field b of block a. A
+            value with a tag ("perception=!GroundTruth {}") replaces the whole block.
 
     Raises:
         ScenarioError: naming each wrong field and its valid values.
@@ -87,11 +87,11 @@ def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[
 def parse_scenario(
     text: str, overrides: Sequence[str] = (), *, folder: Path | None = None
 ) -> Scenario:
-    """Builds a `Scenario` from YAML text and overrides, which have the form described in
-    `load_scenario`.
+    """Builds a `Scenario` from YAML text and from overrides, texts "a.b=c" that replace the value
+    of field b in block a by c.
 
-    Relative file names in the text are relative to `folder` (None: the current directory). Relative
-    file names in overrides are relative to the current directory.
+    Relative file names in the YAML text refer to `folder` (None: the current directory). Relative
+    file names in overrides refer to the current directory.
 
     Raises:
         ScenarioError: listing every wrong field.
@@ -128,7 +128,9 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def _robot_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields an error line if a scenario has no robot, but a perception block that requires one."""
+    """Yields an error line for a scenario without a robot whose perception block requires a
+    robot.
+    """
     if scenario.robot is None and not isinstance(scenario.perception, GivenEllipsoids):
         yield (
             "robot: null (a free point) requires 'perception: !GivenEllipsoids'; "
@@ -137,8 +139,8 @@ def _robot_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _fault_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields one error line for each fault that affects a robot or camera missing in the
-    scenario.
+    """Yields one error line for each fault that requires a robot or a camera which the scenario
+    does not have.
     """
     source = scenario.perception
     for row, fault in enumerate(scenario.faults):
@@ -160,8 +162,8 @@ def _fault_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
-    """Converts relative file names in the plain data of a scenario to absolute paths, and those of
-    model directives to URLs.
+    """Converts relative file names in the plain data of a scenario, in place, to absolute paths,
+    and those in Drake model directives to URLs.
 
     URLs and other values remain unchanged. In `task.demonstration`, a single file becomes a list of
     one file, and an empty text becomes an empty list.
@@ -193,8 +195,8 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
 
 
 def _absolute(file: Any, base: Path) -> Any:
-    """Returns a relative file name as an absolute path below the folder `base`, and returns URLs
-    and other values unchanged.
+    """Returns an absolute path for a relative file name in the folder `base`; URLs, and values that
+    are not texts, are returned unchanged.
     """
     if isinstance(file, str) and file and "://" not in file:
         return str(base.absolute() / Path(file).expanduser())

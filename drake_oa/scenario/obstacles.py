@@ -15,22 +15,32 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 OBSTACLE_PREFIX = "obstacle"
-"""Prefix of a model instance's name, by which the model instance is recognized as an obstacle."""
+"""Prefix of the names of those model instances in a plant that are obstacles."""
 
 
 _MAX_OFFSET = 10.0
-"""Maximum absolute offset of a waypoint from the obstacle's position, along each axis of the world
-[m]."""
+"""Maximum displacement of an obstacle's waypoint from the obstacle's position `translation`, along
+each axis of the world [m]."""
 ABSENT_HEIGHT = 50.0
-"""Height by which an absent obstacle is raised, so that no camera sees it [m]."""
+"""Height by which an obstacle is raised before it appears and after it vanishes, so that no camera
+sees it [m]."""
 _ROUNDING = 1e-9
-"""Tolerance for rounding errors of the simulated time at which an obstacle appears or vanishes [s].
-"""
+"""Tolerance for rounding errors of the simulated time at which an obstacle appears or vanishes
+[s]."""
 
 
 def _check_trajectory(waypoints: list[list[float]]) -> list[list[float]]:
-    """Checks that waypoints (t, x, y, z) are ordered by time and within `_MAX_OFFSET` of the
-    obstacle's position.
+    """Checks that the waypoints t, x, y, z of an obstacle are ordered by time, and that each
+    displacement is at most `_MAX_OFFSET`.
+
+    Args:
+        waypoints: rows t, x, y, z [s, m].
+
+    Returns:
+        The waypoints, unchanged.
+
+    Raises:
+        ValueError: naming the first invalid row.
     """
     before = -math.inf
     for row, (time, *offset) in enumerate(waypoints):
@@ -43,8 +53,16 @@ def _check_trajectory(waypoints: list[list[float]]) -> list[list[float]]:
 
 
 def _check_presence(present: list[float]) -> list[float]:
-    """Checks that the time at which an obstacle vanishes is later than the time at which it
-    appears.
+    """Checks that an obstacle vanishes later than it appears.
+
+    Args:
+        present: time at which the obstacle appears and, optionally, time at which it vanishes [s].
+
+    Returns:
+        The times, unchanged.
+
+    Raises:
+        ValueError: if the times are not in this order.
     """
     if present != sorted(set(present)):
         raise ValueError(f"the obstacle must vanish later than it appears, not at {present}")
@@ -79,16 +97,16 @@ class Obstacle:
         Field(max_length=2),
         AfterValidator(_check_presence),
     ] = Field(default_factory=list)
-    """Time at which the obstacle appears, or two times at which it appears and vanishes [s]. Empty:
-    the obstacle is always present."""
+    """List of one time, at which the obstacle appears, or of two times, at which it appears and
+    vanishes [s]. Empty: the obstacle is always present."""
     stiffness: float | None = Field(default=None, gt=0.0, le=1e12)
     """Stiffness of the obstacle's surface in point contacts [N/m]; null: Drake's default, a hard
     surface. Raising it reduces the penetration in contacts."""
 
     @property
     def is_driven(self) -> bool:
-        """Whether the obstacle moves, appears or vanishes; such an obstacle has prismatic
-        joints.
+        """Whether the obstacle moves, appears or vanishes, and therefore needs prismatic joints
+        instead of a weld to the world.
         """
         return bool(self.waypoints or self.present)
 
@@ -119,10 +137,8 @@ class Obstacle:
 
 
 def last_change(obstacles: Iterable[Obstacle]) -> float:
-    """Returns the time at which the last of several obstacles stops moving, appearing or vanishing
-    [s].
-
-    The result is 0 if no obstacle changes.
+    """Returns the latest time at which one of several obstacles moves, appears or vanishes [s]; 0
+    if no obstacle changes.
     """
     return max((obstacle.last_change for obstacle in obstacles), default=0.0)
 

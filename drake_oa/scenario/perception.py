@@ -1,5 +1,5 @@
-"""Configuration block of given ellipsoids, and checks of a scenario's fields `cameras` and
-`perception`.
+"""Configuration block that gives obstacles as ellipsoids, without perception, and checks of the
+fields `cameras` and `perception` of a scenario.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ _MAX_PIXELS = 4096
 
 @dataclass(config=BLOCK)
 class EllipsoidConfig:
-    """Configuration block of a given ellipsoid, which contains an obstacle and is already dilated
-    by the tool.
+    """Configuration block of one ellipsoid, which contains an obstacle dilated by the tool, so that
+    the tool counts as a point.
     """
 
     center: Vector3 = Field(default=[0.0, 0.0, 0.0])
@@ -27,22 +27,28 @@ class EllipsoidConfig:
     semi_axes: Annotated[list[Annotated[float, Field(gt=0.0)]], length(3)] = Field(
         default=[0.1, 0.1, 0.1]
     )
-    """Lengths of the ellipsoid's three semi-axes [m]. Raising one makes the ellipsoid larger."""
+    """Lengths of the ellipsoid's three semi-axes [m]."""
     rpy: Angles = Field(default=[0.0, 0.0, 0.0])
     """Roll, pitch and yaw of the ellipsoid's semi-axes in the world [rad]."""
 
 
 @dataclass(config=BLOCK)
 class GivenEllipsoids:
-    """Perception block that gives the ellipsoids of the obstacles directly, without sensing."""
+    """Perception block that states the ellipsoids around the obstacles directly, without cameras or
+    other perception.
+    """
 
     ellipsoids: list[EllipsoidConfig] = Field(default_factory=list)
-    """Ellipsoids of the obstacles, one per obstacle."""
+    """Ellipsoids around the obstacles, one per obstacle, already dilated by the tool."""
 
 
 def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each wrong camera configuration, and for each wrong camera name in
-    the perception block.
+    """Yields one error line for each invalid camera configuration, and for each camera name in the
+    perception block that is invalid.
+
+    Args:
+        perception: perception block of the scenario.
+        cameras: field `cameras` of the scenario.
     """
     names = [camera.name for camera in cameras]
     for row, camera in enumerate(cameras):
@@ -59,8 +65,8 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
 
 
 def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each camera of a perception block that is missing, repeated or not
-    synchronized with the first camera.
+    """Yields one error line for each camera in a perception block that is missing, repeated, or
+    differs from the first camera in frame rate or delay.
     """
     names = perception.cameras
     if names and perception.camera != CameraSource.camera:

@@ -1,4 +1,5 @@
-"""Configuration block of a complete run, composed of the blocks of all layers.
+"""Scenario: configuration block of all parameters of a run, which contains the blocks of all
+layers.
 
 `drake_oa.scenario.loading` reads a scenario from a YAML file.
 """
@@ -32,9 +33,10 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
 
 Layer = Literal["perception", "descriptor", "decision", "motion"]
-"""Type of the name of a layer, whose intermediate results a viewer can display."""
+"""Type of the name of a group of systems whose intermediate results a viewer can display."""
 LAYERS = typing.get_args(Layer)
-"""Names of the layers whose results a viewer can display, in the order of the diagram.
+"""Names of the groups of systems (layers) whose intermediate results a viewer can display, in the
+order of data flow.
 
 The viewer draws point clouds and cameras for "perception", and ellipsoids with their sections for
 "descriptor". For "decision" it draws cost rings (costs of passing an obstacle on each side) and
@@ -43,7 +45,9 @@ selected sides. For "motion" it draws the planned and the executed path."""
 
 @dataclass(config=BLOCK)
 class View:
-    """Configuration block of a viewer's initial settings, which its user can change."""
+    """Configuration block of the viewer's settings at the start of a run; the user can change them
+    in the browser.
+    """
 
     show: list[Layer] | None = None
     """Names of the layers that are displayed at first; null: "decision" and "motion", and for
@@ -52,7 +56,9 @@ class View:
 
 @dataclass(config=BLOCK)
 class Scenario:
-    """Configuration block of all parameters of a run. Each field has a default."""
+    """Configuration block of a scenario, which contains all parameters of a run. Each field has a
+    default.
+    """
 
     description: str = ""
     """One-line description of the scenario, listed by `drake-oa scenarios`."""
@@ -70,10 +76,11 @@ class Scenario:
     """Model, tool and controller gains of the robot; null: no robot, and a free point executes the
     motion."""
     directives: list[Annotated[ModelDirective, DrakeStruct()]] = Field(default_factory=list)
-    """Drake model directives, which add models to the world in addition to the robot. A model
+    """Drake model directives, which add models to the world in addition to the robot. Each model
     instance whose name starts with "obstacle" is an obstacle."""
     obstacles: list[Obstacle] = Field(default_factory=list)
-    """Obstacles that consist of primitive shapes."""
+    """Obstacles that consist of primitive shapes, at rest, moving, or present for a limited
+    time."""
     cameras: list[Annotated[CameraConfig, DrakeStruct()]] = Field(default_factory=list)
     """Drake's configurations of the depth cameras, with unique names."""
     perception: Annotated[
@@ -88,20 +95,23 @@ class Scenario:
     """Parameters of the maneuvers away from moving obstacles, of the reaction to contacts, and of
     the monitors that slow down or stop the arm."""
     compute_latency: LatencyModel | None = Field(default_factory=LatencyModel)
-    """Model of the time that the computation of a decision lasts, which the simulation adds as a
-    delay; null: each decision is active immediately."""
+    """Model of the time for which a decision is computed. The simulation delays each decision by
+    this time; null: each decision is active immediately."""
     table_height: float | None = 0.0
     """Height of the table, the plane that supports the obstacles, in the world [m]; null: no table.
     """
     view: View = Field(default_factory=View)
-    """Initial settings of a viewer, which its user can change."""
+    """Settings of the viewer at the start of a run; the user can change them in the browser."""
     faults: list[Annotated[Fault, Tagged()]] = Field(default_factory=list)
     """Faults that the simulation injects, for example a camera without new images."""
 
 
 def allow_perception(block: type) -> None:
-    """Registers a dataclass as a valid configuration block of the field `perception`; its class
-    name becomes its YAML tag.
+    """Registers a dataclass as a valid configuration block of the scenario's field `perception`,
+    with its class name as YAML tag.
+
+    Args:
+        block: dataclass of the configuration block.
     """
     field = next(item for item in dc.fields(Scenario) if item.name == "perception")
     union, tagged = typing.get_args(field.type)

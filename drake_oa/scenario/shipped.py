@@ -1,5 +1,5 @@
-"""Functions that list the scenario files of this package, with their descriptions and required
-Python packages.
+"""Scenario files that are part of this package: functions that list them, and read their
+descriptions and required Python packages.
 """
 
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 from drake_oa.common.files import installed_package, package_folder
 
 _SUFFIX = ".scenario.yaml"
-"""Suffix of the file names of scenarios."""
+"""Suffix of the file names of shipped scenarios, after the scenario's name."""
 
 
 def shipped_scenarios() -> dict[str, Path]:
@@ -37,8 +37,8 @@ def missing_package(path: Path) -> str:
 
 
 def _text(path: Path, *fields: str) -> str:
-    """Reads the text of a nested field from a YAML file; returns "" if the field is missing or not
-    a scalar.
+    """Reads the text of a nested field from a YAML file, without building the scenario; returns ""
+    if the field is missing or not a scalar.
 
     Args:
         path: YAML file.

@@ -1,5 +1,5 @@
-"""Functions that compute values from a scenario's perception block, such as periods, margins and
-seeds.
+"""Values that follow from a scenario's perception block or table, such as observation period,
+padding of surfaces, and noise seeds.
 """
 
 from __future__ import annotations
@@ -16,19 +16,22 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 _SURFACE_GAP = 0.01
-"""Maximum depth to which a robot link can penetrate a surface between two of its ground-truth
-points [m]."""
+"""Maximum depth to which a robot link can penetrate an obstacle's surface between two of the
+surface points that ground-truth perception outputs [m]."""
 
 
 _GIVEN_PERIOD = 1.0 / 15.0
-"""Time between two observations of the ellipsoids in a `!GivenEllipsoids` block [s]."""
+"""Time between two observations if a scenario gives the obstacles as ellipsoids
+(`!GivenEllipsoids`) [s]."""
 _SEED_INCREMENT = 0x9E3779B97F4A7C15
-"""Difference between the noise seeds of two successive cameras [-]. The value is 2^64 divided by
-the golden ratio, so that the seeds are uncorrelated."""
+"""Difference between the seeds of the image noise of two successive cameras [-]. The value is 2^64
+divided by the golden ratio, so that the seeds are uncorrelated."""
 
 
 def noise_seed(scenario: Scenario, camera: str) -> int:
-    """Returns the seed of a camera's noise; the first camera has the seed of the scenario."""
+    """Returns the seed of a camera's image noise, which is different for each camera; the first
+    camera has the seed of the scenario.
+    """
     source = scenario.perception
     row = source.names.index(camera) if isinstance(source, CameraSource) else 0
     return (scenario.seed + row * _SEED_INCREMENT) % 2**63
@@ -56,8 +59,8 @@ def with_simulated_cameras(scenario: Scenario) -> Scenario:
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
-    """Converts a `!GivenEllipsoids` block to a set of ellipsoids whose time stamp is infinite, so
-    that they never count as stale.
+    """Converts a `!GivenEllipsoids` block to the ellipsoids of obstacles at rest, with an infinite
+    time stamp, so that they never count as stale.
     """
     items = source.ellipsoids
     return EllipsoidSet(
@@ -88,8 +91,8 @@ def perception_period(scenario: Scenario) -> float:
 
 
 def padding(source: object) -> float:
-    """Returns the padding of a perception block: the maximum distance by which a surface lies
-    outside its observed points [m].
+    """Returns the padding of observed points for a perception block: the maximum distance by which
+    an obstacle's surface lies outside the points [m].
     """
     if isinstance(source, (CameraSource, RecordedClouds)):
         return 0.5 * source.segmentation.voxel

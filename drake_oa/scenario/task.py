@@ -1,5 +1,5 @@
-"""Configuration block of a scenario's task, and functions for a goal that moves during the
-motion.
+"""Configuration block of a scenario's task: start, goal, nominal motion and requested clearance;
+and functions for a goal that moves during the motion.
 """
 
 import math
@@ -20,8 +20,8 @@ MAX_DURATION = 600.0
 
 @dataclass(config=BLOCK)
 class Task:
-    """Configuration block of the nominal motion, which does not depend on the obstacles, and of the
-    requested clearance.
+    """Configuration block of a scenario's task: the nominal motion, which does not depend on
+    obstacles, and the requested clearance.
     """
 
     start: Vector3 = Field(default=[0.45, -0.45, 0.3])
@@ -69,16 +69,16 @@ class Task:
 
 
 _MIN_MOVE_INTERVAL = 1e-6
-"""Minimum time between two successive moves of the goal [s]."""
+"""Minimum time between two successive moves of a task's goal, and before the first move [s]."""
 _MIN_TRAVEL = 1e-3
-"""Minimum distance between the start and each goal position [m]."""
+"""Minimum distance between the start and each goal position of a task [m]."""
 
 
 def goal_problems(task: Task) -> Iterator[str]:
     """Yields one error line for each invalid goal of a task.
 
-    A goal is invalid if it is too close to the start, or if it moves no later than the previous
-    goal.
+    A goal is invalid if it is too close to the start, or if its time is not later than the time of
+    the previous goal.
     """
     if math.dist(task.start, task.goal) < _MIN_TRAVEL:
         yield f"task.goal: {task.goal} is the start; they must be at least 1 mm apart"
@@ -94,9 +94,10 @@ def goal_problems(task: Task) -> Iterator[str]:
 
 
 def goal_steps(task: Task) -> FloatArray:
-    """Returns the goal positions of a task as rows (N, 4) t, x, y, z in the world [s, m].
+    """Returns all goal positions of a task, with the times from which they apply, as rows (N, 4) t,
+    x, y, z in the world [s, m].
 
-    The goal is at x, y, z from time t on. The first row has t = 0.
+    The first row is the initial goal, with t = 0.
     """
     return np.array([[0.0, *task.goal], *task.goal_moves], dtype=float)
 
@@ -119,7 +120,7 @@ def goal_trajectory(task: Task) -> PiecewisePolynomial:
 
 
 def last_move_time(task: Task) -> float:
-    """Returns the simulated time at which a task's goal moves last [s]; 0 if the goal never
+    """Returns the simulated time of the last move of a task's goal [s]; 0 if the goal never
     moves.
     """
     return float(task.goal_moves[-1][0]) if task.goal_moves else 0.0

@@ -15,25 +15,27 @@ from numpy.typing import ArrayLike, NDArray
 from drake_oa.common.messages import FloatArray
 
 Color = tuple[float, float, float]
-"""Type of a color: red, green and blue in [0, 1]."""
+"""Type of a color in the viewer: red, green and blue, each in [0, 1]."""
 
 PLANNED: Color = (0.0, 128 / 255, 1.0)
-"""Color of the planned path in the viewer, blue."""
+"""Color of the planned path in the viewer: blue."""
 EXECUTED: Color = (0.90, 0.07, 0.09)
-"""Color of the executed path in the viewer, red."""
+"""Color of the executed path in the viewer: red."""
 ELLIPSOID: Color = (0.93, 0.36, 0.52)
-"""Color of obstacle ellipsoids in the viewer, rose."""
+"""Color of the ellipsoids around obstacles in the viewer: rose."""
 SELECTED: Color = (0.86, 0.0, 0.78)
-"""Color of the direction in which an obstacle is passed, magenta."""
+"""Color of the line in the viewer that points in the direction in which an obstacle is passed:
+magenta."""
 CLOUD: Color = (0.0, 0.42, 0.45)
-"""Color of the observed point cloud in the viewer, teal."""
+"""Color of the observed point cloud in the viewer: teal."""
 COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80, 0.10, 0.12))
-"""Colors of the costs 0, 0.5 and 1 on a cost ring, which shows the costs of passing an obstacle on
-each side: green, yellow, red."""
+"""Colors of the costs 0, 0.5 and 1 on a cost ring, which displays the costs of passing an obstacle
+on each side: green, yellow, red."""
 
 INNER_RADIUS, BAND, GAP = 0.17, 0.022, 0.005
-"""Inner radius of the innermost cost ring, width of each ring, and gap between rings and between
-sectors of a ring [m]."""
+"""Dimensions of the cost rings (costs of passing an obstacle on each side) in the viewer: radius
+inside the innermost ring, width of each ring, and gap between rings and between sectors of a ring
+[m]."""
 
 
 def ring_mesh(
@@ -41,10 +43,10 @@ def ring_mesh(
 ) -> tuple[FloatArray, NDArray[np.int32], FloatArray]:
     """Computes a triangle mesh of the cost rings of one obstacle, as concentric colored bands.
 
-    A cost ring shows the costs of passing the obstacle in each direction around the baseline, the
-    line from start to goal. The bands are around the origin in the YZ plane of the local frame (x
-    from start to goal, z up). They are in the order of `costs` from the inside out. Each sector has
-    the color of its cost on the scale `COST_COLORS`.
+    A cost ring displays the costs of passing the obstacle in each direction around the baseline,
+    the line from start to goal. The bands are centered at the origin of the local frame (x from
+    start to goal, z up), in its YZ plane. They are in the order of `costs` from the inside out.
+    Each band is divided into K sectors, each with the color of its cost on the scale `COST_COLORS`.
 
     Args:
         costs: cost (K,) in [0, 1] of each direction, by name of the ring; at least one ring.
@@ -73,7 +75,7 @@ def ring_mesh(
 
 
 def ring_radius(n_rings: int) -> float:
-    """Returns the outer radius of the mesh that `ring_mesh` computes for a number of cost rings
+    """Returns the outer radius of an obstacle's cost rings in the viewer, for a number of rings
     [m].
     """
     return INNER_RADIUS + n_rings * (BAND + GAP) - GAP

@@ -1,5 +1,5 @@
-"""Drawing of a diagram's layers as an N2 chart: the systems from camera to torques, and their
-signals.
+"""Drawing of a diagram's layers as an N2 chart: a table with the systems from camera to torques on
+its diagonal, and their signals beside it.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ LAYERS = (
 """Names of the subsystems that `layer_figure` draws, in the order of data flow. Subsystems that a
 diagram lacks are skipped."""
 _WIDTH, _HEIGHT, _LINE = 170, 76, 15
-"""Width and height of one field of the N2 chart that `layer_figure` draws, and height of a text
-line [pixel]."""
+"""Width and height of one field of the N2 chart (table of systems and signals) that `layer_figure`
+draws, and height of a text line [pixel]."""
 _STYLE = (
     "<style>text { font: 13px sans-serif; fill: #222; text-anchor: middle }"
     " .name { font-weight: bold } .small { font-size: 11px; fill: #555 }"
     " rect { fill: #eef3fa; stroke: #456 } .signal { fill: #fff; stroke: #cdd }</style>"
 )
-"""CSS style of texts and fields in the N2 chart that `layer_figure` draws, as SVG element."""
+"""SVG element with the CSS style of texts and fields in the chart that `layer_figure` draws."""
 
 
 def layer_figure(diagram: Diagram) -> str:
-    """Draws the layers of a diagram and their signals as an N2 chart, in SVG.
+    """Draws the layers of a diagram and their signals as an N2 chart, a table of systems and
+    signals, in SVG.
 
     The layers are on the diagonal of the chart. A signal is in the row of the layer that outputs
     the signal and in the column of the layer that reads it. Signals above the diagonal go forward;

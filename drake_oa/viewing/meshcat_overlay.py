@@ -24,15 +24,17 @@ _ROOT = "/drake_oa"
 PERIOD = 1.0 / 15.0
 """Simulated time between two frames of the overlay [s]."""
 _FRAMES_VISIBLE = 3
-"""Number of frames for which a drawn point cloud or cost ring is visible, before its successor is
-drawn."""
+"""Number of frames of the overlay for which a drawn point cloud or cost ring is visible, before the
+next one replaces it."""
 _CLOUD_SPACING = 0.02
-"""Edge length of the voxels to which a point cloud is reduced; one point per voxel is drawn [m]."""
+"""Edge length of the voxels with which a point cloud is thinned before it is drawn, one point per
+voxel [m]."""
 _SLOT_COUNT = 8
-"""Number of obstacles for which the scene tree has objects; an obstacle uses the slot with its ID
-modulo this number."""
+"""Number of obstacles for which Meshcat's scene tree has objects. An obstacle uses the slot whose
+number is its ID modulo this number."""
 _SHORTEST_SEGMENT = 2e-3
-"""Minimum length of a segment of the executed path that is drawn [m]."""
+"""Minimum length of each drawn segment of the executed path; a shorter segment is drawn later, with
+the next motion [m]."""
 
 
 class MeshcatOverlay(LeafSystem):
@@ -56,19 +58,21 @@ class MeshcatOverlay(LeafSystem):
     - cloud (optional): `pydrake.perception.PointCloud` in the world frame [m]. Not connected: no
       cloud is drawn.
     - body_poses (optional): list of `RigidTransform` with the poses of the plant's bodies in the
-      world. Not connected: the executed path is that of p_WE in `policy_state`.
+      world. They give the tool point, whose path is the executed path. Not connected: the tool
+      point is p_WE in `policy_state`.
 
-    Ellipsoids are rose, the planned path is blue, and the executed path is red. A cost ring shows
-    the costs of passing an obstacle in each direction around the baseline, the line from start to
-    goal. The rings of an obstacle are centered at the point of the baseline closest to the
+    Ellipsoids are rose, the planned path is blue, and the executed path is red. A cost ring
+    displays the costs of passing an obstacle in each direction around the baseline, the line from
+    start to goal. The rings of an obstacle are centered at the point of the baseline closest to the
     obstacle, in the order of `Route.costs` from the inside out. Green is cost 0, yellow is 0.5, red
-    is 1. A magenta line is the selected direction. Rings are drawn only for obstacles that change
-    the motion.
+    is 1. A magenta line points in the selected direction. Both are drawn only for obstacles that
+    change the motion.
 
     The objects are under "/drake_oa" in the scene tree, in one folder per layer of `LAYERS`. A
-    recording of Meshcat stores transforms and properties, but no objects. Therefore each change of
-    shape (cloud, rings, executed path) is a new object that is visible for some frames only. The
-    discrete state stores the time of the first frame and the end point of the executed path.
+    recording of Meshcat stores transforms and properties, but no objects. Therefore each new shape
+    (cloud, rings, segment of the executed path) is a new object, which is hidden in frames of other
+    times. The discrete state stores the time of the first frame and the end point of the executed
+    path.
     """
 
     def __init__(
@@ -112,7 +116,9 @@ class MeshcatOverlay(LeafSystem):
         self.DeclarePeriodicPublishEvent(PERIOD, PERIOD, self._draw_frame)
 
     def _tool_point(self, context: Context) -> FloatArray:
-        """Returns the position (3,) of the tool point E in the world [m]."""
+        """Returns the position (3,) of the tool point E in the world [m], from the body poses if
+        connected, otherwise from the policy state.
+        """
         if self._body_index is None or not self._bodies.HasValue(context):
             return self._policy.read(context).p_WE
         X_WB: RigidTransform = self._bodies.Eval(context)[int(self._body_index)]
@@ -123,7 +129,8 @@ class MeshcatOverlay(LeafSystem):
         [m].
 
         Both points are equal while the segment is too short to be drawn. At each time, Drake
-        publishes before it updates the state, so that both events use the same segment.
+        performs the publish event, which draws the segment, before the update event, which stores
+        its end. Both events therefore use the same segment.
         """
         before: FloatArray = context.get_discrete_state_vector().value()[1:]
         now = self._tool_point(context)
@@ -131,12 +138,14 @@ class MeshcatOverlay(LeafSystem):
 
     def _initialize(self, context: Context, state: DiscreteValues) -> None:
         """Stores the time of the first frame and the start point of the executed path in the
-        discrete state.
+        discrete state, at the initialization.
         """
         state.set_value([context.get_time(), *self._tool_point(context)])
 
     def _advance(self, context: Context, state: DiscreteValues) -> None:
-        """Stores the new end point of the executed path in the discrete state."""
+        """Stores the new end point of the drawn executed path in the discrete state, at each
+        periodic update.
+        """
         start = context.get_discrete_state_vector()[0]
         state.set_value([start, *self._executed(context)[1]])
 
@@ -147,7 +156,7 @@ class MeshcatOverlay(LeafSystem):
     ) -> None:
         """Draws a line segment between two different points as a capsule.
 
-        A line object would have a width of only one pixel in WebGL.
+        A line object of Meshcat would have a width of only one pixel.
 
         Args:
             path: path of the object in Meshcat's scene tree.
@@ -163,14 +172,19 @@ class MeshcatOverlay(LeafSystem):
         self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + p_to)))
 
     def _show_path(self, path: str, visible: bool, time: float) -> None:
-        """Shows or hides the objects at a path of Meshcat's scene tree, from a simulated time on
-        [s].
+        """Shows or hides all objects below a path of Meshcat's scene tree, from a given simulated
+        time of the recording on.
+
+        Args:
+            path: path in the scene tree.
+            visible: whether the objects are visible.
+            time: simulated time [s].
         """
         self._meshcat.SetProperty(path, "visible", visible, time)
 
     def _appear(self, path: str, context: Context) -> None:
-        """Shows the objects at a path of Meshcat's scene tree from the present time on, and hides
-        them in earlier frames of a recording.
+        """Shows the objects below a path of Meshcat's scene tree from the present time on, and
+        hides them in earlier frames of a recording.
         """
         time, start = context.get_time(), context.get_discrete_state_vector()[0]
         if time > start:
@@ -178,7 +192,9 @@ class MeshcatOverlay(LeafSystem):
         self._show_path(path, True, time)
 
     def _draw_start(self, context: Context) -> None:
-        """Draws the objects whose shapes are constant, and then the first frame."""
+        """Draws the objects whose shapes are constant during the run (planned path, start, goal,
+        ellipsoids of unit size), and then the first frame.
+        """
         meshcat = self._meshcat
         for layer in LAYERS:
             meshcat.Delete(f"{_ROOT}/{layer}")
@@ -277,7 +293,7 @@ class MeshcatOverlay(LeafSystem):
 
 
 def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:
-    """Returns the pose with a rotation matrix R (3, 3), which is projected to SO(3), and a position
-    p (3,) [m].
+    """Returns the pose with a rotation matrix R (3, 3), which is projected to SO(3) to correct
+    rounding errors, and a position p (3,) [m].
     """
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), p)

@@ -1,4 +1,6 @@
-"""Panel with title, readings and legend, which is added to the recorded or live page of Meshcat."""
+"""Panel with title, readings and legend, which is added to the HTML page of Meshcat: to a
+recording, or to the live page.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +19,18 @@ from pydrake.geometry import Meshcat
 from drake_oa.viewing import drawing
 
 _MAX_LAG = 0.15
-"""Time in which a live page should draw a frame; after this time the next frame waits until the
-frame is drawn [s]."""
+"""Time within which a live page should draw a frame; if drawing lasts longer, the simulation waits
+before the next frame [s]."""
 _PAGE_TIMEOUT = 10.0
-"""Time without a request from a live page after which this page counts as closed [s]."""
+"""Time without a request from a live page after which the page counts as closed, so that the
+simulation no longer waits for it [s]."""
 _FRAME = "/drake_oa_frame"
-"""Path of an empty node in Meshcat's scene tree, whose render order is set to the number of the
-last frame sent to a live page."""
+"""Path of an empty node in Meshcat's scene tree. Its property `renderOrder` carries the number of
+the last frame that was sent to a live page."""
 
 
 class Reading(NamedTuple):
-    """Text of the panel at one time of the run.
+    """Text of the panel's readings from one time of the run on, with a warning if there is one.
 
     Attributes:
         time: simulated time from which the text is displayed [s].
@@ -57,8 +60,8 @@ _LEGEND = (
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
     ("#777", "observed points", "perception/cloud"),
 )
-"""Rows of the panel's legend: CSS color, text, and path pattern in Meshcat's scene tree. A row is
-displayed while an object at a matching path is visible."""
+"""Rows of the panel's legend: CSS color, text, and path in Meshcat's scene tree, in which each part
+is a regular expression. A row is displayed while an object at a matching path is visible."""
 _STYLE = """
 <style>
   body { overflow: hidden; }
@@ -71,7 +74,7 @@ _STYLE = """
   #drake-oa-alert { color: #b00; font-weight: bold; white-space: pre-line; }
   .dg.main { max-height: 100vh; overflow: hidden auto !important; }
 </style>"""
-"""CSS style of the panel on Meshcat's page, as HTML element."""
+"""HTML element with the CSS style of the panel on Meshcat's page."""
 _PANEL = Template("""
 <div id="drake-oa"><b>$title</b> <span>$description</span><div id="drake-oa-now"></div>
 <div id="drake-oa-alert"></div>$legend</div>
@@ -99,8 +102,8 @@ _PANEL = Template("""
   $script
 </script>
 </body>""")
-"""HTML template of the panel on Meshcat's page, with the script that updates its readings and
-legend."""
+"""HTML template of the panel on Meshcat's page, with the JavaScript that updates the panel's
+readings and legend."""
 _RECORDED = Template("""
   const drakeOa = $readings;
   setInterval(() => {
@@ -109,8 +112,8 @@ _RECORDED = Template("""
     while (row + 1 < drakeOa.length && drakeOa[row + 1][0] <= time + 1e-6) row += 1;
     drakeOaShow(drakeOa[row]);
   }, 50);""")
-"""Script template of the page of a recording, which displays the reading at the present time of the
-playback."""
+"""JavaScript template for the page of a recording, which displays the reading at the present time
+of the playback."""
 _LIVE = """
   let drakeOaAsked = 0;
   function drakeOaAsk(now) {
@@ -129,8 +132,8 @@ _LIVE = """
   }
   document.addEventListener("visibilitychange", drakeOaHidden);
   drakeOaHidden();"""
-"""Script of a live page, which requests readings from the server and reports the number of the last
-drawn frame."""
+"""JavaScript of a live page, which requests readings from the server and reports the number of the
+last drawn frame."""
 _FOLDERS = """
     // A control named "FOLDER: NAME" is placed in a folder; the first control opens the panel.
     const drakeOaAdd = viewer.set_control.bind(viewer);
@@ -145,18 +148,19 @@ _FOLDERS = """
       if (label) viewer.gui_controllers[name].name(label);
     };
 """
-"""Script of a live page, which places controls in folders of Meshcat's control panel."""
+"""JavaScript of a live page, which places the sliders and buttons of Meshcat's control panel in
+folders."""
 
 
 def panel_page(page: str, title: str, description: str, readings: list[Reading] | None) -> str:
     """Adds the panel with title, readings and legend to a page of Meshcat, and returns its HTML.
 
     Args:
-        page: HTML of Meshcat's recording or of its live page.
+        page: HTML of a page of Meshcat, a recording or the live page.
         title: title of the panel and of the browser window.
         description: text that follows the title in the panel.
-        readings: at least one reading, ordered by time; None: the page requests readings from its
-            server.
+        readings: readings of a recording, at least one, ordered by time; None: a live page, which
+            requests readings from its server.
     """
     title, description = html.escape(title), html.escape(description)
     legend = "".join(
@@ -178,8 +182,14 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
 
 
 def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
-    """Returns the HTML of Meshcat's live page with the panel; the page still loads scripts and
-    messages from Meshcat's server.
+    """Returns the HTML of Meshcat's live page with the panel added.
+
+    Scripts and messages of the page still come from Meshcat's server.
+
+    Args:
+        meshcat: Meshcat instance.
+        title: title of the panel and of the browser window.
+        description: text that follows the title in the panel.
     """
     # A proxy set in the environment cannot reach ports of this computer.
     with build_opener(ProxyHandler({})).open(meshcat.web_url()) as answer:
@@ -191,7 +201,7 @@ def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
 
 
 class _PageServer(ThreadingHTTPServer):
-    """HTTP server of the live page, which ignores connections that the page has closed."""
+    """HTTP server of the live page, which prints no error when the browser closes a connection."""
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Prints an error of a request, unless the page has closed the connection."""
@@ -203,12 +213,13 @@ class LivePage:
     """Server of Meshcat's live page with the panel, reachable from this computer only.
 
     The page requests readings repeatedly; each request contains the number of the last frame that
-    the page has drawn. The method `pace` waits until the previous frame is drawn, so that the page
-    lags by less than half a second. It does not wait for a hidden or closed page.
+    the page has drawn. The method `pace` lets the simulation wait until the previous frame is
+    drawn, so that the page lags by less than half a second. The simulation does not wait for a
+    hidden or closed page.
 
     Attributes:
         url: address of the page.
-        reading: reading that the panel displays at present.
+        reading: text that the panel displays at present; the user of this class sets it.
     """
 
     def __init__(self, meshcat: Meshcat, title: str, description: str = "") -> None:
@@ -226,11 +237,13 @@ class LivePage:
         live, page = self, _live_page(meshcat, title, description)
 
         class Handler(BaseHTTPRequestHandler):
-            """Handler of HTTP requests, which returns the page or the present reading."""
+            """Handler of HTTP requests to the live page's server, which returns the page or the
+            present reading.
+            """
 
             def do_GET(self) -> None:
-                """Returns the present reading for paths below /reading/, and the page for other
-                paths.
+                """Answers a GET request: returns the present reading as JSON for paths below
+                /reading/, and the HTML page for other paths.
                 """
                 kind, body = "application/json", json.dumps(live.reading)
                 if self.path.startswith("/reading/"):
@@ -256,8 +269,8 @@ class LivePage:
         self.url = f"http://localhost:{self._server.server_port}"
 
     def pace(self) -> None:
-        """Ends a frame of the page, and waits while an earlier frame has not been drawn for longer
-        than `_MAX_LAG`.
+        """Ends a frame of the live page; before that, waits if the page needs longer than
+        `_MAX_LAG` to draw the previous frame.
         """
         while self._drawn_frame < self._frame:
             now = time.monotonic()
@@ -269,6 +282,6 @@ class LivePage:
         self._meshcat.SetProperty(_FRAME, "renderOrder", float(self._frame))
 
     def close(self) -> None:
-        """Stops the server, so that the page is no longer available."""
+        """Stops the server of the live page, so that the page is no longer available."""
         self._server.shutdown()
         self._server.server_close()

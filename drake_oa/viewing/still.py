@@ -33,24 +33,25 @@ from drake_oa.world.cameras import add_mesh_normals
 from drake_oa.world.station import make_station
 
 _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
-"""Width and height of the image of the station [pixel], and vertical field of view of its camera
-[rad]."""
+"""Width and height of the drawn image of the station [pixel], and vertical field of view of its
+virtual camera [rad]."""
 _EYE_B, _AT_B = (2.3, -1.8, 1.4), (0.4, 0.0, 0.3)
-"""Position of the camera that views the station, and the point at which it looks, in the frame of
-the robot's base B [m]."""
+"""Position of the virtual camera that views the station, and the point at which it looks, in the
+frame of the robot's base B [m]."""
 _MARK, _GREEN, _RED = 0.02, Rgba(0.1, 0.6, 0.2), Rgba(0.8, 0.1, 0.1)
-"""Radius of the spheres that mark start and goal [m], color of the start, and color of the goal."""
+"""Radius of the spheres that mark start and goal in the drawn image [m], color of the start sphere,
+and color of the goal sphere."""
 _RENDERER = "still"
-"""Name of the render engine in the scene graph that draws the image of the station."""
+"""Name of the render engine that draws the image of the station, in the station's scene graph."""
 
 
 def draw_scenario(scenario: Scenario, file: Path) -> None:
-    """Draws an image of the station with the arm at the start, and the depth images of all its
-    cameras.
+    """Draws an image of the simulated station with the arm at the start, beside the depth images of
+    all its cameras, into a file.
 
     Args:
         scenario: scenario with a robot.
-        file: image file; its suffix selects the format, as in matplotlib.
+        file: image file to be written; the suffix selects a format of matplotlib.
 
     Raises:
         ScenarioError: naming the invalid field of the scenario.

@@ -1,5 +1,5 @@
-"""Functions that start, set up, record and keep open Meshcat, the viewer of the drake-oa
-commands.
+"""Viewer (Meshcat) of the drake-oa commands: functions that start it, set its view, record the
+scene, and keep it open.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.viewing.panel import LivePage
 
 FRAME_PERIOD = 1.0 / 30.0
-"""Simulated time between two updates of the robot and its environment in the viewer [s]."""
+"""Simulated time between two updates of the robot and its environment in the viewer Meshcat [s]."""
 RECORDING_RATE = 15.0
-"""Number of frames per second in a recording of the viewer [1/s]."""
+"""Number of frames per second of simulated time in a recording of the viewer Meshcat [1/s]."""
 _EYE_F, _TARGET_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
-"""Position of the viewer's camera, and the point at which it looks, in the floor frame F (x along
-the heading of the robot's base, z up) [m]."""
+"""Position of the viewer's camera, and the point at which it looks, in the floor frame F (origin
+below the robot's base, x along the heading of the base, z up) [m]."""
 
 
 def start_viewer(*, browser: bool) -> Meshcat:
@@ -94,8 +94,8 @@ def set_scene_style(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> Non
 def add_world_visualizer(
     builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat
 ) -> None:
-    """Adds Drake's Meshcat visualizer to a builder, to show the visual geometry of a scene
-    graph.
+    """Adds Drake's Meshcat visualizer to a builder, which displays the visual geometry of a scene
+    graph in the viewer.
     """
     params = MeshcatVisualizerParams(
         role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
@@ -104,8 +104,13 @@ def add_world_visualizer(
 
 
 def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
-    """Starts the server of Meshcat's page with the panel (title, readings, legend), and prints the
-    address of the page.
+    """Starts the server of Meshcat's live page with the panel (title, readings, legend), and prints
+    the address of the page.
+
+    Args:
+        meshcat: Meshcat instance.
+        title: title of the panel and of the browser window.
+        description: text that follows the title in the panel.
     """
     page = LivePage(meshcat, title, description)
     print(f"viewer: {page.url}", file=sys.stderr)
@@ -114,8 +119,8 @@ def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
 
 @contextlib.contextmanager
 def recording(meshcat: Meshcat | None) -> Iterator[None]:
-    """Records Meshcat's scene while the block runs, and publishes the recording even after an
-    exception.
+    """Context manager that records Meshcat's scene, and publishes the recording at the end, even
+    after an exception.
 
     If `meshcat` is None, nothing is recorded.
     """
@@ -132,7 +137,9 @@ def recording(meshcat: Meshcat | None) -> Iterator[None]:
 
 
 def wait_for_viewer() -> None:
-    """Waits until the user presses Enter, if the standard input is a terminal."""
+    """Waits until the user presses Enter, so that the viewer stays open; returns immediately if the
+    standard input is not a terminal.
+    """
     if sys.stdin.isatty():
         with contextlib.suppress(EOFError, KeyboardInterrupt):
             input("press Enter to close the viewer ")
