@@ -1,9 +1,10 @@
 """Clearance margins of the whole arm: distances to collision geometry minus required clearances.
 
-The robot is covered by spheres in groups, one group per body (`drake_oa.robot.spheres`). The
-environment is a collision scene whose geometries may move (`drake_oa.geometry.collision_scene`).
-The required clearances are a table with one row per group and one column per geometry, so that a
-requirement reduced at start or goal does not affect other pairs.
+Spheres in groups, one group per body, cover the robot (`drake_oa.robot.spheres`). Obstacles and
+environment are collision geometries that may move (`drake_oa.geometry.collision_scene`). The
+required clearances form a table with one row per group and one column per geometry. If start or
+goal leave less clearance for one pair of group and geometry, only the requirement of this pair is
+reduced.
 """
 
 from __future__ import annotations
@@ -19,19 +20,24 @@ from drake_oa.geometry.collision_scene import CollisionGeometries, ball_bound, g
 from drake_oa.robot.arm import Chain, Spheres, chain_poses
 
 FAR = 0.3
-"""Upper bound up to which clearance margins are computed exactly [m]."""
+"""Largest clearance margin (distance minus required clearance) that is computed exactly [m].
+
+Larger margins are replaced by this value, so that distant geometries are skipped."""
 SPHERE_STRIDE = 0.012
-"""Maximum displacement of any sphere between two checked configurations of an edge [m]."""
+"""Displacement of the arm's covering spheres that a check of a joint-space edge may skip [m].
+
+Between two checked configurations of the edge, spheres move farther only if the clearance margin
+is larger."""
 
 
 class ClearanceRequirements(NamedTuple):
-    """Required clearances of the G groups of robot spheres.
+    """Required clearances of the G groups of spheres that cover the robot, one group per body.
 
     Attributes:
-        of_geometries: (G, K) clearance of each group to each collision geometry [m]; -inf: contact
-            is allowed.
-        of_self: clearance between groups [m].
-        is_tool: (G,) whether a group belongs to the tool; else to the links.
+        of_geometries: (G, K) required clearance of each group to each of K collision geometries
+            [m]; -inf: contact is allowed.
+        of_self: required clearance between two groups of the robot [m].
+        is_tool: (G,) whether each group belongs to the tool; the others belong to the links.
     """
 
     of_geometries: FloatArray
@@ -40,13 +46,14 @@ class ClearanceRequirements(NamedTuple):
 
 
 class ArmCollisionModel(NamedTuple):
-    """Collision model of an arm: spheres, collision geometries, and required clearances.
+    """Collision model of an arm: kinematics, covering spheres, obstacles, and required clearances.
 
     Attributes:
-        chain, spheres: kinematics and spheres of the arm.
+        chain: kinematic chain of the arm.
+        spheres: spheres that cover the arm, in groups (one per body).
         geometries: collision geometries of the environment and the obstacles.
-        required: required clearances.
-        now: time at which moving geometries are evaluated [s].
+        required: required clearances between groups and geometries, and between groups.
+        now: time at which the positions of moving geometries are evaluated [s].
     """
 
     chain: Chain
@@ -58,7 +65,17 @@ class ArmCollisionModel(NamedTuple):
 
 @leaf
 def transform_point(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[float, float, float]:
-    """Returns the world position of point p[i] (N, 3), given in frame X[row] (M, 12) [m]."""
+    """Transforms a point from the frame of a link to the world [m].
+
+    Args:
+        X: (M, 12) poses of link frames in the world, as computed by `chain_poses`.
+        row: row of the link frame in X.
+        p: (N, 3 or more) points in this frame, of which the first three columns are read [m].
+        i: row of the point in p.
+
+    Returns:
+        World coordinates x, y and z of the point [m].
+    """
     x, y, z = p[i, 0], p[i, 1], p[i, 2]
     return (
         X[row, 0] * x + X[row, 1] * y + X[row, 2] * z + X[row, 9],
@@ -68,12 +85,21 @@ def transform_point(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[flo
 
 
 TOOL, LINKS, SELF = range(3)
-"""Indices of clearance margins: tool to geometries, links to geometries, and self-distance."""
+"""Indices of an arm's clearance margins (distance minus required clearance) in arrays (3,).
+
+They are those of the tool to collision geometries, of the links to collision geometries, and
+between bodies of the arm."""
 
 
 @leaf
 def place_bounds(X: FloatArray, spheres: Spheres, center: FloatArray) -> None:
-    """Writes the world positions of the groups' bounding spheres into center (G, 3) [m]."""
+    """Computes the world positions of the bounding spheres' centers, one per group of spheres.
+
+    Args:
+        X: (n + 2, 12) link poses, as computed by `chain_poses`.
+        spheres: G groups of spheres that cover the arm, one group per body.
+        center: (G, 3) centers, set in place [m].
+    """
     for g in range(len(center)):
         x, y, z = transform_point(X, spheres.group_joint[g] + 1, spheres.bound, g)
         center[g, 0], center[g, 1], center[g, 2] = x, y, z
@@ -85,22 +111,24 @@ def geometry_gap(
     geometries: CollisionGeometries, k: int, t: float,
     clearance: float, upper_bound: float, stop_below: float,
 ) -> float:  # fmt: skip
-    """Computes min(distance of group g to geometry k - clearance, upper_bound) [m].
+    """Computes the clearance margin of one group of robot spheres to one collision geometry [m].
 
-    Bounding spheres of groups and clusters skip spheres that cannot lower the result.
+    The result is min(d - clearance, upper_bound), with the distance d from the group to the
+    geometry. Bounding spheres of the group and of its clusters (sets of neighboring spheres)
+    exclude spheres that cannot lower the result.
 
     Args:
-        X: (n + 2, 12) link poses of `chain_poses`.
+        X: (n + 2, 12) link poses, as computed by `chain_poses`.
         spheres: spheres of the arm.
-        center: (G, 3) centers of bounding spheres, see `place_bounds` [m].
+        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
         g: index of the group.
         geometries: collision geometries.
         k: index of the geometry.
-        t: time [s].
-        clearance: clearance that is subtracted [m].
+        t: time at which the geometry is evaluated [s].
+        clearance: required clearance, which is subtracted from the distance [m].
         upper_bound: upper bound of the result [m].
-        stop_below: value below which the first result is returned, even if it is not the minimum
-            [m].
+        stop_below: value below which the computation stops; the result is then not necessarily
+            the minimum over the spheres [m].
     """
     x, y, z = center[g, 0], center[g, 1], center[g, 2]
     cutoff = spheres.bound[g, 3] + clearance + upper_bound
@@ -141,17 +169,21 @@ def pair_distance(
     upper_bound: float,
     stop_below: float,
 ) -> float:
-    """Computes min(distance between the groups of pair m + offset, upper_bound) [m].
+    """Computes the distance between two groups of robot spheres plus an offset [m].
+
+    The result is min(d + offset, upper_bound), with the distance d between the groups. A group
+    consists of the spheres that cover one body.
 
     Args:
-        X: (n + 2, 12) link poses of `chain_poses`.
+        X: (n + 2, 12) link poses, as computed by `chain_poses`.
         spheres: spheres of the arm.
-        center: (G, 3) centers of bounding spheres, see `place_bounds` [m].
-        m: index of the pair.
-        offset: offset added to the distance [m].
-        upper_bound: upper bound of the result [m].
-        stop_below: value below which the first result is returned, even if it is not the minimum
+        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
+        m: row of the two groups in `spheres.pairs`.
+        offset: offset added to d: `spheres.allowance` of the pair, minus the required clearance
             [m].
+        upper_bound: upper bound of the result [m].
+        stop_below: value below which the computation stops; the result is then not necessarily
+            the minimum over the spheres [m].
     """
     a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
     x, y, z = (
@@ -192,14 +224,17 @@ def lower_clearance_margins(
     margins: FloatArray,
     stop_below: float,
 ) -> None:
-    """Lowers margins (3,), in place, to the clearance margins of a configuration.
+    """Lowers three clearance margins of the arm, in place, to those of a further configuration.
+
+    A clearance margin is distance minus required clearance. A margin that is already smaller than
+    that of the configuration stays, so that repeated calls give the minimum along a motion.
 
     Args:
-        X: (n + 2, 12) link poses of `chain_poses`.
-        t: time [s].
+        X: (n + 2, 12) link poses of the configuration, as computed by `chain_poses`.
+        t: time at which the geometries are evaluated [s].
         spheres, geometries, required: attributes of `ArmCollisionModel`.
         center: (G, 3) work array.
-        margins: (3,) margins `TOOL`, `LINKS`, `SELF` so far, upper bounds of the result [m].
+        margins: (3,) smallest margins so far, at the indices `TOOL`, `LINKS`, `SELF` [m].
         stop_below: margin below which the computation stops [m].
     """
     place_bounds(X, spheres, center)
@@ -223,10 +258,13 @@ def lower_clearance_margins(
 def clearance_margin(
     world: ArmCollisionModel, q: FloatArray, max_margin: float, X: FloatArray, center: FloatArray
 ) -> float:
-    """Computes the minimum clearance margin of a configuration, at most `max_margin` [m].
+    """Computes the minimum clearance margin of the arm at one configuration [m].
+
+    A clearance margin is distance minus required clearance. The computation stops at the first
+    negative margin, which is not necessarily the minimum.
 
     Args:
-        world: collision model.
+        world: collision model of the arm.
         q: (n,) configuration [rad].
         max_margin: upper bound of the result [m].
         X, center: (n + 2, 12) and (G, 3) work arrays.
@@ -240,7 +278,12 @@ def clearance_margin(
 
 
 def is_collision_free(world: ArmCollisionModel, q: FloatArray) -> bool:
-    """Checks whether a configuration (n,) satisfies joint limits and required clearances."""
+    """Checks whether the arm satisfies joint limits and required clearances at a configuration.
+
+    Args:
+        world: collision model of the arm, with the required clearances.
+        q: (n,) configuration [rad].
+    """
     is_within = (world.chain.lower <= q).all() and (q <= world.chain.upper).all()
     return bool(is_within and min_clearance_margin(world, q[None]) >= 0.0)
 
@@ -249,14 +292,20 @@ def is_collision_free(world: ArmCollisionModel, q: FloatArray) -> bool:
 def free_fraction(
     world: ArmCollisionModel, q_start: FloatArray, q_end: FloatArray, stride: float = SPHERE_STRIDE
 ) -> tuple[float, int]:
-    """Computes the collision-free fraction of the straight edge between two configurations (n,).
+    """Computes the collision-free fraction of a straight joint-space edge, from its start on.
 
-    Between two checked configurations, no sphere moves by more than the clearance margin of the
-    first one, or by `stride` [m] if that is larger. The clearance can be violated by at most half
-    of `stride`.
+    Between two checked configurations, no sphere of the arm moves by more than the clearance margin
+    (distance minus required clearance) of the first one, or by `stride` if that is larger. Between
+    them, the clearance can fall below the required one by at most half of `stride`.
+
+    Args:
+        world: collision model of the arm, with the required clearances.
+        q_start: (n,) configuration at the start of the edge [rad].
+        q_end: (n,) configuration at the end of the edge [rad].
+        stride: displacement of the spheres that may be skipped at any clearance margin [m].
 
     Returns:
-        Fraction from `q_start` on, 1 for the entire edge, and number of checked configurations.
+        Collision-free fraction, 1 for the entire edge, and number of checked configurations.
     """
     n = len(q_start)
     X, center, q = np.empty((n + 2, 12)), np.empty((len(world.spheres.group_joint), 3)), np.empty(n)
@@ -281,7 +330,15 @@ def free_fraction(
 
 @compiled
 def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
-    """Computes the minimum clearance margin over configurations (T, n), at most `FAR` [m]."""
+    """Computes the minimum clearance margin of the arm over T configurations, at most `FAR` [m].
+
+    A clearance margin is distance minus required clearance. Of a configuration with negative
+    margins, only the first one found is considered.
+
+    Args:
+        world: collision model of the arm, with the required clearances.
+        q: (T, n) configurations [rad].
+    """
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
     margin = FAR
     for row in range(len(q)):
@@ -291,9 +348,10 @@ def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
 
 @compiled
 def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
-    """Computes the minimum distance between the arm's groups at a configuration (n,) [m].
+    """Computes the minimum distance between bodies of the arm at a configuration (n,) [m].
 
-    At most `FAR`. Negative distances are exact, whereas `clearance_margin` stops at the first one.
+    Bodies are represented by covering spheres. The result is at most `FAR`. It is the minimum also
+    if spheres overlap, whereas `clearance_margin` stops at the first negative value.
     """
     X, center, distance = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
     chain_poses(q, chain.X_PJ, X)
@@ -312,13 +370,18 @@ def group_distances(
     t: float,
     max_distance: float,
 ) -> FloatArray:
-    """Computes minimum distances (G, K) of groups to geometries over configurations (T, n) [m].
+    """Computes the minimum distance of each body of the arm to each geometry over T configurations.
+
+    Bodies are represented by G groups of covering spheres.
 
     Args:
         chain, spheres, geometries: attributes of `ArmCollisionModel`.
         q: (T, n) configurations [rad].
         t: time at which the geometries are evaluated [s].
         max_distance: upper bound of the distances [m].
+
+    Returns:
+        (G, K) minimum distances of G groups to K collision geometries [m].
     """
     distances = np.full((len(spheres.group_joint), len(geometries.ball)), max_distance)
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(spheres.group_joint), 3))

@@ -1,4 +1,4 @@
-"""Collision scene of the simulated world, from ground truth."""
+"""System that outputs the true collision geometry of simulated bodies as a collision scene."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ from drake_oa.geometry.collision_scene import (
 )
 
 _AT_REST = 1e-3
-"""Speed below which a body counts as at rest [m/s]: simulated contact lets bodies jitter."""
+"""Speed below which a simulated body counts as at rest [m/s].
+
+Resting bodies jitter in simulated contact, and would otherwise be treated as moving obstacles."""
 
 
 class GroundTruthScene(LeafSystem):
-    """System that outputs the collision geometry of bodies at their poses in SceneGraph.
+    """System that outputs the collision geometry of simulated bodies at their true poses.
 
     .. pydrake_system::
 
@@ -37,9 +39,10 @@ class GroundTruthScene(LeafSystem):
       - collision_scene_W
 
     - query_object: `QueryObject` of the scene graph with the bodies.
-    - collision_scene_W: abstract `CollisionScene`: collision geometries of the bodies. Their
-      velocity is that of the body's origin since the previous update, and 0 below 1 mm/s. Bodies
-      farther from the world origin than `messages.OUT_OF_WORLD` are omitted.
+    - collision_scene_W: abstract `CollisionScene` in the world frame: collision geometries of the
+      bodies. The velocity of a geometry is the mean velocity of its body's origin since the
+      previous update; speeds below 1 mm/s are set to 0. Bodies with a coordinate above
+      `messages.OUT_OF_WORLD` are omitted.
 
     The scene is updated at initialization and then every `period`.
     """
@@ -53,14 +56,14 @@ class GroundTruthScene(LeafSystem):
         names: Mapping[BodyIndex, int],
         period: float = 1.0 / 15.0,
     ) -> None:
-        """Reads the collision geometry and declares the ports.
+        """Reads the collision geometry of the bodies and declares the ports.
 
         Args:
             plant: finalized plant with the bodies.
             inspector: inspector of the plant's scene graph.
             bodies: indices of the bodies; bodies without collision geometry have no effect.
-            names: body -> track ID of its obstacle; other bodies belong to
-                `drake_oa.geometry.collision_scene.ENVIRONMENT`.
+            names: track ID of the obstacle to which each body belongs. Bodies without an entry
+                belong to the environment (`drake_oa.geometry.collision_scene.ENVIRONMENT`).
             period: time between updates [s].
 
         Raises:

@@ -1,8 +1,8 @@
-"""Conversion of a joint-space path to a demonstration that the movement primitives imitate.
+"""Conversion of a planned joint-space path to a demonstration that movement primitives imitate.
 
-A plan thus is a further demonstration, and coupling terms react to obstacles along it. Position and
-orientation of the tool become movement primitives (`drake_oa.policy`), and their common phase moves
-the nominal posture along the path.
+Coupling terms can then react to obstacles along the path, as with any other demonstration. Position
+and orientation of the tool become movement primitives (`drake_oa.policy`). Their common phase moves
+the nominal posture, which the null space tracks, along the path.
 """
 
 from __future__ import annotations
@@ -25,16 +25,21 @@ from drake_oa.policy.dmp import (
 from drake_oa.robot.arm import tool_poses
 
 SAMPLES = 201
-"""Number of samples of an imitated path."""
+"""Number of samples of a joint-space path that is converted to a demonstration."""
 MAX_DURATION_RATIO = 2.0
-"""Maximum duration of an imitated path over the task's demonstrated duration, unless the joint
-speeds require more."""
+"""Maximum ratio of an imitated joint-space path's duration to the task's demonstrated duration [-].
+
+The duration is longer if the limits of the joint speeds require it."""
 SPEED_FRACTION = 0.5
-"""Maximum joint speed of an imitated path, as a fraction of the speed limits."""
+"""Maximum joint speed of an imitated joint-space path, as a fraction of the speed limits [-]."""
 _FILTER_WIDTHS = (0.04, 0.02, 0.01)
-"""Standard deviations of the filter that rounds corners, as fractions of the path, widest first."""
+"""Standard deviations of Gaussian filters that round the corners of a joint-space path [-].
+
+They are fractions of the path's length, and are tried in this order."""
 _N_BASIS = 100
-"""Number of basis functions of an imitated path: 35 reproduce its corners to 15 mm, 100 to 1 mm."""
+"""Number of basis functions of the movement primitives that imitate a joint-space path.
+
+35 basis functions reproduce the corners of a path to 15 mm, 100 to 1 mm."""
 
 
 def demonstration(
@@ -45,14 +50,19 @@ def demonstration(
     max_duration: float = math.inf,
     alpha_k: float = ALPHA_K,
 ) -> Demonstration:
-    """Converts a polyline in joint space to a demonstration with minimum-jerk timing.
+    """Converts a polyline in joint space to a demonstration of the tool, with minimum-jerk timing.
+
+    Corners of the polyline are rounded as far as the required clearances permit.
 
     Args:
-        world: collision model that limits the rounding of corners.
-        corners: (C, n) corners of the path [rad].
+        world: collision model of the arm, with the required clearances.
+        corners: (C, n) corners of the polyline [rad].
         seconds_per_meter: duration per meter of the tool's path [s/m].
         max_duration: maximum duration, unless the joint speeds require more [s].
-        alpha_k: decay rate of the phase.
+        alpha_k: decay rate of the movement primitives' phase, per normalized time.
+
+    Returns:
+        Demonstration of the tool's position and orientation, and of the joint positions.
 
     Raises:
         ValueError: if the tool turns too far for an orientation primitive, or start and end of
@@ -77,7 +87,14 @@ def demonstration(
 
 
 def _resample(corners: FloatArray) -> FloatArray:
-    """Resamples a polyline (C, n) at `SAMPLES` points of equal spacing."""
+    """Resamples a polyline in joint space at `SAMPLES` points, evenly spaced along the polyline.
+
+    Args:
+        corners: (C, n) corners of the polyline [rad].
+
+    Returns:
+        (SAMPLES, n) configurations [rad].
+    """
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     corners = corners[np.append(True, steps > 1e-9)]
     u = np.append(0.0, np.cumsum(steps[steps > 1e-9]))
@@ -86,9 +103,15 @@ def _resample(corners: FloatArray) -> FloatArray:
 
 
 def _smooth(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
-    """Rounds the corners of a path (T, n) by the widest filter that preserves the clearance margin.
+    """Rounds the corners of a joint-space path by the widest filter that preserves the clearance.
 
-    The ends do not change; without such a filter the path is returned unchanged.
+    A filter preserves the clearance if the required clearances are achieved afterwards, or if the
+    clearance margin is no smaller than that of the given path. The ends of the path do not change.
+    Without such a filter the path is returned unchanged.
+
+    Args:
+        world: collision model of the arm, with the required clearances.
+        q: (T, n) configurations of the path, evenly spaced [rad].
     """
     min_margin = min(min_clearance_margin(world, q), 0.0)
     for width in _FILTER_WIDTHS:
@@ -103,5 +126,5 @@ def _smooth(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
 
 
 def _path_length(p: FloatArray) -> float:
-    """Computes the length of a polyline (T, 3) [m]."""
+    """Computes the length of a polyline through T points (T, 3) [m]."""
     return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())

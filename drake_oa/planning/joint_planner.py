@@ -1,11 +1,12 @@
-"""Joint-space planner for the whole arm, used if no motion of the tool is feasible.
+"""Joint-space planner for the whole arm, used if no motion with coupling terms is feasible.
 
 The planner is RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000) with random shortcuts (R.
 Geraerts and M. H. Overmars, IJRR 2007). Edges are checked in steps whose length depends on the
 clearance margin. While the trees grow, edges are checked coarsely. When the trees meet, the path
 is checked finely, and nodes behind an edge in collision are removed (lazy collision checking).
 
-The same collision model, ends, seed and limit give the same path: the limit counts configurations.
+The effort is limited by the number of checked configurations, not by time. The same collision
+model, ends, seed and limit therefore give the same path.
 """
 
 from __future__ import annotations
@@ -24,36 +25,44 @@ from drake_oa.planning.collision_model import (
 )
 
 _MAX_STEP = 0.8
-"""Maximum length of a tree edge in joint space [rad]."""
+"""Maximum length in joint space of an edge of the planner's trees [rad]."""
 _MIN_STEP = 0.05
-"""Minimum length of a tree edge in joint space [rad]."""
+"""Minimum length in joint space of an edge of the planner's trees [rad].
+
+If the target of the edge is nearer than twice this length, half its distance suffices."""
 _COARSE_STRIDE = 0.1
-"""Maximum displacement of a sphere between checked configurations while the trees grow [m]."""
+"""Displacement of the arm's covering spheres that the planner's coarse check may skip [m].
+
+It applies to edges in joint space while the trees of the planner grow."""
 _NEAR_LINE_FRACTION = 0.8
-"""Fraction of the samples that are drawn near the line from start to goal."""
+"""Fraction of the planner's samples drawn near the joint-space line from start to goal [-]."""
 _LINE_DEVIATION = 1.0
-"""Standard deviation of samples from the line from start to goal [rad]."""
+"""Standard deviation of planner samples from the joint-space line from start to goal [rad]."""
 _MAX_SHORTCUTS = 100
-"""Number of random shortcuts that are tried on a path."""
+"""Number of random shortcuts that the planner tries on each path from start to goal."""
 
 
 def _counted_free_fraction(
     world: ArmCollisionModel, q_start: FloatArray, q_end: FloatArray, stride: float = SPHERE_STRIDE
 ) -> float:
-    """Computes the collision-free fraction of an edge, and counts the checked configurations."""
+    """Computes the collision-free fraction of a joint-space edge, and counts its checks.
+
+    The number of checked configurations is added to the work counters of
+    `drake_oa.common.latency`. The arguments are those of `free_fraction`.
+    """
     fraction, checked = free_fraction(world, q_start, q_end, stride)
     count(configurations=checked)
     return fraction
 
 
 class _Tree:
-    """Tree of configurations in joint space.
+    """Tree of configurations in joint space, which the planner grows from the start or the goals.
 
     Attributes:
-        world: collision model.
+        world: collision model of the arm, with the required clearances.
         size: number of nodes.
-        q: (capacity, n) configurations of the nodes; the first `size` rows are valid [rad].
-        parent: row of the parent of each node; -1: root.
+        q: (capacity, n) configurations of the nodes; the first `size` rows are used [rad].
+        parent: index of each node's parent; -1 for a root.
     """
 
     def __init__(self, world: ArmCollisionModel, roots: FloatArray, capacity: int) -> None:
@@ -63,15 +72,16 @@ class _Tree:
         self.parent = [-1] * self.size
 
     def extend(self, row: int, target: FloatArray) -> tuple[int, bool]:
-        """Adds a node on the collision-free part of the edge from a node toward a target.
+        """Adds a node to the tree, at the end of the collision-free edge from a node to a target.
 
         Args:
-            row: index of the node.
-            target: (n,) target configuration; the new node is at most `_MAX_STEP` away [rad].
+            row: index of the node at which the edge starts.
+            target: (n,) configuration at which the edge ends [rad]. If it is farther away than
+                `_MAX_STEP`, the edge ends at this distance.
 
         Returns:
-            Index of the new node, or -1 if the edge is too short; and whether the node is the
-            target.
+            Index of the new node, or -1 if the collision-free part of the edge is too short; and
+            whether the new node is the target.
         """
         q = self.q[row]
         distance = math.dist(q, target)
@@ -87,14 +97,14 @@ class _Tree:
         return self.size - 1, fraction == 1.0
 
     def nearest(self, q: FloatArray) -> int:
-        """Returns the index of the node nearest to a configuration (n,)."""
+        """Returns the index of the tree's node nearest to a configuration (n,) in joint space."""
         return int(((self.q[: self.size] - q) ** 2).sum(axis=1).argmin())
 
     def branch(self, row: int) -> list[int]:
-        """Returns the indices of the nodes from a node to its root.
+        """Returns the indices of the nodes from a node to its root, if all edges are free.
 
-        The result is empty if an edge of the branch is in collision. The nodes behind that edge
-        are invalidated: their configurations become inf.
+        The edges of this branch are checked finely. If one of them is in collision, the result is
+        empty, and the configurations of all nodes behind this edge are set to inf.
         """
         rows = [row]
         while self.parent[rows[-1]] >= 0:
@@ -111,7 +121,13 @@ class _Tree:
 
 
 def _shorten(world: ArmCollisionModel, path: list[FloatArray], rng: np.random.Generator) -> None:
-    """Shortens a path of configurations, in place, by random collision-free shortcuts."""
+    """Shortens a joint-space path, in place, by random collision-free straight shortcuts.
+
+    Args:
+        world: collision model of the arm, with the required clearances.
+        path: corners (n,) of the path [rad].
+        rng: generator of the random shortcuts.
+    """
     for _ in range(_MAX_SHORTCUTS):
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
         places = np.sort(rng.uniform(0.0, length[-1], 2))
@@ -130,7 +146,7 @@ def plan_path(
     max_configurations: int,
     seed: int = 0,
 ) -> FloatArray:
-    """Plans a joint-space path that achieves the required clearances.
+    """Plans a joint-space path with the required clearances from the start to one of m goals.
 
     Args:
         world: collision model of the arm, with the required clearances.
@@ -140,7 +156,7 @@ def plan_path(
         seed: seed of the random samples.
 
     Returns:
-        (T, n) corners of the path, from start to goal [rad]; (0, n): no path was found.
+        (C, n) corners of the path, from start to goal [rad]; (0, n): no path was found.
     """
     goals = goals[[is_collision_free(world, q) for q in goals]]
     path: list[FloatArray] = []

@@ -1,12 +1,15 @@
-"""Selection of the whole-arm motion, re-evaluated at every observation.
+"""Selection of the whole-arm motion from candidates, re-evaluated at every observation.
 
-Candidates, in this order:
+Coupling terms are turning rates that steer the motion away from obstacles. The candidates are, in
+this order:
 
-1. the nominal motion, without coupling terms;
-2. all rows of the paper's regressor chain together, with heading guidance;
-3. the evolution strategy of `drake_oa.planning.search`, seeded by each of these rows alone;
-4. if the arm is at rest and no candidate is feasible, a joint-space path
-   (`drake_oa.planning.joint_planner`). The movement primitives imitate it
+1. the nominal (demonstrated) motion, without coupling terms;
+2. the coupling terms of the regressor chain of Pairet et al., RA-L 2019, for all obstacles
+   together, with heading guidance to the selected sides;
+3. motions of the evolution strategy of `drake_oa.planning.search`, which starts from each of these
+   terms alone, and from moderate terms on all sides;
+4. if the arm is at rest and no other candidate is feasible, a joint-space path
+   (`drake_oa.planning.joint_planner`). The movement primitives imitate this path
    (`drake_oa.planning.imitation`), and it is rolled out like every other candidate.
 
 The shortest candidate that achieves the requested clearance is selected, and remains selected while
@@ -76,35 +79,37 @@ from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.robot.arm import Chain, Spheres, inverse_kinematics, tool_poses
 
 _REFERENCE_SAMPLES = 201
-"""Number of samples of the references of orientation and nominal posture along a motion."""
+"""Number of samples of the desired tool orientation and nominal posture along a motion."""
 _SELF_CLEARANCE = 0.005
-"""Requested clearance between links of the arm [m]."""
+"""Requested clearance between bodies of the arm that can collide with each other [m]."""
 _MIN_ACCEPTABLE_DISTANCE = 1e-3
-"""Distance to obstacles or between links at or below which a motion counts as contact [m]."""
+"""Distance of the arm to obstacles or itself, at or below which a motion counts as contact [m]."""
 _REPLAN_PERIOD = 0.5
-"""Minimum time between two plans in joint space while no candidate is feasible [s]."""
+"""Minimum time between two joint-space plans while no candidate motion is feasible [s]."""
 _MAX_DEVIATION = 0.015
-"""Deviation of a joint from the selected motion above which the arm has left the motion [rad]."""
+"""Deviation of any joint from the selected motion, above which a resting arm has left it [rad]."""
 _TOOL_TOLERANCE = 2e-3
-"""Distance between desired and actual tool position below which both coincide [m]."""
+"""Distance between desired and actual position of the tool below which both count as equal [m]."""
 _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
-"""Fractions of the requested clearance for which joint-space paths are planned, in this order."""
+"""Fractions of the requested clearance for which a joint-space path is planned [-].
+
+They are tried in this order until a path is found that the arm can execute."""
 _GOAL_SEEDS = 128
-"""Number of random seeds of the inverse kinematics at the goal."""
+"""Number of random seeds of the inverse kinematics that computes configurations at the goal."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningInputs(Frozen):
-    """Inputs of one planning decision.
+    """Inputs of one decision of `MotionSearch`, which selects the motion of the arm.
 
     Attributes:
         policy: state of the movement primitive.
-        p_WG: (3,) goal of the motion [m].
-        q: (n,) configuration of the arm [rad].
-        scene: collision scene, with all obstacles at rest.
-        ellipsoids: descriptors of the obstacles.
-        coupling: coupling parameters of the regressor chain, one row per obstacle.
-        route: sides on which obstacles are passed, and their costs.
+        p_WG: (3,) goal of the tool point in the world frame [m].
+        q: (n,) current configuration of the arm [rad].
+        scene: collision geometry of the obstacles at rest and of the environment.
+        ellipsoids: descriptors of the obstacles, ellipsoids dilated by the tool.
+        coupling: parameters of one coupling term per obstacle, from the regressor chain.
+        route: side selected for passing each obstacle, with the costs of all sides.
     """
 
     policy: PolicyState
@@ -117,17 +122,19 @@ class PlanningInputs(Frozen):
 
 
 class MotionSearch:
-    """Planner that selects the motions of one arm with one movement primitive.
+    """Planner that selects the motion of an arm among candidates with coupling terms.
 
-    With the groups g of robot spheres (one per body) and the collision geometries k, a motion
-    must achieve the clearances
+    Coupling terms are turning rates that steer the movement primitive away from obstacles. The
+    module docstring lists the candidates. With the groups g of spheres that cover the robot (one
+    group per body) and the collision geometries k, a motion must achieve the clearances
 
         required_gk = min( fraction * requested_g,
                            min( d_gk(q_now), max( d_gk(q_goal), touch_g + slack ) ) - slack )
 
-    d_gk(q) is the distance of group g to geometry k at configuration q, touch_g the distance
-    below which group g may be in contact, and slack a tolerance. The current and the goal
-    configuration thus reduce the requirement of their own pairs (g, k) only.
+    requested_g is the clearance that the task requests of group g, and fraction is 1 or, for
+    joint-space plans, less. d_gk(q) is the distance of group g to geometry k at configuration q,
+    touch_g the distance at or below which group g counts as in contact, and slack a tolerance. The
+    current and the goal configuration thus reduce the requirement of single pairs (g, k) only.
     """
 
     def __init__(
@@ -144,18 +151,25 @@ class MotionSearch:
         protrusion: FloatArray,
         q_goal: FloatArray | None = None,
     ) -> None:
-        """Stores the constants of the search.
+        """Stores arm, movement primitive and parameters, which are constant for all decisions.
+
+        Normalized time is time over the demonstrated duration times tau, from 0 to 1.
 
         Args:
             dmp: movement primitive of the task's demonstration.
-            clearance: requested clearance Delta of the tool to every collision geometry [m].
-            chain, spheres: kinematics and spheres of the arm.
+            clearance: requested clearance Delta of the tool from every obstacle [m].
+            chain: kinematic chain of the arm.
+            spheres: spheres that cover the arm.
             parameters: parameters of the search.
-            policy: configuration of the action level: time step, fade.
-            orientation: function from normalized times (T,) to tool orientations R_WE (T, 3, 3).
-            posture: function from normalized times (T,) to nominal postures (T, n) [rad].
-            protrusion: (G,) maximum protrusion of the spheres of each group from its body [m].
-            q_goal: (n,) configuration at the goal [rad]; None: any.
+            policy: configuration of the movement primitive, of which time step and fade are used.
+            orientation: function from normalized times (T,) to desired tool orientations R_WE
+                (T, 3, 3).
+            posture: function from normalized times (T,) to nominal postures (T, n) of the null
+                space [rad].
+            protrusion: (G,) maximum distance by which the spheres of each group extend beyond the
+                exact shapes of their body [m].
+            q_goal: (n,) preferred configuration at the goal [rad]; None: the nominal posture at
+                the end of the motion.
         """
         self._dmp, self._clearance = dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
@@ -167,30 +181,35 @@ class MotionSearch:
         self._contact_distance = _MIN_ACCEPTABLE_DISTANCE - protrusion
 
     def decide(self, previous: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
-        """Re-evaluates the current motion, and selects another one if necessary.
+        """Re-evaluates the current motion of the arm, and selects another motion if necessary.
 
-        ========= ======== ======= =============================================================
-        scene     feasible at rest result
-        unchanged motion
-        ========= ======== ======= =============================================================
-        yes       yes      any     keep the motion
-        yes       no       any     keep the hold, if no goal configuration is collision-free
-        any       any      no      re-evaluate and search; hold on predicted contact
-        any       any      yes     the same; then plan in joint space, if no candidate is feasible
-        ========= ======== ======= =============================================================
+        The first row that applies determines the result:
 
-        If the arm rests away from the motion, after a maneuver of `MotionGuard`, the joint-space
-        plan precedes the search. The time between two plans is at least `_REPLAN_PERIOD`.
+        ========= ========== ======= ===========================================================
+        scene     motion     at rest result
+        unchanged executable
+        ========= ========== ======= ===========================================================
+        yes       yes        any     keep the motion
+        yes       no         any     keep the hold, if no goal configuration is collision-free
+        any       any        no      search for a motion; hold on predicted contact
+        any       any        yes     search for a motion; if none is feasible, plan in joint space
+        ========= ========== ======= ===========================================================
 
-        A motion with another start or goal starts with an empty search memory, except for a
-        commanded restart.
+        A motion is executable if it is selected and not held, and if the arm has not left it. The
+        arm leaves its motion by a maneuver of `MotionGuard`; when it rests afterwards, the
+        joint-space plan precedes the search. The time between two plans is at least
+        `_REPLAN_PERIOD`.
+
+        If start or goal have changed, other than by a restart that the previous decision has
+        commanded, the search does not use the best candidates of earlier searches.
 
         Args:
             previous: result of the previous decision.
             inputs: inputs of this decision.
 
         Returns:
-            The selected motion; an empty one before the first observation.
+            The selected motion; an empty one before the first observation, or if start and goal
+            coincide.
         """
         policy = inputs.policy
         if inputs.scene.stamp == -math.inf or np.array_equal(inputs.p_WG, policy.p_WS):
@@ -240,10 +259,14 @@ class MotionSearch:
         return current
 
     def _has_left_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> bool:
-        """Checks whether the arm rests in a configuration that is not on the current motion.
+        """Checks whether the arm rests at a configuration that is not on the current motion.
 
-        This is the case after a maneuver of `MotionGuard`, once the desired position coincides
-        with the tool.
+        The arm is there after a maneuver of `MotionGuard`. The result is False until the desired
+        position of the tool has moved to its actual position.
+
+        Args:
+            current: motion that is executed.
+            inputs: inputs of the decision.
         """
         motion, policy = current.prediction.motion, inputs.policy
         if policy.speed > 0.0 or not len(motion.q):
@@ -254,10 +277,15 @@ class MotionSearch:
         return is_tool_near and bool(np.abs(motion.joints(s) - inputs.q).max() > _MAX_DEVIATION)
 
     def is_still_valid(self, candidate: SelectedMotion, inputs: PlanningInputs) -> bool:
-        """Checks whether a candidate achieves its predicted clearance from the current state.
+        """Checks whether a motion still achieves its predicted clearance from the current state.
 
-        The arm has moved since the start of the decision. Directly in front of an obstacle, a
-        small displacement can change the side on which the candidate passes.
+        The motion is rolled out again, because the arm has moved since the start of the decision.
+        Directly in front of an obstacle, a small displacement can change the side on which the
+        motion passes.
+
+        Args:
+            candidate: selected motion with its prediction.
+            inputs: current inputs.
         """
         motion, params = (
             candidate.prediction.motion,
@@ -273,12 +301,13 @@ class MotionSearch:
     def _collision_model(
         self, inputs: PlanningInputs, ends: FloatArray, fraction: float = 1.0
     ) -> ArmCollisionModel:
-        """Builds the collision model with the required clearance of every pair (g, k).
+        """Builds the arm's collision model, with the required clearances of the class docstring.
 
         Args:
             inputs: inputs of the decision.
-            ends: (m, n) possible goal configurations; the largest of their distances counts [rad].
-            fraction: fraction of the requested clearance, see the class.
+            ends: (m, n) possible goal configurations [rad]; for each pair of sphere group and
+                geometry, the largest distance at these configurations limits the requirement.
+            fraction: fraction of the requested clearance.
         """
         geometries, p, is_tool = inputs.scene.geometries, self._parameters, self._is_tool
         requested = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
@@ -304,7 +333,14 @@ class MotionSearch:
         return ArmCollisionModel(self._chain, self._spheres, geometries, requirements, 0.0)
 
     def _null_space_reference(self, command: MotionCommand) -> BSpline:
-        """Returns the references of orientation and nominal posture along a commanded motion."""
+        """Returns desired tool orientation and nominal posture over normalized time, for a motion.
+
+        Args:
+            command: motion, whose demonstration defines both.
+
+        Returns:
+            Spline with 9 + n columns, as computed by `references`.
+        """
         demo, s = command.demonstration, np.linspace(0.0, 1.0, _REFERENCE_SAMPLES)
         if demo.orientation is None:
             return self._task_references
@@ -314,7 +350,14 @@ class MotionSearch:
     def _search(
         self, current: SelectedMotion, inputs: PlanningInputs, model: ArmCollisionModel, **more: Any
     ) -> ArmSearch:
-        """Builds the search for motions with the demonstration of the current motion."""
+        """Builds the search for motions that imitate the demonstration of the current motion.
+
+        Args:
+            current: current motion.
+            inputs: inputs of the decision, which contain the state at which the motions start.
+            model: collision model of the arm, with the required clearances.
+            more: further arguments of `ArmSearch`.
+        """
         demo = current.command.demonstration
         dmp = demo.position or self._dmp
         scene = scene_under_way(
@@ -337,7 +380,15 @@ class MotionSearch:
         )
 
     def _search_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
-        """Searches for the best motion with coupling terms (candidates 1 to 3)."""
+        """Searches for the best motion without a joint-space plan, and predicts this motion.
+
+        The candidates are the nominal motion, the regressor chain, and the evolution strategy
+        (candidates 1 to 3 of the module docstring).
+
+        Args:
+            current: current motion, with the best candidates of the previous search.
+            inputs: inputs of the decision.
+        """
         command, end = current.command, self._null_space_reference(current.command)(1.0)
         target = np.append(end[:9], inputs.p_WG)
         at_goal = inverse_kinematics(self._chain, target, end[9:], seeds=4)
@@ -392,14 +443,19 @@ class MotionSearch:
         params: FloatArray,
         length: float,
     ) -> SelectedMotion:
-        """Rolls out a commanded motion, and returns it with its prediction and note.
+        """Rolls out a motion with the whole arm, and adds prediction, temporal scaling and note.
+
+        The note gives the reason why the motion must be held; it is empty if the motion can be
+        executed.
 
         Args:
             current: motion to roll out.
             inputs: inputs of the decision.
             search: search that rolls out candidates.
-            params: (1, 6) candidate parameters of the motion.
-            length: remaining length of the tool's path [m].
+            params: (1, 6) candidate parameters of the motion, as defined in
+                `drake_oa.planning.search`.
+            length: length of the tool's path from here to the goal, which determines the temporal
+                scaling [m].
         """
         requirements = search.world.required
         tool = search.tool_paths(params, guides=current.command.guides)
@@ -450,22 +506,35 @@ class MotionSearch:
     # --- joint-space paths ----------------------------------------------------------------
 
     def _goal_configurations(self, inputs: PlanningInputs, seeds: int) -> FloatArray:
-        """Returns collision-free goal configurations (m, n), the preferred one first [rad]."""
+        """Computes collision-free configurations of the arm at the goal.
+
+        Args:
+            inputs: inputs of the decision.
+            seeds: number of random seeds of the inverse kinematics.
+
+        Returns:
+            (m, n) configurations, in order of distance from the preferred one [rad].
+        """
         X_WG, preferred = self._goal(inputs)
         solutions = inverse_kinematics(self._chain, X_WG, preferred, seeds=seeds)
         free = [q for q in solutions if not self._is_contact(self._distances(inputs, q[None]))]
         return np.array(free).reshape(-1, len(preferred))
 
     def _goal(self, inputs: PlanningInputs) -> tuple[FloatArray, FloatArray]:
-        """Returns tool pose (12,) [m] and preferred configuration (n,) [rad] at the goal."""
+        """Returns the pose of the tool and the preferred configuration of the arm at the goal.
+
+        The pose (12,) is a rotation matrix, row by row, and a position [m]. The configuration is
+        (n,) [rad].
+        """
         end = self._task_references(1.0)
         preferred = end[9:] if self._q_goal is None else self._q_goal
         return np.append(end[:9], inputs.p_WG), preferred
 
     def _goal_note(self, inputs: PlanningInputs) -> str:
-        """Returns a note that names the obstacle in contact at the goal.
+        """Returns a hold note that names the obstacle which the arm would touch at the goal.
 
-        The note is empty if a goal configuration is collision-free, or the goal is not reachable.
+        The note is empty if any configuration at the goal is collision-free, or if the goal is not
+        reachable.
         """
         at_goal = inverse_kinematics(self._chain, *self._goal(inputs), seeds=_GOAL_SEEDS)
         d = [self._distances(inputs, q[None]) for q in at_goal]
@@ -476,10 +545,15 @@ class MotionSearch:
     def _plan_motion(
         self, current: SelectedMotion, inputs: PlanningInputs
     ) -> SelectedMotion | None:
-        """Plans a joint-space path for decreasing fractions of the requested clearance.
+        """Plans a joint-space path to the goal, at decreasing fractions of the requested clearance.
+
+        Args:
+            current: current motion.
+            inputs: inputs of the decision.
 
         Returns:
-            Motion that imitates the path; None: no path was found that can be executed.
+            Motion that imitates the first path that the arm can execute; None: there is no such
+            path.
         """
         p = self._parameters
         # The preferred configuration comes first: with it the tool turns least.
@@ -509,9 +583,17 @@ class MotionSearch:
         inputs: PlanningInputs,
         model: ArmCollisionModel,
     ) -> SelectedMotion | None:
-        """Returns the motion that imitates a joint-space path with corners (C, n) [rad].
+        """Creates the motion that imitates a joint-space path, and predicts it by a roll-out.
 
-        None: the arm cannot follow the imitated motion, or is predicted to be in contact.
+        Args:
+            corners: (C, n) corners of the path, from the current configuration to the goal [rad].
+            current: current motion.
+            inputs: inputs of the decision.
+            model: collision model for which the path was planned.
+
+        Returns:
+            Motion that restarts from the resting arm; None: the arm cannot follow the motion, or is
+            predicted to be in contact.
         """
         duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
         seconds_per_meter = duration / max(math.dist(inputs.p_WG, inputs.policy.p_WE), 1e-3)
@@ -561,9 +643,15 @@ class MotionSearch:
         )
 
     def _distances(self, inputs: PlanningInputs, q: FloatArray) -> FloatArray:
-        """Computes minimum distances (G, K) of groups to geometries along q (T, n) [rad] in [m].
+        """Computes the minimum distance of each body of the arm to each geometry along a motion.
 
-        Distances of groups fixed to the world are inf.
+        Args:
+            inputs: inputs of the decision, with K collision geometries.
+            q: (T, n) configurations of the motion [rad].
+
+        Returns:
+            (G, K) distances of G groups of covering spheres, one group per body [m]; inf for groups
+            fixed to the world.
         """
         d = group_distances(
             self._chain,
@@ -577,27 +665,50 @@ class MotionSearch:
         return np.asarray(d)
 
     def _is_contact(self, d: FloatArray) -> bool:
-        """Checks whether distances (G, K) of groups to collision geometries [m] are a contact."""
+        """Checks whether any distance of a body of the arm to a collision geometry means contact.
+
+        Args:
+            d: (G, K) distances of G groups of covering spheres (one per body) to K geometries [m].
+        """
         return bool((d <= self._contact_distance[:, None]).any())
 
     def _nearest_label(self, inputs: PlanningInputs, d: FloatArray) -> str:
-        """Returns the label of the nearest collision geometry by distances (G, K) [m]; "": none."""
+        """Returns the label of the collision geometry nearest to the arm; "" without geometries.
+
+        Args:
+            inputs: inputs of the decision, with K collision geometries.
+            d: (G, K) distances of the arm's G groups of covering spheres to these geometries [m].
+        """
         return inputs.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""
 
     def _contact_label(self, inputs: PlanningInputs) -> str:
-        """Returns the label of the geometry in certain contact with the arm; "": none."""
+        """Returns the label of the geometry that the arm certainly touches now; "" without contact.
+
+        Contact is certain if the arm's covering spheres overlap the geometry by more than they
+        extend beyond the exact shapes.
+        """
         d = self._distances(inputs, inputs.q[None]) - self._contact_distance[:, None]
         return self._nearest_label(inputs, d) if (d < -_MIN_ACCEPTABLE_DISTANCE).any() else ""
 
     def _self_distance(self, q: FloatArray) -> float:
-        """Computes the self-distance of the arm at a configuration (n,), at most `FAR` [m]."""
+        """Computes the minimum distance between bodies of the arm at a configuration [m].
+
+        Args:
+            q: (n,) configuration [rad].
+        """
         return float(self_distance(self._chain, self._spheres, q))
 
 
 def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> MotionCommand:
-    """Returns the command with all coupling terms of the regressor chain together.
+    """Returns the motion with the regressor chain's coupling terms for all obstacles together.
 
-    Without an active term, or with inconsistent inputs, the command has no rows.
+    The result has no terms if no obstacle is in the way, if every side of an obstacle is forbidden,
+    or if the inputs belong to different sets of obstacles.
+
+    Args:
+        coupling: parameters of one coupling term per obstacle, from the regressor chain.
+        route: side selected for passing each obstacle.
+        scene: initial state of the motion, and ellipsoids of the obstacles.
     """
     ellipsoids = scene.ellipsoids
     is_consistent = len(coupling) == len(ellipsoids) and np.array_equal(route.ids, ellipsoids.ids)
@@ -612,11 +723,21 @@ def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> 
 
 
 _LN_ALPHA_OFFSETS = np.array([-3.0, -2.0, -1.0, 0.0])
-"""Offsets in ln alpha of the search's seeds from a row of the regressor chain."""
+"""Offsets added to ln alpha, the strength of a regressor chain's coupling term [-].
+
+Each offset gives one seed (first candidate) of the search."""
 
 
 def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
-    """Returns seeds (n, 6) of the search: each row of the chain alone, with several strengths."""
+    """Returns seeds of the search: the chain's term of each obstacle alone, with several strengths.
+
+    Args:
+        scene: initial state of the motion.
+        chain: motion with the regressor chain's coupling terms for all obstacles together.
+
+    Returns:
+        (n, 6) candidate parameters, as defined in `drake_oa.planning.search`.
+    """
     is_active = chain.rows.alpha > 0.0
     normal_W, center_W = chain.route.normal_W[is_active], chain.rows.center_W[is_active]
     params = params_of(scene, center_W, normal_W, chain.rows.as_array()[is_active])
@@ -626,9 +747,14 @@ def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
 
 
 def _sides_of_term(route: Route, terms: FloatArray, angle: float) -> Route:
-    """Returns the route whose sides are that of a coupling term (1, 13) at the given angle [rad].
+    """Returns a copy of a route in which all obstacles are passed on the side of one coupling term.
 
-    The route is blocked if user-supplied cost rings forbid every side.
+    The copy is marked as blocked if user-supplied cost rings forbid every side.
+
+    Args:
+        route: sides selected by cost rings, and their costs.
+        terms: (1, 12) coupling term of the selected motion, with the columns of `turn_step`.
+        angle: angle of the side around the line from start to goal [rad].
     """
     blocked = bool(np.isinf(route.side_cost).all())
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
@@ -647,16 +773,16 @@ def _sides_of_term(route: Route, terms: FloatArray, angle: float) -> Route:
 
 @dataclass(frozen=True, eq=False)
 class MotionCommand(Frozen):
-    """Selected motion as the action level executes it.
+    """Selected motion in the form in which the movement primitive executes it.
 
     Attributes:
-        source: row of `SOURCES`; -1: nothing was selected.
-        rows: coupling parameters of its terms, with centers; empty: the nominal motion.
-        route: sides of the obstacles that guide the headings of the terms.
-        tau: temporal scaling; 0: nothing was selected.
+        source: kind of the motion, an index of `SOURCES`; -1: no motion was selected.
+        rows: parameters and centers of the coupling terms; empty: the nominal motion.
+        route: sides of the obstacles, to which guidance turns the heading.
+        tau: temporal scaling of the demonstrated duration [-]; 0: no motion was selected.
         demonstration: motion to imitate; empty: demonstration of the task.
         restart: whether the motion restarts with this demonstration from the resting arm.
-        note: reason for a hold; "": none.
+        note: reason why the motion is held; "": the motion is not held.
     """
 
     source: int = -1
@@ -669,7 +795,7 @@ class MotionCommand(Frozen):
 
     @property
     def coupling(self) -> CouplingParameters:
-        """Command as an input of `DmpIntegrator`."""
+        """Selected motion as the message `CouplingParameters`, an input of `DmpIntegrator`."""
         hold, note = HoldReason.NONE, self.note
         if self.tau == 0.0:
             hold, note = HoldReason.DECIDING, DECIDING
@@ -681,7 +807,7 @@ class MotionCommand(Frozen):
 
     @property
     def guides(self) -> Obstacles | None:
-        """Obstacles that guide the headings of the terms; None: no guidance."""
+        """Obstacles past which guidance turns the heading of the motion; None: no guidance."""
         ellipsoids = self.rows.ellipsoids
         return (
             CouplingInputs.of(ellipsoids, self.coupling, self.route).obstacles
@@ -692,18 +818,19 @@ class MotionCommand(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class MotionPrediction(Frozen):
-    """Predicted whole-arm motion and clearance of a selected motion.
+    """Prediction of a selected motion by a roll-out (simulation) of the whole arm.
 
     Attributes:
-        motion: motion of the arm from the time of the decision.
+        motion: motion of tool and joints from the time of the decision on.
         shortfall: clearance shortfall [m]; 0 if the requested clearance is achieved.
         limiting_obstacle: label of the collision geometry with the largest shortfall.
         can_follow: whether the arm can follow the tool's motion to the goal.
         clearance_reduction: reduction of the requested clearance, because the current or goal
             configuration achieves no more [m].
-        goal_note: reason why no goal configuration is collision-free; "": one is.
-        contact: label of the collision geometry in contact with the arm; "": none.
-        sides: sides of the obstacles with their costs, and the selected side; for a viewer.
+        goal_note: reason why no configuration at the goal is collision-free; "": one is.
+        contact: label of the collision geometry that the arm touches now; "": none.
+        sides: sides for passing the obstacles with their costs, and the selected side; for a
+            viewer.
     """
 
     motion: PlannedMotion = field(default_factory=PlannedMotion)
@@ -718,20 +845,21 @@ class MotionPrediction(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class SelectedMotion(Frozen):
-    """Result of a decision of `MotionSearch`, and the memory of its search.
+    """Result of a decision of `MotionSearch`: the selected motion, and data for the next search.
 
     Attributes:
-        command: motion for the action level.
+        command: selected motion for the movement primitive.
         prediction: predicted whole-arm motion and clearance.
         p_WS, p_WG: (3,) start and goal of the motion [m]; (0,): no motion was selected.
         scene: collision scene of the decision.
-        params: (1, 6) candidate parameters, see `drake_oa.planning.search`; (0, 6): no term.
-        elites: (k, 6) candidate parameters of the best candidates.
-        generations: number of generations of the search so far.
+        params: (1, 6) candidate parameters of the motion, as defined in `drake_oa.planning.search`;
+            (0, 6): the motion has no term of the search.
+        elites: (k, 6) parameters of the best candidates, from which the next search starts.
+        generations: number of generations (iterations) of the search so far.
         last_plan: time of the last joint-space plan [s].
-        traveled: length of the executed part of the path [m].
-        p_WE: (3,) end of the executed part of the path [m].
-        counts: (5,) numbers of candidates in the last search, by source.
+        traveled: length of the executed part of the tool's path [m].
+        p_WE: (3,) position of the tool at the end of the executed part [m].
+        counts: (4,) numbers of candidates in the last search, in the order of `SOURCES`.
     """
 
     command: MotionCommand = field(default_factory=MotionCommand)
@@ -748,14 +876,19 @@ class SelectedMotion(Frozen):
     counts: IntArray = zeros(len(SOURCES), kind=np.int64)
 
     def matches(self, policy: PolicyState, p_WG: FloatArray) -> bool:
-        """Checks whether start and goal are those of the movement primitive and a goal (3,) [m]."""
+        """Checks whether this motion has the start of a movement primitive and a given goal.
+
+        Args:
+            policy: state of the movement primitive.
+            p_WG: (3,) goal in the world frame [m].
+        """
         return np.array_equal(self.p_WS, policy.p_WS) and np.array_equal(self.p_WG, p_WG)
 
     def with_changes(self, **parts: dict[str, Any]) -> SelectedMotion:
-        """Returns a copy with other values of fields of the command or the prediction.
+        """Returns a copy in which some fields of the command or the prediction are replaced.
 
         Args:
-            parts: "command" or "prediction", with the fields to replace.
+            parts: new values by field name, under the keyword `command` or `prediction`.
         """
         new = {name: replace(getattr(self, name), **fields) for name, fields in parts.items()}
         return replace(self, **new)

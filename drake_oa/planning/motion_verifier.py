@@ -1,4 +1,4 @@
-"""Verification of proposed motions by whole-arm roll-outs among collision geometry."""
+"""System that selects the motion of the arm by roll-outs (simulations) of candidate motions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _logger = logging.getLogger("drake_oa")
 
 
 class MotionVerifier(LeafSystem):
-    """System that selects the whole-arm motion among candidates verified by roll-outs.
+    """System that selects the motion of the whole arm by roll-outs (simulations) of candidates.
 
     .. pydrake_system::
 
@@ -60,34 +60,35 @@ class MotionVerifier(LeafSystem):
     - goal: (3,) goal of the motion in the world frame [m].
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
     - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot.
-      Moving geometries are treated as at rest; `MotionGuard` handles their motion.
-    - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles. Not
-      connected: no candidate of the regressor chain.
-    - coupling_parameters (optional, input): abstract `CouplingParameters` of `RegressorChain`. Not
-      connected: no candidate of the regressor chain.
-    - route (optional, input): abstract `Route`: sides selected by `CostRingSelector`. Not
-      connected: all sides have the same cost.
-    - coupling_parameters (output): abstract `CouplingParameters`: the verified terms, if any, with
-      the temporal scaling, and a hold with a note if no candidate is feasible.
-    - route (output): abstract `Route` that guides the verified terms of the regressor chain; empty
-      for other motions.
+      Moving geometries are ignored; `MotionGuard` reacts to them.
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, ellipsoids of the obstacles dilated by the
+      tool. Not connected: no candidate of the regressor chain.
+    - coupling_parameters (optional, input): abstract `CouplingParameters` of `RegressorChain`, one
+      coupling term (turning rate) per obstacle. Not connected: no candidate of the regressor chain.
+    - route (optional, input): abstract `Route`: side on which each obstacle is passed, selected by
+      `CostRingSelector`. Not connected: all sides have the same cost.
+    - coupling_parameters (output): abstract `CouplingParameters`: coupling terms of the selected
+      motion, if any, its temporal scaling, and a hold with a note if no candidate can be executed.
+    - route (output): abstract `Route` with the sides to which guidance turns the heading, for a
+      motion of the regressor chain; empty for other motions.
     - demonstration: abstract `Demonstration` that a restarting motion imitates.
-    - motion: abstract `PlannedMotion` of the whole arm, from the time of the decision.
+    - motion: abstract `PlannedMotion`: predicted motion of tool and joints, from the time of the
+      decision on.
     - sides: abstract `Route`: sides of the avoided obstacle with their costs, and the selected
       side; for a viewer.
     - shortfall: (1,) clearance shortfall [m]; 0 if the requested clearance is achieved.
     - clearance_reduction: (1,) reduction of the requested clearance, because the current or goal
       configuration achieves no more [m].
     - decision: (2,) start time and compute latency of the last decision [s].
-    - source: (1,) source of the motion, a row of `drake_oa.planning.search.SOURCES`; -1: nothing
+    - source: (1,) kind of the motion, an index of `drake_oa.planning.search.SOURCES`; -1: no motion
       was selected.
-    - candidates: (5,) numbers of candidates in the last search, by source.
+    - candidates: (4,) numbers of candidates in the last search, in the order of `SOURCES`.
 
     A decision starts at initialization and every `period`, with an offset so that it uses an
-    observation of the same instant. With simulated compute latency it becomes active at the first
-    `step` of the policy after its completion; meanwhile no other decision starts. A completed
-    decision is discarded if start or goal have changed, or if it is no longer valid from the
-    current state while the active one is.
+    observation of the same instant. With simulated compute latency, a decision becomes active at
+    the first `step` of the movement primitive after its completion; meanwhile no other decision
+    starts. A completed decision is discarded if start or goal have changed, or if its motion is no
+    longer valid from the current state while the active motion is.
     """
 
     def __init__(
@@ -100,15 +101,16 @@ class MotionVerifier(LeafSystem):
         compute_latency: LatencyModel | None = None,
         step: float = 0.008,
     ) -> None:
-        """Declares the ports.
+        """Declares the ports, and the events at which decisions start and become active.
 
         Args:
             search: planner that selects the motion.
             positions: indices of the arm's joints in the robot state.
             num_states: size of the robot state.
             period: time between decisions [s].
-            compute_latency: simulated compute latency; None: decisions are active at once.
-            step: period of the policy, at which decisions become active [s].
+            compute_latency: model of the simulated compute latency; None: decisions are active at
+                once.
+            step: time step of the movement primitive, at which decisions become active [s].
 
         Raises:
             ValueError: if a period is not positive.
@@ -171,7 +173,7 @@ class MotionVerifier(LeafSystem):
         return EventStatus.Succeeded()
 
     def _inputs(self, context: Context) -> PlanningInputs:
-        """Returns the inputs of a decision at the current time."""
+        """Reads the inputs of a decision from the input ports, without moving geometries."""
         return PlanningInputs(
             self._policy.read(context),
             np.array(self._goal.Eval(context)),
@@ -204,7 +206,15 @@ class MotionVerifier(LeafSystem):
     def _is_outdated(
         self, result: SelectedMotion, active: SelectedMotion, context: Context
     ) -> bool:
-        """Checks whether a completed decision is no longer valid, while the active one is."""
+        """Checks whether a completed decision is no longer valid while the active decision is.
+
+        A motion is valid if it still achieves its predicted clearance from the current state.
+
+        Args:
+            result: completed decision.
+            active: decision that is executed.
+            context: context of the system, from which the current state is read.
+        """
         is_infeasible = active.prediction.shortfall > 0.0 or active.command.note
         if is_infeasible or not active.scene.same_as(result.scene):
             return False
@@ -214,7 +224,13 @@ class MotionVerifier(LeafSystem):
 
 
 def _log_change(previous: SelectedMotion, current: SelectedMotion, time: float) -> None:
-    """Logs new contacts, clearance shortfalls and restarts of a selected motion."""
+    """Logs contact, clearance shortfall and restart of a motion, if the previous one had none.
+
+    Args:
+        previous: motion that was executed before.
+        current: motion that is executed from now on.
+        time: current time [s].
+    """
     last, prediction = previous.prediction, current.prediction
     if prediction.contact and prediction.contact != last.contact:
         message = "t=%.3f s: arm in contact with %s; only retreating motions allowed"

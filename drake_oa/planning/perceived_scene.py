@@ -1,13 +1,15 @@
-"""Collision scene of the perceived obstacles: one distance field per obstacle.
+"""System that represents perceived obstacles as collision geometry: one distance field each.
 
-The computation of a field requires some milliseconds, and a changed field restarts the motion
-search. The points of an obstacle differ in every frame, by the noise of the camera. A field is
-therefore reused, and moved with its obstacle, while it explains the new cloud:
+A distance field is a grid of signed distances to the cloud of an obstacle. Its computation requires
+some milliseconds, and a changed field restarts the motion search. The noise of the camera changes
+the points of an obstacle in every frame. A field is therefore reused, and moved with its obstacle,
+as long as it explains the new cloud:
 
-- no point is farther from the field's surface than a voxel, which is at least three standard
-  deviations of a camera's noise at 1 m beyond the expected position;
-- all but 5 % of the field's own points have a new point nearby;
-- the occluded part is unchanged: same view direction, same table, same maximum depth.
+- No new point is farther outside the field's surface at the expected position than a voxel. A voxel
+  is at least three standard deviations of a camera's noise at 1 m.
+- All but 5 % of the points from which the field was computed have a new point nearby.
+- The occluded part is unchanged: same view direction, same table, same maximum depth.
+- With several cameras, at most 5 % of the field's inner nodes are observed as free.
 
 The approximation is conservative: small parts that are no longer occupied may remain occupied.
 """
@@ -50,36 +52,41 @@ from drake_oa.perception.visibility import ImageRange, with_occluded_extents
 _logger = logging.getLogger("drake_oa")
 
 _MAX_MOVING_DEPTH = 0.15
-"""Maximum depth of the occluded part of obstacles that move or have moved [m]."""
+"""Maximum assumed depth of obstacles along the view, for filling their occluded side [m].
+
+It applies to obstacles that move or have moved. For others, the maximum is the visible depth,
+between `DEEPEST` and this value."""
 _MAX_MISSING_FRACTION = 0.05
-"""Maximum fraction of a field's points without a new point nearby, for the field to be reused."""
+"""Maximum fraction of missing points for which an obstacle's distance field is reused [-].
+
+Missing are points of the field without a new point nearby, and inner nodes observed as free."""
 _MAX_CHECKED_POINTS = 500
-"""Approximate maximum number of a field's points that are compared with a new cloud."""
+"""Approximate maximum number of a distance field's points that are compared with a new cloud."""
 _MAX_VIEW_CHANGE = 0.1
-"""Maximum change of a camera's view direction for which a field is reused [rad]."""
+"""Maximum change of the direction from camera to obstacle for which a field is reused [rad]."""
 _DEPTH_MARGIN = 0.01
-"""Minimum measured depth behind a point for which an image observes the point as free [m]."""
+"""Minimum distance from a point to the surface behind it, for an image to show it free [m]."""
 _MAX_INSIDE_NODES = 400
-"""Approximate maximum number of nodes inside a field that are checked for free space."""
+"""Approximate maximum number of nodes inside a distance field that are checked for free space."""
 _MAX_MAGNITUDE = 1e3
-"""Magnitude of positions and velocities above which an observation is invalid [m, m/s]."""
+"""Magnitude of coordinates and velocities above which an observation is ignored [m, m/s]."""
 
 _NOT_FINITE = "obstacles_W is not finite"
-"""Note of an observation with NaN, inf, or too large values."""
+"""Note of the collision scene after an observation with NaN, infinite or too large values."""
 _NO_VIEWPOINTS = np.zeros((0, 3))
-"""(0, 3) positions of no cameras."""
+"""(0, 3) empty array of camera positions, with which no occluded space is filled."""
 
 
 @dataclass(frozen=True, eq=False)
 class PerceivedField(Frozen):
-    """Distance field of one obstacle, and the observation from which it was computed.
+    """Distance field of one obstacle, and the observation from which the field was computed.
 
     Attributes:
-        geometry: collision geometry, with current pose and velocity.
-        grid: signed distances at the nodes of a grid.
-        points: (N, 3) observed points [m].
+        geometry: collision geometry of the field, with its current pose and velocity.
+        grid: signed distances to the obstacle's cloud at the nodes of a grid.
+        points: (N, 3) observed points in the world frame [m].
         view_W: (n, 3) unit directions from each camera to the obstacle.
-        max_depth: maximum depth of the occluded part [m].
+        max_depth: maximum depth of the occluded part, which is filled [m].
         inside: (K, 3) sampled nodes inside the field that no image observed as free, in the frame
             O of the obstacle [m]; (0, 3) with one camera.
     """
@@ -94,12 +101,12 @@ class PerceivedField(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class PerceivedSceneState(Frozen):
-    """Collision scene of one observation, with the data to update it.
+    """Collision scene of one observation, with the data that the next update requires.
 
     Attributes:
-        scene: collision scene.
-        fields: distance fields of the obstacles in `scene`, without the table.
-        table: supporting plane in `scene`; None: no plane.
+        scene: collision geometries of the obstacles and of the table.
+        fields: distance fields of the obstacles in `scene`.
+        table: support plane of the obstacles in `scene`; None: no plane.
         moved_ids: track IDs of obstacles that move or have moved.
     """
 
@@ -115,16 +122,19 @@ def update_scene(
     viewpoints_W: FloatArray = _NO_VIEWPOINTS,
     views: Sequence[View] = (),
 ) -> PerceivedSceneState:
-    """Updates the collision scene with a new observation.
+    """Updates the collision scene of perceived obstacles with a new observation.
 
-    An observation that is not finite, or older than the previous one, is ignored: geometries and
-    stamp remain, so that the scene ages and moving geometries continue at constant velocity.
+    An observation that is not finite, or older than the previous one, is ignored. Geometries and
+    stamp then remain, so that the scene ages and moving geometries continue at constant velocity.
 
     Args:
         previous: state after the previous observation.
-        obstacles: new observation; without a table, the previous table remains.
+        obstacles: new observation; without a support plane, the previous plane remains.
         viewpoints_W: (n, 3) positions of the cameras [m]; (0, 3): occluded space is not filled.
-        views: images of several cameras; space that any image observes as free is not filled.
+        views: depth images of several cameras; space that any image observes as free is not filled.
+
+    Returns:
+        State after the new observation.
     """
     inputs = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
     # A comparison with NaN is false, so that NaN is rejected too.
@@ -164,7 +174,7 @@ def update_scene(
 
 
 def _table_geometries(table: TablePlane | None) -> list[CollisionGeometry]:
-    """Returns the collision geometry of the supporting plane, as a list of at most one."""
+    """Returns the half-space below a support plane as a list of one geometry; empty without it."""
     return [] if table is None else [table_geometry(table)]
 
 
@@ -176,15 +186,15 @@ def _create_field(
     table: TablePlane | None,
     views: Sequence[View],
 ) -> PerceivedField:
-    """Computes the distance field of an obstacle.
+    """Computes the distance field of an obstacle from its cloud, and fills the occluded side.
 
     Args:
         name: track ID of the obstacle.
-        cloud: (N, 3) observed points [m].
-        viewpoints_W: (n, 3) positions of the cameras [m].
-        max_depth: maximum depth of the occluded part [m].
-        table: supporting plane; None: no plane.
-        views: images of several cameras.
+        cloud: (N, 3) observed points in the world frame [m].
+        viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
+        max_depth: assumed depth of the obstacle, if its visible depth is smaller [m].
+        table: support plane, below which nothing is filled; None: no plane.
+        views: depth images of several cameras; space that any image observes as free is not filled.
     """
     direction = cloud[:, :2].mean(axis=0) - viewpoints_W[:, :2]
     direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None]
@@ -209,7 +219,12 @@ def _create_field(
 
 
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
-    """Checks which points (N, 3) [m] are observed as free in any of the images."""
+    """Checks for each of N points whether any depth image observes the point as free.
+
+    Args:
+        views: depth images of all cameras.
+        p_WQ: (N, 3) points in the world frame [m].
+    """
     free = np.zeros(len(p_WQ), dtype=bool)
     for view in views:
         free |= classify_points(p_WQ, view, _DEPTH_MARGIN)[0] == FREE
@@ -217,7 +232,12 @@ def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
 
 
 def _view_directions(geometry: CollisionGeometry, viewpoints_W: FloatArray) -> FloatArray:
-    """Computes unit directions (n, 3) from viewpoints (n, 3) to the center of a geometry."""
+    """Computes the unit directions (n, 3) from n cameras to the center of a collision geometry.
+
+    Args:
+        geometry: collision geometry of an obstacle.
+        viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
+    """
     direction = geometry.X_WO[:3, 3] + geometry.center - viewpoints_W
     return np.asarray(direction / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None])
 
@@ -229,14 +249,16 @@ def _reuse_field(
     viewpoints_W: FloatArray,
     views: Sequence[View],
 ) -> PerceivedField | None:
-    """Moves a field to the expected position of its obstacle, if it explains a new cloud.
+    """Moves a distance field to its obstacle's expected position, if it explains the new cloud.
+
+    The module docstring lists the conditions.
 
     Args:
-        previous: field at the previous observation.
+        previous: distance field at the previous observation.
         cloud: (M, 3) newly observed points of the obstacle [m].
         expected: (3,) expected displacement of the obstacle since the previous observation [m].
         viewpoints_W: (n, 3) positions of the cameras [m].
-        views: images of several cameras, which may observe the field's inside as free.
+        views: depth images of several cameras, which may observe the field's inside as free.
 
     Returns:
         The moved field; None: the cloud requires a new field.
@@ -273,7 +295,7 @@ def _reuse_field(
 
 
 class PerceivedScene(LeafSystem):
-    """System that converts perceived obstacle clouds to a collision scene.
+    """System that converts perceived obstacle clouds to collision geometry (distance fields).
 
     .. pydrake_system::
 
@@ -284,10 +306,10 @@ class PerceivedScene(LeafSystem):
       output_ports:
       - collision_scene_W
 
-    With several `cameras`, the pose of each camera has its own port, named by `cameras`, and there
-    is a further port `free_space_W` (optional), abstract `FreeSpace`: the images of the
-    observation. Space that any of these images observes as free is not filled. Images of another
-    time are ignored.
+    With several cameras, the pose of each camera has its own input port, named by the argument
+    `cameras`. There is then a further input port `free_space_W` (optional), abstract `FreeSpace`,
+    with the depth images of the observation. Space that any of these images observes as free is not
+    filled. Images of another time than that of the observation are ignored.
 
     - obstacles_W: abstract `ObstacleClouds` of any source.
     - camera_pose (optional): RigidTransform X_WC of the camera. Not connected: the occluded part
@@ -295,11 +317,11 @@ class PerceivedScene(LeafSystem):
     - collision_scene_W: abstract `CollisionScene`: one distance field per obstacle, with its
       velocity, and the half space below the table, if known. Space that an obstacle occludes from
       all cameras is filled (`drake_oa.geometry.distance_field.field_of`), and obstacles truncated
-      by an image are extended (`drake_oa.perception.visibility.with_occluded_extents`). The arrays
-      are the same objects while nothing changes.
+      by the border of an image are extended
+      (`drake_oa.perception.visibility.with_occluded_extents`).
 
-    The state is updated every `period`, between an observation and the decision that uses it. An
-    observation that is not finite is ignored, with a warning.
+    The state is updated every `period`, after the observation of the same instant and before the
+    decision that uses the output. An observation that is not finite is ignored, with a warning.
     """
 
     def __init__(
@@ -313,9 +335,10 @@ class PerceivedScene(LeafSystem):
 
         Args:
             period: time between observations [s].
-            cameras: name of each camera's pose port -> image range, beyond which truncated
-                obstacles are extended; None: one port camera_pose, no image range.
-            table: supporting plane before the first observed one; None: no plane.
+            cameras: image range of each camera by the name of its pose port; obstacles that the
+                image truncates are extended beyond this range. None: one port camera_pose, and no
+                obstacle is extended.
+            table: support plane until one is observed; None: no plane.
 
         Raises:
             ValueError: if the period is not positive and finite.

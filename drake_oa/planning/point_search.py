@@ -1,7 +1,7 @@
-"""Motion search for a point among ellipsoids, used by synthetic suites and training.
+"""Motion search for a point among ellipsoids, used to evaluate methods on scenes without a robot.
 
 The obstacles are ellipsoids dilated by the tool (`drake_oa.descriptor`). The tool is thus
-represented by the point E, and no inverse kinematics is required.
+represented by its tool point, and no inverse kinematics is required.
 """
 
 from __future__ import annotations
@@ -17,34 +17,45 @@ from drake_oa.planning.search import CLEARANCE_WEIGHT, INFEASIBLE_PENALTY, Searc
 from drake_oa.policy.rollout import Scene, ToolRollouts
 
 _COLLISION_PENALTY = 50.0
-"""Additional cost J of predicted contact with an ellipsoid."""
+"""Cost of a candidate motion that touches an ellipsoid, added to that of its shortfall [-]."""
 
 
 class PointSearch(Search):
-    """Evolution strategy for the motion of a point among the ellipsoids of its scene.
+    """Evolution strategy that searches for the motion of a point among ellipsoids.
 
-    Required clearance of an ellipsoid: minimum of the requested clearance and the distances of
-    the start and the goal.
+    The required clearance from an ellipsoid is the requested clearance or, if smaller, the distance
+    of the current position or of the goal from this ellipsoid.
     """
 
     def __init__(self, scene: Scene, **more: Any) -> None:
-        """Stores the problem.
+        """Stores the scene, and computes the required clearance from each ellipsoid.
 
         Args:
-            scene, more: arguments of `Search`.
+            scene: initial state, goal, ellipsoids, and requested clearances.
+            more: further arguments of `Search`.
         """
         super().__init__(scene, **more)
         self.max_required = np.minimum(scene.clearance, self._distances(scene.p_WE))
 
     def _distances(self, p_WQ: FloatArray) -> FloatArray:
-        """Computes distances (..., K) of points (..., 1, 3) or (..., K, 3) to K ellipsoids [m]."""
+        """Computes the signed distances of points to the K ellipsoids at their initial positions.
+
+        Args:
+            p_WQ: (..., K, 3) a point for each ellipsoid, or (..., 1, 3) the same point for all [m].
+
+        Returns:
+            (..., K) distances, negative inside an ellipsoid [m].
+        """
         ellipsoids = self.scene.ellipsoids
         return signed_distance(p_WQ, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
 
     def clearance_cost(
         self, params: FloatArray, tool: ToolRollouts, cost: FloatArray, max_cost: float
     ) -> FloatArray:
-        """Computes the costs of clearance shortfall and contact; arguments as of `Search`."""
+        """Computes the costs (n,) of clearance shortfall and contact along n candidate paths [-].
+
+        Moving ellipsoids keep their velocity. The arguments are those of `Search.clearance_cost`.
+        """
         scene, slack, step = self.scene, self.parameters.slack, self.dmp.duration * tool.ds
         v_WO = scene.ellipsoids.v_WO
         t = step * np.arange(tool.path.shape[1])[:, None, None]

@@ -1,22 +1,26 @@
-"""Local search for a motion that achieves the requested clearance: an evolution strategy.
+"""Evolution strategy that searches for the shortest motion with the requested clearance.
 
-A candidate is one avoidance term (eq. 8) about a point in the plane of the baseline and a side
-direction omega. Its parameters `params` (6,), here and in all modules that use this search, are::
+A candidate motion has one avoidance term, (8) of Pairet et al., RA-L 2019: a turning rate that
+steers the motion away from a point, with strength alpha, angular width psi, and decay kappa with
+the squared distance. The point lies in the plane of the baseline (line of length L from start to
+goal) and of a side direction omega, orthogonal to the baseline. The parameters `params` (6,) of a
+candidate, here and in all modules that use this search, are::
 
     angle of omega in the local YZ plane, position of the point along the baseline / L,
     offset from the baseline toward omega / L (at most 0), ln kappa L^2, ln psi, ln alpha
 
-The baseline, of length L, connects start and goal. Every candidate is rolled out by the kernel of
-the integrator (`drake_oa.policy.rollout`), and then evaluated for the whole arm (`ArmSearch`) or
-for a point (`drake_oa.planning.point_search`). The cost to be minimized is
+Every candidate is rolled out (simulated) by the kernel of the integrator
+(`drake_oa.policy.rollout`), and then evaluated for the whole arm (`ArmSearch`) or for a point
+(`drake_oa.planning.point_search`). The cost to be minimized is
 
     J = l / L + w_late max(s_end - 1, 0) + c_side
         + [e > 0] (w_inf + w_miss + w_goal e / L)
         + [sigma + eps + r > 0] (w_inf + w_clear (sigma + eps) / L + r)
 
-with path length l, normalized time of arrival s_end, cost of the side c_side, goal error e,
-clearance shortfall sigma, pose error eps, and excess r of the joint speed over its limit; each
-error beyond its tolerance. A candidate with J < w_inf is feasible. The evolution strategy::
+with path length l, normalized time of arrival s_end (1 at the end of the demonstrated duration),
+cost c_side of the side by user-supplied cost rings, goal error e, clearance shortfall sigma, pose
+error eps, and excess r of the joint speed over its limit. Of each error, only the part beyond its
+tolerance counts. A candidate with J < w_inf is feasible. The evolution strategy is::
 
     ranking = best 8 of the seeds and a moderate term on each of 16 sides
     for each generation, at most refinement_generations after the first feasible candidate:
@@ -67,67 +71,100 @@ from drake_oa.policy.rollout import Scene, ToolRollouts, roll_out_tool
 from drake_oa.robot.arm import PULL, Chain, Spheres, follow, scratch
 
 N_PARAMS = 6
-"""Number of parameters of a candidate."""
+"""Number of parameters of a candidate motion of the search."""
 ANGLE, ALONG, LATERAL, KAPPA, PSI, ALPHA = range(N_PARAMS)
 LOWER = np.array([-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1)])
-"""(6,) lower bounds of the candidate parameters."""
+"""(6,) lower bounds of a candidate motion's parameters, in the order of the module docstring."""
 UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0])
-"""(6,) upper bounds of the candidate parameters."""
+"""(6,) upper bounds of a candidate motion's parameters, in the order of the module docstring."""
 STEP_SIZES = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8])
-"""(6,) standard deviations of the largest mutation of the candidate parameters."""
+"""(6,) standard deviations of the largest random variation (mutation) of a candidate's parameters.
+
+The order is that of the module docstring."""
 N_ELITES = 8
-"""Number of best candidates that are varied in the next generation."""
+"""Number of best candidate motions that the evolution strategy varies in the next generation."""
 INITIAL_SPACING = 0.6
-"""Spacing in ln alpha of candidates on a line in the first generation."""
+"""Range of ln alpha in which the first generation varies only the best candidate's strength [-]."""
 _SPACING_RATIO = 0.4
-"""Ratio of the line spacings of two successive generations."""
+"""Ratio of the ranges of ln alpha in two successive generations of the search [-].
+
+Within its range, a generation varies only the strength alpha of the best candidate."""
 _MIN_SPACING = 0.02
-"""Minimum spacing in ln alpha of candidates on a line."""
+"""Minimum range of ln alpha in which a generation varies only the best candidate's strength [-]."""
 NO_SIDE_COST = np.zeros(1)
-"""(1,) side cost 0, the same for all sides."""
+"""(1,) additional cost 0 of passing obstacles, the same on all sides around the baseline [-]."""
 SAMPLES = 64
-"""Number of samples of a whole-arm roll-out from s = 0 to 1, at most 3 cm apart on a 1 m path."""
+"""Number of samples of a whole-arm roll-out (simulation) over the normalized times 0 to 1.
+
+On a path of 1 m, consecutive positions of the tool are at most 3 cm apart."""
 ABORT_SHORTFALL = 0.06
-"""Clearance shortfall beyond which the roll-out of a candidate is aborted [m]."""
+"""Clearance shortfall beyond which the whole-arm roll-out of a candidate motion is aborted [m].
+
+It applies as long as infeasible candidates may be among the best ones. Afterwards any shortfall
+beyond the tolerance aborts a roll-out."""
 _CYCLE_LENGTH = 24
-"""Number of generations after which spacing and random numbers restart with those of the first."""
+"""Number of generations after which the search repeats its random numbers and ranges of alpha."""
 _LATENCY_MODEL = LatencyModel()
-"""Model of the search's compute latency, independent of a scenario's `compute_latency`."""
+"""Model of the compute latency by which a search decides whether another generation may start.
+
+It does not depend on the block `compute_latency` of a scenario."""
 MAX_POSE_ERROR = 2e-3
-"""Maximum error of the tool pose with which the arm follows a path [m, rad]."""
+"""Maximum error of the tool pose at which the arm counts as following a tool path [m, rad]."""
 MAX_GOAL_ERROR = 0.02
-"""Maximum distance of the end of a motion from the goal, as a fraction of the baseline."""
+"""Maximum distance from the goal at the end of a motion that is executed [-].
+
+It is a fraction of the distance from start to goal."""
 INFEASIBLE_PENALTY = 10.0
-"""Cost w_inf of an infeasible candidate: clearance shortfall or goal error beyond tolerance."""
+"""Cost w_inf that is added for an infeasible candidate motion; feasible ones thus rank first [-].
+
+A motion is infeasible if its clearance, goal, pose or joint speed error exceeds the tolerance."""
 CLEARANCE_WEIGHT = 100.0
-"""Cost w_clear of a clearance shortfall, per shortfall over baseline."""
+"""Weight w_clear of clearance shortfall and pose error in the cost of a candidate motion [-].
+
+Both errors are divided by the distance from start to goal."""
 _GOAL_ERROR_WEIGHT = 30.0
-"""Cost w_goal of a goal error, per goal error over baseline."""
+"""Weight w_goal of the goal error in the cost of a candidate motion [-].
+
+The error is divided by the distance from start to goal."""
 _GOAL_MISS_PENALTY = 2.0
-"""Cost w_miss of any goal error beyond the tolerance."""
+"""Cost w_miss of a candidate motion that ends farther from the goal than the tolerance [-]."""
 _LATENESS_WEIGHT = 0.05
-"""Cost w_late of an arrival after s = 1, per normalized time."""
+"""Weight w_late of a late arrival in the cost of a candidate motion [-].
+
+It is multiplied by the normalized time by which the motion ends after 1."""
 _LINE_FRACTION = 0.2
-"""Fraction of the candidates of a generation that differ from the best in alpha only."""
+"""Fraction of a generation's candidates that differ from the best in strength alpha only [-]."""
 _MIN_LINE_COUNT = 5
-"""Minimum number of candidates of a generation that differ from the best in alpha only."""
+"""Minimum number of a generation's candidates that differ from the best in strength alpha only."""
 _FIRST_RANDOM_GENERATION = 6
-"""First generation with uniformly random candidates, if none is feasible."""
+"""Index of the first generation with uniformly random candidates, if none is feasible so far.
+
+Generations are iterations of the search, counted from 0."""
 NOMINAL_PARAMS = np.where(np.arange(N_PARAMS) == ALPHA, -np.inf, 0.0)[None]
-"""(1, 6) candidate parameters of the nominal motion, with alpha = 0."""
+"""(1, 6) candidate parameters of the nominal motion, whose avoidance term has the strength 0."""
 NO_ELITES = np.zeros((0, N_PARAMS))
-"""(0, 6) empty set of candidate parameters."""
+"""(0, 6) empty array of candidate parameters, for a search without warm start or seeds."""
 SOURCES = ("nominal", "chain", "search", "joint_path")
-"""Sources of a motion: nominal motion, all rows of the paper's regressor chain together, evolution
-strategy, joint-space path."""
+"""Names of the sources of a motion, whose indices are used in ports and log files.
+
+The sources are: the nominal motion, the regressor chain's coupling terms for all obstacles
+together, the evolution strategy, and a joint-space path."""
 NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
 _SIDE_SEEDS = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0], (16, 1))
 _SIDE_SEEDS[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-"""(16, 6) candidate parameters of a moderate term on each of 16 sides of the baseline."""
+"""(16, 6) seeds of the search: a moderate avoidance term on each of 16 sides of the baseline."""
 
 
 def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:
-    """Returns the coupling terms (N, 13), see `turn_step`, of candidate parameters (N, 6)."""
+    """Converts the parameters of N candidate motions to coupling terms in the world frame.
+
+    Args:
+        scene: start, goal and local frame of the motions.
+        params: (N, 6) candidate parameters, as defined in the module docstring.
+
+    Returns:
+        (N, 12) coupling terms with the columns of `drake_oa.policy.coupling.turn_step`.
+    """
     x, y, z = scene.R_WL.T
     cos, sin = np.cos(params[:, ANGLE, None]), np.sin(params[:, ANGLE, None])
     omega = cos * y + sin * z
@@ -145,14 +182,14 @@ def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:
 def params_of(
     scene: Scene, p_WP: FloatArray, normal_W: FloatArray, strength: FloatArray
 ) -> FloatArray:
-    """Returns the candidate parameters (N, 6) of coupling terms: the inverse of `avoidance_terms`.
+    """Converts coupling terms to candidate parameters (N, 6), the inverse of `avoidance_terms`.
 
     Args:
         scene: start, goal and local frame of the motion.
         p_WP: (N, 3) points about which the terms act [m]; components outside the plane of the
             baseline and the side are ignored.
         normal_W: (N, 3) normals of the planes in which the terms turn the motion.
-        strength: (N, 3) rows of alpha, psi, kappa.
+        strength: (N, 3) parameters of the terms: alpha in units of 1/T, psi [rad], kappa [1/m^2].
     """
     x, y, z = scene.R_WL.T
     along = (p_WP - scene.p_WG) / scene.baseline
@@ -166,7 +203,11 @@ def params_of(
 
 
 def rows_of(terms: FloatArray) -> CouplingParameters:
-    """Converts coupling terms (M, 13), see `turn_step`, to coupling parameters."""
+    """Converts an array of M coupling terms to the message `CouplingParameters`.
+
+    Args:
+        terms: (M, 12) coupling terms with the columns of `drake_oa.policy.coupling.turn_step`.
+    """
     alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
     return CouplingParameters(
         alpha,
@@ -178,16 +219,19 @@ def rows_of(terms: FloatArray) -> CouplingParameters:
 
 
 def strengths(params: FloatArray, is_feasible: bool, spacing: float, count: int) -> FloatArray:
-    """Returns candidate parameters (count, 6) that differ from `params` (6,) in alpha only.
+    """Returns variations of a candidate motion that differ from it in the strength alpha only.
 
-    The smallest alpha that achieves the clearance gives the shortest path. Hence alpha is smaller
-    than that of a feasible candidate, by less than the spacing, and larger otherwise.
+    The smallest alpha that achieves the clearance gives the shortest path. The variations of a
+    feasible candidate therefore have a smaller alpha, those of an infeasible one a larger alpha.
 
     Args:
         params: (6,) parameters of the candidate.
         is_feasible: whether the candidate is feasible.
-        spacing: distance in ln alpha to the next evaluated candidate.
-        count: number of candidates.
+        spacing: maximum decrease of ln alpha, and 0.4 times its maximum increase [-].
+        count: number of variations.
+
+    Returns:
+        (count, 6) candidate parameters.
     """
     fraction = np.arange(1, count + 1) / (count + 1)
     line = np.repeat(params[None], count, axis=0)
@@ -196,13 +240,13 @@ def strengths(params: FloatArray, is_feasible: bool, spacing: float, count: int)
 
 
 class Ranking(NamedTuple):
-    """Evaluated candidates, in ascending order of cost.
+    """Evaluated candidate motions, sorted by ascending cost except directly after evaluation.
 
     Attributes:
-        params: (n, 6) candidate parameters; `NOMINAL_PARAMS` where the source is `CHAIN`.
-        cost: (n,) costs J.
-        length: (n,) path lengths [m].
-        source: (n,) rows of `SOURCES`.
+        params: (n, 6) candidate parameters; `NOMINAL_PARAMS` for a candidate of the source `CHAIN`.
+        cost: (n,) costs J of the module docstring [-].
+        length: (n,) lengths of the tool's paths [m].
+        source: (n,) indices of `SOURCES`.
     """
 
     params: FloatArray
@@ -212,27 +256,29 @@ class Ranking(NamedTuple):
 
     @property
     def is_feasible(self) -> bool:
-        """Whether the best candidate achieves the requested clearance and the goal."""
+        """Whether the best candidate achieves clearance and goal, and the arm can follow it."""
         return bool(self.cost[0] < INFEASIBLE_PENALTY)
 
     def merge(self, *rankings: Ranking, count: int = 1) -> Ranking:
-        """Returns the `count` best candidates of this and other rankings."""
+        """Returns a ranking of the `count` best candidates of this and other rankings."""
         columns = [np.concatenate(column) for column in zip(self, *rankings, strict=True)]
         order = np.argsort(columns[1], kind="stable")[:count]
         return Ranking(*(column[order] for column in columns))
 
 
 class Search(ABC):
-    """Evolution strategy in one scene; a subclass defines the obstacles.
+    """Evolution strategy that searches for the best motion from one state; base class.
+
+    A subclass defines the obstacles by its costs of clearance.
 
     Attributes:
-        counts: (4,) numbers of rolled-out candidates, by source.
-        elites: (k, 6) parameters of the best candidates of the last generation.
-        generations: number of generations, including those of earlier searches.
+        counts: (4,) numbers of rolled-out candidates, in the order of `SOURCES`.
+        elites: (k, 6) parameters of the best candidates after the last generation.
+        generations: number of generations (iterations), including those of earlier searches.
     """
 
     every = 1
-    """Number of integration steps between two samples of a tool path."""
+    """Number of integration steps between two samples of a simulated tool path."""
 
     def __init__(
         self,
@@ -247,15 +293,16 @@ class Search(ABC):
         generations: int = 0,
         max_latency: float = math.inf,
     ) -> None:
-        """Stores the problem.
+        """Stores the initial state, the parameters and the warm start of the search.
 
         Args:
-            scene: state, goal and obstacles of the motion.
-            dmp: movement primitive.
-            policy: configuration of the action level: time step, fade.
-            parameters: numbers of candidates and generations, tolerances.
+            scene: initial state, goal and obstacles of the motion.
+            dmp: movement primitive of the nominal motion.
+            policy: configuration of the movement primitive, of which time step and fade are used.
+            parameters: numbers of candidates and generations, and tolerances.
             previous: (1, 6) candidate parameters of the current motion; (0, 6): no term.
-            side_cost: (K,) additional costs J of K evenly spaced sides; inf: forbidden side.
+            side_cost: (K,) additional costs of passing on K evenly spaced sides around the line
+                from start to goal [-]; inf: forbidden side.
             elites: (k, 6) warm start: best candidates of an earlier search.
             generations: number of generations of the earlier search.
             max_latency: modeled compute latency beyond which no generation starts [s].
@@ -271,13 +318,14 @@ class Search(ABC):
     def clearance_cost(
         self, params: FloatArray, tool: ToolRollouts, cost: FloatArray, max_cost: float
     ) -> FloatArray:
-        """Computes the costs (n,) of clearance shortfalls along the tool paths of candidates.
+        """Computes the costs (n,) of clearance shortfalls along the tool paths of n candidates [-].
 
         Args:
             params: (n, 6) candidate parameters.
-            tool: roll-outs of the tool.
-            cost: (n,) other costs of the candidates.
-            max_cost: cost beyond which a candidate is not ranked.
+            tool: simulated motions of the tool point.
+            cost: (n,) other costs of the candidates [-].
+            max_cost: cost at or above which a candidate is of no use, so that its clearance is not
+                computed [-].
         """
 
     def run(
@@ -287,19 +335,20 @@ class Search(ABC):
         seeds: FloatArray = NO_ELITES,
         source: int = SEARCH,
     ) -> Ranking:
-        """Searches for the candidate of least cost.
+        """Searches for the candidate motion of least cost.
 
-        The nominal motion is the shortest: if it or the current motion is feasible, no other
-        candidate is evaluated.
+        If the nominal motion is feasible, or else the current motion, the search returns this
+        motion without evaluating other candidates.
 
         Args:
-            guides: obstacles with the terms of the regressor chain, for the candidate with heading
-                guidance; None: no such candidate.
-            seeds: (n, 6) first candidates, before the moderate terms on every side.
-            source: row of `SOURCES` of the current motion.
+            guides: obstacles with the coupling terms of the regressor chain, which are evaluated
+                together as one candidate with heading guidance; None: no such candidate.
+            seeds: (n, 6) parameters of first candidates, in addition to moderate terms on all
+                sides.
+            source: index in `SOURCES` of the current motion.
 
         Returns:
-            The best candidate, as a ranking of one.
+            Ranking that contains the best candidate only.
         """
         best = self.evaluate(NOMINAL_PARAMS, NOMINAL)
         if not best.is_feasible and len(self.previous):
@@ -333,13 +382,17 @@ class Search(ABC):
         max_cost: float = math.inf,
         guides: Obstacles | None = None,
     ) -> Ranking:
-        """Rolls out candidates and computes their costs.
+        """Rolls out (simulates) candidates and computes their costs.
 
         Args:
             params: (n, 6) candidate parameters.
-            source: row of `SOURCES`.
-            max_cost: cost beyond which the roll-out of a candidate is aborted.
-            guides: obstacles and terms of the candidate with heading guidance, in place of params.
+            source: index of the candidates in `SOURCES`.
+            max_cost: cost above which the roll-out of a candidate is aborted [-].
+            guides: obstacles with the coupling terms of the regressor chain, for one candidate with
+                heading guidance; these terms replace those of `params`.
+
+        Returns:
+            Candidates in the given order, with their costs.
         """
         max_length = max_cost * self.scene.baseline if max_cost < INFEASIBLE_PENALTY else math.inf
         with counted() as work:
@@ -354,7 +407,14 @@ class Search(ABC):
     def tool_paths(
         self, params: FloatArray, max_length: float = math.inf, guides: Obstacles | None = None
     ) -> ToolRollouts:
-        """Rolls out the tool for candidates (n, 6), or for the candidate with heading guidance."""
+        """Simulates the motions of the tool point for candidates.
+
+        Args:
+            params: (n, 6) candidate parameters.
+            max_length: path length above which the simulation of a candidate ends [m].
+            guides: obstacles with the coupling terms of the regressor chain, for one candidate with
+                heading guidance; these terms replace those of `params`.
+        """
         if guides is None:
             terms, obstacles = avoidance_terms(self.scene, params)[:, None], None
         else:
@@ -371,7 +431,15 @@ class Search(ABC):
         )
 
     def tool_cost(self, params: FloatArray, tool: ToolRollouts) -> FloatArray:
-        """Computes the costs (n,) of length, side, lateness and goal error of candidates (n, 6)."""
+        """Computes the costs of path length, side, late arrival and goal error of n candidates.
+
+        Args:
+            params: (n, 6) candidate parameters.
+            tool: simulated motions of the tool point.
+
+        Returns:
+            (n,) costs [-].
+        """
         L = self.scene.baseline
         goal_error = np.maximum(np.minimum(tool.goal_error, L) - self.parameters.tolerance, 0.0)
         violation = _GOAL_ERROR_WEIGHT * goal_error / L + _GOAL_MISS_PENALTY * (goal_error > 0.0)
@@ -387,10 +455,14 @@ class Search(ABC):
         )
 
     def first_candidates(self, seeds: FloatArray) -> FloatArray:
-        """Returns the candidates (n, 6) of the first generation.
+        """Returns the parameters (n, 6) of the search's first candidates.
 
-        With a warm start they are its elites. Otherwise they are the seeds and a moderate term on
-        every side; the current motion, also with larger alpha, replaces the last ones.
+        With a warm start, they are the best candidates of the earlier search. Otherwise they are
+        the seeds, a moderate avoidance term on each of 16 sides, and the current motion, also with
+        larger strengths alpha.
+
+        Args:
+            seeds: (m, 6) parameters of the seeds.
         """
         if len(self.elites):
             return self.clip(self.elites)
@@ -402,7 +474,11 @@ class Search(ABC):
         return self.clip(np.concatenate([seeds, previous]))
 
     def next_candidates(self, ranked: Ranking) -> FloatArray:
-        """Returns the candidates (n, 6) of the next generation, varied from a ranking."""
+        """Returns the parameters (n, 6) of the next generation, variations of the best candidates.
+
+        Args:
+            ranked: best candidates so far, in ascending order of cost.
+        """
         count = self.parameters.candidates
         number, self.generations = self.generations % _CYCLE_LENGTH, self.generations + 1
         rng, params = np.random.default_rng((number, count)), ranked.params
@@ -423,33 +499,40 @@ class Search(ABC):
         return self.clip(candidates)
 
     def clip(self, params: FloatArray) -> FloatArray:
-        """Returns candidate parameters (n, 6) clipped to their bounds."""
+        """Returns candidate parameters (n, 6) clipped to the bounds `LOWER` and `UPPER`."""
         return np.clip(params, LOWER, UPPER)
 
 
 def references(s: FloatArray, R_WE: FloatArray, q: FloatArray) -> BSpline:
-    """Interpolates tool orientation and nominal posture over normalized time, 9 + n columns.
+    """Interpolates the desired tool orientation and the nominal posture over normalized time.
 
     Interpolated rotation matrices are not orthonormal. With samples a degree apart the error is
     negligible, since `arm.pose_error` uses only the rotation angle.
 
     Args:
         s: (T,) normalized times from 0 to 1.
-        R_WE: (T, 3, 3) orientations of the tool.
-        q: (T, n) nominal postures of the null space [rad].
+        R_WE: (T, 3, 3) desired orientations of the tool.
+        q: (T, n) nominal postures, which the null space of the arm tracks [rad].
+
+    Returns:
+        Linear spline with 9 + n columns: rotation matrix, row by row, and posture [rad].
     """
     return make_interp_spline(s, np.hstack([np.reshape(R_WE, (len(s), 9)), q]), k=1)
 
 
 @lru_cache(maxsize=4)
 def _length(dmp: Dmp) -> float:
-    """Computes the path length of a primitive's nominal motion over a baseline of 1 m [m]."""
+    """Computes the path length of a nominal motion whose start and goal are 1 m apart [m].
+
+    Args:
+        dmp: movement primitive of the motion.
+    """
     path = trajectory(dmp, np.zeros(3), np.array([1.0, 0.0, 0.0])).p
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 class ArmSearch(Search):
-    """Evolution strategy for the motion of a whole arm among collision geometry."""
+    """Evolution strategy that searches for a motion of the whole arm among collision geometry."""
 
     def __init__(
         self,
@@ -461,13 +544,14 @@ class ArmSearch(Search):
         samples: int = SAMPLES,
         **more: Any,
     ) -> None:
-        """Stores the problem.
+        """Stores the collision model, the current configuration, and the arguments of `Search`.
 
         Args:
             world: collision model of the arm, with the required clearances.
             q: (n,) current configuration [rad].
-            reference: orientation and nominal posture over normalized time, see `references`.
-            samples: number of samples of a whole-arm roll-out from s = 0 to 1.
+            reference: desired tool orientation and nominal posture over normalized time, as
+                computed by `references`.
+            samples: number of samples of a whole-arm roll-out over the normalized times 0 to 1.
             scene, more: arguments of `Search`.
         """
         super().__init__(scene, **more)
@@ -478,7 +562,10 @@ class ArmSearch(Search):
     def clearance_cost(
         self, params: FloatArray, tool: ToolRollouts, cost: FloatArray, max_cost: float
     ) -> FloatArray:
-        """Computes the costs (n,) of clearance shortfall, pose error and joint speed excess."""
+        """Computes the costs (n,) of clearance shortfall, pose error and excessive joint speed [-].
+
+        The whole arm is rolled out for this. The arguments are those of `Search.clearance_cost`.
+        """
         L, slack = self.scene.baseline, self.parameters.slack
         abort_shortfall = slack if max_cost < INFEASIBLE_PENALTY else ABORT_SHORTFALL
         arms = self.follow(params, tool, np.where(cost < max_cost, -abort_shortfall, np.inf))
@@ -491,16 +578,17 @@ class ArmSearch(Search):
         )
 
     def sample_times(self, count: int) -> FloatArray:
-        """Returns the normalized times (count,) of samples from the current time on."""
+        """Returns the normalized times (count,) of a roll-out's samples, from the current on."""
         return np.asarray(self.scene.s + self.every * self.ds * np.arange(count))
 
     def follow(self, params: FloatArray, tool: ToolRollouts, abort_below: ArrayLike) -> ArmRollouts:
-        """Rolls out the whole arm along tool paths of candidates (n, 6).
+        """Rolls out the whole arm along the tool paths of n candidates, by inverse kinematics.
 
         Args:
             params: (n, 6) candidate parameters.
-            tool: roll-outs of the tool.
-            abort_below: () or (n,) clearance margin below which a roll-out is aborted [m].
+            tool: simulated motions of the tool point.
+            abort_below: () or (n,) clearance margin (distance minus required clearance) below which
+                a roll-out is aborted [m].
         """
         T = max(int(np.isfinite(tool.path[:, :, 0]).sum(axis=1).max(initial=1)), 2)
         s = self.sample_times(T)
@@ -513,20 +601,23 @@ class ArmSearch(Search):
 
 ERROR, SPEED_RATIO, SAMPLE_COUNT = 3, 4, 5
 _N_RESULTS = 6
-"""Number of columns of results: `TOOL`, `LINKS`, `SELF` of `collision_model`, and the above."""
+"""Number of columns of the results of a whole-arm roll-out in the compiled kernel.
+
+The columns are the clearance margins of tool, links and self-distance, the maximum pose error, the
+maximum joint speed ratio, and the number of samples."""
 _MIN_CANDIDATES_PER_THREAD = 8
-"""Minimum number of candidates per additional thread."""
+"""Minimum number of candidates per additional thread of the whole-arm roll-outs."""
 
 
 class ToolPaths(NamedTuple):
-    """N motions of the tool at T normalized times.
+    """Motions of the tool for N candidates at T normalized times, with postures of the null space.
 
     Attributes:
         s: (T,) normalized times, ascending, from the current time on.
         p_WE: (N, T, 3) positions [m]; NaN after the end of a motion.
         R_WE: (N, T, 9) orientations, row by row.
         posture: (N, T, n) nominal postures of the null space [rad].
-        seconds: duration from s = 0 to 1 [s].
+        seconds: time that corresponds to a difference of 1 in normalized time [s].
     """
 
     s: FloatArray
@@ -537,13 +628,13 @@ class ToolPaths(NamedTuple):
 
 
 class ArmRollouts(NamedTuple):
-    """Results of the roll-outs of N candidates.
+    """Results of the whole-arm roll-outs (simulations) of N candidate motions at T samples.
 
     Attributes:
-        clearance_margin: (N, 3) minimum clearance margins of tool, links and self-distance: minimum
-            distance minus required clearance, at most `FAR` [m].
+        clearance_margin: (N, 3) minimum clearance margins (distance minus required clearance) of
+            tool, links and self-distance, at most `FAR` [m].
         error: (N,) maximum error of the tool pose [m, rad].
-        max_joint_speed_ratio: (N,) maximum ratio of joint speed to its limit.
+        max_joint_speed_ratio: (N,) maximum ratio of a joint's speed to the speed limit [-].
         samples: (N,) numbers of checked samples; fewer than T for an aborted roll-out.
         q: (N, T, n) configurations [rad].
     """
@@ -556,20 +647,23 @@ class ArmRollouts(NamedTuple):
 
     @property
     def min_margin(self) -> FloatArray:
-        """(N,) minimum of `clearance_margin` over tool, links and self-distance [m]."""
+        """(N,) minimum clearance margins of candidates over tool, links and self-distance [m]."""
         return np.asarray(self.clearance_margin.min(axis=1))
 
 
 def roll_out_arm(
     world: ArmCollisionModel, q: FloatArray, paths: ToolPaths, abort_below: ArrayLike = -math.inf
 ) -> ArmRollouts:
-    """Rolls out the whole arm along N tool paths.
+    """Rolls out (simulates) the whole arm along N tool paths, and computes clearance margins.
+
+    The arm follows each path by differential inverse kinematics.
 
     Args:
         world: collision model of the arm, with the required clearances.
-        q: (n,) current configuration [rad].
+        q: (n,) configuration at the start of all paths [rad].
         paths: motions of the tool.
-        abort_below: () or (N,) clearance margin below which a roll-out is aborted [m].
+        abort_below: () or (N,) clearance margin (distance minus required clearance) below which a
+            roll-out is aborted [m].
     """
     N, T, _ = paths.p_WE.shape
     table, joints = np.empty((N, _N_RESULTS)), np.empty((N, T, len(q)))
@@ -590,9 +684,17 @@ def _roll_some(
     now: float, q0: FloatArray, paths: ToolPaths, abort_below: FloatArray, out: FloatArray,
     Q: FloatArray,
 ) -> None:  # fmt: skip
-    """Rolls out candidates part, part + parts, ... (one thread's share).
+    """Rolls out the whole arm for candidates part, part + parts, ..., the work of one thread.
 
-    Writes results into out (N, 6), columns as of `_N_RESULTS`, and configurations into Q (N, T, n).
+    Args:
+        part: index of the thread.
+        parts: number of threads.
+        chain, spheres, geometries, required, now: attributes of `ArmCollisionModel`.
+        q0: (n,) configuration at the start of all paths [rad].
+        paths: motions of the tool for N candidates at T normalized times.
+        abort_below: (N,) clearance margins below which a roll-out is aborted [m].
+        out: (N, 6) results with the columns of `_N_RESULTS`, set in place.
+        Q: (N, T, n) configurations, set in place [rad].
     """
     T, n = Q.shape[1:]
     s, workspace, target = paths.s, scratch(n), np.empty(12)
