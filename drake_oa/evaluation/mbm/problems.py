@@ -56,7 +56,8 @@ class ProblemText(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """Motion planning problem: obstacles, start configuration and goal configuration.
+    """Motion planning problem of MotionBenchMaker: obstacles, start configuration and goal
+    configuration.
 
     Attributes:
         name: "<set>_<robot>/scene<number>", for messages.
@@ -146,7 +147,7 @@ def _obstacle(item: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parse_problem(text: ProblemText) -> Problem:
-    """Parses and validates the YAML texts of a motion planning problem.
+    """Parses and validates the YAML texts of a motion planning problem in MoveIt's format.
 
     Raises:
         ValueError: naming the problem and its invalid field.
@@ -198,8 +199,8 @@ task: {start: [0.4, 0.0, 1.2], goal: [0.4, 0.1, 1.2]}
 
 
 def load_robot(name_or_file: str) -> Robot:
-    """Returns the robot of motion planning problems: `PANDA` or `UR5` by name, or the robot of a
-    scenario.
+    """Returns the robot `PANDA` or `UR5` by name, or the robot of another scenario by its name or
+    file.
 
     Args:
         name_or_file: name of the robot, or name or file of a scenario.

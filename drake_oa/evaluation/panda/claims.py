@@ -60,14 +60,14 @@ from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.delayed_camera import BackgroundCamera
 
 V = 0.8
-"""Maximum speed of obstacles for which claim (A) is made [m/s]: the arm rests or recedes before an
-obstacle can reach it."""
+"""Maximum speed of obstacles for which claim (A) of passive motion safety is made [m/s]: the arm
+rests or recedes before an obstacle can reach it."""
 V_UNSEEN = 0.25
-"""Maximum speed of a point of the arm toward an unobserved place, by claim (B) of passive motion
-safety [m/s]."""
+"""Maximum speed of a point of the arm toward a place that no camera observes as free, by claim (B)
+of passive motion safety [m/s]."""
 _MAX_REST_SPEED = 0.02
 """Speed e of a point of the arm toward an obstacle up to which the point counts as at rest in claim
-(A) [m/s]."""
+(A) of passive motion safety [m/s]."""
 _MAX_DISTANCE = 1e3
 """Upper bound of the distances from the arm to moving collision geometry, reported if none moves
 [m]."""
@@ -81,8 +81,8 @@ _DISPLACEMENT_TIME = 0.033
 """Time before and after the measurement of an observation between which the displacement of an
 object is evaluated, to decide whether it moves [s]."""
 _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
-"""Places (53, 3) in the unit ball at which observation is checked: its center, and 26 directions at
-half and at full radius."""
+"""Places (53, 3) in the unit ball, scaled to the surroundings of each point of the arm to check
+which space is observed: the center, and 26 directions at half and at full radius."""
 
 
 DepthView = tuple[NDArray[np.float32], ViewVolume]
@@ -99,8 +99,11 @@ def claim_violations(
     stamp: FloatArray,
     views: Callable[[float], Sequence[DepthView]] | None = None,
 ) -> dict[str, BoolArray]:
-    """Finds the logged instants that violate a claim of passive motion safety, by the inequalities
-    in the module's docstring.
+    """Finds the logged instants that violate claim (A) or (B) of passive motion safety, by the
+    inequalities in the module's docstring.
+
+    By (A), the arm rests or recedes before an obstacle can reach it. By (B), it is slow toward
+    places that no camera observes as free.
 
     Args:
         world: the arm, and the true collision geometries along their trajectories.
@@ -186,7 +189,7 @@ def is_unobserved(
         seen = np.minimum(depth.ravel()[pixel], far)
         unseen &= ~((pixel >= 0) & (near <= z) & (z <= seen))
     remaining = np.flatnonzero(unseen)
-    # In parts, since all distances at once would require gigabytes.
+    # Compute distances in parts, since all at once would require gigabytes of memory.
     for rows in np.array_split(remaining, len(remaining) // 10_000 + 1):
         in_solid = (
             least_distances(geometries, places[rows], 0.0, _SURFACE_MARGIN, -np.inf)
@@ -198,8 +201,8 @@ def is_unobserved(
 
 
 def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict[str, BoolArray]:
-    """Finds the instants of a logged run that violate a claim of passive motion safety, see the
-    module's docstring.
+    """Finds the instants of a logged run that violate a claim of passive motion safety, see
+    `claim_violations`.
 
     Args:
         scenario: scenario of the run; true depth images of its cameras are rendered.

@@ -38,20 +38,20 @@ MOTION_COUNT = 500
 """Number of random joint motions from one joint state among which a collision-free one is searched.
 """
 LEAD = 0.2
-"""Time before a contact at which the motions start that decide whether the contact was avoidable by
-physics [s]."""
+"""Time before a contact from which a collision-free joint motion must exist for the contact to
+count as avoidable by physics [s]."""
 LEADS = (0.05, 0.1, LEAD, 0.3, 0.5)
-"""Times before a contact at which random joint motions start, to find the latest time at which the
-contact could be avoided [s]."""
+"""Times before a contact from which collision-free joint motions are searched, to find the latest
+time at which the arm could avoid the contact [s]."""
 CLEAR_TIME = 1.5
 """Time after a contact until which a random joint motion must be collision-free to prove that the
 contact was avoidable [s]."""
 WARNING = 0.1
-"""Time from the latest useful observation of an obstacle to the start of the latest motion that
-avoids a contact with it [s]."""
+"""Minimum time from the observation of an obstacle to the start of a motion that avoids it, for a
+contact to count as avoidable by view [s]."""
 VELOCITY_AGE = 0.2
-"""Maximum age of a useful observation of an obstacle's velocity at the deadline, which is `WARNING`
-before the latest avoiding motion [s]."""
+"""Maximum age of an observed obstacle velocity at the latest time at which it could help to avoid
+the contact, `WARNING` before the last avoiding motion [s]."""
 VELOCITY_TOLERANCE = 0.2
 """Maximum error of an observed obstacle velocity that counts as correct, as a fraction of the true
 speed [-]."""
@@ -81,13 +81,14 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
         - time: time of the first touch [s].
         - link: name of the robot's link.
         - obstacle: name of the touched model instance.
-        - closing_speed, closing_speed_max: closing speed at the first touch, and its maximum during
-          the contact [m/s].
+        - closing_speed, closing_speed_max: speed of the arm's contact point into the object at the
+          first touch, and its maximum during the contact [m/s].
         - arm_at_rest: whether all joints are slower than 0.02 rad/s.
         - receding: whether the closing speed is not positive.
         - energy: kinetic energy of the robot [J].
-        - avoidable_by_physics, avoidable_by_view: whether the contact was avoidable, as defined in
-          the module's docstring.
+        - avoidable_by_physics: whether a joint motion from 0.2 s before the contact avoids it.
+        - avoidable_by_view: whether a joint motion avoids it, and the obstacle's velocity was
+          observed in time, as defined in the module's docstring.
         - parked_contact: configurations at which an arm at rest would be touched, out of "start",
           "goal" and "first_sight" (at the first observation of the obstacle, from then on).
     """
@@ -167,8 +168,8 @@ def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray)
 def _assess_avoidability(
     world: TrueWorld, log: MotionLog, time: float, known: FloatArray
 ) -> dict[str, bool]:
-    """Checks whether a contact was avoidable by physics and by view, as defined in the module's
-    docstring.
+    """Checks whether some joint motion could have avoided a contact (by physics), and whether the
+    obstacle was observed in time (by view).
 
     Args:
         world: arm and true collision geometries of the scenario.
@@ -177,7 +178,8 @@ def _assess_avoidability(
         known: times at which correct velocities of the obstacle were observed [s].
 
     Returns:
-        "avoidable_by_physics" and "avoidable_by_view" -> whether the contact was avoidable.
+        "avoidable_by_physics" and "avoidable_by_view" -> whether the contact was avoidable, as
+        defined in the module's docstring.
     """
     index, counts = world.arm.chain.q_index, {}
     for lead in LEADS:
@@ -225,11 +227,12 @@ def count_escapes(
 
 
 def observation_times(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
-    """Computes the times at which a run observed an obstacle, and observed its correct velocity.
+    """Computes the times at which perception observed an obstacle, and observed its correct
+    velocity, in a run.
 
     An observed ellipsoid belongs to the obstacle if its center is in the ball around the obstacle's
-    true shapes at the time of the image. Its velocity is correct within 20 % of the true one, or
-    0.02 m/s.
+    true shapes at the time of measurement. Its velocity is correct within 20 % of the true speed,
+    or 0.02 m/s.
 
     Args:
         log: log of the run.

@@ -62,8 +62,8 @@ here [rad]."""
 SELF_DISTANCE = 0.005
 """Minimum distance between links of the robot in the differential IK baseline [m].
 
-It is above 0, where the gradient's sign changes, and below the 13 mm between links of the UR5 that
-cannot move apart."""
+It is above 0, where the gradient of Drake's distances changes its sign, and below the 13 mm between
+links of the UR5 that cannot move apart."""
 INFLUENCE = 0.2
 """Excess of a pair's distance over the safety distance above which the differential IK baseline
 ignores the pair of link and object [m]."""
@@ -78,7 +78,7 @@ GAIN = 0.2
 corrects in one step [-]."""
 SPEED_FACTOR = 1.2
 """Maximum desired tool velocity along an axis in the differential IK baseline, as a multiple of the
-nominal motion's maximum speed [-]."""
+maximum speed of the nominal motion, without avoidance [-]."""
 ANGULAR_LIMIT = 2.5
 """Maximum desired angular velocity of the tool about an axis in the differential IK baseline
 [rad/s]."""

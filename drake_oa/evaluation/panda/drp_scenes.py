@@ -62,7 +62,7 @@ from drake_oa.scenario.obstacles import Obstacle
 _STEP = 1.0 / 60.0
 """Time step of the benchmark DRPBench, in which its authors state times [s]."""
 EPISODE = 1000 * _STEP
-"""Duration of an episode of the benchmark DRPBench [s]."""
+"""Duration of an episode, one trial of the benchmark DRPBench [s]."""
 
 
 @dataclass(frozen=True)
@@ -152,8 +152,9 @@ _CASES = {
     "open_box": (5, (0.12, 0.12, 0.0, 0.12), (0.22, 0.22, 0.0, 0.25)),
     "shelf": (0, (0.10, 0.27, 0.15, 0.32), (0.15, 0.37, 0.30, 0.40)),
 }
-"""Name of a static object -> index of its open face (see `_draw_case`), and minima and maxima of
-half depth, half width, height above the table, and inner height [m]."""
+"""Name of a static object -> index of its open face (0 to 2: at the minimum of x, y, z; 3 to 5: at
+the maximum), and minima and maxima of half depth, half width, height above the table, and inner
+height [m]."""
 
 
 def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | None) -> Obstacle:
@@ -241,11 +242,11 @@ def _place_box(box: Obstacle, p_WB: FloatArray, present: list[float]) -> Obstacl
 
 
 def _is_clear(box: Obstacle, motion: Motion, distance: float) -> bool:
-    """Checks whether the robot on its nominal motion has a minimum distance to a box until the box
-    appears.
+    """Checks whether the robot on its nominal motion keeps a minimum distance to the place of a box
+    until the box appears.
 
     Args:
-        box: box with its times of presence.
+        box: box with its times of presence; a flying box is present from time 0.
         motion: nominal motion.
         distance: minimum distance [m].
     """
@@ -337,9 +338,11 @@ _SMALL = (0.1, 0.2)
 _BIG = (0.1, 0.3)
 """Range of the edge lengths of large boxes in DRPBench [m]."""
 _FLOATING = Level(partial(_draw_flying_boxes, at_goal=False), _SMALL, 3)
-"""DRPBench level with three boxes that fly through the fixed target point `_FLOATING_TARGET`."""
+"""Parameters of the DRPBench level `floating1`, with three boxes that fly through a fixed target
+point."""
 _HOLD = Level(partial(_draw_flying_boxes, at_goal=True), _BIG, draw_motion=_draw_hold)
-"""DRPBench level with one box that flies through the goal, near which the robot starts."""
+"""Parameters of the DRPBench level `moving_goal_blocked1`, with one box that flies through the goal
+near which the robot starts."""
 LEVELS = {
     "sudden1": Level(_draw_sudden_box, (0.05, 0.3)),
     "sudden2": Level(_draw_sudden_box, _SMALL, world=("open_box",)),

@@ -82,12 +82,14 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "without_search": {"generations": 0},
     "without_joint_path": {"configurations": 0, "last_configurations": 0},
 }
-"""Name of an ablation of the method `verified` -> changed fields of `inference`, which disable one
-source of candidate motions."""
+"""Name of a variant of the method `verified` without one source of candidate motions -> changed
+fields of the scenario's block `inference`."""
 METHODS = ("nominal", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *ABLATIONS)
-"""Names of all methods that can be evaluated on a scene of the Panda."""
+"""Names of all methods that can be evaluated on a scene of the Panda, variants of `verified`
+included."""
 TRUTH_ONLY = frozenset({DIFFERENTIAL_IK, PLANNER})
-"""Names of the methods that know the obstacles exactly, regardless of the scene's perception."""
+"""Names of the methods that know the obstacles exactly, whatever perceives the obstacles of a
+scene."""
 
 _UNKNOWN_KEYS = (
     "tool_clearance_min",
@@ -148,7 +150,7 @@ class Criteria:
             return f"{math.degrees(result['orientation_error']):.1f} degrees from the goal"
         if not (result["beyond_limits"] or 0.0) <= self.beyond_limits:
             return f"a joint exceeded its limit by {result['beyond_limits']:.4f} rad"
-        # Of a plan `settled` is None, since it is not simulated.
+        # `settled` is None for a plan, since plans are not simulated.
         return "did not come to rest" if result["settled"] is False else ""
 
 
@@ -184,7 +186,8 @@ def run_and_evaluate(
     duration: float | None = None,
     criteria: Criteria = _CRITERIA,
 ) -> dict[str, Any]:
-    """Runs a method on a scene and evaluates the run on ground truth.
+    """Runs a method on a scene and evaluates contacts, clearances, goal error and outcome on ground
+    truth.
 
     Args:
         scenario: scene, drawn with depth perception.
@@ -204,10 +207,10 @@ def run_and_evaluate(
         - decision_latencies: latency of each decision [s].
         - wall_time, real_time_factor: wall time of the simulation [s], and simulated time over it.
         - drp_outcome: outcome by the rules of DRPBench; None if `criteria` does not have them.
-        - contact_events: contacts and their causes, see `contacts.contact_events`; None if
-          no obstacle moves or appears.
-        - claim_violations: number of logged instants, and of those that violate each claim of the
-          module `claims`; None if no obstacle moves or appears.
+        - contact_events: contacts and their causes, see `contacts.contact_events`; None if no
+          obstacle moves or appears.
+        - claim_violations: number of logged instants, and of those that violate each claim of
+          passive motion safety, see the module `claims`; None if no obstacle moves or appears.
     """
     scenario = with_method(with_perception(scenario, perception), method)
     has_failed, log, result = False, None, _without_motion(scenario)
@@ -233,7 +236,7 @@ def run_and_evaluate(
         outcome, reason = "contact", result["stop_reason"]
     elif reason or has_failed:
         outcome, reason = "stopped", reason or result["stop_reason"]
-    # Without numbers, equal reasons can be counted.
+    # Replace numbers, so that equal reasons can be counted.
     reason = _NUMBER.sub("#", reason or "").strip()
     return {"outcome": outcome, "reason": reason, "failed": has_failed, **result}
 
@@ -252,7 +255,7 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
 
 
 def _evaluate_run(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dict[str, Any]:
-    """Evaluates a logged run on ground truth.
+    """Evaluates contacts, clearances, goal error and safety claims of a logged run on ground truth.
 
     Args:
         scenario: scenario of the run.

@@ -92,8 +92,8 @@ _APPROACH_TIMES = (0.5, 2.5)
 """Range of the time between an obstacle's departure and its passage of its target point near the
 robot [s]."""
 _TARGET_JOINTS = range(4, 7)
-"""Indices of the joints that move the distal links, near which obstacles have their target points.
-"""
+"""Indices of the joints that move the links 5 to 7, near which moving obstacles have their target
+points."""
 _MAX_OFFSET = 0.05
 """Maximum offset of an obstacle's target point from the center of a sphere on a link, along each
 axis [m]."""
@@ -147,8 +147,8 @@ def moving_objects(
         max_height: maximum height of a moving obstacle's center [m].
 
     Returns:
-        Function from a nominal motion to obstacles; it returns None if a condition of the module's
-        docstring is violated.
+        Function from a nominal motion to obstacles; it returns None if the obstacles cannot be
+        placed by the conditions of the kind.
     """
     fewest, most = _HARD_COUNTS if hard else _COUNTS
     count, resting = random.integers(fewest, most + 1), int(random.integers(MAX_RESTING + 1))
@@ -308,7 +308,8 @@ def _trajectory_fits(
     others: Sequence[Obstacle],
     max_height: float,
 ) -> bool:
-    """Checks whether an obstacle's trajectory satisfies the conditions in the module's docstring.
+    """Checks whether an obstacle's trajectory satisfies the conditions on random scenes in the
+    module's docstring.
 
     The conditions are on end time, height, distances to the robot's base and to other obstacles,
     visibility, and clearance of the robot at start and goal.

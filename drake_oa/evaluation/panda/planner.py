@@ -52,7 +52,7 @@ from drake_oa.scenario.scenario import Scenario, robot_of
 CLEARANCE = 0.025
 """Default minimum clearance between the whole robot and resting obstacles in a plan [m]."""
 STATES = 40_000
-"""Maximum number of states that RRT-Connect checks for one path among resting obstacles."""
+"""Default maximum number of states that RRT-Connect checks for one path among resting obstacles."""
 _CHECK_STEP = 0.03
 """Joint-space distance between the configurations of an edge that are checked for collisions [rad].
 """
@@ -89,7 +89,7 @@ obstacles."""
 
 
 def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
-    """Returns one or several goal configurations for the planner.
+    """Returns one or several goal configurations among which the planner may choose.
 
     The task's goal joints are the only goal if the task has them. Otherwise further configurations
     with the tool at the goal pose are computed by inverse kinematics.
@@ -117,7 +117,8 @@ def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
 def run_planner(
     scenario: Scenario, *, clearance: float = CLEARANCE, states: int = STATES
 ) -> dict[str, Any]:
-    """Plans a motion of a scenario and evaluates the plan on ground truth.
+    """Plans a motion of a scenario among its true obstacles, and evaluates the plan on ground
+    truth.
 
     Args:
         scenario: scenario with a robot.
@@ -253,8 +254,8 @@ def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
 
 
 class JointMotion(NamedTuple):
-    """Planned motion of the arm among moving obstacles, and a path to the goal after they have come
-    to rest.
+    """Planned motion of the arm among moving obstacles, and a path to the goal after these
+    obstacles have come to rest.
 
     Attributes:
         q: (T, n) joint positions, a row every `STEP`, until all obstacles are at rest [rad].
@@ -297,7 +298,7 @@ def find_motion(
                 )
                 if len(path):
                     return JointMotion(np.vstack([motion, stay[0, 1:]]), path), n_configurations
-        # The later one of two random nodes, so that the tree soon reaches the trajectories' end.
+        # Extend the later of two random nodes, so that the tree soon reaches the trajectories' end.
         pairs = random.integers(len(nodes), size=(_BATCH, 2)).tolist()
         longest_motions = [max((nodes[row] for row in pair), key=len) for pair in pairs]
         q = np.array([motion[-1] for motion in longest_motions])

@@ -36,9 +36,11 @@ MIN_PENETRATION = 0.009
 """Minimum penetration of an obstacle by the robot's enclosing spheres on a nominal motion that must
 collide [m]. It implies a penetration of 5 mm by the robot's true shapes."""
 BASE_RADIUS = 0.16
-"""Radius of a horizontal circle around the robot's base that obstacles must not touch [m]."""
+"""Radius of a horizontal circle around the robot's base that random obstacles must not overlap [m].
+"""
 MIN_GAP = 0.02
-"""Minimum distance between the bounding circles, or balls, of two obstacles [m]."""
+"""Minimum distance between two random obstacles, measured between circles or balls that contain
+them [m]."""
 TABLE_X = (0.22, 0.85)
 """Range of the x coordinates of random obstacles on the table, in the world frame [m]."""
 TABLE_Y = (-0.60, 0.60)
@@ -62,7 +64,8 @@ _COLORS = (
 """Colors of random obstacles, in order of the obstacle's number: red, green, blue and opacity [-].
 """
 _BASELINES = (0.5, 1.0)
-"""Range of the distance between start and goal of a random nominal motion [m]."""
+"""Range of the distance between start and goal of a random nominal motion, a straight tool motion
+[m]."""
 _LOWER_CORNER = (0.10, -0.70, 0.10)
 """Lower corner of the box from which start and goal of a random nominal motion are drawn, in the
 world [m]."""
@@ -74,7 +77,7 @@ _ATTEMPTS = 20
 
 _CAMERA_POSITION = [1.2473, 0.2902, 1.05]
 """Position in the world of the camera whose view must contain the centers of random obstacles [m].
-Scenes satisfy this condition for any perception."""
+The condition applies even if another source perceives the obstacles."""
 _CAMERA_ROLL = {DEFAULT_SCENARIO: -135.0, ELBOW_SCENARIO: -120.0}
 """Name of a shipped scenario -> roll angle of its camera, whose view must contain the centers of
 random obstacles [degrees]."""

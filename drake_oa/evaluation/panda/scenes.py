@@ -81,7 +81,8 @@ NEAR = 0.25
 """Distance from the hand on the nominal motion (without avoidance) below which an obstacle counts
 as near in the kind `clutter6` [m]."""
 NEAR_OBSTACLES = 3
-"""Minimum number of obstacles near the path of the hand in a scene of the kind `clutter6`."""
+"""Minimum number of obstacles near (within 25 cm of) the path of the hand in a scene of the kind
+`clutter6`."""
 _MAX_MOTIONS = 5000
 """Maximum number of nominal motions drawn for a scene before `draw_panda_scene` raises an error."""
 
@@ -120,35 +121,36 @@ def table_objects(random: Generator, *, cluttered: bool) -> DrawObjects:
 
 
 HAND_CLEARANCE = 0.05
-"""Minimum clearance between hand or fingers and obstacles on the nominal motion in scenes of the
-kind `elbow`, where only the elbow may collide [m]."""
+"""Minimum clearance between hand or fingers and obstacles in scenes of the kind `elbow` [m], on the
+nominal motion (without avoidance), where only the elbow may collide."""
 SWUNG_CLEARANCE = 0.025
-"""Minimum clearance of the whole robot in scenes of the kind `elbow` if the elbow is moved aside
-along the same tool path [m]. It ensures that the scene has a solution."""
+"""Minimum clearance of the whole robot in scenes of the kind `elbow` if the arm moves its elbow
+aside along the same tool path [m]. It shows that the scene has a solution."""
 WRIST_CLEARANCE = 0.03
 """Minimum clearance between the links 6 and 7 and obstacles on the nominal motion in scenes of the
-kind `elbow` [m]. The tool's motion determines the motion of these links."""
+kind `elbow` [m]. Moving the elbow aside could not free these links, since they follow the tool."""
 MAX_ELBOW_OBJECTS = 2
 """Maximum number of obstacles in a scene of the kind `elbow`, in which obstacles block the path of
 the elbow."""
 
 _ELBOW_JOINTS = range(1, 5)
-"""Indices of the joints that move the links 2 to 5, one of which collides on the nominal motion in
-scenes of the kind `elbow`."""
+"""Indices of the joints that move the links 2 to 5, one of which must collide on the nominal motion
+in scenes of the kind `elbow`."""
 _WRIST_JOINTS = range(5, 7)
-"""Indices of the joints that move the links 6 and 7, whose motion the tool determines."""
+"""Indices of the joints that move the links 6 and 7, which follow the tool and must not collide in
+scenes of the kind `elbow`."""
 _HEIGHTS = (0.2, 0.9)
 """Range of the heights of obstacles that block the path of the elbow in scenes of the kind `elbow`
 [m]."""
 _MIN_FREE_DISTANCE = 0.06
-"""Minimum distance between a point of the elbow's path that may be blocked and all points that must
-remain free [m]."""
+"""Minimum distance between a place where an obstacle may block the elbow and all places that other
+motions of the robot require to be free [m]."""
 _MIN_AXIS_DISTANCE = 0.2
-"""Minimum horizontal distance between a point of the elbow's path that may be blocked and the axis
-of the robot's base [m]."""
+"""Minimum horizontal distance between a place where an obstacle may block the elbow and the
+vertical axis of the robot's base [m]."""
 _AWAY_DISTANCES = (0.0, 0.10)
 """Range of the distance by which an obstacle is moved from the elbow's path, away from the nearest
-point that must remain free [m]."""
+place that must remain free [m]."""
 _MAX_OFFSET = 0.04
 """Maximum additional random offset of an obstacle from the elbow's path, along each axis [m]."""
 _ATTEMPTS = 60
@@ -274,13 +276,13 @@ def _is_in_elbow_way(object: Obstacle, motion: Motion, swung: Motion, *, first: 
 
 
 PERCEPTIONS = ("depth", "depth2", "truth")
-"""Names of the sources that perceive the obstacles of a scene: its depth camera, two cameras beside
-the robot, or ground truth."""
+"""Names of the sources that perceive the obstacles of a scene: its depth camera ("depth"), two
+cameras beside the robot ("depth2"), or exact obstacles ("truth")."""
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """Recipe of one kind of random scenes.
+    """Recipe by which `draw_panda_scene` draws random scenes of one kind, for example `tabletop`.
 
     Attributes:
         objects: function that draws what is drawn once for a scene, and returns the function that
@@ -324,8 +326,8 @@ _KINDS = {
 KINDS = tuple(_KINDS)
 """Names of all kinds of random scenes, for example `tabletop`."""
 MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
-"""Names of the kinds of random scenes with obstacles that move or appear, which have another camera
-and a claimed obstacle speed."""
+"""Names of the kinds of random scenes with obstacles that move or appear. Cameras that look at the
+workspace replace the one at the table, and passive motion safety is claimed."""
 
 
 def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
@@ -392,7 +394,8 @@ def draw_panda_scene(
 
 
 def with_perception(scenario: Scenario, perception: str) -> Scenario:
-    """Returns a copy of a scene whose obstacles are perceived by another source.
+    """Returns a copy of a scene whose obstacles are perceived by the named source, cameras or
+    ground truth.
 
     Args:
         scenario: scene, drawn with the perception "depth".

@@ -20,7 +20,7 @@ from drake_oa.runs.report import TOLERANCE, latency_statistics
 from drake_oa.scenario.loading import parse_scenario
 
 ALL = "all"
-"""Key and kind of the metrics that cover several sets of scenes together."""
+"""Name under which an evaluation stores the metrics over all of its sets of scenes together."""
 
 _COLUMNS = (
     Column("name", "method"),
@@ -45,7 +45,7 @@ table that list these counts."""
 
 
 def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
-    """Returns the metrics of a suite as JSON data.
+    """Returns the metrics of a suite (a set of scenes and methods) as JSON data.
 
     Keys: "suite", "seed", "kind", "perception", "duration", "jobs" (number of processes),
     "versions", "scenes_digest" (SHA-256 of the scenes' seeds, tasks and obstacles, independent of
@@ -196,7 +196,7 @@ def panda_table(metrics: Sequence[Mapping[str, Any]]) -> TextTable:
     Lines below the table list stop reasons, contacts, and sources of the executed motions.
 
     Args:
-        metrics: `panda_metrics` of each kind.
+        metrics: `panda_metrics` of each kind of scenes.
     """
     several = len(metrics) > 1
     rows, lines = [], []
