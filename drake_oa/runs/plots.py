@@ -1,4 +1,4 @@
-"""Plot of a logged run: clearances, phase, torques and path."""
+"""Figure of a logged run: clearances, phase and torques over time, and the path from two sides."""
 
 from __future__ import annotations
 
@@ -18,23 +18,25 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_steps
 
 _COLORS = {"avoiding": "#00798c", "nominal": "#111111"}
-"""Colors of the motions by name."""
+"""Colors of the curves in the figure of a run, by the name of the motion."""
 _OBSTACLE, _DESIRED, _ENDS = "#d1495b", "#edae49", "#0072b2"
-"""Colors of obstacles, of the desired path, and of the points start and goal."""
+"""Colors of the observed obstacles, of the desired path, and of start and goal in the figure of a
+run."""
 _PANELS = ("clearance [m]", "phase, speed scale [1]", "torque / limit [1]")
-"""Vertical axis labels of the three plots over time."""
+"""Labels of the vertical axes of the three plots over time, from top to bottom."""
 _OBSERVATIONS = 6
-"""Number of observations whose obstacles are drawn, at equal steps of the list."""
+"""Number of observations, evenly spaced in the log, whose obstacles are drawn in the path views."""
 
 
 def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, MotionLog]) -> None:
-    """Plots a run: signals over time on the left, the path from above and the side on the right.
+    """Plots a logged run to a file: signals over time on the left, the path from above and from the
+    side on the right.
 
     Args:
-        path: file of the figure.
+        path: file of the figure; its suffix determines the format.
         title: title of the figure.
         scenario: scenario of the logs.
-        logs: logs of motions with at least one instant, by name.
+        logs: logs of motions with at least one instant, by the names of the motions.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -78,7 +80,15 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
 
 
 def _draw_path(ax: Axes, name: str, log: MotionLog, axes: list[int]) -> None:
-    """Draws the path of a motion, and its observed obstacles at several times, in one view."""
+    """Draws the desired and actual path of a motion, and the obstacles observed at several times,
+    in one view.
+
+    Args:
+        ax: Matplotlib axes of the view.
+        name: name of the motion.
+        log: log of the motion.
+        axes: indices of the two world coordinates of the view, horizontal one first.
+    """
     count = len(log.observation_time)
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     for row in np.linspace(0, count - 1, _OBSERVATIONS if count else 0).astype(int):

@@ -1,4 +1,6 @@
-"""Replay of a logged motion: its values on output ports, and a diagram that displays them."""
+"""Replay of a logged motion: a system that outputs the logged values, and a diagram that displays
+them in a viewer.
+"""
 
 from __future__ import annotations
 
@@ -34,13 +36,13 @@ from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 from drake_oa.world.world_model import add_world
 
 _TIME_TOLERANCE = 1e-9
-"""Tolerance of logged times, which are rounded [s]."""
+"""Tolerance for comparing simulated time with logged times, which have rounding errors [s]."""
 _MAX_POINTS = 200
-"""Maximum number of points of a displayed planned path."""
+"""Maximum number of points with which a replay displays the planned path."""
 
 
 def logged_scenario(path: Path, log: MotionLog) -> Scenario:
-    """Returns the scenario of a log.
+    """Parses the scenario that a log contains as YAML text.
 
     Args:
         path: file of the log, for error messages.
@@ -58,15 +60,17 @@ def logged_scenario(path: Path, log: MotionLog) -> Scenario:
 
 
 def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> str:
-    """Returns the name of the motion to display.
+    """Returns the name of the motion in a log file that is displayed: the requested one, or a
+    default.
 
     Args:
         path: file of the logs, for error messages.
         logs: logs of the file by the names of the motions.
-        name: requested motion; None: the avoiding motion, or the first one without it.
+        name: requested motion; None: the motion "avoiding", or the first motion of a file without
+            it.
 
     Raises:
-        ValueError: if the file has no such motion, or the motion has no instant.
+        ValueError: if the file has no motion of this name, or the motion has no logged instant.
     """
     chosen = name or ("avoiding" if "avoiding" in logs else next(iter(logs)))
     if chosen not in logs:
@@ -80,12 +84,13 @@ def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> s
 
 
 def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: MotionLog) -> FloatArray:
-    """Returns the positions (T, n) of a scenario's plant at the instants of a log [rad, m].
+    """Returns all positions (T, n) of a scenario's plant at the T instants of a log [rad, m].
 
     Args:
         plant: finalized plant of the scenario.
         robot: model instance of the robot.
-        log: log; if it has only positions of the robot, all others have their default values.
+        log: log of a motion. If it contains only the robot's positions, all other positions have
+            the default values of the plant.
 
     Raises:
         ValueError: if the numbers of positions of log and plant differ.
@@ -105,9 +110,15 @@ def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: Motio
 
 
 def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
-    """Returns points (N, 3) of the demonstrated path in the world, from the nominal motion [m].
+    """Returns points (N, 3) of the demonstrated path in the world [m], taken from the log of the
+    nominal motion.
 
-    None: the scenario has no demonstration, or the nominal motion did not reach the goal.
+    The result is None for a scenario without demonstration, whose path is a straight line, or if
+    the nominal motion did not reach the goal.
+
+    Args:
+        scenario: scenario of the logs.
+        logs: logs by the names of the motions.
     """
     log = logs.get("nominal")
     if not scenario.task.demonstration or log is None or log.ended != MotionEnd.GOAL:
@@ -124,7 +135,8 @@ def build_replay(
         scenario: scenario of the log.
         log: log of the motion.
         meshcat: viewer.
-        planned_W: (N, 3) planned path [m]; None: the line from start to goal.
+        planned_W: (N, 3) points of the planned path in the world [m]; None: the straight line from
+            start to goal.
 
     Raises:
         ScenarioError: if the world cannot be built.
@@ -155,11 +167,12 @@ def build_replay(
 
 
 def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], EventStatus]:
-    """Creates a Simulator monitor that displays the reading of each instant on a live page.
+    """Creates a monitor for Drake's Simulator that displays the logged text of each time in the
+    panel of a live page.
 
     Args:
-        page: live page.
-        rows: readings in the order of time, at least one.
+        page: live page with the panel.
+        rows: texts of the panel (readings) in the order of time, at least one.
     """
 
     def show(root: Context) -> EventStatus:
@@ -172,7 +185,7 @@ def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], Ev
 
 
 class LogPlayer(LeafSystem):
-    """Source of a logged motion: its outputs are the latest logged values at each time.
+    """System that replays a logged motion: at each time it outputs the latest logged values.
 
     .. pydrake_system::
 
@@ -185,14 +198,15 @@ class LogPlayer(LeafSystem):
     - positions: (n,) positions of the station's plant, in its order [rad, m].
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the latest observation; empty
       before the first one.
-    - policy_state: abstract `PolicyState`; its p_WE is the actual tool point, and its z_W the
-      desired velocity [m/s], because the log does not have the factor tau T.
+    - policy_state: abstract `PolicyState`. Its p_WE is the actual position of the tool point. Its
+      z_W is the desired velocity [m/s] instead of the scaled one, because the log does not have the
+      factor tau T.
 
     The system has no state: its outputs depend only on time.
     """
 
     def __init__(self, scenario: Scenario, log: MotionLog, positions: FloatArray) -> None:
-        """Declares the ports.
+        """Declares the output ports for the values of a log.
 
         Args:
             scenario: scenario of the log.
@@ -211,7 +225,13 @@ class LogPlayer(LeafSystem):
             self.DeclareAbstractOutputPort(name, model.Clone, calc, now)
 
     def _newest(self, times: FloatArray, context: Context) -> int:
-        """Returns the row of the latest logged time up to the time of the context; -1: none."""
+        """Returns the index of the latest logged time that is not after the time of a context; -1:
+        there is none.
+
+        Args:
+            times: (N,) logged times, increasing [s].
+            context: context of this system.
+        """
         return int(np.searchsorted(times, context.get_time() + _TIME_TOLERANCE, side="right")) - 1
 
     def _calc_positions(self, context: Context, output: BasicVector) -> None:

@@ -1,4 +1,5 @@
-"""Report of a run: clearances, contacts and decisions of the nominal and the avoiding motion."""
+"""Report of a run as JSON data and as a table: clearances, contacts and decisions of its motions.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +26,20 @@ from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
 TOLERANCE = 1e-3
-"""Clearance shortfall above which the report has a warning [m]."""
+"""Difference of clearances above which the report contains a note or a warning [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
-"""Keys of the lists of contacts in the report."""
+"""Keys in the report for the lists of contacts, with the names of the attributes of
+`MotionMetrics`."""
 _LATENCY_KEYS = {"verification": "decision_latency", "guard": "guard_latency"}
-"""Layer that decides -> key of its latency statistics in the report."""
+"""Keys in the report for statistics of decision latencies, by the name of the layer that decides.
+"""
 
 
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
-    """Computes clearances and contacts of a logged motion.
+    """Computes contacts and clearances of a logged motion on the true geometry of its scenario.
 
-    SceneGraph computes them; without a robot the given ellipsoids are the obstacles.
+    SceneGraph computes them for a robot. Without a robot, the obstacles are the ellipsoids that the
+    scenario gives.
 
     Args:
         scenario: configuration of the run.
@@ -47,7 +51,8 @@ def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
 
 
 def achievable_clearance_of(scenario: Scenario) -> float:
-    """Computes the achievable clearance of a task, which no motion can exceed [m].
+    """Computes the achievable clearance of a task [m]: the requested one, or less if start or goal
+    is nearer to an obstacle.
 
     It is min(Delta, d_start, d_goal), with the requested clearance Delta and the true distances d
     of the tool to resting obstacles; 0 if start or goal is in contact. A moving goal counts at its
@@ -71,19 +76,20 @@ def motion_report(
     log: MotionLog,
     achievable_clearance: float | None = None,
 ) -> dict[str, Any]:
-    """Computes the metrics of one motion, in SI units.
+    """Computes the metrics of one logged motion, in SI units, for the report of a run.
 
     Contacts and clearances count until the world is at rest; duration, path and decisions until the
     end of the motion. On hardware the true obstacles are unknown: `collisions` without contacts,
     `achievable_clearance` and `clearance_shortfall` are None.
 
-    Keys:
+    Keys of the result:
         collisions: number of pairs of a robot link and an object in contact.
-        contacts, initial_contacts, new_contacts: names of all pairs, of those in contact at the
-            start, and of those that the motion caused.
-        self_contacts: pairs of links of the robot in contact.
+        contacts, initial_contacts, new_contacts: names of these pairs: of all, of those in contact
+            at the first instant, and of those whose contact begins later.
+        self_contacts: names of the pairs of robot links in contact.
         contact_depth: maximum penetration of each pair.
-        tool_clearance_min, robot_clearance_min: minimum clearance to obstacles; None: no obstacle.
+        tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
+            robot to obstacles; None: no obstacle.
         requested_clearance: clearance that the task requests.
         achievable_clearance: see `achievable_clearance_of`.
         resting_clearance_min: minimum clearance of the tool to resting obstacles; None: no such
@@ -96,18 +102,20 @@ def motion_report(
         path_length: length of the path of the tool point.
         out_of_range: fraction of observations beyond the training range of the regressor chain.
         inference: "Verified" or "Paper"; None for the nominal motion.
-        predicted_shortfall, clearance_reduction: maxima of the logged values; None unless verified.
-        sources, guard_actions, guard_claims: fraction of the duration by source of the motion, by
-            action of the motion guard, and by claim that limits the speed.
-        decision_latency, guard_latency: `latency_statistics` of the layers; None: no latency.
-        stop_reason, ended, settled: termination, see `MotionLog`.
-        events: holds of the policy with reasons and notes.
-        supervision: actions of the motion guard with reasons.
+        predicted_shortfall, clearance_reduction: maxima of the attributes `shortfall` and
+            `clearance_reduction` of the log; None unless `inference` is "Verified".
+        sources, guard_actions, guard_claims: fractions of the duration, by source of the motion, by
+            action of the motion guard, and by claim of passive motion safety that limits the speed.
+        decision_latency, guard_latency: `latency_statistics` of the layers verification and guard;
+            None: no decision with latency.
+        stop_reason, ended, settled: termination, with the values in `MotionLog`.
+        events: times at which the policy began or ended a hold, with reasons and notes.
+        supervision: times at which the action of the motion guard changed, with reasons.
 
     Args:
         scenario: configuration of the run.
         log: log of the motion.
-        achievable_clearance: `achievable_clearance_of` the scenario; None: it is computed.
+        achievable_clearance: achievable clearance of the scenario [m]; None: it is computed.
     """
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if achievable_clearance is None:
@@ -158,19 +166,22 @@ def motion_report(
 
 
 def _rows(**columns: Sequence[object]) -> list[dict[str, object]]:
-    """Returns the rows of a table as dictionaries with the names of the columns as keys."""
+    """Converts the columns of a table to its rows: dictionaries with the names of the columns as
+    keys.
+    """
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def latency_statistics(latencies: ArrayLike, period: float) -> dict[str, float] | None:
-    """Computes {median, p99, max [s], fraction_over_period, count} of decision latencies.
+    """Computes statistics of the compute latencies of decisions.
 
     Args:
-        latencies: latencies of decisions [s].
+        latencies: (N,) latencies of decisions [s].
         period: period of the perception [s].
 
     Returns:
-        The statistics; None without decisions.
+        Dictionary of "median", "p99" and "max" [s]; "fraction_over_period", the fraction of
+        latencies above the period; and "count". None without decisions.
     """
     latencies = np.asarray(latencies, dtype=float)
     if not len(latencies):
@@ -185,13 +196,24 @@ def latency_statistics(latencies: ArrayLike, period: float) -> dict[str, float] 
 
 
 def layer_latencies(log: MotionLog, layer: str = "verification") -> FloatArray:
-    """Returns the latencies of the decisions that a layer started during the motion [s]."""
+    """Returns the compute latencies (N,) of the decisions that a layer started during a motion [s].
+
+    Args:
+        log: log of the motion.
+        layer: layer that decides: "verification" or "guard".
+    """
     is_of_layer = np.array(log.decision_layer, dtype=str) == layer
     return log.decision_latency[is_of_layer & (log.decision_time <= log.duration)]
 
 
 def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
-    """Returns the orientation error at rest [rad] by its key; {} if the orientation is constant."""
+    """Computes the angle between the tool's orientation at the last logged instant and that of the
+    goal [rad].
+
+    Returns:
+        The angle under the key "orientation_error" of the report; {} for a motion with constant
+        orientation.
+    """
     if not len(log.desired_orientation):
         return {}
     desired = Rotation.from_quat(log.desired_orientation[-1], scalar_first=True)
@@ -202,7 +224,14 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
-    """Returns the larger distance of the tool to the goal: at termination or at rest [m]."""
+    """Computes the distance of the tool point to the goal at the termination of the motion, or at
+    the last instant if larger [m].
+
+    Args:
+        scenario: scenario of the log.
+        log: log of the motion.
+        p_WE: (T, 3) positions of the tool point at the instants of the log [m].
+    """
     ends = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
     times = (log.duration, log.simulated_time)[: len(ends)]
     goals = np.array([goal_at(scenario.task, time) for time in times])
@@ -210,31 +239,48 @@ def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
 
 
 def _given(scenario: Scenario) -> EllipsoidSet:
-    """Returns the ellipsoids that a scenario specifies as its obstacles; empty without any."""
+    """Returns the ellipsoids that a scenario with `!GivenEllipsoids` specifies as its obstacles;
+    for other perception, an empty set.
+    """
     source = scenario.perception
     return given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
 
 
 def min_clearance(clearance: FloatArray) -> float | None:
-    """Returns the minimum of clearances [m]; None if there is no obstacle."""
+    """Returns the minimum of clearances (T,) over time [m]; None if all are infinite, without
+    obstacle.
+    """
     minimum = float(clearance.min(initial=math.inf))
     return minimum if math.isfinite(minimum) else None
 
 
 def time_fractions(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> dict[str, float]:
-    """Returns the fraction of a motion's instants with each code, by the name of the code."""
+    """Computes the fraction of a motion's instants in which each value of a logged code, such as
+    the guard's action, occurs.
+
+    Args:
+        log: log of the motion.
+        codes: (T,) logged codes, which are indices of `names`; (0,): not logged.
+        names: names of the codes; a code with an empty name does not count.
+
+    Returns:
+        Fractions greater than 0, by the names of the codes.
+    """
     codes = codes[log.moving] if len(codes) else codes
     shares = {name: float(np.mean(codes == code)) for code, name in enumerate(names) if len(codes)}
     return {name: share for name, share in shares.items() if share > 0.0 and name}
 
 
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
-    """Creates the report of `drake-oa run --json`; `motion_report` describes each motion.
+    """Creates the report of a run, which `drake-oa run --json` writes.
+
+    It contains scenario, seed, real-time factor and software versions, and under the name of each
+    motion the result of `motion_report`.
 
     Args:
         name: name of the scenario.
         scenario: configuration of the run.
-        logs: logs of the motions "nominal" and "avoiding".
+        logs: logs of the motions "nominal" and "avoiding", at least one of them.
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
     achievable_clearance = achievable_clearance_of(scenario)
@@ -264,13 +310,17 @@ _COLUMNS = (
     Column("source", "motion source"),
     Column("stop_reason", "termination"),
 )
-"""Rows of the printed report, which `drake-oa run --help` explains."""
+"""Rows of the printed report of a run, which `drake-oa run --help` explains."""
 
 
 def report_table(report: dict[str, Any]) -> TextTable:
-    """Returns the report as a table with one column for each motion.
+    """Returns the report of a run as a table with one row for each metric and one column for each
+    motion.
 
     Notes below the table name clearance shortfalls, their reasons, and self-contacts.
+
+    Args:
+        report: result of `run_report`.
     """
     rows = []
     for motion in ("nominal", "avoiding"):
@@ -282,14 +332,25 @@ def report_table(report: dict[str, Any]) -> TextTable:
 
 
 def contact_error(report: dict[str, Any]) -> str:
-    """Returns one line that names the contacts of the avoiding motion; "" without any."""
+    """Returns one line with the contacts of the avoiding motion and their depths [mm]; "" without a
+    contact.
+
+    Args:
+        report: result of `run_report`.
+    """
     depths = report.get("avoiding", {}).get("contact_depth", {})
     pairs = ", ".join(f"{pair} ({-1e3 * depth:.1f} mm)" for pair, depth in depths.items())
     return pairs and f"contact during the avoiding motion: {pairs}"
 
 
 def _notes(motion: str, metrics: dict[str, Any]) -> list[str]:
-    """Returns notes and warnings on the clearance of one motion."""
+    """Returns notes and warnings on clearances and self-contacts of one motion, as lines for the
+    report table.
+
+    Args:
+        motion: name of the motion.
+        metrics: result of `motion_report` for this motion.
+    """
     notes = []
     requested = metrics["requested_clearance"]
     achievable_clearance = (

@@ -1,4 +1,6 @@
-"""Checks that require the diagram of a scenario, and its clearances at start and goal."""
+"""Checks of a scenario before its run: errors of its diagram, and contacts and clearances at start
+and goal.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from drake_oa.world.station import make_station
 
 
 def build_problems(scenario: Scenario) -> list[str]:
-    """Builds world, end configurations and diagram of a scenario, and returns the errors."""
+    """Builds world, diagram, and configurations at start and goal of a scenario, and returns the
+    error messages.
+    """
     steps: list[Callable[[], object]] = [lambda: build_avoidance(scenario)]
     if scenario.robot is not None:
         steps = [
@@ -37,10 +41,12 @@ def build_problems(scenario: Scenario) -> list[str]:
 
 
 def end_contacts(scenario: Scenario) -> str:
-    """Returns one line with contacts at start or goal that make the task impossible, or "".
+    """Returns one line with the contacts at start or goal that make the task impossible; "" without
+    such contacts.
 
-    They are contacts of the robot at the start, and of the tool with resting obstacles at the goal.
-    At the goal the arm may have another configuration, and moving obstacles another position.
+    These are all contacts of the robot at the start, and contacts of the tool with resting objects
+    at the goal. At the goal the arm may arrive in another configuration, and moving obstacles may
+    be elsewhere.
     """
     if scenario.robot is None:
         return ""
@@ -61,7 +67,9 @@ def end_contacts(scenario: Scenario) -> str:
 
 
 def _ends(scenario: Scenario) -> list[MotionMetrics]:
-    """Returns the metrics of the robot at the start and at the goal."""
+    """Computes contacts and clearances of the resting robot: first in its start configuration, then
+    in its goal configuration.
+    """
     evaluator = clearance_evaluator(scenario)
     return [evaluator.metrics(q[None]) for q in end_positions(scenario)]
 
@@ -72,13 +80,15 @@ _COLUMNS = (
     Column("robot", "robot clearance [m]", "{:.3f}"),
     Column("contacts", side="left"),
 )
-"""Columns of the table of start and goal."""
+"""Columns of the table of clearances and contacts at start and goal, which `drake-oa check` prints.
+"""
 
 
 def end_table(scenario: Scenario) -> TextTable:
-    """Returns a table of clearances and contacts at start and goal.
+    """Returns a table of the robot's clearances and contacts at start and goal of a scenario.
 
-    Its notes state the requested clearance, and the achievable one if that is less.
+    Notes below the table state the requested clearance, and the achievable clearance if that is
+    less.
     """
     rows = [
         {

@@ -1,4 +1,6 @@
-"""Simulation of one motion of a scenario, its monitor, and the collection of its log."""
+"""Simulation of one motion of a scenario, the monitor that terminates it, and the collection of its
+log.
+"""
 
 from __future__ import annotations
 
@@ -39,38 +41,45 @@ from drake_oa.scenario.task import goal_at, last_move_time
 from drake_oa.world.station import release_cameras
 
 MAX_HOLD_TIME = 5.0
-"""Duration of a hold, after the last move of the goal, that terminates the motion [s]."""
+"""Maximum duration of a hold, in which the motion rests on its path, before the motion terminates
+[s]. The time before the last move of the goal does not count."""
 MAX_TIME_SCALING = 6.0
-"""Time limit of a motion after the last move of the goal, in demonstrated durations."""
+"""Time limit of a motion after the last move of the goal, as a multiple of the demonstrated
+duration [-]."""
 MAX_NORMALIZED_TIME = 2.2
-"""Normalized time s at which a motion that has not reached the goal terminates.
+"""Normalized time at which a motion that has not reached the goal terminates [-].
 
-A verified motion with a later arrival terminates later. A move of the goal after s = 1 delays the
-limit by the normalized time since s = 1.
+Normalized time s is time over the demonstrated duration times the temporal scaling tau. A motion
+that is predicted to arrive later terminates later. If the goal moves after s = 1, the limit is
+delayed by the value of s - 1 at its last move.
 """
 _CONTINUE = EventStatus.DidNothing()
-"""Status of the monitor while the simulation continues."""
+"""Event status that `MotionMonitor` returns to the Simulator while the simulation continues."""
 _ARRIVAL_DELAY = 0.2
-"""Delay after the verified arrival at which a motion terminates, in normalized time."""
+"""Minimum delay between the predicted arrival of a verified motion and its termination as too late,
+in normalized time [-]."""
 ARRIVAL_TOLERANCE = Verified().tolerance
-"""Distance to the goal below which the desired position has arrived [m]."""
+"""Distance of the desired position from the goal below which the desired motion counts as arrived
+[m]."""
 ARRIVAL_SPEED_RATIO = 20.0
-"""Scaled velocity tau T v over `ARRIVAL_TOLERANCE`, below which a motion has arrived [1]."""
+"""Ratio of the scaled velocity tau T |v| to `ARRIVAL_TOLERANCE` below which the desired motion may
+count as arrived [-]."""
 AT_GOAL = 5e-3
-"""Distance of the tool point to the goal below which the tool is at the goal [m]."""
+"""Distance of the tool point to the goal up to which the tool is at the goal [m]."""
 AT_REST = 0.01
-"""Joint speed below which a robot is at rest [rad/s, m/s]."""
+"""Joint speed up to which the robot counts as at rest [rad/s, m/s]."""
 REST_TIME = 1.0
-"""Duration of rest of the whole world after which the simulation ends [s]."""
+"""Time for which the world must be at rest after the motion before the simulation ends [s]."""
 MAX_SETTLING_TIME = 5.0
-"""Time after motion and trajectories at which the simulation ends, even without rest [s]."""
+"""Maximum time that the simulation continues after the time limit of the motion and the last change
+of the world, if the robot does not come to rest [s]."""
 
 
 class MotionInterruptedError(RuntimeError):
-    """Interruption of a simulation by an exception or a signal.
+    """Error for a simulation that was interrupted by an exception, or by a signal such as Ctrl-C.
 
     Attributes:
-        log: log until the interruption.
+        log: log of the motion until the interruption.
     """
 
     def __init__(self, log: MotionLog) -> None:
@@ -79,14 +88,19 @@ class MotionInterruptedError(RuntimeError):
 
 
 class MotionOutcome(NamedTuple):
-    """Termination of a motion, and its reason in words."""
+    """Termination of a motion.
+
+    Attributes:
+        end: kind of the termination.
+        reason: reason of the termination in words.
+    """
 
     end: MotionEnd
     reason: str
 
     @property
     def may_continue(self) -> bool:
-        """Whether the motion may still continue, because it was stopped or held."""
+        """Whether the motion may still continue later, because it was only stopped or held."""
         return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
 
@@ -95,9 +109,9 @@ GOAL_OUTCOME = MotionOutcome(MotionEnd.GOAL, "goal")
 
 
 EVENT = ("event_time", "event_hold", "event")
-"""Keys of the notes of the policy in a log."""
+"""Keys in a `MotionLog` for the notes of the policy: times, reasons of holds, and texts."""
 _SUPERVISION = ("supervision_time", "supervision_action", "supervision_reason")
-"""Keys of the supervision by the motion guard in a log."""
+"""Keys in a `MotionLog` for the supervision by the motion guard: times, actions and reasons."""
 T = TypeVar("T")
 
 
@@ -117,37 +131,49 @@ def _reader(diagram: Diagram, system: str, port: str, default: T) -> Callable[[C
 
 
 def motion_state(supervision: tuple[str, str], note: str) -> str:
-    """Returns the state of a motion in words: action of the guard, note of a hold, or "running"."""
+    """Returns the state of a motion in words: note of a hold, action of the motion guard, or
+    "running".
+
+    Args:
+        supervision: action of the motion guard ("run", "slow", "hold" or "stop"), and its reason.
+        note: note of the policy that explains a hold; empty without a hold.
+    """
     action, reason = supervision
     return note or "running" if action == "run" else f"motion guard: {action}, {reason}"
 
 
 class MotionMonitor:
-    """Monitor of a motion for `Simulator.set_monitor`: records it and ends the simulation.
+    """Monitor for `Simulator.set_monitor` that records a motion, detects its termination, and ends
+    the simulation.
 
     After the motion has terminated, the simulation continues until all obstacles have ended their
     trajectories and the world has been at rest for `REST_TIME`, so that later contacts count. If a
     stopped or held motion continues in the meantime, it has not terminated.
 
+    The conditions use the normalized time s, which is 1 at the end of the demonstrated motion:
+
     =============  ===================================================================
     `MotionEnd`    condition
     =============  ===================================================================
-    GOAL           s > 1, the desired motion has arrived, and the tool is within `AT_GOAL`
+    GOAL           the tool is within `AT_GOAL` of the goal, and s >= 1 and the desired motion has
+                   arrived, or s is as late as for MISSED
     STOPPED        the motion guard has stopped the motion
-    MISSED         s > `MAX_NORMALIZED_TIME` and the verified arrival, tool not within `AT_GOAL`
-    HELD           a hold longer than `MAX_HOLD_TIME`
-    TIME_LIMIT     the time limit
+    MISSED         s is after `MAX_NORMALIZED_TIME` and after the predicted arrival of the verified
+                   motion, and the tool is not within `AT_GOAL` of the goal
+    HELD           a hold is longer than `MAX_HOLD_TIME`
+    TIME_LIMIT     the time limit of the motion is reached
     LEFT           after GOAL: the tool is not within `AT_GOAL` at the end of the simulation
     =============  ===================================================================
 
     Attributes:
-        frames: observations, in the order in which they became available.
-        frame_times: times at which they became available [s].
+        frames: observed ellipsoids, one set for each observation, in the order in which the
+            observations became available.
+        frame_times: times at which the observations became available [s].
         out_of_range: for each observation, the number of obstacles beyond the training range of
             the regressor chain.
         events: (time [s], reason of the hold, note) at each change of the policy's note.
         supervision: (time [s], action, reason) at each change of the guard's supervision.
-        phase: canonical phase, from 1 down to 0.
+        phase: present canonical phase k of the movement primitive, from 1 down to 0.
         outcome: termination of the motion; None while it continues.
         motion_end: time of the termination [s]; NaN while the motion continues.
         settled: whether the world has come to rest after the termination.
@@ -163,7 +189,7 @@ class MotionMonitor:
         duration: float | None = None,
         on_step: OnStep = lambda monitor, root: None,
     ) -> None:
-        """Connects the monitor to the systems of a diagram.
+        """Prepares the monitor to read outputs of the systems of a diagram.
 
         Args:
             diagram: diagram with a `dmp_integrator`; other systems of `build_avoidance` are
@@ -219,7 +245,9 @@ class MotionMonitor:
             self._robot = self._tool_frame.model_instance()
 
     def __call__(self, root: Context) -> EventStatus:
-        """Records the present state, and terminates the simulation when the world is at rest."""
+        """Records the present state once per period of the policy, and ends the simulation when the
+        world is at rest.
+        """
         now = root.get_time()
         if now < self._next_time:
             return _CONTINUE
@@ -246,7 +274,9 @@ class MotionMonitor:
         return _CONTINUE
 
     def positions(self, root: Context) -> tuple[FloatArray, FloatArray]:
-        """Returns positions (1, nq) of the robot and (1, n) of the world; (1, 0): no robot."""
+        """Returns the present positions (1, nq) of the robot and (1, n) of the whole plant; without
+        a robot both are (1, 0).
+        """
         if self._plant is None:
             return np.zeros((1, 0)), np.zeros((1, 0))
         context = self._plant.GetMyContextFromRoot(root)
@@ -254,18 +284,22 @@ class MotionMonitor:
         return q[None], self._plant.GetPositions(context)[None]
 
     def source(self, root: Context) -> float:
-        """Returns the source of the motion, see `drake_oa.planning.search.SOURCES`; -1: none."""
+        """Returns the source of the present motion as an index of
+        `drake_oa.planning.search.SOURCES`; -1: no source.
+        """
         return float(self._source(root)[0])
 
     @property
     def state(self) -> str:
-        """Termination of the motion, the reason of its hold, or "running"."""
+        """State of the motion in words: its termination, the reason of its hold, or "running"."""
         if self.outcome:
             return f"terminated: {self.outcome.reason}"
         return motion_state(self._last_supervision, self._last_note)
 
     def finish(self, root: Context) -> None:
-        """Sets the outcome at the end of the simulation: time limit, or goal left."""
+        """Completes the outcome at the end of the simulation: TIME_LIMIT if the motion has not
+        terminated, LEFT if the tool has left the goal.
+        """
         if not self.outcome:
             self.outcome, self.motion_end = self._time_limit(), self._end_time
         error = self._goal_error(root)
@@ -279,7 +313,9 @@ class MotionMonitor:
     def _find_outcome(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> MotionOutcome | None:
-        """Returns the outcome of the motion by the table of the class; None: it continues."""
+        """Checks the conditions in the table of `MotionMonitor`, and returns the outcome of the
+        motion; None: the motion continues.
+        """
         s = normalized_time(policy.phase, self._alpha_k)
         if now <= self._last_move:
             self._latest_end = MAX_NORMALIZED_TIME + max(0.0, s - 1.0)
@@ -311,8 +347,8 @@ class MotionMonitor:
     def _update_settled(self, root: Context, now: float) -> None:
         """Sets `settled` if the motion has terminated and the world has been at rest long enough.
 
-        That is `REST_TIME`, or `MAX_HOLD_TIME` for a motion that may continue, because a decision
-        may have a compute latency of seconds.
+        The required time of rest is `REST_TIME`. It is `MAX_HOLD_TIME` for a stopped or held motion
+        that may continue, because a decision may have a compute latency of seconds.
         """
         if now < self.world_end or not self.outcome or self._max_speed(root) > AT_REST:
             self._rest_since, self.settled = math.inf, False
@@ -322,7 +358,9 @@ class MotionMonitor:
         self.settled = now - self._rest_since >= rest
 
     def _max_speed(self, root: Context) -> float:
-        """Returns the maximum joint speed; without a robot the speed of the policy [rad/s, m/s]."""
+        """Returns the maximum joint speed of the robot [rad/s, m/s]; without a robot, the speed of
+        the desired tool point [m/s].
+        """
         if self._plant is None:
             policy = self._policy(root)
             return math.hypot(*policy.z_W) * policy.speed
@@ -330,7 +368,9 @@ class MotionMonitor:
         return float(np.abs(self._plant.GetVelocities(context, self._robot)).max())
 
     def tool_point(self, root: Context) -> FloatArray:
-        """Returns the actual tool point (3,); without a robot the desired one [m]."""
+        """Returns the actual position (3,) of the tool point in the world [m]; without a robot, the
+        desired position.
+        """
         if self._plant is None:
             return self._policy(root).p_WE
         context = self._plant.GetMyContextFromRoot(root)
@@ -338,13 +378,17 @@ class MotionMonitor:
         return p_WE
 
     def _goal_error(self, root: Context) -> float:
-        """Returns the distance of the tool point to the last position of the goal [m]."""
+        """Returns the distance of the tool point to the goal [m], which counts at its final
+        position.
+        """
         return math.dist(self.tool_point(root), self._goal)
 
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
-        """Records changes of note and supervision, the start of a hold, and new observations."""
+        """Records changes of the policy's note and of the supervision, the start of a hold, and new
+        observations.
+        """
         if policy.note != self._last_note:
             self._last_note = policy.note
             self.events.append((now, policy.hold, policy.note))
@@ -363,7 +407,9 @@ class MotionMonitor:
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _verified_end(self, root: Context) -> float:
-        """Returns the normalized time of the verified arrival; 0: there is none."""
+        """Returns the normalized time at which the verified motion is predicted to arrive at the
+        goal; 0: it does not arrive.
+        """
         motion = self._motion(root)
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVAL_TOLERANCE:
             return 0.0
@@ -371,7 +417,12 @@ class MotionMonitor:
 
 
 def _last_change(scenario: Scenario, end_time: float) -> float:
-    """Returns the time of the last change of obstacles, goal and temporary faults [s]."""
+    """Returns the time of the last change of obstacles, goal or temporary faults in a scenario [s].
+
+    Args:
+        scenario: scenario of the motion.
+        end_time: time limit of the motion [s]; faults that last longer do not count.
+    """
     changes = [last_change(scenario.obstacles), last_move_time(scenario.task)]
     for fault in scenario.faults:
         if isinstance(fault, Push):
@@ -390,7 +441,8 @@ def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
 
 
 OnStep = Callable[[MotionMonitor, Context], None]
-"""Function that is called once a period with the monitor and the root Context."""
+"""Type of a function that is called once per period of the policy with the monitor of a motion and
+the root Context."""
 
 
 def simulate(
@@ -414,9 +466,10 @@ def simulate(
         avoid_obstacles: whether obstacles are avoided; False: the nominal motion.
         duration: time limit [s], see `MotionMonitor`.
         meshcat: viewer, or None.
-        on_step: function that is called once a period of the policy, see `MotionMonitor`.
-        layers: layers of the diagram, see `build_avoidance`.
-        customize: function that modifies the diagram, see `build_avoidance`.
+        on_step: function that is called once per period of the policy, with the monitor of the
+            motion and the root Context.
+        layers: functions that add the layers of the diagram; None: the defaults of `Layers`.
+        customize: function that modifies the signals of the diagram, see `build_avoidance`.
         diagram: result of `build_avoidance` with these arguments; None: it is built here.
 
     Raises:
@@ -443,16 +496,17 @@ def run_motion(
     *,
     avoid_obstacles: bool,
 ) -> MotionLog:
-    """Simulates a diagram with a `dmp_integrator` until its monitor terminates it.
+    """Simulates a motion until its monitor ends the simulation, and returns the log of the motion.
 
     Args:
         scenario: configuration of the diagram.
         simulator: simulator of the diagram, with the Context at the start of the motion.
         monitor: monitor of the motion.
-        avoid_obstacles: value of this key in the log.
+        avoid_obstacles: whether the motion avoids obstacles, for the log.
 
     Raises:
-        MotionInterruptedError: as `simulate` does.
+        MotionInterruptedError: if the simulation raised or was interrupted; contains the log until
+            then.
     """
     started, failure = time.perf_counter(), None
     try:
@@ -475,7 +529,13 @@ def run_motion(
 
 
 def logged_signals(diagram: Diagram, root: Context) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Returns instants (T,) [s] and the signals (T, n) of a diagram's log_<signal> sinks."""
+    """Returns the logged instants (T,) [s], and the logged signals (T, n) by name, from the log
+    sinks of a diagram.
+
+    Args:
+        diagram: diagram with sinks that are named log_<signal>, at least one.
+        root: root Context of the diagram.
+    """
     sinks = [system for system in diagram.GetSystems() if isinstance(system, VectorLogSink)]
     signals = {sink.get_name().removeprefix("log_"): sink.FindLog(root) for sink in sinks}
     t = next(iter(signals.values())).sample_times().copy()
@@ -495,7 +555,7 @@ def collect_log(
         scenario: configuration of the diagram.
         simulator: simulator of the diagram.
         monitor: monitor of the motion.
-        avoid_obstacles: value of this key in the log.
+        avoid_obstacles: whether the motion avoids obstacles.
         wall_time: wall-clock time of the simulation [s].
     """
     outcome = monitor.outcome or MotionOutcome(MotionEnd.INTERRUPTED, "")
@@ -522,7 +582,16 @@ def collect_log(
 
 
 def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[str, Any]:
-    """Converts rows to named columns of a log: an array of times [s], and tuples of texts."""
+    """Converts rows of a time [s] and texts to columns of a log: an array of times, and tuples of
+    texts.
+
+    Args:
+        rows: tuples that begin with a time; may be empty.
+        names: keys of the columns, that of the times first.
+
+    Returns:
+        Columns by key.
+    """
     times, *texts = zip(*rows, strict=True) if rows else [()] * len(names)
     return dict(zip(names, (np.array(times, dtype=float), *texts), strict=True))
 
@@ -530,7 +599,8 @@ def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[st
 def make_log(
     scenario: Scenario, t: FloatArray, signals: dict[str, FloatArray], **attributes: Any
 ) -> MotionLog:
-    """Creates a log from signals; missing ones have the values of a nominal motion without holds.
+    """Creates a log from logged signals; a missing signal gets its values in a nominal motion
+    without holds.
 
     Args:
         scenario: configuration of the run.
