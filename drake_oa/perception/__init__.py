@@ -1,9 +1,9 @@
 """Perception: from depth images to tracked obstacles with velocities.
 
-Inputs: for each camera an ImageDepth32F [m] and the camera's pose X_WC (x right, y down, z forward)
-every period, and the robot's state [q, v] for the self filter (removal of points on the robot).
-Output: `ObstacleClouds` in the world frame: for each obstacle a point cloud (N, 3) [m], a velocity
-[m/s] and a constant track ID; the support plane; a stamp [s].
+Inputs every period: for each camera an ImageDepth32F [m] and the camera's pose X_WC (x right, y
+down, z forward). The robot's state [q, v] is an input of the self filter, which removes points on
+the robot. Output: `ObstacleClouds` in the world frame: for each obstacle a point cloud (N, 3) [m],
+a velocity [m/s] and a constant track ID; the support plane; a stamp [s].
 
 Perception sources; the block `perception` of a scenario selects one of them:
 
@@ -25,8 +25,8 @@ A frame consists of the images of all cameras at one instant. It is processed in
 3. `tracking.select_output_clouds` outputs clouds that changed by more than noise; the other clouds
    in the output remain bitwise equal.
 
-`visibility` extends obstacles that the border of an image truncates, and `coverage` computes the
-share of the space near an arm that the cameras do not observe. `config` has the configuration:
+`visibility` extends obstacles that the border of an image truncates. `coverage` computes the share
+of the space near an arm that no camera observes. `config` has the configuration:
 `SegmentationConfig` and the blocks of the sources. All run-time data is one `TrackerState` in the
 Context.
 

@@ -152,8 +152,9 @@ class DepthPerception(LeafSystem):
     """Detects and tracks obstacles in depth images: one point cloud and velocity per obstacle.
 
     Note: with several cameras the stamp of `obstacles_W` is that of the oldest camera, not that of
-    the newest image. It is the time of the last usable image of the camera without a usable image
-    for the longest time, since obstacles may have entered its part of the scene unobserved.
+    the newest image. The oldest camera is the one without a usable image for the longest time; the
+    stamp is that of its last usable image. Since then, obstacles may have entered its part of the
+    scene unobserved.
 
     .. pydrake_system::
 
@@ -194,11 +195,11 @@ class DepthPerception(LeafSystem):
 
     The inputs are evaluated at initialization and then every `period`, since each evaluation makes
     a simulated camera render. The outputs are constant between these updates. An obstacle keeps its
-    track ID, and the points that the arm occludes. The cloud of an obstacle at rest does not change
-    by a bit until a larger or smaller extent is observed (see
-    `drake_oa.perception.tracking.update_tracks`, also for repeated frames and for stamps that
-    decrease). A frame without a table leaves the obstacles and their stamp unchanged and states the
-    reason in `note`. A receiver computes the age of the obstacles from the stamp.
+    track ID, and the points that the arm occludes. The cloud of an obstacle at rest remains bitwise
+    equal until a larger or smaller extent is observed. `drake_oa.perception.tracking.update_tracks`
+    describes tracking, repeated frames, and stamps that decrease. A frame without a table leaves
+    the obstacles and their stamp unchanged and states the reason in `note`. A receiver computes the
+    age of the obstacles from the stamp.
 
     Images whose stamps differ by at most `sync_tolerance` form one frame with the time of the
     newest image. The self filter removes the robot at its configuration of each image. A camera

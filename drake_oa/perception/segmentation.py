@@ -55,8 +55,8 @@ _MAX_WARP = 0.04
 """Maximum apparent height of a flat table that a structured-light camera measures as bent upward
 [m]."""
 _HIGHER_SHARE = 0.1
-"""Minimum fraction of a cluster's voxels that must be higher than depth noise and apparent bend of
-the table, for the cluster to be an obstacle [-]."""
+"""Minimum fraction of a cluster's voxels above the depth noise and apparent bend of the table;
+clusters with a smaller fraction are no obstacles [-]."""
 OCCLUSION_GAP = 0.06
 """Maximum width of an occluded gap across which two clusters are merged into one obstacle [m]."""
 _BRIDGES = 16
@@ -383,8 +383,8 @@ def _points_above(
     the segmentation).
 
     A pixel with ray r (z = 1) and depth z has the height z n . r - offset above the plane n . p =
-    offset. The standard deviation of the height of a point on the plane is `DEPTH_NOISE` z
-    |offset|, since that of the depth is `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
+    offset. The height of a point on the plane has the standard deviation `DEPTH_NOISE` z |offset|,
+    since its depth has `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
 
     Args:
         frame: image or cloud with its own plane.

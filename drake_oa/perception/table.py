@@ -4,7 +4,7 @@ and height.
 A plane is ``normal . p = offset``, with a unit normal that points to free space. Planes that
 contradict gravity are rejected, so that a wall never replaces a table with fewer points.
 
-The table covers the convex hull of its visible points, and is assumed to continue beyond the border
+The table covers the convex hull of its visible points. It is assumed to continue beyond the border
 of the image, since the feet of objects near the lowest row are not visible.
 """
 
@@ -22,14 +22,14 @@ DEPTH_NOISE = 0.0015
 """Standard deviation of a measured depth divided by the square of that depth [1/m]: the camera
 noise that the table fit and the segmentation assume."""
 LEAST_SHARE = 0.05
-"""Minimum fraction of an image's pixels that have depth, and of the sampled points that lie on the
-support plane, for both to be usable [-]."""
+"""Minimum fraction of an image's pixels with depth, and of its sampled points on the support plane;
+with less, the image or plane is rejected [-]."""
 HEIGHT_TOLERANCE = 0.05
 """Maximum difference of the table's height from the expected height, or between two images, to be
 the same table [m]."""
 _PLANE_TOLERANCE = 0.006
-"""Maximum distance from a plane of a point that lies on it, at depth 0 [m]. At depth z the
-allowance for noise is added, `DEPTH_NOISE` z^2."""
+"""Maximum distance between a plane and a point on it, at zero depth [m]. At depth z the noise
+`DEPTH_NOISE` z^2 is added."""
 _PLANE_TILT = math.radians(5.0)
 """Maximum angle between the normal of a detected table and the vertical, if the camera's pose is
 known [rad]."""
@@ -131,8 +131,8 @@ def find_table(
     """Finds the support plane (table) among points in the frame of the camera.
 
     A table of known height is searched near that height. Otherwise the plane with the most points
-    (RANSAC) is the table, unless it is the floor around a table, or the top of a box on the table
-    (see `_find_supporting_level`).
+    (RANSAC) is the table. If that plane is the floor around a table, or the top of a box on a
+    table, the table is found from it (`_find_supporting_level`).
 
     Args:
         points: (N, 3) points in the frame of the camera [m].
@@ -283,9 +283,9 @@ def table_extent(
     """Computes points (E, 3) whose convex hull is the extent of a table, in the frame of the camera
     [m].
 
-    They are the border points of the table's mask in the image, and points beyond the left, right
-    and lower borders of the image, where the table is assumed to continue. An opening of the mask
-    by 3 x 3 pixels removes the thin line along which the table's plane intersects a wall.
+    They are the border points of the table's mask in the image. Points are added beyond the left,
+    right and lower borders of the image, where the table is assumed to continue. An opening of the
+    mask by 3 x 3 pixels removes the thin line along which the table's plane intersects a wall.
 
     Args:
         fit: plane of the table.

@@ -1,14 +1,16 @@
-"""Multi-object tracking of obstacles: a track is one obstacle over time, with an ID.
+"""Multi-object tracking of obstacles: a track is one obstacle over time, with an ID and a velocity.
 
-A frame contains only surfaces that are not occluded, with noise. A track therefore has remembered
-points, collected over frames. `update_tracks` processes a frame in these steps:
+A frame (the images of all cameras at one instant) contains only surfaces that are not occluded,
+with noise. A track therefore has remembered points, collected over frames. `update_tracks`
+processes a frame in these steps:
 
-1. Prediction: position and velocity of each track are predicted (`velocity`); the remembered
-   points of a moving track move with it. A moving track without measurements coasts.
+1. Prediction: position and velocity of each track are predicted (`velocity`); the remembered points
+   of a moving track move with it. A moving track without measurements coasts.
 2. Data association: clusters are assigned to tracks (`associate`), first by common points, then by
    the distance of centroids within a gate.
-3. Correction: positions are measured by the sides of obstacles (`find_sides`), velocities by their
-   surfaces (`velocity`); a Kalman filter corrects the tracks.
+3. Correction: positions are measured at the sides of obstacles, their ends along the world axes
+   (`find_sides`); velocities are measured by registration of their surfaces (`velocity`). A Kalman
+   filter corrects the tracks.
 4. Evidence: each remembered point is supported, occluded or contradicted by the frame.
 5. Track management: tracks are split, merged and deleted.
 6. Output: clouds that changed by more than noise (`select_output_clouds`). Receivers compare clouds
@@ -69,63 +71,86 @@ from drake_oa.perception.velocity import (
 from drake_oa.perception.visibility import mutual_nearest
 
 _MAX_EVIDENCE = 4
-"""Maximum evidence of a remembered point."""
+"""Maximum evidence (number of supporting frames, less contradicting ones) of a remembered point of
+a track."""
 _CONFIRMED = 2
-"""Minimum evidence at which a remembered point is confirmed."""
+"""Minimum evidence (number of supporting frames, less contradicting ones) at which a remembered
+point of a track is confirmed, and output."""
 SUPPORT_RADIUS = 0.012
-"""Maximum distance from a confirmed point to a point of the frame that supports it [m]."""
+"""Maximum distance from a confirmed remembered point of a track to an observed point that supports
+it [m]."""
 SAME_RADIUS = 0.008
-"""Maximum distance at which an observed and a remembered point are the same point [m]."""
+"""Maximum distance at which an observed point and a remembered point of a track are the same point,
+and are averaged [m]."""
 _PRECEDENCE = np.array([1, 3, 4, 0, 2])
-"""Precedence of the states HIDDEN, AT, FREE, OUT and EMPTY of one point in several images."""
+"""Precedence (5,) of the states HIDDEN, AT, FREE, OUT and EMPTY, if several images disagree on a
+remembered point. The largest number decides."""
 _MATCH_RADIUS = 0.02
-"""Maximum distance from a remembered point to a point of the frame that votes for its track [m]."""
+"""Maximum distance from an observed point to a remembered point of a track to count as a common
+point, in data association [m]."""
 _COMMON_POINTS = 4
-"""Minimum number of common points of a track and a cluster assigned to it."""
+"""Minimum number of common points for which data association assigns a cluster to a track."""
 _COMMON_SHARE = 0.25
-"""Minimum ratio of the common points of a track and a cluster to the points of the smaller [1]."""
+"""Minimum number of common points for which data association assigns a cluster to a track, relative
+to all points of the smaller one [-]."""
 _GATE = 0.1
-"""Gate: maximum distance of the centroids of a track and a cluster without common points [m]."""
+"""Gate of the data association: maximum distance between the centroids of a track and a cluster
+without enough common points [m]."""
 _IMMEDIATE_CONFIRMATION_FACTOR = 2.0
-"""Size of a new cluster that is confirmed at once, relative to `min_cluster_voxels` [1]."""
+"""Minimum size of a new cluster whose points are confirmed and output at once, relative to
+`min_cluster_voxels` [-]."""
 _MEAN_FRAMES = 20
-"""Maximum number of frames in the running mean of a remembered point."""
+"""Maximum number of frames over which the position of a remembered point of a track is averaged."""
 _OCCLUDED_SHARE = 0.3
-"""Minimum occluded fraction of the remembered points beyond a side that counts as occluded [1]."""
+"""Occluded fraction of the remembered points beyond a side of an obstacle at which the side counts
+as occluded, and is not measured [-]."""
 _SIDE_SLACK = 0.004
-"""Tolerance of the test whether a remembered point is beyond a side of its obstacle [m]."""
+"""Distance from a side of its obstacle above which a remembered point counts as beyond the side, in
+the test for occluded sides [m]."""
 _MIN_VISIBLE_SHARE = 0.2
-"""Minimum fraction of a track's points to which its unsupported points are compared [1]."""
+"""Minimum fraction of a track's remembered points to which the unsupported points are compared,
+even if fewer are visible, in motion evidence [-]."""
 _EVIDENCE_DECAY = 0.9
-"""Factor per frame of the motion evidence of a track [1]."""
+"""Factor per frame by which the motion evidence of a track (fraction of its visible points that are
+not observed again) decays [-]."""
 _CORRECTION = 0.003
-"""Correction of a track's position above which its points are compared with the frame again [m]."""
+"""Displacement of a track by the Kalman filter's correction above which remembered points are
+compared with the frame again [m]."""
 _MIN_SUPPORT_RATIO = 0.9
-"""Minimum ratio of supported points after to those before a correction that is accepted [1]."""
+"""Minimum number of a track's supported points after a correction of its position, relative to the
+number before, for the correction to be accepted [-]."""
 _SPLIT_FRAMES = 3
-"""Number of consecutive frames after which a track in separate parts is split."""
+"""Number of consecutive frames with an obstacle in separate parts, after which its track is
+split."""
 _TABLE_SHIFT = 0.003
-"""Displacement of the table within 1 m of the origin above which its plane is output again [m]."""
+"""Height difference between the measured table and the last output table, within 1 m of the world
+origin, above which the output is updated [m]."""
 _MERGE_TIME = 0.5
-"""Time as one cluster after which tracks with similar velocities are merged [s]."""
+"""Time for which two tracks must share one cluster and have similar velocities before they are
+merged [s]."""
 _MAX_VELOCITY_DIFFERENCE = 0.1
-"""Maximum difference of the velocities of two tracks that are merged [m/s]."""
+"""Maximum difference between the velocities of two tracks in one cluster that are merged [m/s]."""
 _MAX_GROWTH = 0.0025
-"""Growth of an obstacle in any direction above which its cloud is output again [m]."""
+"""Growth of an obstacle's extent in any of 26 directions above which its cloud in the output is
+updated [m]."""
 _MAX_SHRINKAGE = 0.005
-"""Shrinkage of an obstacle in any direction above which its cloud is output again [m]."""
+"""Shrinkage of an obstacle's extent in any of 26 directions above which its cloud in the output is
+updated [m]."""
 _CHANGED_SHARE = 0.1
-"""Relative change of the number of points above which a cloud is output again [1]."""
+"""Relative change of the number of an obstacle's points above which its cloud in the output is
+updated [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Points(Frozen):
-    """N remembered points of tracks.
+    """N remembered surface points of tracks (obstacles followed over time), collected over several
+    frames.
 
     Attributes:
-        p_OQ: (N, 3) positions in the frame O of the track [m].
-        owner: (N,) row of the track.
-        evidence: (N,) evidence, from 1 to `_MAX_EVIDENCE`.
+        p_OQ: (N, 3) positions in the frame O of the track, which has the axes of the world [m].
+        owner: (N,) row of the track to which each point belongs.
+        evidence: (N,) number of supporting frames less contradicting ones, from 1 to
+            `_MAX_EVIDENCE`.
         weight: (N,) number of frames in the running mean of the position.
         confirmed: (N,) whether enough frames support the point.
     """
@@ -141,10 +166,10 @@ class Points(Frozen):
 
 
 class OutputCloud(NamedTuple):
-    """Cloud of a track in the output.
+    """Point cloud of one tracked obstacle as it is output.
 
     Attributes:
-        p_OQ: (N, 3) points in the frame O of the track [m].
+        p_OQ: (N, 3) points in the frame O of the track, which has the axes of the world [m].
         p_WQ: (N, 3) points in the world [m].
     """
 
@@ -154,7 +179,7 @@ class OutputCloud(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrackerState(Frozen):
-    """State of the tracker after a frame.
+    """State of the obstacle tracker after one frame (images of one instant), including its output.
 
     Attributes:
         obstacles: output of the tracker.
@@ -162,10 +187,11 @@ class TrackerState(Frozen):
         tracks: Kalman filters and further state of the tracks.
         points: remembered points of the tracks.
         output_clouds: cloud in the output, by track ID.
-        references: surface in an earlier frame, by track ID; for velocities.
+        references: surface of each obstacle in an earlier frame, by track ID; for measuring
+            velocities.
         frame_stamp: time of the last frame [s].
-        last_image_stamps: (n,) time of the last usable image of each camera [s].
-        cloud_W: (K, 3) points of the last frame, for visualization [m].
+        last_image_stamps: (n,) time of the last usable image of each of n cameras [s].
+        cloud_W: (K, 3) points of the last frame in the world, for visualization [m].
     """
 
     obstacles: ObstacleClouds = field(default_factory=ObstacleClouds)
@@ -183,23 +209,32 @@ _Rows = TypeVar("_Rows", Points, Tracks)
 
 
 def select_rows(value: _Rows, index: IntArray | BoolArray) -> _Rows:
-    """Returns some rows of points or tracks, by indices or booleans."""
+    """Returns tracks or remembered points with only the selected rows of every array.
+
+    Args:
+        value: tracks or points.
+        index: (K,) indices of the rows, or one boolean per row.
+    """
     return replace(value, **{name: part[index] for name, part in vars(value).items()})
 
 
 def append_rows(first: _Rows, second: _Rows) -> _Rows:
-    """Concatenates the rows of two values."""
+    """Appends the rows of the second to those of the first value, which are both tracks or both
+    remembered points.
+    """
     parts = {name: np.concatenate([one, vars(second)[name]]) for name, one in vars(first).items()}
     return replace(first, **parts)
 
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Assignment of the points and clusters of a frame to tracks, by their rows.
+    """Result of data association: assignment of the points and clusters of a frame to tracks, by
+    the tracks' rows.
 
     Attributes:
         point_row: (Q,) track of each point; new tracks follow the M existing ones.
-        cluster_row: (C,) track with the most common points with each cluster.
+        cluster_row: (C,) track of each cluster; if several own it, the one with the most common
+            points.
         is_shared: (C,) whether a cluster belongs to several tracks.
         new_clusters: clusters that start new tracks, in the order of the new rows.
         partner: (M,) largest track in a cluster shared with each track, -1: none.
@@ -221,12 +256,14 @@ def associate(
     owner: IntArray,
     tracks: int,
 ) -> Association:
-    """Assigns clusters to tracks (data association): by common points, else by predicted centroids.
+    """Assigns clusters of a frame to tracks (data association): by common points, else by predicted
+    centroids.
 
-    A track owns every cluster with enough common points: a fraction of the smaller of the two. A
-    cluster of several tracks is divided: each point belongs to the track of the nearest remembered
-    point. The other clusters are assigned by the least total distance of centroids within the gate
-    (Hungarian method). A cluster that remains starts a new track.
+    A track owns every cluster with enough common points: at least `_COMMON_POINTS`, and at least
+    the fraction `_COMMON_SHARE` of the points of the smaller of both. A cluster that several tracks
+    own is divided: each point belongs to the track of the nearest remembered point. The other
+    clusters are assigned by the least total distance of centroids within the gate (Hungarian
+    method). A cluster that remains starts a new track.
 
     Args:
         points: (Q, 3) points of the frame in the world [m].
@@ -284,18 +321,19 @@ def update_tracks(
     *,
     complete: bool = True,
 ) -> TrackerState:
-    """Updates the tracks by a new frame, see the steps in the module's documentation.
+    """Updates the tracks (obstacles over time) by a new frame, in the steps that the module's
+    docstring lists.
 
-    A remembered point without information in all images of the frame remains: it is occluded by the
-    arm or another obstacle, its pixels have no depth, it lies outside the images, or the robot is
-    at its place. An obstacle behind a parked arm is therefore remembered while the arm is there.
-    Two frames with free space at the place of a point, in any of their images, delete it.
+    A remembered point remains if no image of the frame has information about it. Reasons are: it is
+    occluded by the arm or another obstacle; its pixels have no depth; it lies outside the images;
+    the robot is at its place. An obstacle behind a parked arm is therefore remembered while the arm
+    is there. Two frames with free space at the place of a point, in any of their images, delete it.
 
     - A frame that is not usable (no valid pixel, no table) changes only the note. A receiver
       computes the age of the obstacles from the stamp.
-    - A frame with the stamp of the previous frame is a repetition: nothing changes.
+    - A frame with the stamp of the previous frame is a repetition: it only clears the note.
     - A frame with an earlier stamp resets the tracker, except that no track ID is used twice.
-    - After a gap of `velocity.MAX_GAP` between frames all velocities are reset.
+    - After a gap of more than `velocity.MAX_GAP` between frames all velocities are reset.
 
     Args:
         previous: state after the previous frame; `TrackerState()` before the first frame.
@@ -322,7 +360,7 @@ def update_tracks(
 
 
 class _Comparison(NamedTuple):
-    """Comparison of N remembered points with the Q points and V images of a frame.
+    """Comparison of N remembered points of tracks with the Q points and V images of a frame.
 
     Attributes:
         p_WQ: (N, 3) predicted positions of the remembered points in the world [m].
@@ -344,7 +382,9 @@ class _Comparison(NamedTuple):
 
 
 class _FrameUpdate:
-    """Update of the tracks by one frame, for the duration of `update_tracks`."""
+    """Computation of one update of the tracks by a frame; an instance exists only during
+    `update_tracks`.
+    """
 
     def __init__(
         self,
@@ -365,7 +405,9 @@ class _FrameUpdate:
         self.next_id = previous.next_id
 
     def run(self) -> TrackerState:
-        """Returns the state of the tracker after the frame."""
+        """Runs all steps of the update by the frame, and returns the resulting state of the
+        tracker.
+        """
         self.tracks = predict_tracks(self.tracks, self.dt)
         comparison = self._compare()
         association = associate(
@@ -401,7 +443,9 @@ class _FrameUpdate:
         return self._output()
 
     def _compare(self) -> _Comparison:
-        """Compares the remembered points at their present positions with the frame."""
+        """Compares the remembered points of the tracks, at their present positions, with the points
+        and images of the frame.
+        """
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
         nearest, to_remembered, to_frame = mutual_nearest(self.frame_points, p_WQ, _MATCH_RADIUS)
         # A cloud is assumed to contain every surface.
@@ -420,17 +464,18 @@ class _FrameUpdate:
         return _Comparison(p_WQ, nearest, to_remembered, to_frame, state, image_state, pixel)
 
     def _reject_corrections(self, predicted: Tracks, before: _Comparison) -> _Comparison:
-        """Undoes corrections of resting tracks after which fewer of their points are supported.
+        """Undoes corrections of resting tracks after which the frame supports fewer of their
+        remembered points.
 
-        A side of a thin object may be visible at different places in two frames although the
-        object rests. Then its surface does not fit the corrected position.
+        A side of a thin object may be visible at different places in two frames although the object
+        rests. Then the object's surface does not fit the corrected position.
 
         Args:
             predicted: tracks before the correction.
-            before: comparison of their points with the frame.
+            before: comparison of the tracks' points with the frame before the correction.
 
         Returns:
-            Comparison of the points with the frame after the function.
+            Comparison of the remembered points with the frame for the tracks that result.
         """
         after, owner = self._compare(), self.points.owner
         rows = np.arange(len(self.tracks))
@@ -453,10 +498,11 @@ class _FrameUpdate:
         return self._compare()
 
     def _find_self_occluded(self, association: Association, comparison: _Comparison) -> BoolArray:
-        """Finds the remembered points (N,) behind their own obstacle, which has moved or rotated.
+        """Finds the remembered points (N,) behind the visible part of their own obstacle, which has
+        moved or rotated.
 
-        They are behind it in every image that contains their place. Without the images of all
-        cameras none counts, since a missing camera may have observed the rear side.
+        Such points are behind the obstacle in every image that contains their place. If a camera's
+        image is missing, no point counts, since that camera may have observed the rear side.
         """
         if not self.complete or not self.frame.views:
             return np.zeros(len(self.points), dtype=bool)
@@ -468,7 +514,13 @@ class _FrameUpdate:
         return np.asarray(is_behind.any(axis=0) & everywhere)
 
     def _update_motion_evidence(self, comparison: _Comparison, is_behind: BoolArray) -> None:
-        """Updates the motion evidence: the fraction of visible points without support."""
+        """Updates the motion evidence of each track: the fraction of its visible, confirmed points
+        without an observed point near them.
+
+        Args:
+            comparison: comparison of the remembered points with the frame.
+            is_behind: (N,) whether each remembered point is behind its own obstacle.
+        """
         points, state, count = self.points, comparison.state, len(self.tracks)
         is_visible = (state == AT) | (state == FREE) | (state == EMPTY) | is_behind
         is_visible &= points.confirmed
@@ -481,10 +533,11 @@ class _FrameUpdate:
         self.tracks = replace(self.tracks, motion_evidence=np.maximum(fraction, decayed))
 
     def _correct(self, association: Association, p_WQ: FloatArray, is_occluded: BoolArray) -> None:
-        """Corrects the tracks by their sides and surfaces in the frame.
+        """Corrects the positions and velocities of the tracks by the sides and surfaces of
+        obstacles in the frame.
 
         Args:
-            association: assignment of clusters; shared clusters have no sides.
+            association: assignment of clusters; sides of shared clusters are not measured.
             p_WQ: (N, 3) remembered points in the world [m].
             is_occluded: (N,) whether each remembered point is occluded.
         """
@@ -515,7 +568,14 @@ class _FrameUpdate:
     def _update_evidence(
         self, association: Association, comparison: _Comparison, is_behind: BoolArray
     ) -> None:
-        """Updates the evidence of the remembered points, and deletes points without evidence."""
+        """Updates the evidence of the remembered points by the table in the module's docstring, and
+        deletes points without evidence.
+
+        Args:
+            association: assignment of the frame's points and clusters to tracks.
+            comparison: comparison of the remembered points with the frame.
+            is_behind: (N,) whether each remembered point is behind its own obstacle.
+        """
         points, state = self.points, comparison.state
         radius = np.where(points.confirmed, SUPPORT_RADIUS, SAME_RADIUS)
         is_supported = comparison.to_frame < radius
@@ -538,7 +598,9 @@ class _FrameUpdate:
         self.points = select_rows(replace(points, evidence=evidence, confirmed=confirmed), remains)
 
     def _update_points(self, association: Association, comparison: _Comparison) -> None:
-        """Averages the remembered points with those of the frame, and adds new points."""
+        """Averages the remembered points of tracks with the same points in the frame, and adds the
+        frame's other points as new ones.
+        """
         point_of = np.append(self._new_row, -1)[comparison.nearest]
         row = association.point_row
         is_same_track = np.append(self.points.owner, -1)[point_of] == row
@@ -566,9 +628,9 @@ class _FrameUpdate:
         self.points = append_rows(self.points, new_points)
 
     def _split_tracks(self, association: Association, comparison: _Comparison) -> None:
-        """Splits tracks that have been in separate parts for `_SPLIT_FRAMES` frames.
+        """Splits each track whose obstacle has been in separate parts for `_SPLIT_FRAMES` frames.
 
-        Occluded remembered points connect parts of one track. The part of the largest cluster
+        Occluded remembered points connect the parts of one track. The part of the largest cluster
         retains the track ID; the other parts become new tracks.
         """
         tracks, points = self.tracks, self.points
@@ -604,13 +666,16 @@ class _FrameUpdate:
         self._add_tracks(select_rows(self.tracks, np.array(origin, dtype=np.int64)))
 
     def _add_tracks(self, tracks: Tracks) -> None:
-        """Adds tracks with new IDs."""
+        """Appends tracks with new, unused IDs to the tracks of the tracker."""
         ids = self.next_id + np.arange(len(tracks))
         self.next_id += len(tracks)
         self.tracks = append_rows(self.tracks, replace(tracks, ids=ids))
 
     def _merge_tracks(self, association: Association) -> None:
-        """Merges tracks in one cluster that have had similar velocities for `_MERGE_TIME`."""
+        """Merges tracks that have shared one cluster with similar velocities for `_MERGE_TIME`.
+
+        The points of the smaller track become those of the largest track in the cluster.
+        """
         tracks = self.tracks
         rows = np.flatnonzero(association.partner >= 0)
         into = association.partner[rows]
@@ -630,7 +695,7 @@ class _FrameUpdate:
         self.tracks = replace(tracks, sides=sides, merged_time=merged_time)
 
     def _delete_tracks(self) -> None:
-        """Deletes tracks with too few remembered points."""
+        """Deletes tracks that have too few remembered points left."""
         count = np.bincount(self.points.owner, minlength=len(self.tracks))
         remains = count >= self._min_points()
         row = np.cumsum(remains) - 1
@@ -639,11 +704,13 @@ class _FrameUpdate:
         self.tracks = select_rows(self.tracks, remains)
 
     def _min_points(self) -> int:
-        """Returns the minimum number of remembered points of a track."""
+        """Returns the number of remembered points below which a track is deleted and not output."""
         return max(4, self.config.min_cluster_voxels // 2)
 
     def _output(self) -> TrackerState:
-        """Returns the state of the tracker with the tracks that have enough confirmed points."""
+        """Returns the state of the tracker after the frame, whose output contains the tracks with
+        enough confirmed points.
+        """
         tracks, points = self.tracks, self.points
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
         is_output = confirmed >= self._min_points()
@@ -677,7 +744,10 @@ def select_output_clouds(
     is_output: BoolArray,
     previous: dict[int, OutputCloud],
 ) -> dict[int, OutputCloud]:
-    """Selects the output cloud of each track: the previous one if it differs only by noise.
+    """Selects the output cloud of each track: the previous cloud if the new one differs only by
+    noise.
+
+    Clouds that differ only by noise remain the same object, so that receivers do not replan.
 
     Args:
         ids: (M,) track IDs.
@@ -713,7 +783,13 @@ def select_output_clouds(
 def select_output_table(
     previous: TablePlane | None, measured: TablePlane | None
 ) -> TablePlane | None:
-    """Returns the previous plane if the measured one is within `_TABLE_SHIFT` of it."""
+    """Returns the table that is output: the previous plane, unless the measured one differs by more
+    than `_TABLE_SHIFT`.
+
+    Args:
+        previous: plane in the previous output; None: no plane.
+        measured: plane in the present frame; None: no plane, and none is output.
+    """
     if previous is None or measured is None:
         return measured
     return measured if measured.distance_to(previous) > _TABLE_SHIFT else previous

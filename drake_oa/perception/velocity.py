@@ -1,7 +1,8 @@
-"""Positions and velocities of tracks: a constant-velocity Kalman filter and its measurements.
+"""Positions and velocities of tracked obstacles: a constant-velocity Kalman filter and its
+measurements.
 
-The state of each world axis is (position, velocity). Acceleration is white noise of spectral
-density q, so that a step dt adds the covariance
+A track is one obstacle over time. The state of each world axis is (position, velocity).
+Acceleration is white noise of spectral density q, so that a step dt adds the covariance
 
     Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
 
@@ -34,64 +35,81 @@ from drake_oa.geometry.pinhole import View, pixel_at, pixel_rays
 from drake_oa.perception.segmentation import Segmentation
 
 SIDE_DEVIATION = 0.0015
-"""Standard deviation of a measured side or surface point at depths up to 1.2 m [m]."""
+"""Standard deviation of the measured position of an obstacle's side (end along an axis) or surface
+point, at depths up to 1.2 m [m]."""
 _ACCELERATION = 0.01
-"""Spectral density of the acceleration of a resting obstacle, per axis [m^2/s^3]."""
+"""Spectral density of the acceleration noise that the Kalman filter assumes for a resting obstacle,
+per axis [m^2/s^3]."""
 _MANEUVER = 0.05
-"""Spectral density of the acceleration of a moving obstacle, per axis [m^2/s^3]."""
+"""Spectral density of the acceleration noise that the Kalman filter assumes for a moving obstacle,
+per axis [m^2/s^3]."""
 _START_SPEED = 0.03
-"""Minimum speed of an obstacle that starts to move [m/s]."""
+"""Minimum speed of a tracked obstacle at which a frame can be evidence that the obstacle moves
+[m/s]."""
 START_STATISTIC = 21.1
-"""Minimum speed statistic of a significant velocity; exceeded at rest once in 10,000 frames [1]."""
+"""Minimum speed statistic v^T P_v^-1 v of a significant velocity [-]. Noise exceeds it once in
+10,000 frames for an obstacle at rest."""
 _CERTAIN_STATISTIC = 100.0
-"""Minimum speed statistic of a velocity for which one frame starts the motion of a track [1]."""
+"""Minimum speed statistic v^T P_v^-1 v of a velocity so certain that a single frame starts the
+motion of a track [-]."""
 _REST_SPEED = 0.02
-"""Speed below which a frame is evidence that an obstacle rests [m/s]."""
+"""Speed of a tracked obstacle below which a frame is evidence that the obstacle rests [m/s]."""
 _STOP_STATISTIC = 7.8
-"""Speed statistic below which a frame is evidence that an obstacle rests [1]."""
+"""Speed statistic v^T P_v^-1 v below which a frame is evidence that an obstacle rests, and above
+which its motion is likely [-]."""
 _STOP_TIME = 0.1
-"""Duration of evidence of rest after which a moving track rests [s]."""
+"""Duration of uninterrupted evidence of rest after which a moving track counts as resting [s]."""
 _OUTLIER = 5.0
-"""Gate of a measured position [standard deviations]; beyond it, the measurement is an outlier."""
+"""Gate of a measured position of a track, in standard deviations of its prediction error [-];
+beyond it, the measurement is an outlier."""
 _JUMP = 0.01
-"""Minimum displacement at which a resting obstacle counts as moved to another place [m]."""
+"""Minimum displacement at which a resting obstacle counts as moved to another place, so that its
+remembered points are moved there [m]."""
 _SETTLING = 0.1
-"""Weight of one frame in the running mean of the position of a resting obstacle [1]."""
+"""Weight of one frame in the running mean of a resting obstacle's position [-]."""
 _STRONG_EVIDENCE = 0.15
-"""Minimum motion evidence at which a velocity below `START_STATISTIC` counts as motion [1]."""
+"""Minimum motion evidence (fraction of a track's visible points that are not observed again) at
+which a velocity below `START_STATISTIC` counts as likely motion [-]."""
 COAST_TIME = 0.5
-"""Maximum duration of coasting: prediction of a moving track without measurements [s]."""
+"""Maximum duration for which a moving track without measurements is predicted by its velocity
+(coasting) [s]."""
 UNMEASURED_TIME = 0.2
-"""Unmeasured time along an axis after which the velocity of a resting track there is 0 [s]."""
+"""Time without a measurement along an axis after which the velocity of a resting track along that
+axis is set to zero [s]."""
 _SIGNIFICANT_SCORE = 3
-"""Motion score of a frame with a significant velocity; 1 with a velocity that is only likely."""
+"""Motion score that a track gains per frame with a significant velocity. A frame with a velocity
+that is only likely adds 1."""
 _MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
-"""Motion score at which a track starts to move."""
+"""Motion score (sum over consecutive frames with a significant or likely velocity) at which a
+resting track starts to move."""
 _REST_RADIUS = 0.004
-"""Distance from its resting position beyond which an obstacle can start to move [m]."""
+"""Displacement from its resting position beyond which an obstacle can start to move [m]."""
 _MIN_EVIDENCE = 0.04
-"""Motion evidence above which an obstacle can start to move [1]."""
+"""Motion evidence (fraction of a track's visible points that are not observed again) above which a
+resting obstacle can start to move [-]."""
 MAX_GAP = 1.0
-"""Maximum time between two frames from which a velocity is computed [s]."""
+"""Maximum time between two frames from which a velocity is computed [s]. After a longer gap, all
+tracks count as resting."""
 INITIAL_SPEED = 0.4
-"""Standard deviation of the velocity of a new track [m/s]."""
+"""Standard deviation of the velocity of a new track along each axis, before its first measured
+velocity [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks(Frozen):
-    """M tracks: obstacles over time, one per row.
+    """State of M tracks, one per row of each array; a track is one obstacle over time.
 
     Attributes:
         ids: (M,) track IDs.
         state: (M, 3, 2) filtered position [m] and velocity [m/s] along each world axis. The
             position is that of a point fixed to the obstacle, initially its centroid.
         covariance: (M, 3, 2, 2) covariance of the state.
-        shift_W: (M, 3) translation from the frame O of the remembered points to the world [m]:
-            p_WQ = p_OQ + shift_W.
+        shift_W: (M, 3) translation from the frame O of the remembered points to the world [m]: p_WQ
+            = p_OQ + shift_W.
         p_shift_W: (M, 3) position of the obstacle at which its points are placed [m]: the filtered
             position, at rest its running mean.
-        sides: (M, 3, 2) lowest and highest side along the world axes, relative to the position
-            [m]; NaN while unknown.
+        sides: (M, 3, 2) lowest and highest side along the world axes, relative to the position [m];
+            NaN while unknown.
         area: (M,) largest visible area, perpendicular to the line of sight [m^2].
         is_moving: (M,) whether the obstacle moves.
         motion_evidence: (M,) recent maximum of the fraction of the visible part that is not at its
@@ -127,17 +145,24 @@ class Tracks(Frozen):
 
     @property
     def p_W(self) -> FloatArray:
-        """Filtered positions (M, 3) [m]."""
+        """Positions (M, 3) of the tracked obstacles in the world, as filtered by the Kalman filter
+        [m].
+        """
         return self.state[..., 0]
 
     @property
     def v_W(self) -> FloatArray:
-        """Filtered velocities (M, 3) [m/s]."""
+        """Velocities (M, 3) of the tracked obstacles in the world, as filtered by the Kalman filter
+        [m/s].
+        """
         return self.state[..., 1]
 
 
 def new_tracks(p_W: FloatArray) -> Tracks:
-    """Returns new tracks at positions p_W (M, 3) [m]: at rest, with ID 0 and unknown sides."""
+    """Returns new tracks of M obstacles at the positions p_W (M, 3) [m].
+
+    The tracks are at rest with unknown sides, and have ID 0 until the tracker numbers them.
+    """
     parts = {
         name: np.zeros((len(p_W), *part.shape[1:]), dtype=part.dtype)
         for name, part in vars(Tracks()).items()
@@ -151,21 +176,22 @@ def new_tracks(p_W: FloatArray) -> Tracks:
 
 
 _FIRST_COVARIANCE = np.diag([SIDE_DEVIATION**2, INITIAL_SPEED**2])
-"""Covariance of position and velocity of a new track, per axis."""
+"""Covariance (2, 2) of the position [m] and velocity [m/s] of a new track, per axis."""
 
 
 def kalman_update(tracks: Tracks, kind: int, measured: FloatArray, variance: FloatArray) -> Tracks:
-    """Corrects the states by measured positions (kind 0) or velocities (kind 1).
+    """Corrects the state of each track by the Kalman update for measured positions (kind 0) or
+    velocities (kind 1).
 
     With H the row of the identity with index `kind`, and the variance r of the measurement z:
 
         K = P H^T / (H P H^T + r),   x <- x + K (z - H x),   P <- P - K H P
 
     Args:
-        tracks: predicted tracks.
+        tracks: predicted tracks with states x and covariances P.
         kind: column of the state.
         measured: (M, 3) z [m or m/s]; NaN: no measurement.
-        variance: (M, 3) r.
+        variance: (M, 3) r [m^2 or m^2/s^2].
     """
     P, is_measured = tracks.covariance, np.isfinite(measured)
     innovation = np.where(is_measured, measured - tracks.state[..., kind], 0.0)
@@ -178,19 +204,25 @@ def kalman_update(tracks: Tracks, kind: int, measured: FloatArray, variance: Flo
 
 
 def speed_statistic(tracks: Tracks) -> FloatArray:
-    """Computes v^T P_v^-1 v (M,): at rest chi-square distributed with 3 degrees of freedom."""
+    """Computes the speed statistic v^T P_v^-1 v (M,) of each track, with velocity v and covariance
+    P_v of v.
+
+    For an obstacle at rest it is chi-square distributed with 3 degrees of freedom.
+    """
     return np.asarray((tracks.v_W**2 / tracks.covariance[..., 1, 1]).sum(axis=1))
 
 
 _AREA_DECAY = 0.99
-"""Factor per frame of the known area of an obstacle with all sides visible [1]."""
+"""Factor per frame by which the known visible area of an obstacle decays while all its sides are
+visible [-]."""
 
 
 def predict_tracks(tracks: Tracks, dt: float) -> Tracks:
-    """Predicts the tracks at dt [s] >= 0 later; the points of moving tracks move with them.
+    """Predicts the tracks dt [s] >= 0 ahead by their velocities; remembered points of moving tracks
+    move with them.
 
     A moving track without a measurement for `COAST_TIME` stops at its last predicted position. All
-    tracks stop after a gap of `MAX_GAP` between frames.
+    tracks stop after a gap of more than `MAX_GAP` between frames.
     """
     gap = dt > MAX_GAP
     is_moving = (
@@ -226,16 +258,17 @@ def correct_tracks(
     v_variance: FloatArray,
     dt: float,
 ) -> Tracks:
-    """Corrects the tracks by the measurements of a frame, dt [s] after the previous frame.
+    """Corrects the tracks by the positions and velocities measured in a frame, and decides which
+    tracks move.
 
     A position beyond the gate is an outlier, and is rejected. A second outlier in a row is a
-    maneuver and is accepted: the variance of the position grows by the square of the jump, and the
+    maneuver and is accepted: the variance of the position grows by the square of the jump. The
     velocity, unless measured too, becomes as uncertain as that of a new track.
 
     Args:
         tracks: predicted tracks.
         sides: sides of the obstacles in the frame.
-        deviation: (M,) standard deviations from `depth_deviation` [m].
+        deviation: (M,) standard deviations of depth at the obstacles, from `depth_deviation` [m].
         v_W: (M, 3) measured velocities of the surfaces [m/s]; NaN: not measured.
         v_variance: (M, 3) variances of `v_W` [m^2/s^2].
         dt: time since the previous frame [s].
@@ -271,18 +304,25 @@ def correct_tracks(
 def _decide_motion(
     tracks: Tracks, is_measured: BoolArray, has_velocity: BoolArray, dt: float
 ) -> Tracks:
-    """Decides which tracks move, and moves their points to the filtered position.
+    """Decides which tracks move, and moves the remembered points of moving tracks to the filtered
+    position.
 
-    S is the speed statistic, v the velocity, D the motion evidence, and d the distance of the
-    filtered position from the position of the points. A track is suspect if it moves, has a
-    measured velocity, or has D > _MIN_EVIDENCE. A frame is significant if S > START_STATISTIC,
-    |v| > _START_SPEED, and the track moves, or is suspect with d > _REST_RADIUS.
+    Symbols:
+
+    - v: velocity, with covariance P_v;
+    - S: speed statistic v^T P_v^-1 v;
+    - D: motion evidence, the fraction of the visible points that are not observed again;
+    - d: distance of the filtered position from the position of the remembered points.
+
+    A track is suspect if it moves, has a measured velocity, or has D > _MIN_EVIDENCE. A frame is
+    significant if S > START_STATISTIC, |v| > _START_SPEED, and the track moves, or is suspect with
+    d > _REST_RADIUS.
 
         measured frame                                                      motion score
         significant                                                         + _SIGNIFICANT_SCORE
         significant, with measured velocity and S > _CERTAIN_STATISTIC      + _MOVING_SCORE
         S > _STOP_STATISTIC, D > _STRONG_EVIDENCE, |v| > _START_SPEED       + 1
-        any other                                                           0
+        any other                                                           reset to 0
 
         state     condition                                                 next state
         resting   motion score >= _MOVING_SCORE                             moving
@@ -330,31 +370,39 @@ def _decide_motion(
 
 
 _MAX_SURFACE_POINTS = 160
-"""Maximum number of points of the earlier surface that are registered."""
+"""Maximum number of points of the earlier surface that the registration of two surfaces uses."""
 _NEIGHBORS = 8
-"""Number of nearest points from which a surface normal is computed."""
+"""Number of nearest points from which the registration of two surfaces computes a local mean and a
+surface normal."""
 _ITERATIONS = 4
-"""Number of iterations of the registration of two surfaces."""
+"""Number of iterations of the registration that measures the displacement between two surfaces."""
 _MAX_SPREAD_RATIO = 0.5
-"""Maximum standard deviation of a measured displacement, relative to its prior [1]."""
+"""Maximum standard deviation of a displacement from which a velocity is measured, relative to the
+standard deviation of its prior [-]."""
 _CORRELATED_POINTS = 12.0
-"""Number of neighboring points with the same depth error, since the noise is smooth over pixels."""
+"""Number of neighboring points assumed to share one depth error, since camera noise is smooth over
+pixels. It divides the weight of each point in the registration [-]."""
 _GATE = 0.02
-"""Gate of the registration: maximum distance of corresponding points of two frames [m]."""
+"""Maximum distance between corresponding points of two surfaces in the last iteration of their
+registration [m]."""
 _SPEED_STEP = 0.1
-"""Maximum ratio of the depth step at a reference surface to the age of the reference [m/s]."""
+"""Maximum depth step of the camera at an obstacle, divided by the age of an earlier frame that is
+used to measure the velocity [m/s]."""
 _CONSTANT_DEPTH = 1.2
-"""Depth beyond which the standard deviation of a point grows with the square of depth [m]."""
+"""Depth beyond which the standard deviation of a measured point grows with the square of the depth
+[m]."""
 _MAX_REFERENCE_AGE = 0.19
-"""Age above which a reference surface is used for any ratio of its depth step to its age [s]."""
+"""Age above which an earlier frame is used to measure the velocity of an obstacle, however large
+the camera's depth step is [s]."""
 
 
 class Reference(NamedTuple):
-    """Surface of an obstacle in an earlier frame, with which later frames are compared.
+    """Surface of an obstacle in an earlier frame, with which a later frame is compared to measure
+    the velocity.
 
     Attributes:
-        stamp: time of that frame [s].
-        p_WQ: (N, 3) points of the surface [m].
+        stamp: time of the earlier frame [s].
+        p_WQ: (N, 3) points of the surface in the world [m].
     """
 
     stamp: float
@@ -368,14 +416,14 @@ def register_surface(
     prior: float,
     deviation: float = SIDE_DEVIATION,
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the displacement between two surfaces by point-to-plane registration.
+    """Computes the displacement between two surfaces of an obstacle by point-to-plane registration.
 
     Each iteration minimizes, over the displacement t,
 
         sum_i w_i (n_i . (q_i - p_i - t))^2 + |t - guess|^2 / prior^2
 
-    with p_i local means of the earlier points, q_i and n_i mean and normal of the nearest later
-    points (Chen and Medioni 1992), and weights w_i that reject edges and outliers.
+    Here p_i are local means of the earlier points, and q_i and n_i mean and normal of the nearest
+    later points (Chen and Medioni 1992). The weights w_i reject edges and outliers.
 
     Args:
         before, now: (N, 3) earlier and (M, 3) later surface in the world [m].
@@ -384,8 +432,8 @@ def register_surface(
         deviation: standard deviation of a point [m].
 
     Returns:
-        (3,) displacement [m], and (3,) its variances [m^2]; guess and prior if a surface has less
-        than `_NEIGHBORS` points.
+        (3,) displacement [m], and (3,) its variances [m^2]; the guess and prior^2 if a surface has
+        fewer than `_NEIGHBORS` points.
     """
     if min(len(before), len(now)) < _NEIGHBORS:
         return np.array(guess), np.full(3, prior**2)
@@ -423,10 +471,11 @@ def register_surface(
 
 
 def depth_deviation(p_W: FloatArray, views: Sequence[View]) -> FloatArray:
-    """Computes standard deviations (M,) of depth at points p_W (M, 3) in the nearest camera [m].
+    """Computes the standard deviation (M,) of the depth [m] that the nearest camera measures at
+    each position p_W (M, 3) [m].
 
-    Beyond `_CONSTANT_DEPTH` they grow with the square of the depth. A depth step of a
-    structured-light camera is twice as large.
+    It is `SIDE_DEVIATION`, and beyond `_CONSTANT_DEPTH` it grows with the square of the depth. A
+    depth step of a structured-light camera is twice as large.
     """
     depths = [(p_W - view.X_WC[:3, 3]) @ view.X_WC[:3, 2] for view in views]
     nearest = np.min(depths, axis=0) if depths else np.ones(len(p_W))
@@ -442,17 +491,18 @@ def measure_velocities(
     deviation: FloatArray,
     stamp: float,
 ) -> tuple[FloatArray, FloatArray, dict[int, Reference]]:
-    """Measures velocities of tracks by the displacements of their surfaces since a reference frame.
+    """Measures velocities of tracks by the displacements of their surfaces since a reference frame
+    (an earlier frame).
 
     The depth of a structured-light camera has steps that grow with the square of the depth. Between
-    consecutive frames the depth of a distant obstacle remains within one step, as if it rested. The
-    reference is therefore older: it remains until a step is less than `_SPEED_STEP` times its age.
-    Each reference is used once, so that no displacement is counted twice.
+    consecutive frames the depth of a distant obstacle remains within one step, as if the obstacle
+    rested. The reference is therefore older: it remains until a step is less than `_SPEED_STEP`
+    times its age. Each reference is used once, so that no displacement is counted twice.
 
     Args:
         tracks: M predicted tracks.
         references: earlier surfaces, by track ID.
-        p_WQ: (Q, 3) points of this frame [m].
+        p_WQ: (Q, 3) points of this frame in the world [m].
         point_row: (Q,) track of each point.
         cluster: (Q,) cluster of each point. All points of a track's clusters are registered, since
             points of a merged cluster may belong to its surface.
@@ -497,21 +547,31 @@ def measure_velocities(
 
 
 _BEHIND = 0.01
-"""Minimum depth difference, at 1 m, of background to an obstacle continued beyond its side [m]."""
+"""Depth by which an obstacle's own pixel must be behind the obstacle's straight continuation beyond
+a side to count as free space [m].
+
+The value is for a depth of 1 m, and grows with the square of the depth.
+"""
 _STEPS = np.arange(1, 24)
-"""Distances from a side at which the image is searched for free space [pixel]."""
+"""Distances from a side of an obstacle at which the image is searched for free space [pixel]."""
 _EMPTY_PIXELS = 12
-"""Number of consecutive pixels without depth that count as free space beyond a side."""
+"""Number of consecutive pixels without depth that count as free space beyond a side of an
+obstacle."""
 _MIN_SINE = 0.3
-"""Minimum sine of the angle between the axis of a side and the line of sight [1]."""
+"""Minimum sine of the angle between the line of sight and a world axis at which an image shows an
+obstacle's end along that axis [-].
+
+At smaller angles the obstacle is assumed to end at its measured side.
+"""
 _BACKGROUND_DEPTH = 100.0
-"""Depth of pixels with infinite depth [m]."""
+"""Depth that replaces the infinite depth of pixels in the search for free space beside obstacles
+[m]."""
 
 
 def sample_surfaces(
     label: NDArray[np.int16], rows: IntArray, view: View
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Samples points on the surfaces of obstacles in an image.
+    """Samples points on the visible surfaces of tracked obstacles in an image.
 
     Args:
         label: (H W,) cluster of each pixel, -1: none.
@@ -543,7 +603,8 @@ def count_open_sides(
     view: View,
     table: TablePlane,
 ) -> FloatArray:
-    """Counts the points at the sides of obstacles with free space beyond them.
+    """Counts the points at the sides of obstacles (ends along the world axes) with free space
+    beyond them.
 
     From each point of a side, the image is searched outward until the first pixel that decides:
 
@@ -557,7 +618,9 @@ def count_open_sides(
         points: (S, 3) points in the world [m].
         row: (S,) track of each point.
         sides: (M, 3, 2) lowest and highest side of each track along each world axis [m].
-        label, rows, view: as for `sample_surfaces`.
+        label: (H W,) cluster of each pixel, -1: none.
+        rows: (C + 1,) track of each cluster, -1: not sampled; the last element is -1.
+        view: depth image.
         table: support plane in the world.
 
     Returns:
@@ -592,30 +655,39 @@ def count_open_sides(
 
 
 _PIXELS = 800
-"""Approximate number of sampled pixels of a cluster."""
+"""Approximate number of pixels at which the surface of an obstacle is sampled in an image."""
 DEPTH_MARGIN = 0.03
-"""Maximum depth difference between a surface and a point on it [m]."""
+"""Maximum depth difference between a measured surface and a point that counts as lying on it
+[m]."""
 _SIDE_TAIL = 0.02
-"""Fraction of an obstacle's visible area that lies beyond each of its sides [1]."""
+"""Fraction of an obstacle's visible or known area, whichever is larger, that lies beyond each of
+its sides; it defines the sides [-]."""
 _OPEN_SHARE = 0.7
-"""Minimum fraction of points with free space beyond them at a side where an obstacle ends [1]."""
+"""Minimum fraction of the points at a side of an obstacle with free space beyond them, for the
+obstacle to end there [-]."""
 _MIN_AREA_SHARE = 0.15
-"""Minimum visible fraction of the known area of an obstacle whose sides are measured [1]."""
+"""Minimum visible fraction of an obstacle's known area for its position to be measured by its sides
+[-]."""
 _GROWTH = 1.1
-"""Ratio of visible to known area above which an obstacle is entering the view [1]."""
+"""Ratio of visible to known area above which an obstacle is entering the image, so that its sides
+are uncertain [-]."""
 _GROWTH_FACTOR = 6.0
-"""Factor of the standard deviation of the sides of an obstacle that is entering the view [1]."""
+"""Factor by which the standard deviation of the sides increases for an obstacle that is entering
+the image [-]."""
 _SIDE_GRAIN = 0.7
-"""Standard deviation of a measured side due to the image's resolution [pixel]."""
+"""Standard deviation of the measured side of an obstacle due to the image's resolution [pixel]."""
 _OCCLUSION_FACTOR = 3.0
-"""Increase of the relative standard deviation of a side per occluded fraction of the area [1]."""
+"""Increase of the relative standard deviation of an obstacle's measured side per occluded fraction
+of its area [-]."""
 _SIDE_LEARNING = 0.05
-"""Weight of one frame in the running mean of the distance between two sides [1]."""
+"""Weight of one frame in the running mean of the distance between two opposite sides of an obstacle
+[-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Sides of M tracks in one frame: places beyond which a small fixed area of the obstacle lies.
+    """Sides of M tracked obstacles in one frame: places along the world axes beyond which a small
+    fixed area of the obstacle lies.
 
     Attributes:
         place: (M, 3, 2) lowest and highest side along each world axis [m]; NaN without visible
@@ -639,7 +711,8 @@ def find_sides(
     known_area: FloatArray,
     voxel: float,
 ) -> Sides:
-    """Finds the sides of the tracks in all images of a frame.
+    """Finds the sides of tracked obstacles (their ends along the world axes) in all images of a
+    frame.
 
     Args:
         frame: segmented frame; in a cloud every obstacle ends at its sides.
@@ -689,18 +762,21 @@ def find_sides(
 def measure_positions(
     sides: Sides, known_sides: FloatArray, known_area: FloatArray, deviation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes positions of tracks from their m visible sides along an axis, and the variances.
+    """Computes the positions of tracked obstacles along each axis from their m visible sides, and
+    the variances of the positions.
 
-    With the standard deviation sigma of depth, the width of a pixel delta, and the occluded
-    fraction rho of the known area, the variance of the mean of the sides is
+    Symbols: sigma is the standard deviation of depth, delta the width of a pixel, and rho the
+    occluded fraction of the known area. The mean of the sides has the variance
 
         (sigma^2 + (_SIDE_GRAIN delta)^2) (1 + _OCCLUSION_FACTOR rho)^2 / m
+
+    and `_GROWTH_FACTOR`^2 times as large for an obstacle that is entering the image.
 
     Args:
         sides: sides in this frame.
         known_sides: (M, 3, 2) sides relative to the position [m]; NaN: unknown.
         known_area: (M,) largest visible area of each track in earlier frames [m^2].
-        deviation: (M,) standard deviations from `depth_deviation` [m].
+        deviation: (M,) standard deviations of depth, from `depth_deviation` [m].
 
     Returns:
         (M, 3) positions [m], NaN along an axis without a visible known side; (M, 3) variances
@@ -721,10 +797,19 @@ def measure_positions(
 
 
 def learn_sides(sides: Sides, known_sides: FloatArray, p_W: FloatArray) -> FloatArray:
-    """Updates the known sides (M, 3, 2) relative to the positions p_W (M, 3) by a frame [m].
+    """Updates the known sides of tracked obstacles, relative to their positions, by the sides in a
+    frame.
 
     A side that is visible for the first time is stored. Of two known sides only the distance is
     averaged over frames, since the position must not drift.
+
+    Args:
+        sides: sides in the frame.
+        known_sides: (M, 3, 2) sides relative to the positions [m]; NaN: unknown.
+        p_W: (M, 3) positions of the obstacles [m].
+
+    Returns:
+        (M, 3, 2) updated known sides [m].
     """
     measured = np.where(sides.ends, sides.place - p_W[:, :, None], np.nan)
     error = measured - known_sides

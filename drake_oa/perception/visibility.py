@@ -1,8 +1,8 @@
 """Nearest points of two clouds, and extension of obstacles that the border of an image truncates.
 
 Parts of obstacles beyond the border of an image are not observed. The upper end of a post that
-extends above the image, or its foot nearer than the minimum depth, is unknown, and no motion may
-pass there. A cloud that ends at the upper or lower border, or at the minimum depth, is therefore
+extends above the image, or its foot nearer than the minimum depth, is unknown. No motion may pass
+there. A cloud that ends at the upper or lower border, or at the minimum depth, is therefore
 extended upright by its visible length. Left and right borders do not extend it.
 """
 
