@@ -2,10 +2,10 @@
 evaluation.
 
 The task of a problem is to reach the goal's tool pose among the problem's obstacles. The
-demonstration (the motion without avoidance) is a straight minimum-jerk motion of the tool between
-the tool poses of the start and goal configurations, rotating about a fixed axis. The nominal
-posture, to which the arm's null space is attracted, moves from the start's joints to the goal's.
-The grasped obstacle, which contains the goal's tool point, is left out.
+demonstration (the motion without avoidance) is a straight minimum-jerk motion of the tool from the
+tool pose of the start configuration to that of the goal configuration. The tool rotates about a
+fixed axis. The nominal posture, to which the arm's null space is attracted, moves from the start's
+joints to the goal's. The grasped obstacle, which contains the goal's tool point, is left out.
 """
 
 from __future__ import annotations

@@ -66,8 +66,8 @@ V_UNSEEN = 0.25
 """Maximum speed of a point of the arm toward a place that no camera observes as free, by claim (B)
 of passive motion safety [m/s]."""
 _MAX_REST_SPEED = 0.02
-"""Speed e of a point of the arm toward an obstacle up to which the point counts as at rest in claim
-(A) of passive motion safety [m/s]."""
+"""Speed e toward an obstacle up to which a point of the arm counts as at rest in claim (A) of
+passive motion safety [m/s]."""
 _MAX_DISTANCE = 1e3
 """Upper bound of the distances from the arm to moving collision geometry, reported if none moves
 [m]."""

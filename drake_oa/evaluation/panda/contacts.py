@@ -47,11 +47,11 @@ CLEAR_TIME = 1.5
 """Time after a contact until which a random joint motion must be collision-free to prove that the
 contact was avoidable [s]."""
 WARNING = 0.1
-"""Minimum time from the observation of an obstacle to the start of a motion that avoids it, for a
-contact to count as avoidable by view [s]."""
+"""Minimum time between the observation of an obstacle and a motion that avoids it, for a contact to
+count as avoidable by view [s]."""
 VELOCITY_AGE = 0.2
-"""Maximum age of an observed obstacle velocity at the latest time at which it could help to avoid
-the contact, `WARNING` before the last avoiding motion [s]."""
+"""Maximum age of a useful observed obstacle velocity [s]. It is measured `WARNING` before the last
+motion that avoids the contact."""
 VELOCITY_TOLERANCE = 0.2
 """Maximum error of an observed obstacle velocity that counts as correct, as a fraction of the true
 speed [-]."""

@@ -62,8 +62,8 @@ here [rad]."""
 SELF_DISTANCE = 0.005
 """Minimum distance between links of the robot in the differential IK baseline [m].
 
-It is above 0, where the gradient of Drake's distances changes its sign, and below the 13 mm between
-links of the UR5 that cannot move apart."""
+It is above 0, where the gradient of Drake's distances changes its sign. It is below 13 mm, the
+distance between links of the UR5 that cannot move apart."""
 INFLUENCE = 0.2
 """Excess of a pair's distance over the safety distance above which the differential IK baseline
 ignores the pair of link and object [m]."""
@@ -94,8 +94,8 @@ KD = 100.0
 
 
 ARM_DISTANCE = 0.02
-"""Upper bound of the minimum clearance that the differential IK baseline maintains between other
-links than the tool and obstacles, and between all links and the environment [m]."""
+"""Upper bound of two minimum clearances of the differential IK baseline [m]: links other than the
+tool to obstacles, and all links to the environment."""
 METHOD = "DifferentialInverseKinematics"
 """Name of the differential IK baseline in the field `inference` of a log."""
 

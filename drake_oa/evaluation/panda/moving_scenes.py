@@ -1,7 +1,7 @@
 """Random scenes with obstacles that move while the robot moves, on the table or in the air.
 
-Obstacles move horizontally. On the nominal motion (the straight tool motion without avoidance), the
-first obstacle and some link of the robot are at the same place at the same time. Up to two further
+Obstacles move horizontally. The first obstacle passes the position of a link on the nominal motion
+(the straight tool motion without avoidance) at the same time as the link. Up to two further
 obstacles rest on the table. Motions and trajectories are drawn until
 
 - the first obstacle hits the robot on the nominal motion: during its trajectory some link
@@ -193,9 +193,8 @@ def _draw_trajectory(
 ) -> Obstacle:
     """Draws a trajectory of a moving obstacle past a target point.
 
-    The target point of the first obstacle, and of each one without maneuvers, is near the position
-    of a link on the nominal motion at the same time. Other target points are random points above
-    the table.
+    The first obstacle, and each one without maneuvers, passes near a link of the nominal motion at
+    the same time. Others pass a random point above the table.
 
     Args:
         random: source of random numbers.

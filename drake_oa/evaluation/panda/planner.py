@@ -4,9 +4,9 @@ solution.
 Resting obstacles (`run_planner`): OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) plans in the
 joint space of the arm. It plans from the start configuration to the task's goal joints, or else to
 configurations with the tool at the goal pose. Between start and goal the tool's orientation is
-free, so that the planner may use every motion of the evaluated methods, and more. A state is valid
-if it is within the joint limits, the clearance of the moving links to every obstacle is at least
-the minimum clearance, and the robot touches neither environment nor itself (Drake's
+free, so that the planner may use every motion of the evaluated methods, and more. A valid state is
+within the joint limits, and the clearance of the moving links to every obstacle is at least the
+minimum clearance. In a valid state the robot touches neither environment nor itself (Drake's
 `SceneGraphCollisionChecker`). Requires the extra `baselines`: pip install 'drake_oa[baselines]'.
 
 Moving obstacles with known trajectories (`find_motion`): a tree grows from the start at time 0;

@@ -1,10 +1,10 @@
 """Random scenes in which avoidance methods are evaluated on the Panda; each scene is a scenario.
 
 The nominal motion (without avoidance) is a straight tool motion of 0.5 to 1.0 m with the tool
-pointing down, which the arm can follow within its joint limits. At start and goal the whole robot,
-represented by its enclosing spheres (`scene_arm`), has 5 cm clearance to every obstacle. In all
-kinds but moving_hard, moving_high and drp_LEVEL, the centers of the obstacles are in the view of a
-camera at the table, also if another source perceives them.
+pointing down. The arm can follow it within its joint limits. At start and goal the whole robot,
+represented by its enclosing spheres (`scene_arm`), has 5 cm clearance to every obstacle. The
+centers of the obstacles are in the view of a camera at the table, also if another source perceives
+them. This does not apply to the kinds moving_hard, moving_high and drp_LEVEL.
 
 The number of obstacles is drawn once; motions and obstacles are drawn until the conditions of the
 kind hold. Scene i of a seed does not depend on perception or method. The kinds are:
@@ -121,8 +121,8 @@ def table_objects(random: Generator, *, cluttered: bool) -> DrawObjects:
 
 
 HAND_CLEARANCE = 0.05
-"""Minimum clearance between hand or fingers and obstacles in scenes of the kind `elbow` [m], on the
-nominal motion (without avoidance), where only the elbow may collide."""
+"""Minimum clearance between hand or fingers and obstacles on the nominal motion in scenes of the
+kind `elbow`, where only the elbow may collide [m]."""
 SWUNG_CLEARANCE = 0.025
 """Minimum clearance of the whole robot in scenes of the kind `elbow` if the arm moves its elbow
 aside along the same tool path [m]. It shows that the scene has a solution."""
@@ -300,8 +300,8 @@ class _Kind:
 
 
 OBSTACLE_SPEED = 0.8
-"""Maximum obstacle speed for which passive motion safety (the arm rests or recedes before an
-obstacle can reach it) is claimed in scenes with moving obstacles [m/s]."""
+"""Maximum obstacle speed for which passive motion safety is claimed in scenes with moving obstacles
+[m/s]: the arm rests or recedes before such an obstacle can reach it."""
 DRP = "drp"
 """Name that selects all levels of the benchmark DRPBench on the command line, and prefix of their
 kinds of scenes."""
