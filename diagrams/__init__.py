@@ -10,7 +10,8 @@ scenario, and adds these systems to a `SignalBuilder` (`drake_oa.common.signal_b
 builder connects ports by the names of their signals. The packages of the layers import neither
 scenarios nor the station; only the modules of `drake_oa.diagrams` do.
 
-Signals and the systems that output them (`avoidance.Layers` lists the inputs of each layer):
+Signals and the systems that output them (`avoidance.Layers` lists the inputs of each layer). With
+the tag `inference: !Paper` in a scenario, motions are not verified by roll-outs (simulations):
 
     robot_state, plant_state, query_object, body_poses     station: the plant
     depth_image, camera_pose, image_stamp                  station: the camera; with the suffix

@@ -73,8 +73,9 @@ class Layers:
     ================= ============================================ ================================
 
     With `perception: !GroundTruth` the perception layer outputs collision_scene_W, too, and with
-    `!GivenEllipsoids` ellipsoids_W only. With `inference: !Paper` the layers collision_scene,
-    verification and safety add no system; inference and route output coupling_parameters and route.
+    `!GivenEllipsoids` ellipsoids_W only. With `inference: !Paper` (motions are not verified by
+    roll-outs), the layers collision_scene, verification and safety add no system; inference and
+    route output coupling_parameters and route.
     """
 
     perception: AddLayer = add_perception

@@ -60,7 +60,9 @@ def add_control(signals: SignalBuilder, scenario: Scenario, station: StationMode
 
 
 _GUIDE_SAMPLES = 41
-"""Number of samples of the nominal posture between the configurations at start and goal."""
+"""Number of samples of the nominal posture from the task's start to its configuration at the goal.
+
+The null space of the arm tracks the nominal posture."""
 
 
 def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:

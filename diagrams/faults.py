@@ -18,9 +18,9 @@ from drake_oa.world.station import Station
 def add_faults(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds the fault models of a scenario, and the systems that drive moving obstacles.
 
-    The system weak_actuators limits torques, and the system push applies external forces. For each
-    driven obstacle, mover_<model instance> is added. If obstacles are driven, plant_state is
-    logged.
+    If the scenario has such faults, the system weak_actuators limits torques, and the system push
+    applies external forces to links. For each driven obstacle, a system mover_<model instance> is
+    added, and plant_state is logged.
 
     Raises:
         ScenarioError: for a push on a link that the robot does not have; names the field.

@@ -48,10 +48,11 @@ from drake_oa.scenario.task import goal_trajectory
 
 
 def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds the systems goal, dmp_integrator and, if the tool rotates, orientation_integrator.
+    """Adds the systems that generate the desired motion of the tool.
 
-    The inputs of dmp_integrator are ellipsoids_W, coupling_parameters, route, speed_scale and
-    evasion_velocity, as far as these signals exist.
+    They are goal, dmp_integrator (movement primitive of the position) and, if the tool rotates,
+    orientation_integrator. The inputs of dmp_integrator are ellipsoids_W, coupling_parameters,
+    route, speed_scale and evasion_velocity, as far as these signals exist.
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
@@ -109,8 +110,8 @@ def add_route(
     """Adds the system cost_ring_selector, which selects the side on which each obstacle is passed.
 
     The inputs are ellipsoids_W, policy_state and goal. The output is route, or with
-    `inference: !Verified` proposed_route. With `inference: !Paper`, the system is added only if the
-    field `guided` is set.
+    `inference: !Verified` (motions are verified by roll-outs) proposed_route. With
+    `inference: !Paper`, the system is added only if the field `guided` is set.
 
     Args:
         signals: builder that receives the system.
@@ -130,8 +131,9 @@ def add_route(
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
     """Creates the cost ring selector of a scenario, with user-supplied cost rings.
 
-    With `inference: !Paper`, the selector also has rings for reach and joint limits of the arm.
-    With `!Verified` these are left out, because MotionVerifier simulates the whole arm.
+    A cost ring rates the sides on which an obstacle can be passed. With `inference: !Paper`, the
+    selector also has rings for reach and joint limits of the arm. With `!Verified` these are left
+    out, because MotionVerifier simulates the whole arm.
     """
     inference = scenario.inference
     is_verified = isinstance(inference, Verified)
@@ -145,7 +147,9 @@ def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRing
 
 
 _LEG_SAMPLES = 6
-"""Number of poses for which inverse kinematics is solved on each straight leg of a path."""
+"""Number of tool poses on each straight leg of a path at which joint margins are computed.
+
+Joint margins are distances of the joints from their limits, by inverse kinematics."""
 
 
 def make_joint_margins(scenario: Scenario) -> JointMargins | None:

@@ -205,10 +205,11 @@ SOURCES |= {
 def add_collision_scene(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds the system collision_scene for `inference: !Verified`.
+    """Adds the system collision_scene, which computes collision_scene_W from obstacles_W.
 
-    The system computes collision_scene_W, the collision geometry of the obstacles, from
-    obstacles_W. It is not added if the source of perception already outputs collision_scene_W.
+    collision_scene_W is the collision geometry of the obstacles, which only motions verified by
+    roll-outs require. The system is added for `inference: !Verified`, unless the source of
+    perception already outputs collision_scene_W.
     """
     if station is None or "collision_scene_W" in signals or "obstacles_W" not in signals:
         return
@@ -230,8 +231,9 @@ def add_collision_scene(
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
     """Returns the segmentation parameters of a source of obstacles.
 
-    If the block does not set the height of the table, the table height of the scenario is used; if
-    the scenario has no table either, the search for a table plane is switched off.
+    If the source's block of the scenario does not set the height of the table, the table height of
+    the scenario is used. If the scenario has no table either, the search for a table plane is
+    switched off.
     """
     if source.segmentation.table_height is not None:
         return source.segmentation
@@ -256,7 +258,11 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
 def add_descriptor(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None
 ) -> None:
-    """Adds the system ellipsoid_descriptor, which computes ellipsoids_W from obstacles_W."""
+    """Adds the system ellipsoid_descriptor, which computes ellipsoids_W from obstacles_W.
+
+    Each ellipsoid describes an obstacle dilated by the tool. The system is not added without
+    obstacles_W.
+    """
     if station is None or "obstacles_W" not in signals:
         return
     goal = "goal" if scenario.task.goal_moves else None

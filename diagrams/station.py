@@ -109,7 +109,7 @@ _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}
 
 
 def covered_arm(robot: Robot) -> ArmSpheres:
-    """Returns spheres that cover the collision geometry of a robot, as configured by its block.
+    """Returns spheres that cover a robot's collision geometry, as set by the field `spheres`.
 
     The spheres are computed once per process, in the home configuration. In another configuration
     rounding would differ, and results would depend on the scenarios that the process ran before.

@@ -36,9 +36,9 @@ def add_view(
 def make_overlay(
     scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> MeshcatOverlay:
-    """Creates the system that draws intermediate results, and sets the style of the viewer.
+    """Creates the system that draws intermediate results of the layers in the viewer.
 
-    The style consists of background and camera pose.
+    Background and camera pose of the viewer are also set.
     """
     set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show

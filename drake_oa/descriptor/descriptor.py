@@ -24,9 +24,9 @@ They are tried in this order until the ellipsoids of the parts do not contain st
 _FEWEST = 8
 """Number of points below which the cloud of an obstacle is not halved into parts."""
 _MERGED = 1.3
-"""Maximum ratio of two merged tool parts' bounding box to the sum of both parts' boxes, by volume.
+"""Maximum volume of a bounding box around two tool parts for which both parts are merged [-].
 
-Parts with a larger ratio are not merged."""
+The volume is divided by the sum of the volumes of both parts' own bounding boxes."""
 
 
 def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
@@ -51,7 +51,7 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 
 
 def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """Merges parts of a tool if the bounding box of both is not much larger than their own boxes.
+    """Merges convex parts of a tool whose common bounding box is not much larger than their boxes.
 
     Args:
         parts: vertices (K_i, 3) of each convex part of the tool [m].
@@ -82,7 +82,7 @@ Method = Literal["enclosing", "least_squares"]
 """Name of a method by which `describe` computes the ellipsoid of a dilated cloud."""
 
 _ROOM = 0.02
-"""Distance between start or goal and an obstacle's ellipsoid below which it is divided [m]."""
+"""Distance of start or goal from an ellipsoid below which the obstacle is divided in parts [m]."""
 
 
 Shape = tuple[FloatArray, FloatArray, FloatArray]

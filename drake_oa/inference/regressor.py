@@ -36,7 +36,7 @@ _ROUNDING = 1e-12
 Inputs are lengths divided by the distance from start to goal."""
 
 _NARROWEST = 1e-3
-"""Minimum output psi of a regressor chain, the width of the response to the heading [rad]."""
+"""Lower bound of a regressor chain's output psi, the width of the response to the heading [rad]."""
 
 _PARALLEL = 1e-6
 """Sine of the angle between two directions below which they do not span a plane [-]."""
@@ -202,7 +202,8 @@ def section_extents(
 
     Args:
         p_WE: (3,) position of the tool point in the world frame [m].
-        z_W: (3,) scaled velocity of the tool point in the world frame [m].
+        z_W: (3,) scaled velocity of the tool point, the derivative of the position by normalized
+            time, in the world frame [m].
         R_WL: (3, 3) local frame, x from start to goal, z up.
         shapes: M ellipsoids of the obstacles.
 
@@ -235,9 +236,10 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
 
 
 def check_action_level(weights: ChainWeights, path: str | Path) -> None:
-    """Checks that the strength alpha of a regressor chain has the unit 1/T, as in the policy.
+    """Checks that a regressor chain computes the strength alpha of coupling terms in units of 1/T.
 
-    T is the demonstrated duration. Chains of the paper's released code have another unit.
+    T is the demonstrated duration. The movement primitive requires this unit; chains of the
+    released code of Pairet et al., RA-L 2019, have another one.
 
     Args:
         weights: regressor chain.

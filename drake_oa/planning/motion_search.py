@@ -87,7 +87,7 @@ _MIN_ACCEPTABLE_DISTANCE = 1e-3
 _REPLAN_PERIOD = 0.5
 """Minimum time between two joint-space plans while no candidate motion is feasible [s]."""
 _MAX_DEVIATION = 0.015
-"""Deviation of any joint from the selected motion, above which a resting arm has left it [rad]."""
+"""Deviation of a joint above which a resting arm counts as away from the selected motion [rad]."""
 _TOOL_TOLERANCE = 2e-3
 """Distance between desired and actual position of the tool below which both count as equal [m]."""
 _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
@@ -380,10 +380,10 @@ class MotionSearch:
         )
 
     def _search_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
-        """Searches for the best motion without a joint-space plan, and predicts this motion.
+        """Searches for the best motion without a joint-space plan, and predicts it by a roll-out.
 
-        The candidates are the nominal motion, the regressor chain, and the evolution strategy
-        (candidates 1 to 3 of the module docstring).
+        The candidates are the nominal (demonstrated) motion, the motion with the regressor chain's
+        coupling terms, and those of the evolution strategy.
 
         Args:
             current: current motion, with the best candidates of the previous search.
@@ -702,8 +702,9 @@ class MotionSearch:
 def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> MotionCommand:
     """Returns the motion with the regressor chain's coupling terms for all obstacles together.
 
-    The result has no terms if no obstacle is in the way, if every side of an obstacle is forbidden,
-    or if the inputs belong to different sets of obstacles.
+    A coupling term is a turning rate that steers the motion away from an obstacle. The result has
+    no terms if no obstacle is in the way, if every side of an obstacle is forbidden, or if the
+    inputs belong to different sets of obstacles.
 
     Args:
         coupling: parameters of one coupling term per obstacle, from the regressor chain.
@@ -729,7 +730,9 @@ Each offset gives one seed (first candidate) of the search."""
 
 
 def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
-    """Returns seeds of the search: the chain's term of each obstacle alone, with several strengths.
+    """Returns seeds of the search: each obstacle's coupling term alone, with several strengths.
+
+    A coupling term is a turning rate that steers the motion away from an obstacle.
 
     Args:
         scene: initial state of the motion.

@@ -74,13 +74,20 @@ N_PARAMS = 6
 """Number of parameters of a candidate motion of the search."""
 ANGLE, ALONG, LATERAL, KAPPA, PSI, ALPHA = range(N_PARAMS)
 LOWER = np.array([-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1)])
-"""(6,) lower bounds of a candidate motion's parameters, in the order of the module docstring."""
+"""(6,) lower bounds of the search's parameters: angle [rad] of the side, then dimensionless ones.
+
+These are position along and beside the baseline, ln kappa, ln psi, ln alpha of an avoidance term.
+Lengths are divided by the baseline (distance from start to goal)."""
 UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0])
-"""(6,) upper bounds of a candidate motion's parameters, in the order of the module docstring."""
+"""(6,) upper bounds of the search's parameters: angle [rad] of the side, then dimensionless ones.
+
+These are position along and beside the baseline, ln kappa, ln psi, ln alpha of an avoidance term.
+Lengths are divided by the baseline (distance from start to goal)."""
 STEP_SIZES = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8])
 """(6,) standard deviations of the largest random variation (mutation) of a candidate's parameters.
 
-The order is that of the module docstring."""
+The parameters are the angle [rad] of the side; position along and beside the baseline, divided by
+its length; ln kappa, ln psi, ln alpha of an avoidance term."""
 N_ELITES = 8
 """Number of best candidate motions that the evolution strategy varies in the next generation."""
 INITIAL_SPACING = 0.6
@@ -145,10 +152,10 @@ NOMINAL_PARAMS = np.where(np.arange(N_PARAMS) == ALPHA, -np.inf, 0.0)[None]
 NO_ELITES = np.zeros((0, N_PARAMS))
 """(0, 6) empty array of candidate parameters, for a search without warm start or seeds."""
 SOURCES = ("nominal", "chain", "search", "joint_path")
-"""Names of the sources of a motion, whose indices are used in ports and log files.
+"""Names of the sources of a selected motion; ports and log files contain their indices.
 
-The sources are: the nominal motion, the regressor chain's coupling terms for all obstacles
-together, the evolution strategy, and a joint-space path."""
+The sources are the nominal (demonstrated) motion, the regressor chain's coupling terms for all
+obstacles together, the evolution strategy, and a joint-space path."""
 NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
 _SIDE_SEEDS = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0], (16, 1))
 _SIDE_SEEDS[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
@@ -158,9 +165,12 @@ _SIDE_SEEDS[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
 def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:
     """Converts the parameters of N candidate motions to coupling terms in the world frame.
 
+    A coupling term is a turning rate that steers the motion away from a point.
+
     Args:
         scene: start, goal and local frame of the motions.
-        params: (N, 6) candidate parameters, as defined in the module docstring.
+        params: (N, 6) candidate parameters: angle of the side, position of the point along and
+            beside the baseline, ln kappa, ln psi, ln alpha; see the module docstring.
 
     Returns:
         (N, 12) coupling terms with the columns of `drake_oa.policy.coupling.turn_step`.
@@ -183,6 +193,8 @@ def params_of(
     scene: Scene, p_WP: FloatArray, normal_W: FloatArray, strength: FloatArray
 ) -> FloatArray:
     """Converts coupling terms to candidate parameters (N, 6), the inverse of `avoidance_terms`.
+
+    A coupling term is a turning rate that steers the motion away from a point.
 
     Args:
         scene: start, goal and local frame of the motion.
@@ -298,7 +310,8 @@ class Search(ABC):
         Args:
             scene: initial state, goal and obstacles of the motion.
             dmp: movement primitive of the nominal motion.
-            policy: configuration of the movement primitive, of which time step and fade are used.
+            policy: configuration of the movement primitive, of which `period` (time step) and
+                `fade` are used.
             parameters: numbers of candidates and generations, and tolerances.
             previous: (1, 6) candidate parameters of the current motion; (0, 6): no term.
             side_cost: (K,) additional costs of passing on K evenly spaced sides around the line
@@ -578,7 +591,10 @@ class ArmSearch(Search):
         )
 
     def sample_times(self, count: int) -> FloatArray:
-        """Returns the normalized times (count,) of a roll-out's samples, from the current on."""
+        """Returns the normalized times (count,) at which a roll-out is sampled, starting now.
+
+        Normalized time is time over the demonstrated duration times the temporal scaling tau.
+        """
         return np.asarray(self.scene.s + self.every * self.ds * np.arange(count))
 
     def follow(self, params: FloatArray, tool: ToolRollouts, abort_below: ArrayLike) -> ArmRollouts:
@@ -611,6 +627,8 @@ _MIN_CANDIDATES_PER_THREAD = 8
 
 class ToolPaths(NamedTuple):
     """Motions of the tool for N candidates at T normalized times, with postures of the null space.
+
+    Normalized time is time over the demonstrated duration times the temporal scaling tau.
 
     Attributes:
         s: (T,) normalized times, ascending, from the current time on.

@@ -191,7 +191,10 @@ class CostRingSelector(LeafSystem):
         state.get_mutable_abstract_state(self._decided).set_value(route)
 
     def _current(self, context: Context) -> Route:
-        """Returns the last route, or computes a new one if the set of obstacles has changed."""
+        """Returns the route of the last decision, or a new one if the set of obstacles has changed.
+
+        A route is the selected side of each obstacle.
+        """
         ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()
         if decided.baseline == 0.0:

@@ -6,10 +6,11 @@ up). The direction with the minimum total cost is selected, by (12) of Pairet et
 
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
-eta_limits is the sum of two rings, which are not both 1 for any direction. One forbids paths that
-the arm cannot reach, the other paths close to a joint limit, both by inverse kinematics along the
-path. A ring is a function that maps a `RingScene` to an (M, K) array of costs in [0, 1];
-`select_directions` also adds user-supplied rings to the sum.
+eta_table is 1 for directions that lead too close to the table, and eta_length grows with the length
+of the detour. eta_limits is the sum of two rings, which are not both 1 for any direction. One
+forbids paths that the arm cannot reach, the other paths close to a joint limit, both by inverse
+kinematics along the path. A ring is a function that maps a `RingScene` to an (M, K) array of costs
+in [0, 1]; `select_directions` also adds user-supplied rings to the sum.
 
 With several obstacles along the baseline (the line from start to goal) the best side of one depends
 on that of the next: the leg (straight segment) between two passing points has a length and may
@@ -46,10 +47,10 @@ JOINT_MARGIN = 0.1
 _HYSTERESIS = 0.2
 """Minimum reduction of the total cost for which the passing side of obstacles changes [-]."""
 LEAST_SPREAD = 0.1
-"""Minimum difference of path lengths that the length ring scales to costs from 0 to 1 [-].
+"""Minimum spread of path lengths past an obstacle that is scaled to costs from 0 to 1 [-].
 
-The difference is divided by the distance from start to goal. Smaller differences give costs
-below 1."""
+The spread over all directions of passing is divided by the distance from start to goal. If it is
+smaller, all costs are below 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +165,7 @@ def ring_scene(
 
 
 def length_ring(scene: RingScene) -> FloatArray:
-    """Computes the length ring: costs (M, K) of the path length via each passing point.
+    """Computes the length ring: costs (M, K) of the path past M obstacles in K directions each.
 
     The cost is (l - l_min) / max(l_max - l_min, 0.1 L). l is the length from start via the passing
     point to the goal, [l_min, l_max] its range over the directions, and L the distance from start
