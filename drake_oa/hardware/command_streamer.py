@@ -68,8 +68,8 @@ LEAD = 0.04
 """Time by which the diagram writes planned positions ahead of the commands sent to the arm [s].
 Pauses of the diagram that last up to half of this time do not slow down the arm."""
 _RAMP = 0.15
-"""Time in which the streamed motion accelerates from rest to full speed, and decelerates to rest
-when no valid status arrives [s]."""
+"""Time in which the streamed motion accelerates from rest to full speed, and decelerates to rest if
+no valid status arrives or the end is requested [s]."""
 STATUS_TIMEOUT = 0.1
 """Time without a valid status of the arm after which the arm holds and simulated time pauses [s]. A
 status that is older than this time on arrival is invalid."""
@@ -185,12 +185,14 @@ class SharedTrajectory(ctypes.Structure):
 
     @note.setter
     def note(self, note: str) -> None:
-        """Sets the reason why the arm is stopped or holds; cuts its text to `_NOTE_SIZE` bytes."""
+        """Sets the reason why the arm is stopped or holds; longer texts are cut to `_NOTE_SIZE`."""
         self._note = note.encode()[: _NOTE_SIZE - 1]
 
 
 def shared_trajectory() -> SharedTrajectory:
-    """Allocates a shared trajectory without any planned or measured positions."""
+    """Allocates a `SharedTrajectory`, in memory that two processes can share, without any planned
+    or measured positions.
+    """
     return multiprocessing.get_context("spawn").RawValue(SharedTrajectory)
 
 
@@ -258,8 +260,8 @@ class CommandStreamer:
             _logger.warning("stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
-        """Checks the received messages and, unless there is a problem, sends the next command of
-        the shared trajectory to the arm.
+        """Checks the received messages, and sends the next command of the shared trajectory to the
+        arm. Without a valid status, the commands slow down to rest.
 
         Args:
             now: time of the wall clock, which may be adjusted [s].

@@ -120,7 +120,7 @@ class RobotLink:
 
     @contextmanager
     def warmup(self) -> Iterator[None]:
-        """Context manager for slow work before the motion, during which no commands are sent and
+        """Provides a context for slow work before the motion, in which no commands are sent and
         simulated time follows the wall clock.
 
         The work includes, for example, loading compiled kernels and waiting for images.

@@ -40,8 +40,8 @@ _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
 """Maximum number of corrective joint steps per tool pose of a tracked path, and pose error of the
 tool at which these steps end [m, rad]."""
 _MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
-"""Maximum number of inverse-kinematics steps from one seed, and maximum pose error of a solution
-[m, rad]."""
+"""Maximum number of steps of the inverse kinematics from one initial configuration, and maximum
+pose error of the tool at a solution [m, rad]."""
 _ERROR_DAMPING = 0.01
 """Ratio of the damping of an inverse-kinematics step to the squared pose error of the tool [-]. Far
 from the target pose, the steps are thus damped more."""
@@ -62,7 +62,8 @@ class Chain(NamedTuple):
         lower, upper: (n,) finite position limits of the joints [rad].
         speed: (n,) maximum speeds of the joints [rad/s].
         reach: (n,) upper bound of the distance between each joint axis and the covering spheres
-            that the joint moves, radii included; 0 without spheres [m].
+            that the joint moves, radii included; 0 without spheres [m]. It bounds how far a
+            rotation of the joint moves the spheres.
         q_index: (n,) index of each joint in the positions of the plant.
     """
 
@@ -269,8 +270,8 @@ def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
 
 @leaf
 def jacobian(X: FloatArray, J: FloatArray) -> None:
-    """Computes the geometric Jacobian of the tool frame in the world, with rotation rows before
-    translation rows.
+    """Computes the geometric Jacobian of the tool frame in the world, which maps joint speeds to
+    the tool's angular velocity (first three rows) and velocity.
 
     Args:
         X: (n + 2, 12) poses of the joint frames and of the tool, from `chain_poses`.
@@ -416,8 +417,8 @@ def follow(
     chain: Chain,
     work: Scratch,
 ) -> float:
-    """Moves a configuration to the next tool pose of a path by damped least-squares steps, with
-    motion of the null space along nominal postures.
+    """Moves a configuration to the next tool pose of a path by damped least-squares steps, and
+    tracks nominal postures in the null space.
 
     The poses of the joint frames and of the tool at the new configuration are stored in `work.X`.
 
@@ -458,8 +459,8 @@ def follow(
 def reach(
     q: FloatArray, target: FloatArray, chain: Chain, near: FloatArray, pull: float
 ) -> FloatArray:
-    """Moves each of N configurations toward one pose of the tool by damped least-squares steps; the
-    iteration of the inverse kinematics.
+    """Moves each of N configurations toward one pose of the tool by damped least-squares steps, as
+    the inverse kinematics requires.
 
     Args:
         q: (N, n) initial configurations, modified in place [rad].

@@ -48,17 +48,17 @@ class Gains:
     """
 
     kp_position: float = Field(default=400.0, ge=0.0, le=1e5)
-    """Proportional gain of the tool's position error, or of each joint's position error [1/s^2].
-    Raising it reduces the tracking error."""
+    """Proportional gain of the position error: of each joint in JointInverseDynamics, of the tool
+    in CartesianInverseDynamics [1/s^2]. Raising it reduces the tracking error."""
     kd_position: float = Field(default=40.0, ge=0.0, le=1e4)
-    """Derivative gain of the tool's position error, or of each joint's position error [1/s].
-    Raising it increases the damping."""
+    """Derivative gain of the position error: of each joint in JointInverseDynamics, of the tool in
+    CartesianInverseDynamics [1/s]. Raising it increases the damping."""
     ki_position: Annotated[float, AfterValidator(_check_stable)] = Field(
         default=1000.0, ge=0.0, le=1e6
     )
-    """Integral gain of the tool's position error, or of each joint's position error, below
-    kp_position kd_position [1/s^3]; 0: no integral action. Raising it removes steady-state errors
-    sooner, with more oscillation."""
+    """Integral gain of the position error: of each joint in JointInverseDynamics, of the tool in
+    CartesianInverseDynamics [1/s^3]. It must be below kp_position kd_position; 0: no integral
+    action. Raising it removes steady-state errors sooner, with more oscillation."""
     kp_orientation: float = Field(default=400.0, ge=0.0, le=1e5)
     """Proportional gain of the tool's orientation error [1/s^2]. Raising it reduces the tracking
     error."""
@@ -71,9 +71,9 @@ class Gains:
     """Derivative gain of the error from the nominal posture, in the null space of the tool's motion
     [1/s]. Raising it increases the damping."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
-    """Effective mass of the tool, which grows near a singularity, above which the inverse of the
-    Jacobian is damped [kg]. Raising it gives exact tracking closer to singularities, with faster
-    joints."""
+    """Effective mass of the tool in any direction above which the inverse of the Jacobian is
+    damped; it grows near singularities [kg]. Raising it gives exact tracking closer to
+    singularities, with faster joints."""
     rotation_length: float = Field(default=0.25, gt=0.0, le=10.0)
     """Length that converts rotations of the tool to distances, so that rotational and translational
     directions of a task are comparable [m]. Raising it gives rotations more weight."""
@@ -96,8 +96,8 @@ class BasePose:
 
 @dataclass(config=BLOCK)
 class SphereParameters:
-    """Parameters of the spheres that cover the robot and replace its shapes when clearances are
-    computed: bounds of their protrusion.
+    """Configuration block of the spheres that cover the robot. They replace the robot's shapes when
+    clearances are computed, and protrude from them.
     """
 
     protrusion: float = Field(default=0.003, gt=0.0, le=0.1)

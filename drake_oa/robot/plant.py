@@ -35,7 +35,8 @@ from drake_oa.robot.grasped_object import add_carried, exclude_grasp_contacts, t
 from drake_oa.robot.inertias import set_inertias
 
 TOOL_FRAME = "tool_point"
-"""Name of the tool frame E in plants with a robot."""
+"""Name of the tool frame E, at the tool point between the fingertips, in each plant with a
+robot."""
 
 
 def known_packages() -> PackageMap:
@@ -274,9 +275,9 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
     """Computes the corners of each tool link relative to the tool point E, as a list of arrays
     (K_i, 3) in world axes [m].
 
-    The corners are those of the collision geometry of `robot.tool_links` and `robot.carried`, with
-    the tool at `robot.rpy_WE` and the fingers opened by `robot.finger_opening`. The corners of a
-    rounded shape are those of its bounding box.
+    The corners are used to dilate obstacles by the tool. They are those of the collision geometry
+    of `robot.tool_links` and `robot.carried`, with the tool at `robot.rpy_WE` and the fingers
+    opened by `robot.finger_opening`. The corners of a rounded shape are those of its bounding box.
 
     Raises:
         ScenarioError: for an unknown link, or if no tool link has collision geometry.

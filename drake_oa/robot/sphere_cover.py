@@ -47,8 +47,8 @@ _MAX_ITERATIONS = 4
 """Maximum number of times that the spheres are selected again with uncovered points added to the
 sample points; then the spheres grow instead."""
 _INITIAL_CELLS = 40
-"""Number of initial cells along half of a body's longest extent, when the space in a body is proven
-to be covered cell by cell."""
+"""Ratio of a body's longest extent to half the edge of the initial cells, with which the space in
+the body is proven to be covered [-]."""
 _MAX_GAPS = 300
 """Number of uncovered points above which the proof that spheres enclose a body stops, and the
 spheres are selected again."""
@@ -143,7 +143,9 @@ def compute_cover(
 
 
 def _ball_geometries(centers: FloatArray, radii: FloatArray) -> CollisionGeometries:
-    """Returns the collision geometries of balls with centers (K, 3) and radii (K,) [m]."""
+    """Returns balls with centers (K, 3) and radii (K,) as collision geometries, for distance
+    computations [m].
+    """
     X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
     X_BO[:, :3, 3] = centers
     balls = [geometry_of(drake.Sphere(radius)) for radius in radii]
@@ -201,7 +203,9 @@ def cover_key(
 
 
 def _is_rod(geometry: CollisionGeometry) -> bool:
-    """Checks whether a shape is a sphere or a capsule, which balls on its z axis cover best."""
+    """Checks whether a shape is a sphere or a capsule, which is covered best by balls with centers
+    on the shape's z axis.
+    """
     return geometry.kind == PRIMITIVE and not any(geometry.size[:2])
 
 
@@ -227,7 +231,8 @@ def _distances(scene: CollisionGeometries, points: FloatArray) -> FloatArray:
 def _lattice(
     geometry: CollisionGeometry, inset: float, step: float, refinement: int = 1
 ) -> FloatArray:
-    """Computes lattice points (K, 3) inside a shape, in the frame of the body [m].
+    """Computes lattice points (K, 3) inside a shape, in the frame of the body, used as candidate
+    centers of spheres and as sample points [m].
 
     Args:
         geometry: shape.
@@ -244,7 +249,9 @@ def _lattice(
 
 
 def _surface_samples(geometry: CollisionGeometry) -> FloatArray:
-    """Computes sample points (K, 3) on the surface of a shape, in the frame of the body [m]."""
+    """Computes sample points (K, 3) on the surface of a shape, in the frame of the body, which the
+    spheres of a cover must contain [m].
+    """
     return geometry.placed(surface_points(geometry, _N_SURFACE_POINTS))
 
 

@@ -57,11 +57,11 @@ _SOURCE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 """Digest of this source file, a part of the cache key of sphere models. After a change of the
 algorithm, all models are therefore computed again."""
 _CONTACT_FRACTION = 0.95
-"""Fraction of the sampled configurations at or above which two bodies in contact are always in
-contact; their pair is then ignored [-]."""
+"""Minimum fraction of the sampled configurations with contact between two bodies at which the
+bodies count as always in contact, so that their pair is ignored [-]."""
 _OVERLAP_FRACTION = 0.02
-"""Fraction of the sampled configurations, with overlapping spheres but without contact, at or above
-which a pair of bodies may have overlapping spheres [-]."""
+"""Minimum fraction of the sampled configurations with overlapping spheres, but no contact, of two
+bodies at which this overlap is allowed [-]."""
 
 
 @dataclass(frozen=True, eq=False)

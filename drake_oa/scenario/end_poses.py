@@ -215,8 +215,12 @@ def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> Flo
     s (T,) [rad].
 
     The postures are q(s) = q_start + m(s) (q_goal - q_start), with the minimum-jerk profile m from
-    0 to 1. The normalized time s is 0 at the start and 1 at the end of the motion. Configurations
-    are (n,) arrays.
+    0 to 1.
+
+    Args:
+        s: (T,) normalized times: 0 at the start and 1 at the end of the motion.
+        q_start: (n,) configuration at the start [rad].
+        q_goal: (n,) configuration at the goal [rad].
     """
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)

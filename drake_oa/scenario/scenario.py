@@ -38,7 +38,7 @@ LAYERS = typing.get_args(Layer)
 """Names of the groups of systems (layers) whose intermediate results a viewer can display, in the
 order of data flow.
 
-The viewer draws point clouds and cameras for "perception", and ellipsoids with their sections for
+The viewer draws point clouds for "perception", and the ellipsoids around obstacles for
 "descriptor". For "decision" it draws cost rings (costs of passing an obstacle on each side) and
 selected sides. For "motion" it draws the planned and the executed path."""
 

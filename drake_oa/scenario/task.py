@@ -39,8 +39,9 @@ class Task:
     """Requested clearance Delta: minimum distance that is requested between the tool and the
     obstacles [m]. Raising it makes the detour around obstacles wider."""
     turn_limit: float | None = Field(default=None, ge=0.0, le=math.pi)
-    """Maximum rotation of the tool during a maneuver that evades a moving obstacle [rad]; null: no
-    limit. Raising it allows more maneuvers."""
+    """Maximum angle between the tool's orientation during a maneuver away from a moving obstacle
+    and its orientation on the planned motion [rad]; null: no limit. Raising it allows more
+    maneuvers."""
     rpy_start: Angles | None = None
     """Roll, pitch and yaw of the tool frame E in the world at the start [rad]; null: the
     demonstrated orientation, or `robot.rpy_WE` without demonstrated orientations."""

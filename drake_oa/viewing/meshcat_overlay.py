@@ -65,8 +65,8 @@ class MeshcatOverlay(LeafSystem):
     displays the costs of passing an obstacle in each direction around the baseline, the line from
     start to goal. The rings of an obstacle are centered at the point of the baseline closest to the
     obstacle, in the order of `Route.costs` from the inside out. Green is cost 0, yellow is 0.5, red
-    is 1. A magenta line points in the selected direction. Both are drawn only for obstacles that
-    change the motion.
+    is 1. A magenta line points in the selected direction. Rings and line are drawn only for
+    obstacles that change the motion.
 
     The objects are under "/drake_oa" in the scene tree, in one folder per layer of `LAYERS`. A
     recording of Meshcat stores transforms and properties, but no objects. Therefore each new shape
@@ -243,7 +243,7 @@ class MeshcatOverlay(LeafSystem):
 
     def _draw_obstacles(self, context: Context, frame: int) -> None:
         """Draws the ellipsoids, selected directions and cost rings (costs of passing on each side)
-        of all obstacles, in their slots of the scene tree.
+        of all obstacles, in the obstacles' slots (numbered folders) of the scene tree.
 
         Args:
             context: Context of this system.

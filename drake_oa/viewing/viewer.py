@@ -119,8 +119,8 @@ def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
 
 @contextlib.contextmanager
 def recording(meshcat: Meshcat | None) -> Iterator[None]:
-    """Context manager that records Meshcat's scene, and publishes the recording at the end, even
-    after an exception.
+    """Provides a context in which Meshcat's scene is recorded, and publishes the recording at its
+    end, even after an exception.
 
     If `meshcat` is None, nothing is recorded.
     """

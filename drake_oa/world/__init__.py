@@ -1,9 +1,9 @@
 """Simulated station of a scenario: plant, cameras, noise, moving obstacles and faults.
 
-On a real robot, drivers replace this package, and the other packages are unchanged. The inputs are
-joint torques [N m]. The outputs are the robot's state [q, v], and depth images (ImageDepth32F) [m]
-with their capture times and camera poses X_WC. Frames: W is the world, C is the camera (x right, y
-down, z forward).
+On a real robot, drivers replace the simulated plant and cameras, and the other packages are
+unchanged. The inputs are joint torques [N m]. The outputs are the robot's state [q, v], and depth
+images (ImageDepth32F) [m] with their capture times and camera poses X_WC. Frames: W is the world, C
+is the camera (x right, y down, z forward).
 
 - `station.make_station` adds the plant, scene graph and cameras of a scenario to a diagram.
   `world_model` adds the models, and `obstacles` adds the obstacles of primitive shapes.

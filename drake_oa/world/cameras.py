@@ -135,7 +135,7 @@ class TimedCamera(LeafSystem):
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
         """Returns the depth image (H, W) that the camera outputs at the time of a Context, or one
-        depth for all pixels [m].
+        depth for all pixels, such as NaN without an image [m].
         """
         raise NotImplementedError
 
@@ -152,7 +152,8 @@ class TimedCamera(LeafSystem):
         raise NotImplementedError
 
     def camera(self, delay: float = 0.0) -> Camera:
-        """Returns the intrinsics and output ports of this camera.
+        """Returns the `Camera` of this system, which contains its intrinsics and output ports for
+        the station.
 
         Args:
             delay: time from the capture to the output of an image [s].
@@ -175,8 +176,8 @@ def depth_intrinsics(config: CameraConfig) -> CameraInfo:
 
 
 def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig) -> RgbdSensor:
-    """Adds a rendered camera to a builder, with a separate scene graph whose poses an input port
-    sets, instead of a simulated plant.
+    """Adds a camera to a builder, with a separate scene graph in which the camera renders. An input
+    port sets the poses of this scene graph.
 
     The function exports the input port "state": state [q, v] of the scenario's plant at which the
     camera renders.

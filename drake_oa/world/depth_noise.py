@@ -79,8 +79,8 @@ docs/results/real_scans.md, after the mean over 21 x 21 pixels was subtracted. A
 0.72 at one pixel, 0.38 at four and 0.08 at eight. Along a column, they are 0.57 at one pixel, 0.12
 at three and -0.02 at four."""
 _PATCH = 4
-"""Side length of square patches whose pixels are displaced together at depth edges, or are missing
-together [pixel]."""
+"""Side length of square patches of pixels [pixel]. At depth edges, all pixels of a patch are
+displaced together or missing together."""
 _BAND = 2
 """Maximum displacement of a depth edge along each image axis [pixel]."""
 

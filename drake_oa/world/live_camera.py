@@ -33,9 +33,9 @@ _MAX_AHEAD = 0.01
 """Maximum time by which the time stamp of an image may be ahead of the wall clock; images further
 ahead are rejected [s]."""
 _POLL_PERIOD = 0.005
-"""Simulated time between two checks of a camera whether a new image was received [s]."""
+"""Simulated time after which a camera checks again whether a new image was received [s]."""
 _WAIT_PERIOD = 0.002
-"""Wall time between two checks of a camera for its first image, while it waits at the
+"""Wall time after which a camera checks again for its first image, while it waits at the
 initialization [s]."""
 
 
@@ -228,9 +228,9 @@ class LiveCamera(TimedCamera):
         """Checks whether the receiver has a new image, and returns the camera's state with this
         image if it is valid.
 
-        The LCM bus may hold an image that was received after the last check but before this one.
-        Such an image is ignored, not rejected, if it is too old, because the camera does not cause
-        its age.
+        The LCM bus may hold an image that was received after the last check but before this one. If
+        such an image is too old, it is ignored, not rejected, because it became old while the
+        system did not check.
 
         Args:
             context: present Context.

@@ -136,11 +136,11 @@ def with_file_name(message: str, file: Path | str) -> str:
 
 @contextlib.contextmanager
 def named_warnings(file: Path | str = "") -> Iterator[None]:
-    """Logs each of Drake's warnings about a model only once per process, with the name of the
-    model's file.
+    """Provides a context in which each of Drake's warnings about a model is logged once per process
+    only, with the name of the model's file.
 
     Args:
-        file: file of the model that is parsed within this context manager.
+        file: file of the model that is parsed within the context.
     """
 
     def is_new(record: logging.LogRecord) -> bool:
