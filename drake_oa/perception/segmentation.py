@@ -60,11 +60,11 @@ clusters with a smaller fraction are no obstacles [-]."""
 OCCLUSION_GAP = 0.06
 """Maximum width of an occluded gap across which two clusters are merged into one obstacle [m]."""
 _BRIDGES = 16
-"""Maximum number of shortest connections between two clusters that are tested for occlusion, before
-the clusters are merged."""
+"""Maximum number of shortest connections between points of two clusters that are tested for
+occlusion, before the clusters are merged."""
 _BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
-"""Places (5, 1, 1) along a connection of two clusters that are tested for occlusion, as fractions
-of its length [-]."""
+"""Places (5, 1, 1) along a connection between points of two clusters that are tested for occlusion,
+as fractions of the connection's length [-]."""
 _MIN_HEIGHT = 0.004
 """Minimum height of an obstacle's points above the table, to which the allowance for depth noise is
 added [m]."""
@@ -72,8 +72,8 @@ _OVERHANG = 0.15
 """Maximum distance by which an obstacle may extend beyond the edge of the table and its margin
 [m]."""
 _OVER_TABLE = 0.15
-"""Minimum fraction of a cluster's voxels over the table for which its voxels beyond the edge are
-included [-]."""
+"""Minimum fraction of a cluster's voxels that lie over the table, for its voxels beyond the table's
+edge to be included [-]."""
 _MIN_OCCUPANCY = 2
 """Minimum number of points in a voxel that is used; voxels with fewer points are ignored."""
 _STRIDE = 4

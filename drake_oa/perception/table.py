@@ -203,7 +203,8 @@ def _find_supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
         fit: plane with the most points.
 
     Returns:
-        Offset of the level surface along the normal of the fitted plane [m]; None if there is none.
+        Offset of the level surface from the origin, along the normal of the fitted plane [m]; None
+        if there is none.
     """
     points, inliers = samples.points, samples.points[fit.inliers]
     height = points @ fit.normal - fit.offset

@@ -83,16 +83,17 @@ SAME_RADIUS = 0.008
 """Maximum distance at which an observed point and a remembered point of a track are the same point,
 and are averaged [m]."""
 _PRECEDENCE = np.array([1, 3, 4, 0, 2])
-"""Precedence (5,) of the states HIDDEN, AT, FREE, OUT and EMPTY, if several images disagree on a
-remembered point. The largest number decides."""
+"""Precedence (5,) of the states HIDDEN, AT, FREE, OUT and EMPTY of a point, if several images
+disagree; the state with the largest number is used."""
 _MATCH_RADIUS = 0.02
 """Maximum distance from an observed point to a remembered point of a track to count as a common
 point, in data association [m]."""
 _COMMON_POINTS = 4
-"""Minimum number of common points for which data association assigns a cluster to a track."""
+"""Minimum number of points that a track and an observed cluster must have in common for data
+association to assign the cluster to the track."""
 _COMMON_SHARE = 0.25
-"""Minimum number of common points for which data association assigns a cluster to a track, relative
-to all points of the smaller one [-]."""
+"""Minimum number of points that a track and an observed cluster must have in common, over the size
+of the smaller one, for association [-]."""
 _GATE = 0.1
 """Gate of the data association: maximum distance between the centroids of a track and a cluster
 without enough common points [m]."""
@@ -102,14 +103,14 @@ _IMMEDIATE_CONFIRMATION_FACTOR = 2.0
 _MEAN_FRAMES = 20
 """Maximum number of frames over which the position of a remembered point of a track is averaged."""
 _OCCLUDED_SHARE = 0.3
-"""Occluded fraction of the remembered points beyond a side of an obstacle at which the side counts
-as occluded, and is not measured [-]."""
+"""Occluded fraction of the remembered points beyond a visible side (end along an axis) of an
+obstacle, from which that side is not measured [-]."""
 _SIDE_SLACK = 0.004
-"""Distance from a side of its obstacle above which a remembered point counts as beyond the side, in
-the test for occluded sides [m]."""
+"""Distance from an obstacle's side (end along an axis) above which a remembered point counts as
+beyond it, in the test for occluded sides [m]."""
 _MIN_VISIBLE_SHARE = 0.2
-"""Minimum fraction of a track's remembered points to which the unsupported points are compared,
-even if fewer are visible, in motion evidence [-]."""
+"""Minimum denominator of the motion evidence of a track (points not observed again over visible
+points), relative to all its remembered points [-]."""
 _EVIDENCE_DECAY = 0.9
 """Factor per frame by which the motion evidence of a track (fraction of its visible points that are
 not observed again) decays [-]."""
@@ -117,8 +118,8 @@ _CORRECTION = 0.003
 """Displacement of a track by the Kalman filter's correction above which remembered points are
 compared with the frame again [m]."""
 _MIN_SUPPORT_RATIO = 0.9
-"""Minimum number of a track's supported points after a correction of its position, relative to the
-number before, for the correction to be accepted [-]."""
+"""Minimum ratio of a track's remembered points with an observed point nearby, after to before a
+correction of its position, to accept the correction [-]."""
 _SPLIT_FRAMES = 3
 """Number of consecutive frames with an obstacle in separate parts, after which its track is
 split."""
@@ -219,8 +220,8 @@ def select_rows(value: _Rows, index: IntArray | BoolArray) -> _Rows:
 
 
 def append_rows(first: _Rows, second: _Rows) -> _Rows:
-    """Appends the rows of the second to those of the first value, which are both tracks or both
-    remembered points.
+    """Concatenates the rows of two groups of tracks, or of two groups of remembered points, into
+    one group.
     """
     parts = {name: np.concatenate([one, vars(second)[name]]) for name, one in vars(first).items()}
     return replace(first, **parts)
@@ -237,7 +238,7 @@ class Association:
             points.
         is_shared: (C,) whether a cluster belongs to several tracks.
         new_clusters: clusters that start new tracks, in the order of the new rows.
-        partner: (M,) largest track in a cluster shared with each track, -1: none.
+        partner: (M,) for each smaller track in a shared cluster, the largest track there; -1: none.
     """
 
     point_row: IntArray
@@ -405,8 +406,8 @@ class _FrameUpdate:
         self.next_id = previous.next_id
 
     def run(self) -> TrackerState:
-        """Runs all steps of the update by the frame, and returns the resulting state of the
-        tracker.
+        """Runs all steps of the tracker's update by one frame, and returns the resulting state of
+        the tracker.
         """
         self.tracks = predict_tracks(self.tracks, self.dt)
         comparison = self._compare()
@@ -517,6 +518,8 @@ class _FrameUpdate:
         """Updates the motion evidence of each track: the fraction of its visible, confirmed points
         without an observed point near them.
 
+        The new value is the larger one of this fraction and the decayed previous value.
+
         Args:
             comparison: comparison of the remembered points with the frame.
             is_behind: (N,) whether each remembered point is behind its own obstacle.
@@ -598,8 +601,8 @@ class _FrameUpdate:
         self.points = select_rows(replace(points, evidence=evidence, confirmed=confirmed), remains)
 
     def _update_points(self, association: Association, comparison: _Comparison) -> None:
-        """Averages the remembered points of tracks with the same points in the frame, and adds the
-        frame's other points as new ones.
+        """Averages each remembered point with the observed points of its track within
+        `SAME_RADIUS`, and adds observed points without a near remembered point.
         """
         point_of = np.append(self._new_row, -1)[comparison.nearest]
         row = association.point_row
@@ -704,7 +707,9 @@ class _FrameUpdate:
         self.tracks = select_rows(self.tracks, remains)
 
     def _min_points(self) -> int:
-        """Returns the number of remembered points below which a track is deleted and not output."""
+        """Returns the minimum number of remembered points for a track to persist, and of confirmed
+        points for its output.
+        """
         return max(4, self.config.min_cluster_voxels // 2)
 
     def _output(self) -> TrackerState:

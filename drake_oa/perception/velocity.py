@@ -47,16 +47,16 @@ _START_SPEED = 0.03
 """Minimum speed of a tracked obstacle at which a frame can be evidence that the obstacle moves
 [m/s]."""
 START_STATISTIC = 21.1
-"""Minimum speed statistic v^T P_v^-1 v of a significant velocity [-]. Noise exceeds it once in
-10,000 frames for an obstacle at rest."""
+"""Minimum speed statistic v^T P_v^-1 v of a significant velocity v with covariance P_v [-]. Noise
+exceeds it in one of 10,000 frames of an obstacle at rest."""
 _CERTAIN_STATISTIC = 100.0
-"""Minimum speed statistic v^T P_v^-1 v of a velocity so certain that a single frame starts the
-motion of a track [-]."""
+"""Minimum speed statistic v^T P_v^-1 v of a velocity v with covariance P_v at which a single frame
+starts the motion of a track [-]."""
 _REST_SPEED = 0.02
 """Speed of a tracked obstacle below which a frame is evidence that the obstacle rests [m/s]."""
 _STOP_STATISTIC = 7.8
-"""Speed statistic v^T P_v^-1 v below which a frame is evidence that an obstacle rests, and above
-which its motion is likely [-]."""
+"""Speed statistic v^T P_v^-1 v of a velocity v with covariance P_v: below this value an obstacle
+seems to rest, above it motion is likely [-]."""
 _STOP_TIME = 0.1
 """Duration of uninterrupted evidence of rest after which a moving track counts as resting [s]."""
 _OUTLIER = 5.0
@@ -77,8 +77,8 @@ UNMEASURED_TIME = 0.2
 """Time without a measurement along an axis after which the velocity of a resting track along that
 axis is set to zero [s]."""
 _SIGNIFICANT_SCORE = 3
-"""Motion score that a track gains per frame with a significant velocity. A frame with a velocity
-that is only likely adds 1."""
+"""Increase of a track's motion score by a frame with a significant velocity; a likely velocity adds
+1. The track starts to move at `_MOVING_SCORE`."""
 _MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
 """Motion score (sum over consecutive frames with a significant or likely velocity) at which a
 resting track starts to move."""
@@ -213,8 +213,8 @@ def speed_statistic(tracks: Tracks) -> FloatArray:
 
 
 _AREA_DECAY = 0.99
-"""Factor per frame by which the known visible area of an obstacle decays while all its sides are
-visible [-]."""
+"""Factor per frame by which the largest visible area that is stored for an obstacle decays, while
+all its sides are visible [-]."""
 
 
 def predict_tracks(tracks: Tracks, dt: float) -> Tracks:
@@ -386,8 +386,8 @@ _GATE = 0.02
 """Maximum distance between corresponding points of two surfaces in the last iteration of their
 registration [m]."""
 _SPEED_STEP = 0.1
-"""Maximum depth step of the camera at an obstacle, divided by the age of an earlier frame that is
-used to measure the velocity [m/s]."""
+"""Maximum apparent speed that one depth step of the camera may cause in a measured velocity: the
+step over the age of the earlier frame [m/s]."""
 _CONSTANT_DEPTH = 1.2
 """Depth beyond which the standard deviation of a measured point grows with the square of the depth
 [m]."""
@@ -432,8 +432,8 @@ def register_surface(
         deviation: standard deviation of a point [m].
 
     Returns:
-        (3,) displacement [m], and (3,) its variances [m^2]; the guess and prior^2 if a surface has
-        fewer than `_NEIGHBORS` points.
+        (3,) displacement [m], and (3,) its variances [m^2]. If a surface has fewer than
+        `_NEIGHBORS` points: the guess, and prior^2.
     """
     if min(len(before), len(now)) < _NEIGHBORS:
         return np.array(guess), np.full(3, prior**2)
@@ -547,21 +547,23 @@ def measure_velocities(
 
 
 _BEHIND = 0.01
-"""Depth by which an obstacle's own pixel must be behind the obstacle's straight continuation beyond
-a side to count as free space [m].
+"""Depth by which the image must be behind the continuation of an obstacle beyond its side (end
+along an axis), to show its end there [m].
 
-The value is for a depth of 1 m, and grows with the square of the depth.
+The value applies to pixels of the same obstacle at a depth of 1 m, and grows with the square of the
+depth.
 """
 _STEPS = np.arange(1, 24)
-"""Distances from a side of an obstacle at which the image is searched for free space [pixel]."""
+"""Distances from a side (end along an axis) of an obstacle at which the image is searched for free
+space [pixel]."""
 _EMPTY_PIXELS = 12
-"""Number of consecutive pixels without depth that count as free space beyond a side of an
-obstacle."""
+"""Number of consecutive pixels without depth that count as free space beyond a side (end along an
+axis) of an obstacle."""
 _MIN_SINE = 0.3
-"""Minimum sine of the angle between the line of sight and a world axis at which an image shows an
-obstacle's end along that axis [-].
+"""Minimum sine of the angle between the line of sight and a world axis, at which images show where
+obstacles end along that axis [-].
 
-At smaller angles the obstacle is assumed to end at its measured side.
+At smaller angles an obstacle is assumed to end at its measured side.
 """
 _BACKGROUND_DEPTH = 100.0
 """Depth that replaces the infinite depth of pixels in the search for free space beside obstacles
@@ -660,28 +662,32 @@ DEPTH_MARGIN = 0.03
 """Maximum depth difference between a measured surface and a point that counts as lying on it
 [m]."""
 _SIDE_TAIL = 0.02
-"""Fraction of an obstacle's visible or known area, whichever is larger, that lies beyond each of
-its sides; it defines the sides [-]."""
+"""Fraction of an obstacle's area that lies beyond each of its sides, which are thereby defined as
+robust ends along the world axes [-].
+
+The area is the visible or the largest earlier one, whichever is larger.
+"""
 _OPEN_SHARE = 0.7
-"""Minimum fraction of the points at a side of an obstacle with free space beyond them, for the
+"""Minimum fraction of the points at a side (end along an axis) with free space beyond them, for the
 obstacle to end there [-]."""
 _MIN_AREA_SHARE = 0.15
-"""Minimum visible fraction of an obstacle's known area for its position to be measured by its sides
-[-]."""
+"""Minimum visible area of an obstacle, relative to the largest in earlier frames, for its position
+to be measured by its sides [-]."""
 _GROWTH = 1.1
-"""Ratio of visible to known area above which an obstacle is entering the image, so that its sides
-are uncertain [-]."""
+"""Ratio of an obstacle's visible area to the largest in earlier frames, above which it is entering
+the image, and its sides are uncertain [-]."""
 _GROWTH_FACTOR = 6.0
 """Factor by which the standard deviation of the sides increases for an obstacle that is entering
 the image [-]."""
 _SIDE_GRAIN = 0.7
-"""Standard deviation of the measured side of an obstacle due to the image's resolution [pixel]."""
+"""Standard deviation of a measured side (end along an axis) of an obstacle due to the image's
+resolution [pixel]."""
 _OCCLUSION_FACTOR = 3.0
-"""Increase of the relative standard deviation of an obstacle's measured side per occluded fraction
-of its area [-]."""
+"""Relative increase of the standard deviation of an obstacle's sides (ends along the axes) per
+occluded fraction of its area [-]."""
 _SIDE_LEARNING = 0.05
-"""Weight of one frame in the running mean of the distance between two opposite sides of an obstacle
-[-]."""
+"""Weight of one frame in the running mean of the distance between two opposite sides (ends along an
+axis) of an obstacle [-]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,13 +70,15 @@ def with_occluded_extents(
     cameras: Sequence[tuple[FloatArray, ImageRange]],
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> ObstacleClouds:
-    """Extends the clouds of obstacles that the border of an image truncates.
+    """Extends the clouds of obstacles that the border of an image truncates, upright by their
+    visible length.
 
     Args:
         obstacles: observed obstacles.
         cameras: for each camera its pose X_WC (4, 4) (x right, y down, z forward) and image range.
-        seen_free: function from points (N, 3) [m] to (N,) booleans, True for a point that another
-            camera observes to be free; such points are not added. None: no other camera.
+        seen_free: function from points (N, 3) in the world [m] to (N,) booleans, True for a point
+            that a camera observes to be free; such points are not added. None: all points are
+            added.
 
     Returns:
         The extended obstacles; `obstacles` itself if none is truncated.
