@@ -38,34 +38,49 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 
 WORKSPACE_CENTER = np.array([0.4, 0.0, 0.3])
-"""Position in the world that the cameras of `with_workspace_cameras` look at [m]."""
+"""Position (3,) in the world at which the cameras that observe the workspace look [m]."""
 ONE_CAMERA = {"camera": (0.0, 35.0)}
-"""Camera name -> azimuth and elevation of its position [degrees]: one camera facing the robot."""
+"""Place of a single camera in front of the robot: name -> azimuth and elevation [degrees].
+
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`."""
 TWO_CAMERAS = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
-"""Camera name -> azimuth and elevation of its position [degrees]: a pair beside the robot, for
-which 1 % of the space near the arm is occluded."""
+"""Places of two cameras beside the robot: name -> azimuth and elevation [degrees].
+
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. For this pair 1 % of
+the space near the arm is occluded."""
 MAX_DEPTH = 3.5
-"""Maximum depth used by perception [m]."""
+"""Maximum depth that perception uses of the cameras that observe the workspace [m]."""
 TABLE_MARGIN = 0.6
-"""Maximum horizontal distance between the table's edge and a perceived obstacle [m]."""
+"""Maximum horizontal distance from the table's edge up to which objects are perceived [m].
+
+It applies to the cameras that observe the workspace."""
 _STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
-"""Model file of the camera stand at the table."""
+"""Model file of the camera's stand at the table, which is removed when the camera is replaced."""
 _WORKSPACE_DISTANCE = 2.1
-"""Distance between a camera of `with_workspace_cameras` and `WORKSPACE_CENTER` [m]."""
+"""Distance between the center of the workspace and a camera that observes the workspace [m]."""
 TASK_DISTANCE = 1.2
-"""Distance between a camera of `with_task_cameras` and the middle of the task [m]."""
+"""Distance of a camera from the point that it looks at, in the middle of start and goal [m]."""
 TASK_AZIMUTH = math.radians(60.0)
-"""Horizontal angle at the middle of the task between the robot's base and a camera [rad]."""
+"""Horizontal angle between robot base and camera, seen from the middle of start and goal [rad]."""
 ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
-"""Camera elevations in order of preference, measured from the middle of the task [rad]."""
+"""Camera elevations in order of preference, seen from the middle of start and goal [rad].
+
+The first elevation is used at which no obstacle is near the camera or blocks its view."""
 MIN_DISTANCE = 0.15
-"""Minimum distance of obstacles to a camera and to the first 0.8 m of its optical axis [m]."""
+"""Minimum distance of obstacles from a camera and from the first 0.8 m of its optical axis [m].
+
+A camera is placed at the first elevation that leaves this distance."""
 _MIN_DEPTH = 0.8
-"""Minimum depth that a camera measures [m]."""
+"""Minimum depth that the simulated depth cameras of an evaluation measure [m]."""
 
 
 def make_xtion_camera(name: str, X_WC: RigidTransform) -> CameraConfig:
-    """Returns an Xtion's configuration at pose X_WC in the world (x right, y down, z forward)."""
+    """Returns the configuration of an ASUS Xtion depth camera with given name and pose.
+
+    Args:
+        name: name of the camera.
+        X_WC: pose of the camera in the world, with the axes x right, y down, z forward.
+    """
     camera = copy.deepcopy(load_scenario("tabletop_box").cameras[0])
     camera.name, camera.X_PB = name, Transform(X_WC)
     return camera
@@ -113,7 +128,12 @@ def with_workspace_cameras(
 
 
 def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> CollisionGeometries:
-    """Returns the collision geometries of obstacles at their positions at a time [s]."""
+    """Returns the collision geometries of obstacles, which may move, at a given time.
+
+    Args:
+        obstacles: obstacles of a scenario.
+        time: time in the simulation [s].
+    """
     placed = []
     for item in obstacles:
         X_WO = pose(item).GetAsMatrix4()
@@ -123,7 +143,7 @@ def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> Col
 
 
 def with_task_cameras(scenario: Scenario) -> Scenario:
-    """Replaces perception and cameras of a scenario by two depth cameras beside its task.
+    """Replaces perception and cameras of a scenario by two depth cameras that look at its task.
 
     Each camera is 1.2 m from the middle between the task's start and goal and looks at it. Seen
     from above, the cameras are 60 degrees to the left and right of the direction to the robot's
@@ -147,7 +167,13 @@ def with_task_cameras(scenario: Scenario) -> Scenario:
 
 
 def _place(middle: FloatArray, heading: float, objects: CollisionGeometries) -> RigidTransform:
-    """Returns the pose X_WC of a camera with a heading [rad] from the middle (3,) of the task."""
+    """Computes the pose X_WC of a camera that looks at the task, at the first free elevation.
+
+    Args:
+        middle: (3,) middle between start and goal of the task in the world [m].
+        heading: horizontal angle of the direction from the middle to the camera [rad].
+        objects: obstacles, which must not be near the camera or block its view.
+    """
     X_WC = RigidTransform()
     for elevation in ELEVATIONS:
         X_WC = camera_pose_around(middle, heading, elevation, TASK_DISTANCE)

@@ -32,7 +32,7 @@ from drake_oa.inference.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
-"""Keys that Table I's JSON copies from the metadata of the weights."""
+"""Keys that the JSON of Table I copies from the metadata of each file of trained networks."""
 
 
 TABLE_ONE = {
@@ -43,23 +43,38 @@ TABLE_ONE = {
         "alpha": (1.6e-4, 1.7e-4),
     },
 }
-"""Published Table I (tab:nn_training): chain -> target -> NMSE on train and on test rows."""
+"""Published Table I of Pairet et al., RA-L 2019: chain -> target -> errors of its network.
+
+A regressor chain predicts the targets kappa, psi and alpha, the parameters of a coupling term. The
+errors are normalized mean squared errors (NMSE) on training and on test rows."""
 
 
 def published_errors(chain: str, target: str) -> dict[str, float]:
-    """Returns the published train and test NMSE of one network of Table I."""
+    """Returns the errors of one network as published in Table I of Pairet et al., RA-L 2019.
+
+    Args:
+        chain: name of the regressor chain.
+        target: output of the network: "kappa", "psi" or "alpha".
+
+    Returns:
+        Normalized mean squared errors on training rows, `train_published`, and on test rows,
+        `test_published`.
+    """
     return dict(zip(("train_published", "test_published"), TABLE_ONE[chain][target], strict=True))
 
 
 def error_table(
     title: str, networks: Mapping[str, Mapping[str, Any]], notes: Sequence[str] = ()
 ) -> TextTable:
-    """Tabulates the NMSE of a chain's networks beside the published values.
+    """Tabulates the errors of a regressor chain's networks beside the published values.
+
+    NMSE is the normalized mean squared error.
 
     Args:
         title: heading of the first column.
         networks: target -> `train` and `test` NMSE and number of `rows`; optionally the
-            `published_errors`, and `floor`, the NMSE that no function of the inputs can beat.
+            `published_errors`, and `floor`, an estimate of the lowest NMSE that any function of the
+            inputs can reach.
         notes: lines below the table.
     """
     columns = (
@@ -75,11 +90,11 @@ def error_table(
 
 
 def table_one_metrics() -> dict[str, Any]:
-    """Returns the JSON of Table I: for each shipped weights file, the errors of its networks.
+    """Returns the JSON of Table I: errors of the networks of each shipped regressor chain.
 
-    A network has its NMSE on train and test rows and `floor`, the lowest NMSE that any function of
-    its inputs can reach. Chains trained on the released code's action level have the published
-    values as well.
+    A network has its normalized mean squared errors (NMSE) on train and test rows and `floor`, an
+    estimate of the lowest NMSE that any function of its inputs can reach. Chains trained on motions
+    of the paper's released code have the published values as well.
     """
     chains = {}
     for file in SHIPPED:
@@ -96,7 +111,7 @@ def table_one_metrics() -> dict[str, Any]:
 
 
 def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
-    """Tabulates the result of `table_one_metrics`: one table for each weights file."""
+    """Tabulates the result of `table_one_metrics`: one table for each shipped regressor chain."""
     return [
         error_table(file, chain["networks"], [f"({chain['chain']}; {chain['action_level']})"])
         for file, chain in whole["chains"].items()
@@ -113,28 +128,48 @@ TABLE_TWO: dict[float, dict[str, Any]] = {
         (2.0, 0.202, 0.076, 6.49e-4, 0.027, 0),
     )
 }
-"""Published Table II: baseline (distance from start to goal) [m] -> metrics; lengths in m."""
+"""Published Table II of Pairet et al., RA-L 2019: baseline -> metrics of 1,000 motions.
+
+The baseline is the distance from start to goal [m]. The metrics are mean and minimum clearance,
+mean and maximum goal error [m], and the number of collisions."""
 LINE_COLLISION_RATE = 0.324
-"""Published fraction of Table II's scenes with the straight line in collision: 1,296 of 4,000."""
+"""Published fraction of Table II's scenes in which the line from start to goal hits the obstacle.
+
+Pairet et al., RA-L 2019, state 1,296 of 4,000 scenes."""
 
 
 def evaluate_novel(scenes: Scenes) -> Outcome:
-    """Runs the paper's method on scenes of the suite `demo`; clearances are in the P-plane."""
+    """Runs the paper's method on the scenes of Table II and evaluates the motions.
+
+    Clearances are distances to the obstacle's section with the P-plane, the plane through the line
+    from start to goal and the obstacle's center.
+
+    Args:
+        scenes: scenes of the suite `demo`.
+    """
     return evaluate("paper", run, scenes, [Setting()], sections)
 
 
 _MEAN_TOLERANCE = 0.01
-"""Maximum difference from a published mean clearance [m]."""
+"""Maximum difference of a mean clearance in Table II from the published value, to agree [m]."""
 _MIN_TOLERANCE = 0.03
-"""Maximum difference from a published minimum clearance [m]."""
+"""Maximum difference of a minimum clearance in Table II from the published value, to agree [m]."""
 _ERROR_FACTOR = 2.0
-"""Maximum ratio of a goal error to the published one, and of the published one to it."""
+"""Maximum factor between a goal error in Table II and the published value, to agree [-]."""
 _COLLISION_TOLERANCE = 3
-"""Maximum difference from a published number of collisions."""
+"""Maximum difference of a number of collisions in Table II from the published value, to agree."""
 
 
 def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str, bool]:
-    """Checks each metric of a row against its published value; False without scenes."""
+    """Checks whether each metric of a row of Table II agrees with its published value.
+
+    Args:
+        metrics: metrics of the row, and `scenes`, the number of its scenes.
+        published: metric -> published value.
+
+    Returns:
+        Metric -> whether it is within its tolerance; always False without scenes.
+    """
     if not metrics["scenes"]:
         return dict.fromkeys(published, False)
     tolerances = {
@@ -153,6 +188,8 @@ def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str
 
 def table_two_metrics(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, Any]:
     """Returns the JSON of Table II: metrics for each baseline, and their agreement with the paper.
+
+    A baseline is the distance from start to goal.
 
     Args:
         outcome: result of `evaluate_novel`.
@@ -185,18 +222,18 @@ _CELL_COLUMNS = (
     Column("goal_error_max", "max. goal error [mm]", "{:.0f}", 1e3),
     Column("differing", "differing metrics"),
 )
-"""Columns of Table II after the row's name."""
+"""Columns of the reproduced Table II, after the first column with the row's name."""
 _NOTES = (
     f"Metrics agree if mean clearances differ by at most {1e3 * _MEAN_TOLERANCE:g} mm,",
     f"minimum clearances by {1e3 * _MIN_TOLERANCE:g} mm, collisions by {_COLLISION_TOLERANCE}, and"
     f" goal errors by a factor of {_ERROR_FACTOR:g}.",
     f"Published fraction of straight lines in collision: {1e2 * LINE_COLLISION_RATE:.0f} %.",
 )
-"""Lines below Table II: tolerances of the agreement with the paper."""
+"""Lines below the reproduced Table II, which state when a metric agrees with the paper's value."""
 
 
 def table_two(whole: Mapping[str, Any]) -> TextTable:
-    """Tabulates the result of `table_two_metrics` beside the published values."""
+    """Tabulates the result of `table_two_metrics` beside the published values of Table II."""
     rows = []
     for row in whole["by_baseline"]:
         differing = [key.replace("_", " ") for key, same in row["agrees"].items() if not same]
@@ -225,11 +262,13 @@ TABLE_THREE: dict[tuple[str, str], dict[str, Any]] = {
         ("clutter", "paper", 0.172, 1.29e-2, 0, 0),
     )
 }
-"""Published Table III: (kind of obstacles, method) -> mean clearance [m], mean goal error [m] (None
-for "fail"), number of touched obstacles, and number of obstacles passed nearer than 0.15 m."""
+"""Published Table III of Pairet et al., RA-L 2019: (kind of obstacles, method) -> metrics.
+
+The metrics are mean clearance [m] and mean goal error [m] (None for "fail"), number of touched
+obstacles, and number of obstacles passed at less than 0.15 m."""
 
 TRIAL_KINDS = ("box", "irregular", "clutter")
-"""Kinds of obstacles in Table III."""
+"""Kinds of obstacles in Table III; the scenario of a kind is named `paper_` and the kind."""
 
 _TRIAL_COLUMNS = (
     Column("name", "scene, method"),
@@ -241,18 +280,23 @@ _TRIAL_COLUMNS = (
     Column("goal_error_mean", "mean goal error [mm]", "{:.2f}", 1e3),
     Column("goal_error_published", "published [mm]", "{:.2f}", 1e3),
 )
-"""Columns of Table III."""
+"""Columns of the reproduced Table III, in which a row is a kind of obstacles and a method."""
 
 
 def trial_text(name: str, seed: int) -> str:
-    """Returns the text of a shipped scenario with a seed, which determines the camera's noise."""
+    """Returns the text of a shipped scenario with another seed of its camera noise.
+
+    Args:
+        name: name of the scenario.
+        seed: seed of the scenario, which determines the noise.
+    """
     return scenario_text(load_scenario(name, [f"seed={seed}"]))
 
 
 def trial_suites(
     methods: Sequence[str], trials: int, seed: int, perception: str, duration: float | None
 ) -> list[PandaSuite]:
-    """Returns the suite of each kind of obstacles in Table III.
+    """Returns the suite of each kind of obstacles in Table III: trials with their own camera noise.
 
     Args:
         methods: names of methods, from `panda.evaluation.METHODS`.
@@ -285,7 +329,7 @@ def trial_metrics(
     """Returns the metrics of one row of Table III, with the published values if there are any.
 
     Args:
-        runs: trial -> result, see `run_and_evaluate`.
+        runs: number of a trial -> result of `run_and_evaluate`.
         published: the row of `TABLE_THREE`; None if the paper has no such row.
     """
     known = [run for run in runs.values() if run["tool_clearance_min"] is not None]
@@ -310,9 +354,10 @@ def trial_metrics(
 def trials_metrics(
     results: Sequence[PandaResults], metrics: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Returns the JSON of Table III.
+    """Returns the JSON of Table III: metrics of each kind of obstacles and method.
 
-    Its keys: "suite"; "rows", kind -> method -> `trial_metrics`; "kinds", kind -> `panda_metrics`.
+    The keys are "suite", the suite's name; "rows", kind -> method -> result of `trial_metrics`; and
+    "kinds", kind -> result of `panda_metrics`.
 
     Args:
         results: results of each kind's suite.
@@ -332,7 +377,7 @@ def trials_metrics(
 
 
 def table_three(whole: Mapping[str, Any]) -> TextTable:
-    """Tabulates the result of `trials_metrics` beside the published values."""
+    """Tabulates the result of `trials_metrics` beside the published values of Table III."""
     rows = [
         {"name": f"{kind}, {method}", **metrics}
         for kind, methods in whole["rows"].items()

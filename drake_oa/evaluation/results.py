@@ -26,7 +26,7 @@ from drake_oa.common.console import progress_bar
 from drake_oa.common.files import import_extra, replace_json, source_digest
 
 CONNECT_TIMEOUT = 10.0
-"""Timeout of the connection to a Dask scheduler [s]."""
+"""Timeout of the connection to a Dask scheduler, which distributes evaluations to a cluster [s]."""
 
 
 def carry_out(
@@ -60,7 +60,7 @@ def carry_out(
 
 
 def _placed(place: int, call: Callable[[], Any]) -> tuple[int, Any]:
-    """Carries out a call in a worker process and returns its index and result.
+    """Carries out a function call in a worker process and returns its index and result.
 
     The worker ignores SIGINT, so that only the parent process handles an interrupt.
     """
@@ -72,7 +72,14 @@ def _placed(place: int, call: Callable[[], Any]) -> tuple[int, Any]:
 
 
 def _client(scheduler: str) -> Any:
-    """Connects to a Dask scheduler; raises ValueError if it cannot be reached."""
+    """Connects to a Dask scheduler and returns the client.
+
+    Args:
+        scheduler: address of the scheduler.
+
+    Raises:
+        ValueError: if the scheduler cannot be reached, or the package `distributed` is missing.
+    """
     distributed = import_extra("distributed", "cluster")
     try:
         # Check the address first: a client with an invalid address blocks for a while at exit.
@@ -83,7 +90,7 @@ def _client(scheduler: str) -> Any:
 
 
 _Place = TypeVar("_Place")
-"""Type of the keys that identify tasks."""
+"""Type variable of the keys that identify the tasks in an argument of `resumed`."""
 
 
 class Task(NamedTuple):
@@ -98,13 +105,21 @@ class Task(NamedTuple):
     call: partial[Any]
 
     def key(self) -> str:
-        """Computes the SHA-256 of call, package source, and versions of Drake, Numba and SciPy."""
+        """Computes the key of the stored result, which changes if the result may change.
+
+        The key is the SHA-256 digest of the call, this package's source and model files, and the
+        versions of Drake, Numba, NumPy and SciPy.
+        """
         versions = [version(name) for name in ("drake", "numba", "numpy", "scipy")]
         text = repr((source_digest(), versions, self.call.func.__name__, self.call.args))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def load(self, folder: Path) -> Any:
-        """Returns the stored result; None if no readable file in the folder has the task's key."""
+        """Returns the stored result, or None if no readable file in the folder has the task's key.
+
+        Args:
+            folder: folder of the results.
+        """
         path = folder / f"{self.name}.json"
         if not path.exists():
             return None
@@ -124,12 +139,12 @@ def resumed(
     """Carries out the tasks without a stored result, and stores each result on completion.
 
     Args:
-        tasks: key -> task.
+        tasks: any identifier -> task.
         folder: folder of the results; None: results are not stored.
-        workers: see `carry_out`.
+        workers: number of worker processes (1: this process), or the address of a Dask scheduler.
 
     Returns:
-        Key -> result in the order of the tasks, and the number of results that were on disk.
+        Identifier -> result in the order of the tasks, and the number of results that were on disk.
     """
     results = {place: task.load(folder) if folder else None for place, task in tasks.items()}
     pending = [place for place, content in results.items() if content is None]

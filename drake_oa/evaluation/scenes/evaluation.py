@@ -1,10 +1,12 @@
-"""Evaluation of methods on the same synthetic scenes: runs, metrics and tables.
+"""Evaluation of avoidance methods on the same synthetic scenes: runs, metrics and tables.
 
-Metrics are the JSON data of an evaluation, in meters and seconds.
+A scene is a point, its goal and an ellipsoid. Metrics are the JSON data of an evaluation, in meters
+and seconds.
 
-The paper's dead-zone figure compares two coupling terms of equal strength on the same action level:
-the original term (eq. 7), gamma theta exp(-beta |theta|), at each gain gamma, and the dead-zone
-free term (eq. 8) with the same peak, gamma / (beta e), and the same area over the heading theta,
+The dead-zone figure of Pairet et al., RA-L 2019, compares two coupling terms of equal strength,
+which turn the motion away from an obstacle, on the same action level (equations of motion): the
+original term (eq. 7), gamma theta exp(-beta |theta|), at each gain gamma, and the dead-zone free
+term (eq. 8) with the same peak, gamma / (beta e), and the same area over the heading theta,
 gamma / beta^2 on each side. kappa is 0, as the original term does not depend on the distance.
 """
 
@@ -25,22 +27,26 @@ from drake_oa.evaluation.scenes.paper_method import BETA, released_motions
 from drake_oa.evaluation.scenes.scenes import Scenes, Setting
 
 BATCH = 100
-"""Maximum number of scenes in one call of a method."""
+"""Maximum number of scenes for which one call of an avoidance method computes motions."""
 
 
 class Outcome(NamedTuple):
-    """Results of one method.
+    """Results of one avoidance method on the scenes of a suite.
 
     Attributes:
-        results: label of a setting -> ground-truth results of all scenes.
-        seconds: computing time of the method in all settings [s].
+        results: label of a `Setting` -> ground-truth results of all scenes.
+        seconds: computing time of the method in all settings together [s].
     """
 
     results: dict[str, GroundTruthResult]
     seconds: float
 
     def of(self, *labels: str) -> GroundTruthResult:
-        """Returns the joined results in the settings with given labels; without labels, in all."""
+        """Returns the joined results in the settings with given labels; without labels, in all.
+
+        Args:
+            labels: labels of settings, keys of `results`.
+        """
         return GroundTruthResult.joined([self.results[label] for label in labels or self.results])
 
 
@@ -51,14 +57,15 @@ def evaluate(
     settings: Sequence[Setting],
     true_scenes: Callable[[Scenes], Scenes] = lambda scenes: scenes,
 ) -> Outcome:
-    """Runs a method on all scenes in each setting and evaluates the motions on ground truth.
+    """Runs an avoidance method on all scenes in each setting and evaluates the motions.
 
     Args:
         name: name of the method, for the progress bar.
         method: function that computes motions.
         scenes: scenes of a suite.
         settings: settings of the runs.
-        true_scenes: function from a batch of scenes to the scenes in which motions are evaluated.
+        true_scenes: function from a batch of scenes to the ground-truth scenes in which the motions
+            are evaluated.
     """
     results, seconds, count = {}, 0.0, 0
     with progress_bar(len(settings) * len(scenes)) as update:
@@ -77,7 +84,12 @@ def evaluate(
 
 
 def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float | None:
-    """Returns a statistic of the values that are not None; None without such values."""
+    """Computes a statistic of the values that are not None; None without such values.
+
+    Args:
+        statistic: function of a list of numbers, for example `min`.
+        values: numbers, or None where unknown.
+    """
     known = [value for value in values if value is not None]
     return float(statistic(known)) if known else None
 
@@ -85,15 +97,16 @@ def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float
 def evaluation_metrics(
     suite: str, seed: int | None, settings: Sequence[Setting], outcomes: Mapping[str, Outcome]
 ) -> dict[str, Any]:
-    """Returns the JSON of an evaluation.
+    """Returns the JSON data of an evaluation of several methods on the scenes of a suite.
 
-    Its keys: "suite", "seed", "versions", and "methods", method -> `method_metrics`.
+    The keys are "suite", "seed", "versions" (of libraries), and "methods", method -> result of
+    `method_metrics`.
 
     Args:
         suite: name of the suite.
         seed: seed of the scenes; None for scenes without a seed.
         settings: settings of the runs.
-        outcomes: method -> outcome of `evaluate`.
+        outcomes: name of a method -> result of `evaluate`.
     """
     return {
         "suite": suite,
@@ -104,12 +117,12 @@ def evaluation_metrics(
 
 
 def method_metrics(outcome: Outcome, settings: Sequence[Setting]) -> dict[str, Any]:
-    """Returns the metrics of one method over the scenes of a suite.
+    """Computes the metrics of one avoidance method over the scenes of a suite.
 
-    Keys: those of `motion_statistics`, and `seconds`, the computing time in all settings. With
-    several settings, the statistics are over the settings with a requested clearance and scaled
-    duration, whose labels are in `covers`; `settings` has the statistics of each setting. With
-    several baselines, `by_baseline` has the statistics of each baseline.
+    The keys are those of `motion_statistics`, and `seconds`, the computing time in all settings.
+    With several settings, the statistics are over the settings with a requested clearance and
+    scaled duration, whose labels are in `covers`; `settings` has the statistics of each setting.
+    With several baselines (distances from start to goal), `by_baseline` has the statistics of each.
     """
     main = [setting.label for setting in settings if setting.constrained and setting.scale_time]
     results = outcome.of(*main)
@@ -127,14 +140,18 @@ def method_metrics(outcome: Outcome, settings: Sequence[Setting]) -> dict[str, A
 
 
 def motion_statistics(results: GroundTruthResult) -> dict[str, Any]:
-    """Returns statistics of a batch of motions; None for a statistic of no values.
+    """Computes statistics of the metrics of several motions, with one motion per scene.
 
-    Keys: `scenes`, `collisions`, `clearance_mean`, `clearance_mean_achievable` (mean over the
-        scenes
-    in which the requested clearance Delta is achievable), `clearance_min`, `clearance_max`,
-    `shortfall_count` (number of scenes with a clearance more than 1 mm below the achievable one,
-    min(Delta, distance of the start, distance of the goal)), `goal_error_mean`, `goal_error_max`,
-    `path_ratio_mean`.
+    Clearances and goal errors are in meters; a statistic without values is None. The keys are:
+
+    - scenes, collisions: numbers of scenes, and of those whose motion touches the obstacle.
+    - clearance_mean, clearance_min, clearance_max: statistics of the minimum clearance of a motion.
+    - clearance_mean_achievable: mean over the scenes in which the requested clearance Delta is
+      achievable.
+    - shortfall_count: number of scenes with a clearance more than 1 mm below the achievable one,
+      min(Delta, distance of the start, distance of the goal).
+    - goal_error_mean, goal_error_max: statistics of the distance to the goal at the end.
+    - path_ratio_mean: mean path length over the distance from start to goal.
     """
     known = np.isfinite(results.min_clearance)
     clearance = results.min_clearance[known]
@@ -162,7 +179,7 @@ _COLUMNS = (
     Column("goal_error_max", "max. goal error [mm]", "{:.3f}", 1e3),
     Column("path_ratio_mean", "mean path ratio", "{:.3f}"),
 )
-"""Columns of the metrics of synthetic scenes, after the row's name."""
+"""Columns of tables of metrics in synthetic scenes, after the first column with the row's name."""
 
 
 def evaluation_tables(metrics: Mapping[str, Any], notes: Sequence[str] = ()) -> list[TextTable]:
@@ -186,19 +203,36 @@ def evaluation_tables(metrics: Mapping[str, Any], notes: Sequence[str] = ()) -> 
 
 
 GAMMAS = (10.0, 30.0, 100.0, 300.0, 1000.0)
-"""Gains of the original coupling term in the dead-zone figure [1/s]."""
+"""Gains gamma of Hoffmann's coupling term in the dead-zone figure of Pairet et al. [1/s].
+
+The coupling term turns the motion away from an obstacle, except straight ahead, its dead zone."""
 
 
 def matched_term(gamma: float) -> tuple[float, float]:
-    """Returns alpha [rad/s] and psi [rad] with the peak and area of the original term at gamma.
+    """Computes parameters of the paper's coupling term that make it as strong as Hoffmann's.
 
-    alpha = gamma / (beta e),   psi = 2 e / (beta sqrt(pi)).
+    As functions of the angle to the obstacle, both turning rates have the same peak, and the same
+    area on each side:
+    alpha = gamma / (beta e), psi = 2 e / (beta sqrt(pi)).
+
+    Args:
+        gamma: gain of Hoffmann's coupling term [1/s], whose decay rate is `BETA`.
+
+    Returns:
+        alpha [rad/s] and psi [rad].
     """
     return gamma / (BETA * math.e), 2.0 * math.e / (BETA * math.sqrt(math.pi))
 
 
 def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
-    """Runs both coupling terms on all scenes at each gain of `GAMMAS`, with tau = 1.
+    """Runs Hoffmann's and the paper's coupling term, equally strong, on all scenes.
+
+    Coupling terms turn the motion away from an obstacle. Their strength is varied by the gains in
+    `GAMMAS`; the motions have the demonstrated duration (temporal scaling tau = 1).
+
+    Args:
+        scenes: scenes of the suite `dead-zone`, in the first of which the obstacle is straight
+            ahead.
 
     Returns:
         A row for each gain: minimum clearances in the first scene, which is head-on [m], and
@@ -222,7 +256,7 @@ def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
 
 
 def term_table(metrics: Sequence[dict[str, float]]) -> TextTable:
-    """Tabulates the result of `compare_terms`."""
+    """Tabulates the result of `compare_terms`: clearances and collisions of both coupling terms."""
     columns = (
         Column("gamma", "coupling terms", "gamma = {:g}"),
         Column("original_head_on", "clearance head-on: original [mm]", "{:.1f}", 1e3),

@@ -1,4 +1,4 @@
-"""Evaluation of motions on ground truth in float64, independent of the methods' kernels.
+"""Evaluation of motions in synthetic scenes on ground truth, independent of the methods' kernels.
 
 A motion is interpolated from its positions and velocities by cubic Hermite splines and sampled
 densely, with refinement around the sample nearest to the obstacle. Only the exact distance to an
@@ -17,19 +17,19 @@ from drake_oa.evaluation.scenes.scenes import Batch, Motions, Scenes, obstacle_d
 from drake_oa.geometry.ellipsoid import signed_distance
 
 SUBSTEPS = 4
-"""Number of distance samples in each interval of a motion."""
+"""Number of samples of the obstacle's distance between two sampled positions of a motion."""
 _REFINEMENTS = 3
-"""Number of refinements around the sample nearest to the obstacle."""
+"""Number of successive refinements around the sample of a motion nearest to the obstacle."""
 _REFINEMENT_SAMPLES = 33
-"""Number of distance samples of one refinement."""
+"""Number of samples of the obstacle's distance in one refinement around the nearest sample."""
 
 SLACK = 1e-3
-"""Maximum clearance shortfall that is not counted [m]."""
+"""Maximum clearance below the achievable one that does not count as a shortfall [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruthResult(Batch):
-    """Ground-truth metrics of N motions.
+    """Ground-truth metrics of N motions of a point, each past one obstacle.
 
     Attributes:
         min_clearance: (N,) minimum signed distance to the obstacle during the motion, negative
@@ -37,7 +37,7 @@ class GroundTruthResult(Batch):
         achievable_clearance: (N,) minimum of Delta and the obstacle's distances from start and
             goal [m].
         goal_error: (N,) distance to the goal at the end of the motion [m].
-        path_ratio: (N,) path length over the length of the nominal path, the baseline.
+        path_ratio: (N,) path length over the distance from start to goal [-].
         baseline: (N,) distance from start to goal [m].
         requested: (N,) requested clearance Delta [m].
     """
@@ -54,17 +54,17 @@ class GroundTruthResult(Batch):
 
     @property
     def collided(self) -> BoolArray:
-        """Mask (N,) of the motions that touch the obstacle."""
+        """Boolean mask (N,) of the motions that touch their obstacle."""
         return self.min_clearance <= 0.0
 
     @property
     def is_short(self) -> BoolArray:
-        """Mask (N,) of the motions with a clearance more than `SLACK` below the achievable one."""
+        """Boolean mask (N,) of motions with a clearance more than 1 mm below the achievable one."""
         return self.min_clearance < self.achievable_clearance - SLACK
 
 
 def evaluate_motions(scenes: Scenes, motions: Motions) -> GroundTruthResult:
-    """Computes ground-truth metrics of one motion per scene.
+    """Computes ground-truth metrics of one motion per scene, from densely sampled splines.
 
     Args:
         scenes: N scenes.
@@ -84,7 +84,16 @@ def evaluate_motions(scenes: Scenes, motions: Motions) -> GroundTruthResult:
 
 
 def _measure(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]:
-    """Computes the minimum signed distance to the obstacle and the length of one path [m]."""
+    """Computes the clearance and the path length of one motion from a cubic Hermite spline.
+
+    Args:
+        scenes: N scenes.
+        motions: N motions.
+        row: index of the motion and its scene.
+
+    Returns:
+        Minimum signed distance to the obstacle [m], and length of the path [m].
+    """
     steps = motions.path.shape[1]
     knots = np.linspace(0.0, motions.duration[row], steps)
     curve = CubicHermiteSpline(knots, motions.path[row], motions.velocity[row])

@@ -1,4 +1,4 @@
-"""Methods for synthetic scenes by name: functions of scenes and a setting.
+"""Methods of obstacle avoidance for synthetic scenes by name: functions of scenes and a setting.
 
 `verified`: this project's method for a point, a search among roll-outs.
 
@@ -35,27 +35,32 @@ from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 
 Method = Callable[[Scenes, Setting], Motions]
-"""Function that computes a motion for each scene in a setting."""
+"""Method of obstacle avoidance: function that computes a motion for each scene in a setting."""
 
 SAMPLES = 500
-"""Number of intervals of the motions of `run_verified`."""
+"""Number of equal time intervals in which the method `verified` samples its motions."""
 MIN_CLEARANCE = 0.01
-"""Clearance of `verified` if none is requested, the minimum in the paper's training set [m]."""
+"""Clearance that the method `verified` requires in settings without a requested clearance [m].
+
+It is the minimum clearance in the training set of Pairet et al., RA-L 2019."""
 PARAMETERS = Verified(candidates=64, generations=60, refinement_generations=6, slack=2e-4)
-"""Search parameters of `verified` in synthetic scenes."""
+"""Parameters of the search by the method `verified` for a motion in a synthetic scene."""
 POLICY = Policy(period=DURATION / 500)
-"""Policy of `verified` in synthetic scenes, with 500 steps per demonstrated duration."""
+"""Configuration of the movement primitive of the method `verified` in synthetic scenes.
+
+The time step is 1/500 of the demonstrated duration."""
 DMP = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=DURATION))
-"""Movement primitive of the straight minimum-jerk demonstration."""
+"""Movement primitive of the method `verified`, learned from a straight minimum-jerk motion."""
 
 
 def run_verified(scenes: Scenes, setting: Setting) -> Motions:
-    """Searches one motion per scene among roll-outs from rest.
+    """Computes a motion for each scene by this project's search among roll-outs (simulations).
 
     Args:
         scenes: N scenes.
-        setting: if not `constrained`, the requested clearance is `MIN_CLEARANCE`; if not
-            `scale_time`, tau is 1.
+        setting: if not `constrained`, the requested clearance is `MIN_CLEARANCE`. With
+            `scale_time`, the duration is scaled by the length of the path over that of the straight
+            line, at least 1.
 
     Returns:
         The motions, from rest until arrival at the goal.
@@ -85,11 +90,15 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
 
 
 STEP = 0.01
-"""Default time step of the package movement_primitives [s]."""
+"""Time step with which motions of the package movement_primitives are computed, its default [s]."""
 
 
 def run_movement_primitives(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes the motions of the package movement_primitives; they do not depend on the setting.
+    """Computes a motion for each scene by the package movement_primitives.
+
+    Args:
+        scenes: N scenes.
+        setting: setting, which has no effect.
 
     Raises:
         ValueError: if the package is not installed.
@@ -116,11 +125,17 @@ METHODS: dict[str, Method] = {
     "original": run_original,
     "movement_primitives": run_movement_primitives,
 }
-"""Name of a method -> function that computes its motions."""
+"""Name of a method of obstacle avoidance -> function that computes its motions."""
 
 
 def load_methods(names: Sequence[str]) -> dict[str, Method]:
-    """Returns the methods with the given names.
+    """Returns the methods of obstacle avoidance with given names, and checks their packages.
+
+    Args:
+        names: keys of `METHODS`.
+
+    Returns:
+        Name of a method -> function that computes its motions.
 
     Raises:
         ValueError: if a name is unknown, or the package of a method is not installed.

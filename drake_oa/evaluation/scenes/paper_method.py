@@ -1,11 +1,11 @@
-"""Methods `paper` and `original` on the action level of the paper and its released code.
+"""Methods `paper` and `original` on the action level of Pairet et al. and their released code.
 
-The action level (equations of motion) is that of `drake_oa.training.released_law`, with the
-coupling term about each obstacle's center. Paper and released code leave open how the temporal
-scaling tau is computed and when a motion ends. The interpretation that agrees best with the paper's
-Table II: tau is the length of the path through the obstacle's center, plus twice its largest
-semi-axis and Delta, over the baseline. A motion continues after the duration T until it is within
-0.4 mm of the goal, until 2 T at most.
+Both avoid obstacles by a coupling term, which turns the motion. The action level (equations of
+motion) is that of `drake_oa.training.released_law`, with the coupling term about each obstacle's
+center. Paper and released code leave open how the temporal scaling tau is computed and when a
+motion ends. The interpretation that agrees best with the paper's Table II: tau is the length of the
+path through the obstacle's center, plus twice its largest semi-axis and Delta, over the baseline. A
+motion continues after the duration T until it is within 0.4 mm of the goal, until 2 T at most.
 
 `paper`: coupling term (eq. 8) with the parameters of the regressor chain at lambda' and Delta,
 evaluated in each step. lambda' are the principal semi-axes of the obstacle's section with the
@@ -36,33 +36,40 @@ from drake_oa.inference.regressor import ChainWeights, load_chain, plane_axes
 from drake_oa.training.released_law import STEPS, ReleasedMotions, Steps
 
 GAMMA = 1000.0
-"""Gain gamma of Hoffmann's coupling term, as published [1/s]."""
+"""Published gain gamma of Hoffmann's coupling term, which turns motions off an obstacle [1/s]."""
 BETA = 20.0 / math.pi
-"""Decay rate beta of Hoffmann's coupling term, as published [1/rad]."""
+"""Published decay beta of Hoffmann's coupling term with the angle to the obstacle [1/rad]."""
 
 _PARALLEL = 1e-9
-"""Sine of the angle between two directions below which they span no plane."""
+"""Distance of an obstacle's center from the line from start to goal that counts as zero [m]."""
 _MAX_NORMAL_CHANGE = 1e-9
-"""Change of the P-plane's unit normal up to which the chain is not evaluated again."""
+"""Change of the P-plane's unit normal up to which the regressor chain is not evaluated again [-].
+
+The P-plane contains the velocity and the direction of the obstacle's center."""
 _HALF_LENGTH = 1e3
-"""Half length of the cylinder that replaces an obstacle [m]."""
+"""Half length of the cylinder that replaces an obstacle to measure its distance in a plane [m]."""
 
 ARRIVED = 4e-4
-"""Distance to the goal below which a motion ends after the duration T [m]."""
+"""Distance to the goal below which a motion ends after its demonstrated duration [m]."""
 LONGEST = 2
-"""Maximum duration of a motion, as a multiple of T."""
+"""Maximum duration of a motion as a multiple of its demonstrated duration [-]."""
 
 SHIPPED = ("paper_chain", "paper_chain_unconstrained", "paper_chain_running")
-"""Names of the weights files trained by the paper's recipe: with input Delta, without it, and with
-Delta for the running system's action level."""
+"""Names of the shipped regressor chains that were trained by the recipe of Pairet et al.
+
+The first has the requested clearance Delta as an input; the second does not. The third has it, and
+was trained on motions of the running system instead of the authors' released code."""
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes the motions of the paper's method with the shipped chains.
+    """Computes the motions of the paper's method with the shipped regressor chains.
+
+    A chain predicts the parameters of the coupling term, which turns the motion.
 
     Args:
         scenes: N scenes.
-        setting: whether the chain has the input Delta, and whether tau scales the spring.
+        setting: whether the chain has the requested clearance Delta as an input, and whether the
+            temporal scaling tau multiplies the spring.
 
     Raises:
         FileNotFoundError: if a weights file is missing.
@@ -72,13 +79,21 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
 
 
 def run_original(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes motions with Hoffmann's coupling term; of the setting, only `scale_time` is used."""
+    """Computes motions with Hoffmann's coupling term, which turns the motion off an obstacle.
+
+    Args:
+        scenes: N scenes.
+        setting: setting, of which only `scale_time` is used.
+    """
     return released_motions(scenes, setting, np.array((GAMMA, BETA, 0.0)), original=True)
 
 
 @cache
 def paper_chain(name: str) -> ChainWeights:
-    """Loads a shipped regressor chain by its name in `SHIPPED`.
+    """Loads a shipped regressor chain, which predicts the parameters of a coupling term.
+
+    Args:
+        name: name of the chain, one of `SHIPPED`.
 
     Raises:
         FileNotFoundError: if the weights file is missing.
@@ -88,9 +103,10 @@ def paper_chain(name: str) -> ChainWeights:
 
 
 def time_scale(scenes: Scenes) -> FloatArray:
-    """Computes the temporal scalings tau (N,).
+    """Computes the temporal scaling tau of the motion in each of N scenes, (N,) [-].
 
-    tau = (|center| + |goal - center| + 2 (largest semi-axis + Delta)) / baseline.
+    tau = (|center| + |goal - center| + 2 (largest semi-axis + Delta)) / baseline, with the
+    requested clearance Delta, the distance `baseline` from start to goal, and the start at zero.
     """
     to_O, to_goal = scenes.center, scenes.goal - scenes.center
     way = np.linalg.norm(to_O, axis=1) + np.linalg.norm(to_goal, axis=1)
@@ -100,9 +116,9 @@ def time_scale(scenes: Scenes) -> FloatArray:
 def sections(scenes: Scenes) -> Scenes:
     """Replaces each obstacle by a long cylinder over its section with the initial P-plane.
 
-    The initial P-plane contains the baseline and the obstacle's center; for a center on the
-    baseline it is horizontal. In this plane the distance to the cylinder is the distance to the
-    section.
+    The initial P-plane contains the line from start to goal and the obstacle's center; for a center
+    on this line it is horizontal. In this plane the distance to the cylinder is the distance to the
+    section, so that clearances are measured in the plane.
     """
     out = scenes.center * (0.0, 1.0, 1.0)
     size = np.linalg.norm(out, axis=1, keepdims=True)
@@ -126,16 +142,23 @@ def released_motions(
     chain: ChainWeights | None = None,
     steps: Steps = STEPS,
 ) -> Motions:
-    """Rolls out motions in all scenes at once; motions that have ended stay at rest.
+    """Rolls out (simulates) motions by the released equations of Pairet et al., RA-L 2019.
+
+    The motions in all scenes are simulated at once; those that have ended stay at rest.
 
     Args:
         scenes: N scenes.
-        setting: setting, of which only `scale_time` is used: whether tau scales the spring.
-        parameters: (3,) alpha [rad/s], psi [rad] and kappa [1/m^2]; for the original term
-            gamma [1/s], beta [1/rad] and an unused value.
-        original: whether the coupling term is Hoffmann's (eq. 7).
-        chain: regressor chain that is evaluated in each step; None: parameters are constant.
-        steps: number and length of the time steps.
+        setting: setting, of which only `scale_time` is used: whether the temporal scaling tau
+            multiplies the spring.
+        parameters: (3,) constant parameters alpha [rad/s], psi [rad] and kappa [1/m^2] of the
+            coupling term; for the original term gamma [1/s], beta [1/rad] and an unused value.
+        original: whether the coupling term is Hoffmann's, (7) of the paper, instead of (8).
+        chain: regressor chain that computes the parameters during the motion; None: they are
+            constant.
+        steps: number and length of the time steps of the demonstration.
+
+    Returns:
+        Motions from rest, until all have ended.
     """
     tau = time_scale(scenes) if setting.scale_time else np.ones(len(scenes))
     motions = ReleasedMotions(scenes.baseline, scenes.center, tau, steps=steps, original=original)

@@ -1,8 +1,9 @@
 """Synthetic obstacle-avoidance scenes and motions as structs of arrays.
 
 World and local frame L of a motion are the same: the motion starts at rest in the origin, the goal
-is at (baseline, 0, 0), and z points up. The demonstration is a straight minimum-jerk motion of
-`DURATION`. The tool is a point, as obstacles are already dilated.
+is at (baseline, 0, 0), and z points up. Baseline is the distance from start to goal. The
+demonstration is a straight minimum-jerk motion of `DURATION`. The tool is a point, because the
+obstacles are already dilated by the tool.
 """
 
 from __future__ import annotations
@@ -18,34 +19,38 @@ from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 
 DURATION = 3.0
-"""Duration T of the demonstrated motion [s]."""
+"""Duration T of the demonstrated motion in all synthetic scenes [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch(Frozen):
-    """Struct of arrays with one row per item, for N items."""
+    """Base class of dataclasses whose fields are arrays with one row for each of N items."""
 
     def rows(self, index: ArrayLike | slice) -> Self:
-        """Returns the items at an index array, mask or slice."""
+        """Returns a batch of selected items.
+
+        Args:
+            index: index array, boolean mask or slice of the items.
+        """
         selection = index if isinstance(index, slice) else np.asarray(index)
         return type(self)(*(getattr(self, item.name)[selection] for item in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Concatenates several batches."""
+        """Concatenates several batches of the same class to one batch."""
         columns = ([getattr(part, item.name) for part in parts] for item in fields(cls))
         return cls(*(np.concatenate(column) for column in columns))
 
 
 @dataclass(frozen=True, eq=False)
 class Scenes(Batch):
-    """Batch of N scenes, each with one resting ellipsoid.
+    """Batch of N synthetic scenes, each with a start at the origin, a goal and a resting ellipsoid.
 
     Attributes:
         baseline: (N,) distance from start to goal [m].
         center: (N, 3) centers of the ellipsoids [m].
         semi_axes: (N, 3) semi-axes of the ellipsoids [m].
-        R: (N, 3, 3) rotations, whose columns are the principal axes.
+        R: (N, 3, 3) rotations of the ellipsoids, whose columns are the principal axes.
         clearance: (N,) requested clearance Delta [m].
     """
 
@@ -60,7 +65,7 @@ class Scenes(Batch):
 
     @property
     def goal(self) -> FloatArray:
-        """Goal positions (N, 3) [m]."""
+        """Goal positions (N, 3), at the distance `baseline` from the origin along x [m]."""
         return self.baseline[:, None] * (1.0, 0.0, 0.0)
 
 
@@ -72,7 +77,7 @@ def make_scenes(
     R: FloatArray | None = None,
     clearance: float = 0.15,
 ) -> Scenes:
-    """Makes N scenes with the same baseline and requested clearance.
+    """Makes N scenes with equal distance from start to goal and equal requested clearance.
 
     Args:
         baseline: distance from start to goal [m].
@@ -93,21 +98,30 @@ def make_scenes(
 
 
 def obstacle_distance(scenes: Scenes, points: FloatArray) -> FloatArray:
-    """Computes signed distances (N,) of one point per scene (N, 3) to the obstacle [m]."""
+    """Computes the signed distance of one point per scene to the scene's obstacle.
+
+    Args:
+        scenes: N scenes.
+        points: (N, 3) points [m].
+
+    Returns:
+        (N,) distances, negative inside the obstacle [m].
+    """
     return signed_distance(points, scenes.center, scenes.R, scenes.semi_axes)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Setting of a method in the paper's experiments.
+    """Setting in which an avoidance method is run, as in the experiments of Pairet et al.
 
     Attributes:
         label: name in the paper's notation.
-        constrained: whether the regressor chain is RC(lambda', Delta); else it is RC(lambda'),
-            without a requested clearance.
+        constrained: whether a clearance is requested. The paper's method then uses the regressor
+            chain RC(lambda', Delta), else RC(lambda'). A chain predicts the parameters of the
+            coupling term.
         scale_time: whether the temporal scaling tau is the avoiding path's length over the nominal
             path's length; else tau = 1.
-        clearance: requested clearance Delta in every scene [m]; None: that of the scenes.
+        clearance: requested clearance Delta in every scene [m]; None: the clearances of the scenes.
     """
 
     label: str = "RC(lambda',Delta)"
@@ -116,14 +130,14 @@ class Setting:
     clearance: float | None = None
 
     def of(self, scenes: Scenes) -> Scenes:
-        """Returns the scenes with the requested clearance of this setting."""
+        """Returns a copy of scenes with the requested clearance of this setting, if it has one."""
         if self.clearance is None:
             return scenes
         return replace(scenes, clearance=np.full(len(scenes), self.clearance))
 
 
 class Motions(NamedTuple):
-    """Batch of N motions, sampled at S + 1 equally spaced instants from t = 0 to their duration.
+    """Motions in N scenes, each sampled at S + 1 equally spaced instants from 0 to its duration.
 
     Attributes:
         path: (N, S + 1, 3) positions [m].

@@ -1,9 +1,10 @@
 """Suites of synthetic scenes: the distribution of scenes, and the settings in which methods run.
 
-Lengths are in meters. The paper's box (section on novel scenarios) is the set of obstacles whose
-extent along x is at least 5 cm from start and goal, whose center has y and z within 0.4 m, and
-whose semi-axes are 2.5 to 25 cm (along x at most 20 cm at the 0.5 m baseline). Scene i has the
-baseline BASELINES[i mod 4], so that scenes are evenly distributed over the baselines.
+Lengths are in meters; a baseline is the distance from start to goal. The paper's box (section on
+novel scenarios of Pairet et al., RA-L 2019) is the set of obstacles whose extent along x is at
+least 5 cm from start and goal, whose center has y and z within 0.4 m, and whose semi-axes are 2.5
+to 25 cm (along x at most 20 cm at the 0.5 m baseline). Scene i has the baseline BASELINES[i mod 4],
+so that scenes are evenly distributed over the baselines.
 
 Random numbers are those of `numpy.random.default_rng`: the same name, count and seed give the same
 scenes.
@@ -26,16 +27,23 @@ from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.evaluation.scenes.scenes import Scenes, Setting, make_scenes, obstacle_distance
 
 _THIRDS = 28
-"""Number of steps of the ternary search for the nearest point of a line."""
+"""Number of steps of the ternary search for the point of a line nearest to an obstacle."""
 
 Draw = Callable[[Generator, int], Scenes]
-"""Function that draws a number of scenes."""
+"""Function that draws a given number of synthetic scenes by a random generator."""
 
 
 def draw_accepted(
     rng: Generator, count: int, draw: Draw, accept: Callable[[Scenes], BoolArray]
 ) -> Scenes:
-    """Draws batches of scenes until `count` of them are accepted (rejection sampling)."""
+    """Draws random scenes in batches until enough of them are accepted (rejection sampling).
+
+    Args:
+        rng: random generator.
+        count: number of accepted scenes.
+        draw: function that draws a batch of scenes.
+        accept: function from N scenes to a boolean mask (N,) of the accepted ones.
+    """
     parts: list[Scenes] = []
     total, batch = 0, max(256, 2 * count)
     while total < count:
@@ -50,13 +58,20 @@ def draw_accepted(
 
 
 def random_rotations(rng: Generator, count: int) -> FloatArray:
-    """Draws rotation matrices (count, 3, 3) with uniform distribution."""
+    """Draws `count` rotation matrices (count, 3, 3), uniformly distributed over all rotations."""
     w, x, y, z = rng.standard_normal((4, count))
     return Rotation.from_quat(np.column_stack([x, y, z, w])).as_matrix()
 
 
 def line_distance(scenes: Scenes) -> FloatArray:
-    """Computes signed distances (N,) from the line between start and goal to the obstacle [m]."""
+    """Computes the signed distance of the straight line from start to goal to the obstacle.
+
+    Args:
+        scenes: N scenes.
+
+    Returns:
+        (N,) minimum distances, negative if the line enters the obstacle [m].
+    """
     low, high = np.zeros((2, len(scenes), 1))
     high += 1.0
     # The distance to a convex body is convex along a line, hence ternary search converges.
@@ -73,28 +88,34 @@ def line_distance(scenes: Scenes) -> FloatArray:
 BASELINES = (0.5, 1.0, 1.5, 2.0)
 """Distances from start to goal in the suites of random scenes [m]."""
 CLEARANCE = 0.15
-"""Requested clearance Delta of the suites that do not vary it [m]."""
+"""Requested clearance Delta in the suites of random scenes, as in Pairet et al., RA-L 2019 [m]."""
 FAMILIAR_CLEARANCES = (0.05, 0.10, 0.15, 0.20, 0.25)
-"""Requested clearances Delta of the suite `familiar` [m]."""
+"""Requested clearances Delta in the settings of the suite `familiar` [m].
+
+Its scenes are the ellipses of the training set of Pairet et al., RA-L 2019."""
 MARGIN = 0.05
-"""Minimum distance along x of an obstacle from start and goal [m]."""
+"""Minimum distance of a random obstacle from start and goal, along the line through both [m]."""
 POINT_RADIUS = 0.025
-"""Radius of the point obstacle in the dead-zone figure, the smallest of the training set [m]."""
+"""Radius of the point-like obstacle in the dead-zone figure of Pairet et al. [m].
+
+It is the smallest semi-axis in their training set."""
 
 _MAX_OFFSET = 0.4
-"""Maximum absolute y and z coordinate of an obstacle's center [m]."""
+"""Maximum absolute y and z coordinate of a random obstacle's center [m].
+
+The line from start to goal is the x axis."""
 _SEMI_AXES = (0.025, 0.25)
-"""Range of an obstacle's semi-axes [m]."""
+"""Minimum and maximum semi-axis of an obstacle in synthetic scenes [m]."""
 
 
 @dataclass(frozen=True)
 class Suite:
-    """Suite of synthetic scenes.
+    """Suite of synthetic scenes: distribution of the scenes, and settings in which methods run.
 
     Attributes:
-        sample: function that draws a number of scenes.
+        sample: function that draws a given number of scenes.
         count: default number of scenes.
-        settings: settings in which each scene is run.
+        settings: settings of the avoidance method, in each of which all scenes are run.
     """
 
     sample: Draw
@@ -103,7 +124,7 @@ class Suite:
 
 
 def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
-    """Draws the scenes of a suite.
+    """Draws the synthetic scenes of a suite by a seeded random generator.
 
     Args:
         name: name of the suite.
@@ -120,10 +141,18 @@ def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
 
 
 def _familiar(_: Generator, count: int) -> Scenes:
-    """Returns the ellipses of the training set, in the middle of a 1 m baseline.
+    """Returns scenes with the ellipses of the paper's training set, in the middle of a 1 m line.
 
-    The semi-axes (lambda1', lambda2') are a k x k lattice of linspace(0.025, 0.25, k). The third
-    semi-axis equals the second one, so that every plane through the baseline has the same section.
+    The line goes from start to goal. The semi-axes (lambda1', lambda2') are a k x k lattice of
+    linspace(0.025, 0.25, k). The third semi-axis equals the second one, so that every plane through
+    the line has the same section.
+
+    Args:
+        _: random generator, which is not used.
+        count: number of scenes k^2.
+
+    Raises:
+        ValueError: if the number is not a square of at least 4.
     """
     k = math.isqrt(count)
     if k * k != count or k < 2:
@@ -144,15 +173,18 @@ def _boxed(
     posed: bool = False,
     own_extent: bool = True,
 ) -> Scenes:
-    """Draws scenes of the paper's box; centers of obstacles that are too long for it are NaN.
+    """Draws scenes with a random obstacle in the box of Pairet et al. around the line to the goal.
+
+    The docstring of `drake_oa.evaluation.scenes.suites` defines the box. Obstacles that are too
+    long for it get a center of NaN.
 
     Args:
         rng: random generator.
         count: number of scenes.
         baseline: distance from start to goal [m].
         posed: whether orientations are random; else obstacles are axis-aligned.
-        own_extent: whether the distance from start and goal is measured from the obstacle's own
-            extent; else from that of the longest obstacle, as in the authors' demo program, so
+        own_extent: whether the minimum distance from start and goal is measured from the obstacle's
+            own extent; else from that of the longest obstacle, as in the authors' demo program, so
             that at the 0.5 m baseline all obstacles are in the middle.
     """
     a = rng.uniform(*_SEMI_AXES, (count, 3))
@@ -172,10 +204,15 @@ def _boxed(
 
 
 def _single(rng: Generator, count: int, limit: float, **box: Any) -> Scenes:
-    """Draws scenes of the paper's box with the straight line within a distance of the obstacle.
+    """Draws random scenes in which the line from start to goal is near the obstacle.
 
-    Scenes are evenly distributed over the baselines; `limit`: distance [m]; `box`: further
-    arguments of `_boxed`.
+    The scenes are evenly distributed over the distances from start to goal in `BASELINES`.
+
+    Args:
+        rng: random generator.
+        count: number of scenes.
+        limit: distance between line and obstacle, below which a scene is accepted [m].
+        box: keyword arguments of `_boxed`, which draws the obstacles.
     """
     parts, places = [], []
     for k, baseline in enumerate(BASELINES):
@@ -190,11 +227,16 @@ def _single(rng: Generator, count: int, limit: float, **box: Any) -> Scenes:
 
 
 def _dead_zone(_: Generator, count: int) -> Scenes:
-    """Returns scenes of a point obstacle at the middle of a 1 m baseline, on it and beside it.
+    """Returns scenes with a small obstacle on or beside the middle of a 1 m line to the goal.
 
-    The obstacle is a sphere of 2.5 cm, the smallest one in the training set. In the first scene it
-    is exactly on the line; in the others its offset is 10 um to 10 cm in equal ratios. The
-    requested clearance is 5 cm.
+    They show the dead zone of a coupling term, which turns the motion away from an obstacle: some
+    terms do not act if the obstacle is straight ahead. The obstacle is a sphere of 2.5 cm, the
+    smallest one in the training set. In the first scene it is exactly on the line; in the others
+    its offset is 10 um to 10 cm in equal ratios. The requested clearance is 5 cm.
+
+    Args:
+        _: random generator, which is not used.
+        count: number of scenes.
     """
     center = np.tile((0.5, 0.0, 0.0), (count, 1))
     center[1:, 1] = np.geomspace(1e-5, 0.1, count - 1)
@@ -202,9 +244,12 @@ def _dead_zone(_: Generator, count: int) -> Scenes:
 
 
 def _familiar_settings() -> tuple[Setting, ...]:
-    """Returns the paper's 12 settings: six models, each with scaled and unscaled duration.
+    """Returns the 12 settings for familiar scenes, as in Pairet et al., RA-L 2019.
 
-    For RC(lambda'), which has no requested clearance, Delta is 0.
+    They are six models, each with the temporal scaling tau and with tau = 1.
+
+    A model is a regressor chain, which predicts the parameters of the coupling term, and a
+    requested clearance Delta. For RC(lambda'), which has no requested clearance, Delta is 0.
     """
     models = {f"RC(lambda',{delta:g})": delta for delta in FAMILIAR_CLEARANCES}
     return tuple(
@@ -222,4 +267,9 @@ SUITES: dict[str, Suite] = {
     # Scenes of Table II: the margin of 5 cm is measured from the extent of the longest obstacle.
     "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000),
 }
-"""Name of a suite -> suite; `drake-oa evaluate --help` describes the first two."""
+"""Name of a suite of synthetic scenes -> suite.
+
+The random suites `novel` and `demo` have obstacles near the line from start to goal, and `hit` has
+obstacles that intersect it. `familiar` has the ellipses of the training set, and `dead-zone` a
+point-like obstacle.
+"""
