@@ -46,8 +46,8 @@ _STIFFNESS = 400.0
 """Proportional gain of the joint controller with which the simulated arm follows commands; the
 controller is critically damped [1/s^2]."""
 _MAX_LATENESS = 0.9
-"""Maximum time by which the station postpones an image that is not rendered yet, before it waits
-for the rendering, as a ratio to the period of the camera [-]."""
+"""Maximum time by which the station sends an image late because it is not rendered yet, as a ratio
+to the period of the camera [-]. After this time, the station waits for the rendering."""
 _AT_REST, _REST_TIME = 0.01, 1.0
 """Maximum speed at which joints of the simulated robot count as at rest [rad/s, m/s], and time at
 rest after which a run of the station ends [s]."""

@@ -33,9 +33,9 @@ PULL = 20.0
 of the motion [-]. At 20, the distance to the nominal posture decreases to 1 / e in 1 / 20 of the
 motion."""
 _TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
-"""Damping of the least-squares joint step when the arm tracks a tool path [m^2]: for the first step
-to each tool pose, and for the corrective steps after it. At 1e-4, a joint of a singular arm moves
-by 1 rad for an error of 1 cm."""
+"""Damping of two kinds of joint steps when the arm tracks a tool path [m^2]: of the first step to
+each tool pose, and of the corrective steps after it. At 1e-4, a joint of a singular arm moves by 1
+rad for an error of 1 cm."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
 """Maximum number of corrective joint steps per tool pose of a tracked path, and pose error of the
 tool at which these steps end [m, rad]."""
@@ -56,9 +56,9 @@ class Chain(NamedTuple):
     """Arm as arrays for compiled kernels: n revolute joints in series, from the world to the tool.
 
     Attributes:
-        X_PJ: (n + 1, 4, 4) pose of each joint's frame J, whose z axis is the joint axis, in the
-            frame P of the previous joint (in the world for the first joint). The last row is the
-            pose of the tool frame E in the frame of the last joint.
+        X_PJ: (n + 1, 4, 4) pose of each joint's frame J, at joint angle 0, in the frame P of the
+            previous joint (in the world for the first joint). The z axis of J is the joint axis.
+            The last row is the pose of the tool frame E in the frame of the last joint.
         lower, upper: (n,) finite position limits of the joints [rad].
         speed: (n,) maximum speeds of the joints [rad/s].
         reach: (n,) upper bound of the distance between each joint axis and the covering spheres
@@ -82,8 +82,8 @@ class Spheres(NamedTuple):
     Attributes:
         joint: (S,) index of the last joint that moves each sphere; -1: the sphere is fixed to the
             world.
-        p_JS: (S, 3) center of each sphere in the joint frame, as computed by `chain_poses`, of the
-            joint `joint`; in the world for `joint` = -1 [m].
+        p_JS: (S, 3) center of each sphere in the frame of its joint (see `joint`, frames of
+            `chain_poses`), or in the world for -1 [m].
         radius: (S,) radius of each sphere [m].
         of_tool: (S,) whether each sphere belongs to the tool or to the grasped object.
         first: (G + 1,) index of the first sphere of each group; the last element is S.

@@ -53,8 +53,8 @@ _MAX_GAPS = 300
 """Number of uncovered points above which the proof that spheres enclose a body stops, and the
 spheres are selected again."""
 _MIN_CELL_RATIO = 1.0 / 16.0
-"""Ratio of half the edge of the smallest cells, into which a body is divided to prove that it is
-covered, to the requested protrusion [-]."""
+"""Ratio of half the edge of the smallest cells to the requested protrusion [-]. The space in a body
+is divided into such cells to prove that it is covered."""
 _PROTRUSION_GROWTH = 1.2
 """Factor by which the requested protrusion of the spheres grows while more than the maximum number
 of spheres would be required [-]."""

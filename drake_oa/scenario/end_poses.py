@@ -142,8 +142,8 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
 
 
 _POSE_TOLERANCE = 1e-3
-"""Tolerance between the tool pose that `task` gives for start or goal and the tool pose at the
-given configuration: maximum difference of an element of position or rotation matrix [m, -]."""
+"""Maximum difference between the tool pose that `task` states for start or goal and the tool pose
+at a stated configuration, as element of position or rotation matrix [m, -]."""
 _ENDS = ("start", "goal")
 """Names of the two ends of a motion, as in the field names `q_start` and `q_goal`."""
 

@@ -33,9 +33,8 @@ COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80,
 on each side: green, yellow, red."""
 
 INNER_RADIUS, BAND, GAP = 0.17, 0.022, 0.005
-"""Dimensions of the cost rings (costs of passing an obstacle on each side) in the viewer: radius
-inside the innermost ring, width of each ring, and gap between rings and between sectors of a ring
-[m]."""
+"""Dimensions of the drawn cost rings (costs of passing an obstacle on each side): inner radius of
+the innermost ring, width of each ring, and gap between rings and between sectors [m]."""
 
 
 def ring_mesh(

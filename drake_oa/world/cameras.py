@@ -134,8 +134,8 @@ class TimedCamera(LeafSystem):
         raise NotImplementedError
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the depth image (H, W) that the camera outputs at the time of a Context, or one
-        depth for all pixels, such as NaN without an image [m].
+        """Returns the depth image (H, W) that the camera outputs at the time of a Context [m]; one
+        number stands for all pixels, such as NaN without an image.
         """
         raise NotImplementedError
 

@@ -35,7 +35,7 @@ _AXIAL_DEPTH = 0.4
 """Depth at which the standard deviation of the measured depth is smallest (Nguyen et al.) [m]."""
 _AXIAL_ANGLE = 0.0001
 """Coefficient of the term 1 / sqrt(z) (theta / (pi/2 - theta))^2 in the standard deviation of the
-measured depth, at the depth z and the angle of incidence theta (Nguyen et al.) [m^1.5]."""
+measured depth (Nguyen et al.) [m^1.5]. The true depth is z, and theta is the angle of incidence."""
 _LATERAL = 0.8
 """Standard deviation of the position of a depth edge in the image, for a view along the surface
 normal (Nguyen et al.) [pixel]. The growth of this deviation with the angle of incidence, below 0.1

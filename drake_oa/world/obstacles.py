@@ -138,9 +138,9 @@ class ObstacleMover(LeafSystem):
 
     - obstacle_state: (6,) offset x from the configured pose, and velocity v, of the obstacle in the
       world [m, m/s].
-    - force: (3,) forces f of the prismatic joints along the world's axes [N]. They move the
-      obstacle of mass m to the offset r(t + h) of its trajectory within one time step h of the
-      plant: f = m ((r(t + h) - x) / h - v) / h.
+    - force: (3,) forces f of the prismatic joints along the world's axes [N]. Within one time step
+      h of the plant, they move the obstacle to the offset r(t + h) of its trajectory: f = m ((r(t +
+      h) - x) / h - v) / h, where m is the obstacle's mass.
     """
 
     def __init__(self, obstacle: Obstacle, *, mass: float, step: float) -> None:

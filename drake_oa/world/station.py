@@ -149,7 +149,9 @@ def _live_camera(
 
 
 def release_cameras(diagram: Diagram) -> None:
-    """Releases the render engines and LCM channels of all cameras in a diagram."""
+    """Releases the render engines and LCM channels of all cameras in a diagram, at the end of a
+    run.
+    """
     for system in diagram.GetSystems():
         if isinstance(system, TimedCamera):
             system.release()

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from open3d.geometry import TriangleMesh
 
 _ADDED_VOLUME = 0.1
-"""Maximum volume that one convex hull of a whole mesh may add to the hulls of its closed surfaces,
-as a ratio [-]. Otherwise each closed surface gets its own hull."""
+"""Maximum volume that one convex hull of a whole mesh may add, relative to the volume of the hulls
+of its closed surfaces [-]. Beyond it, each closed surface has its own hull."""
 
 
 def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
