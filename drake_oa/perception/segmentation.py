@@ -143,7 +143,7 @@ class _Frame(NamedTuple):
         X_WC: (4, 4) pose of the camera in the world; None: unknown.
         view: the image; None: a cloud.
         table: support plane in the world; None: not found.
-        extent_W: (E, 3) points in the world that span the visible extent of the table [m].
+        extent_W: (E, 3) points in the world that span the extent of the table in this image [m].
         samples: number of samples on the table.
         rms: root mean square distance of these samples from the table [m].
         note: empty, or the reason why this image or cloud is not usable by itself.
