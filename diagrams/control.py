@@ -66,12 +66,12 @@ The null space of the arm tracks the nominal posture."""
 
 
 def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds systems that output desired_posture, the nominal posture of the arm's null space.
+    """Adds systems that output desired_posture, the nominal posture that the null space tracks.
 
     With MotionVerifier this is the system nominal_posture_source, which follows the planned motion.
-    Without MotionVerifier these are the systems posture_guide and guide_follower, if the task has a
-    configuration at the goal. The posture then leads from the configuration at the start to the
-    configuration at the goal.
+    Without MotionVerifier these are the systems posture_guide and guide_follower, if the task
+    specifies a configuration at the goal. The posture then leads from the configuration at the
+    start to that at the goal.
     """
     if station is None:
         return
@@ -94,11 +94,12 @@ def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationMode
 
 
 def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds the system motion_guard, which limits the arm's motion, if motions are verified.
+    """Adds the system motion_guard, which computes joint commands and reacts to moving obstacles.
 
-    Its inputs are the desired motion of the tool, motion, collision_scene_W and robot_state. Its
-    outputs are desired_joint_state, desired_joint_acceleration, path_state, speed_scale and
-    evasion_velocity.
+    It is added only if motions are verified by roll-outs (simulations). Main inputs are the desired
+    motion of the tool, the signal motion (verified motion of the arm), collision_scene_W and
+    robot_state. Outputs are desired_joint_state, desired_joint_acceleration, path_state,
+    speed_scale and evasion_velocity.
     """
     if station is None or "motion" not in signals:
         return

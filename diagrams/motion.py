@@ -191,7 +191,8 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
 def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
     """Creates the function that computes the orientation of the tool along a scenario's motion.
 
-    This function maps normalized times (T,) from 0 to 1 to orientations R_WE (T, 3, 3).
+    This function maps normalized times (T,), 0 at the start and 1 at the end, to orientations R_WE
+    (T, 3, 3).
     """
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along

@@ -44,7 +44,7 @@ class StationModel(Station):
 
     @property
     def robot_shapes(self) -> RobotGeometries:
-        """Collision geometry of the robot, for the self filter of perception."""
+        """Collision geometry of the robot, with which perception removes points on the robot."""
         robot = self.robot_plant
         return robot_geometries(robot.plant, robot.scene_graph.model_inspector(), robot.instance)
 

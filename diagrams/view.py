@@ -19,7 +19,7 @@ from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 def add_view(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> None:
-    """Adds Drake's visualizer, and the system overlay that draws intermediate results.
+    """Adds Drake's visualizer, and the system overlay that draws intermediate results of layers.
 
     If `inference: !Paper` does not use cost rings, a cost ring selector is added for the overlay.
     """

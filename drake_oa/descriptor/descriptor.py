@@ -18,7 +18,7 @@ from drake_oa.geometry.ellipsoid import dilate, enclosing_ellipsoid, signed_dist
 from drake_oa.geometry.superquadric import fit_superquadric
 
 HALVINGS = (1, 2, 3)
-"""Numbers of successive halvings of an obstacle's cloud.
+"""Numbers of successive halvings by which an obstacle's cloud is divided into parts.
 
 They are tried in this order until the ellipsoids of the parts do not contain start or goal."""
 _FEWEST = 8
@@ -51,7 +51,7 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 
 
 def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """Merges convex parts of a tool whose common bounding box is not much larger than their boxes.
+    """Merges convex parts of a tool if their common bounding box is hardly larger than their boxes.
 
     Args:
         parts: vertices (K_i, 3) of each convex part of the tool [m].

@@ -24,10 +24,10 @@ FAR = 0.3
 
 Larger margins are replaced by this value, so that distant geometries are skipped."""
 SPHERE_STRIDE = 0.012
-"""Displacement of the arm's covering spheres that a check of a joint-space edge may skip [m].
+"""Displacement of the arm's covering spheres between two checked configurations of an edge [m].
 
-Between two checked configurations of the edge, spheres move farther only if the clearance margin
-is larger."""
+A straight edge in joint space is checked for collisions in such steps, or in longer ones if the
+clearance margin permits."""
 
 
 class ClearanceRequirements(NamedTuple):
@@ -302,7 +302,7 @@ def free_fraction(
         world: collision model of the arm, with the required clearances.
         q_start: (n,) configuration at the start of the edge [rad].
         q_end: (n,) configuration at the end of the edge [rad].
-        stride: displacement of the spheres that may be skipped at any clearance margin [m].
+        stride: displacement of the spheres between checked configurations at small margins [m].
 
     Returns:
         Collision-free fraction, 1 for the entire edge, and number of checked configurations.
@@ -350,8 +350,9 @@ def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
 def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
     """Computes the minimum distance between bodies of the arm at a configuration (n,) [m].
 
-    Bodies are represented by covering spheres. The result is at most `FAR`. It is the minimum also
-    if spheres overlap, whereas `clearance_margin` stops at the first negative value.
+    Covering spheres represent the bodies. The result is at most `FAR`. If bodies overlap, the
+    result is the most negative distance, whereas `clearance_margin` stops at the first negative
+    value.
     """
     X, center, distance = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
     chain_poses(q, chain.X_PJ, X)
@@ -372,7 +373,7 @@ def group_distances(
 ) -> FloatArray:
     """Computes the minimum distance of each body of the arm to each geometry over T configurations.
 
-    Bodies are represented by G groups of covering spheres.
+    Covering spheres in G groups represent the bodies.
 
     Args:
         chain, spheres, geometries: attributes of `ArmCollisionModel`.

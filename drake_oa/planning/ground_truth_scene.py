@@ -30,6 +30,9 @@ Resting bodies jitter in simulated contact, and would otherwise be treated as mo
 class GroundTruthScene(LeafSystem):
     """System that outputs the collision geometry of simulated bodies at their true poses.
 
+    It replaces `PerceivedScene`, which uses perceived obstacles, in scenarios with
+    `perception: !GroundTruth`.
+
     .. pydrake_system::
 
       name: GroundTruthScene

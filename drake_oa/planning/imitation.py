@@ -1,6 +1,6 @@
 """Conversion of a planned joint-space path to a demonstration that movement primitives imitate.
 
-Coupling terms can then react to obstacles along the path, as with any other demonstration. Position
+Coupling terms, which steer a motion away from obstacles, can then act along the path. Position
 and orientation of the tool become movement primitives (`drake_oa.policy`). Their common phase moves
 the nominal posture, which the null space tracks, along the path.
 """

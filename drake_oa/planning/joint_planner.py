@@ -31,9 +31,9 @@ _MIN_STEP = 0.05
 
 If the target of the edge is nearer than twice this length, half its distance suffices."""
 _COARSE_STRIDE = 0.1
-"""Displacement of the arm's covering spheres that the planner's coarse check may skip [m].
+"""Displacement of the arm's covering spheres between two coarsely checked configurations [m].
 
-It applies to edges in joint space while the trees of the planner grow."""
+Edges in joint space are checked coarsely while the trees of the planner grow."""
 _NEAR_LINE_FRACTION = 0.8
 """Fraction of the planner's samples drawn near the joint-space line from start to goal [-]."""
 _LINE_DEVIATION = 1.0

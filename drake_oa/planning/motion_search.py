@@ -826,8 +826,9 @@ class MotionPrediction(Frozen):
     Attributes:
         motion: motion of tool and joints from the time of the decision on.
         shortfall: clearance shortfall [m]; 0 if the requested clearance is achieved.
-        limiting_obstacle: label of the collision geometry with the largest shortfall.
-        can_follow: whether the arm can follow the tool's motion to the goal.
+        limiting_obstacle: label of the collision geometry that comes nearest to the arm, or "the
+            arm itself" if the distance between its bodies is the most critical.
+        can_follow: whether the motion ends at the goal, and the arm can follow it.
         clearance_reduction: reduction of the requested clearance, because the current or goal
             configuration achieves no more [m].
         goal_note: reason why no configuration at the goal is collision-free; "": one is.

@@ -69,8 +69,8 @@ class CostRingSelector(LeafSystem):
     directions of an obstacle are forbidden, `blocked` is set, the note names the obstacle, and the
     policy holds the motion until a direction is allowed.
 
-    `Route.side_cost` is the cost of passing all obstacles on one side: the sum of the user-supplied
-    rings, each at its maximum over the obstacles; infinite if one of them is 1.
+    `Route.side_cost` is the cost of passing all obstacles on one side. It is the sum of the maxima
+    of each user-supplied ring over the obstacles, and infinite if any maximum is 1.
 
     The sides are selected at initialization, once per `period`, and at once if the set of obstacles
     changes; hysteresis prevents frequent changes. The periodic update has a small offset, so that

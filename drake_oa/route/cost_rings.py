@@ -170,8 +170,8 @@ def length_ring(scene: RingScene) -> FloatArray:
     The cost is (l - l_min) / max(l_max - l_min, 0.1 L). l is the length from start via the passing
     point to the goal, [l_min, l_max] its range over the directions, and L the distance from start
     to goal. For an obstacle on the line from start to goal, all lengths are about equal. Without
-    the term 0.1 L its passing side would change with each millimeter of motion, in spite of the
-    hysteresis.
+    the term 0.1 L, the side on which this obstacle is passed would change with each millimeter of
+    motion, in spite of the hysteresis.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -339,15 +339,17 @@ def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:
 
 
 def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntArray:
-    """Computes the group number (M,) of each obstacle.
+    """Divides M obstacles into groups without a passage between the members.
 
-    The obstacles of a group have no passage between them. Two obstacles are linked if their gap
-    along the line of centers is less than twice the requested clearance; groups are the connected
-    components.
+    Two obstacles are linked if their gap along the line of centers is less than twice the requested
+    clearance. The groups are the connected components.
 
     Args:
         ellipsoids: ellipsoids of M obstacles.
         requested_clearance: requested clearance [m].
+
+    Returns:
+        (M,) number of the group to which each obstacle belongs.
     """
     gap = ellipsoids.p_WO[:, None] - ellipsoids.p_WO
     distance = np.linalg.norm(gap, axis=2)
@@ -357,7 +359,14 @@ def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntA
 
 
 def groups_along_baseline(scene: RingScene) -> list[IntArray]:
-    """Returns the row numbers of each group of obstacles, in the order from start to goal."""
+    """Returns the obstacles in each group of `overlap_groups`, with groups from start to goal.
+
+    Args:
+        scene: M obstacles, and start and goal of the motion.
+
+    Returns:
+        Row numbers of the obstacles in each group.
+    """
     numbers = overlap_groups(scene.ellipsoids, scene.requested_clearance)
     groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
     place = scene.ellipsoids.p_WO @ (scene.p_WG - scene.p_WS)
@@ -426,6 +435,8 @@ def sequence_costs(
 
     def chain(legs: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Sorts costs of legs into costs of single sides and costs of pairs of sides.
+
+        A leg is a straight path segment between the passing points of two consecutive groups.
 
         Args:
             legs: costs of each leg, (beginnings, ends). The first leg begins at the start and the
