@@ -1,7 +1,9 @@
-"""Collision geometries, and their signed distances to points at a time.
+"""Collision geometries of robots, obstacles and environment, and signed distances from points to
+them at a given time.
 
-Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud
-is a `DistanceField`. Each geometry has a constant velocity: p_WO(t) = p_WO + v_WO (t - stamp).
+Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud is
+a `DistanceField`. Each geometry has a frame O and a constant velocity. Its position in the world at
+time t is p_WO + v_WO (t - stamp), where p_WO is the position at the time `stamp`.
 
 - `CollisionGeometry`: one geometry.
 - `CollisionGeometries`: several geometries as arrays for compiled kernels.
@@ -35,29 +37,37 @@ from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
 PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
-"""Kinds of collision geometries; a primitive is a cylinder or a rounded box (sphere and capsule
-included)."""
+"""Kinds of collision geometries, which select the function of the distance. A primitive is a
+cylinder or a rounded box (spheres and capsules included), a field is the distance field of a cloud.
+"""
 
 ENVIRONMENT = -1
-"""Obstacle ID of the environment: geometry that is no obstacle, such as a table or a stand."""
+"""Obstacle ID of all geometry of the environment, which is not an obstacle: a table or a stand, for
+example."""
 
 CORNERS = lattice(*[(-1.0, 1.0)] * 3)
-"""(8, 3) corners of a cube."""
+"""Corners (8, 3) of a cube with its center at the origin and edges of length 2, scaled to obtain
+the corners of boxes."""
 
 
 class CollisionGeometries(NamedTuple):
-    """K collision geometries as few C-contiguous arrays, for compiled kernels.
+    """K collision geometries as a few C-contiguous arrays, for compiled kernels.
+
+    O is the frame of a geometry, and its stamp the time of the given pose.
 
     Attributes:
-        ball: (K, 8) bounding sphere: center in the world at the stamp, and radius (inf: half-space)
-            [m]; then velocity [m/s] and stamp [s] of the geometry.
-        X_WO: (K, 3, 4) upper rows of the poses at the stamp.
+        ball: (K, 8) center in the world at the stamp, and radius, of a bounding sphere (inf:
+            half-space) [m]; then velocity [m/s] and stamp [s] of the geometry.
+        X_WO: (K, 3, 4) upper three rows of the poses at the stamp.
         size: (K, 7) dimensions [m]. Primitive: half extents of its inner box, rounding radius, and
-            1 for a cylinder about z, else 0. Ellipsoid: semi-axes. Field: see `_interpolated`.
-        layout: (K, 6) kind; four indices; obstacle ID. The indices of a hull: its first face and
-            one past the last; of a field: its first element in `voxels`, nx, ny, nz.
-        faces: (F, 13) triangles of the hulls: unit normal, offset, and corners a, b, c in O [m].
-        voxels: float32 values of all fields [m].
+            1 for a cylinder about z, else 0. Ellipsoid: semi-axes. Field: edge of a voxel, and low
+            and high corner of the box of occupied nodes in O.
+        layout: (K, 6) kind, four indices, and obstacle ID. The indices of a hull are its first face
+            and one past its last; those of a field are its first element in `voxels`, and nx, ny,
+            nz.
+        faces: (F, 13) triangles of the hulls: outer unit normal, offset, and corners a, b, c in O
+            [m].
+        voxels: float32 distances of all fields [m], in one array.
     """
 
     ball: FloatArray
@@ -69,32 +79,35 @@ class CollisionGeometries(NamedTuple):
 
     @property
     def moving(self) -> BoolArray:
-        """Booleans (K,): whether each geometry moves."""
+        """Whether each of the K geometries moves, that is, has a velocity other than zero: booleans
+        (K,).
+        """
         return np.asarray(self.ball[:, 4:7].any(axis=1))
 
     def select(self, rows: BoolArray) -> CollisionGeometries:
-        """Returns the geometries of some rows (K,)."""
+        """Returns the geometries that a mask of booleans (K,) selects."""
         parts = {name: getattr(self, name)[rows] for name in ("ball", "X_WO", "size", "layout")}
         return self._replace(**parts)
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionGeometry(Frozen):
-    """One collision geometry, from `geometry_of`, `hull` or `cloud_geometry`.
+    """Collision geometry of one shape, with its pose and constant velocity.
 
-    `dataclasses.replace` moves it to another pose.
+    The functions `geometry_of`, `hull` and `cloud_geometry` construct it. `dataclasses.replace`
+    changes its pose.
 
     Attributes:
         kind: `PRIMITIVE`, `ELLIPSOID`, `HALF_SPACE`, `HULL` or `FIELD`.
-        name: obstacle ID; the geometries of one obstacle have the same one.
+        name: obstacle ID; all geometries of one obstacle have the same ID.
         label: name of the geometry in messages.
-        X_WO: (4, 4) pose at the stamp.
+        X_WO: (4, 4) pose of the geometry's frame O at the stamp.
         v_WO: (3,) velocity in the world, without rotation [m/s].
         stamp: time of the pose [s].
         size: dimensions, see `CollisionGeometries.size` [m].
         center, radius: bounding sphere in O [m]; radius inf: half-space.
         faces: (F, 13) triangles of a hull, see `CollisionGeometries.faces`.
-        grid: distance field of a cloud.
+        grid: distance field of a cloud; None for other kinds.
     """
 
     kind: int = PRIMITIVE
@@ -110,12 +123,15 @@ class CollisionGeometry(Frozen):
     grid: DistanceField | None = None
 
     def placed(self, p_OQ: FloatArray) -> FloatArray:
-        """Transforms points (N, 3) from the frame O to the reference frame of the pose X_WO [m]."""
+        """Transforms points (N, 3) [m] from the geometry's frame O to the reference frame of its
+        pose X_WO.
+        """
         return np.asarray(p_OQ @ self.X_WO[:3, :3].T + self.X_WO[:3, 3])
 
     @property
     def half_extents(self) -> FloatArray:
-        """Half extents (3,) of the bounding box, about `center` and along the axes of O [m].
+        """Half extents (3,) of the bounding box of the geometry, about `center` and along the axes
+        of its frame O [m].
 
         Raises:
             ValueError: for a half-space or a field; the message contains the label.
@@ -131,7 +147,12 @@ class CollisionGeometry(Frozen):
 
 
 def hull(vertices: FloatArray) -> CollisionGeometry:
-    """Computes the convex hull of points (N, 3) in its frame [m], also of coplanar points."""
+    """Computes the convex hull of points, which may be coplanar, as a collision geometry in the
+    frame of the points.
+
+    Args:
+        vertices: (N, 3) points [m].
+    """
     points = np.asarray(vertices, dtype=float)
     try:
         qhull = ConvexHull(points)
@@ -150,10 +171,11 @@ def hull(vertices: FloatArray) -> CollisionGeometry:
 
 
 def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
-    """Returns the collision geometry of a distance field.
+    """Returns the collision geometry of an obstacle that is described by the distance field of its
+    point cloud.
 
     Args:
-        grid: distance field of a cloud.
+        grid: distance field of the cloud.
         more: other fields of `CollisionGeometry`, such as name, v_WO and stamp.
     """
     X_WO = np.eye(4)
@@ -171,7 +193,9 @@ def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
 
 
 def table_geometry(table: TablePlane) -> CollisionGeometry:
-    """Returns the half-space below the plane of a table, as part of the environment."""
+    """Returns the collision geometry of a table: the half-space below its plane, as part of the
+    environment.
+    """
     z_W = table.normal_W
     X_WO = RigidTransform(RotationMatrix.MakeFromOneVector(z_W, 2), table.offset * z_W)
     return CollisionGeometry(HALF_SPACE, ENVIRONMENT, "the table", X_WO.GetAsMatrix4())
@@ -180,10 +204,11 @@ def table_geometry(table: TablePlane) -> CollisionGeometry:
 def shape_geometries(
     shapes: Sequence[Box | Cylinder | Sphere], X_WO: FloatArray, **more: Any
 ) -> list[CollisionGeometry]:
-    """Returns the collision geometries of an obstacle of a scenario at a pose (4, 4).
+    """Returns the collision geometries of an obstacle of a scenario, one for each of its shapes, at
+    a pose of the obstacle.
 
     Args:
-        shapes: shapes of the obstacle.
+        shapes: shapes of the obstacle, with their poses in its frame.
         X_WO: (4, 4) pose of the obstacle.
         more: other fields of `CollisionGeometry`, such as name, v_WO and stamp.
     """
@@ -197,7 +222,8 @@ def shape_geometries(
 def read_geometry(
     inspector: drake.SceneGraphInspector, geometry_id: drake.GeometryId
 ) -> CollisionGeometry:
-    """Reads a collision geometry at its pose in its body; a mesh is read as its convex hull.
+    """Reads a collision geometry from a Drake scene graph, at its pose in its body; a mesh is read
+    as its convex hull.
 
     Args:
         inspector: inspector of the scene graph that contains the geometry.
@@ -220,13 +246,14 @@ def read_geometry(
 
 @dataclass(frozen=True, eq=False)
 class RobotGeometries:
-    """Collision geometries of a robot, and their poses by its state.
+    """Collision geometries of a robot, with the plant that computes their poses from the robot's
+    state.
 
     Attributes:
         plant: finalized plant; it is only read.
         model_instance: model instance of the robot in the plant.
         bodies: bodies with collision geometry.
-        geometries: K geometries at their poses in their bodies; their IDs are rows of `bodies`.
+        geometries: K geometries at their poses in their bodies; their IDs are indices of `bodies`.
         context: Context of the plant, for computing poses.
     """
 
@@ -238,17 +265,18 @@ class RobotGeometries:
 
     @property
     def num_states(self) -> int:
-        """Number of elements of the robot's state [q, v]."""
+        """Number of elements of the robot's state [q, v]: joint positions q and velocities v."""
         return int(self.plant.num_multibody_states(self.model_instance))
 
     def posed(self, states: Sequence[FloatArray]) -> CollisionGeometries:
-        """Computes the geometries in the world, at rest, at each of S states.
+        """Computes the robot's collision geometries in the world, without velocities, for each of S
+        robot states.
 
         Args:
-            states: (num_states,) each, [q, v].
+            states: S arrays (num_states,) of positions and velocities [q, v].
 
         Returns:
-            S K geometries.
+            S K geometries: the K geometries at the first state, then those at the second, ...
 
         Raises:
             ValueError: for a state of the wrong size, or with an element that is not finite.
@@ -282,7 +310,8 @@ def robot_geometries(
     inspector: drake.SceneGraphInspector,
     model_instance: ModelInstanceIndex,
 ) -> RobotGeometries:
-    """Reads the collision geometries of a model instance.
+    """Reads the collision geometries of a robot, a model instance, from the scene graph of its
+    plant.
 
     Args:
         plant: plant, finalized and registered with the scene graph of `inspector`.
@@ -309,7 +338,9 @@ def robot_geometries(
 
 
 def geometry_of(shape: drake.Shape) -> CollisionGeometry:
-    """Returns the collision geometry of a shape of Drake, except meshes and convex hulls.
+    """Returns the collision geometry of a Drake shape, with the identity as its pose.
+
+    Meshes and convex shapes are not supported here; `read_geometry` reads them.
 
     Raises:
         ValueError: for a shape that is not supported.
@@ -339,7 +370,7 @@ def geometry_of(shape: drake.Shape) -> CollisionGeometry:
 
 
 def geometries_of(items: Sequence[CollisionGeometry]) -> CollisionGeometries:
-    """Returns collision geometries as arrays for kernels, in the same order.
+    """Converts collision geometries to arrays for compiled kernels, in the same order.
 
     Raises:
         ValueError: for a pose or velocity that is not finite.
@@ -389,19 +420,30 @@ class CollisionScene(Frozen):
 
     @staticmethod
     def of(stamp: float, geometries: Sequence[CollisionGeometry], note: str = "") -> CollisionScene:
-        """Returns the scene of collision geometries, with their labels."""
+        """Builds a collision scene from a sequence of geometries, whose labels become those of the
+        scene.
+
+        Args:
+            stamp: time of the observation [s].
+            geometries: collision geometries of obstacles and environment.
+            note: empty, or the reason why there is no newer observation.
+        """
         return CollisionScene(
             stamp, geometries_of(geometries), tuple(geometry.label for geometry in geometries), note
         )
 
     def __post_init__(self) -> None:
-        """Leaves the arrays writable, as the kernels are compiled for; no kernel writes to them."""
+        """Leaves the arrays writable, unlike the base class, because the kernels are compiled for
+        writable arrays.
+
+        No kernel writes to them.
+        """
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def at_rest(self) -> CollisionScene:
-        """Returns the scene without moving geometries."""
+        """Returns this scene without its moving geometries."""
         if not self.moves:
             return self
         rows = ~self.geometries.moving
@@ -410,7 +452,7 @@ class CollisionScene(Frozen):
 
     @property
     def is_finite(self) -> bool:
-        """Whether all poses, velocities and stamps are finite."""
+        """Whether the poses, velocities and stamps of all geometries of the scene are finite."""
         geometries = self.geometries
         return bool(
             np.isfinite(geometries.X_WO).all() and np.isfinite(geometries.ball[:, 4:]).all()
@@ -418,11 +460,13 @@ class CollisionScene(Frozen):
 
     @property
     def moves(self) -> bool:
-        """Whether any geometry moves."""
+        """Whether any geometry of the scene moves."""
         return bool(self.geometries.moving.any())
 
     def same_as(self, other: CollisionScene) -> bool:
-        """Checks whether both scenes rest, with the same geometries and labels."""
+        """Checks whether another scene has the same geometries and labels, all of them at rest, or
+        is the same object.
+        """
         if self is other:
             return True
         if self.moves or other.moves or self.labels != other.labels:
@@ -436,7 +480,10 @@ class CollisionScene(Frozen):
 
 @lru_cache(maxsize=2)
 def _voxels(*grids: DistanceField) -> NDArray[np.float32]:
-    """Concatenates the values of fields; cached, since those of moving obstacles are constant."""
+    """Concatenates the values of distance fields to one float32 array [m] for compiled kernels.
+
+    The result is cached, since the fields of moving obstacles are constant in their frames.
+    """
     none = np.zeros(0, dtype=np.float32)
     return np.concatenate([none, *(grid.values.ravel() for grid in grids)])
 
@@ -444,7 +491,7 @@ def _voxels(*grids: DistanceField) -> NDArray[np.float32]:
 def outline_corners(geometry: CollisionGeometry) -> FloatArray:
     """Computes points whose convex hull encloses a collision geometry.
 
-    They are the vertices of a box or a hull, and the corners of the bounding box of other shapes.
+    These are the vertices of a box or a hull, and the corners of the bounding box of other shapes.
 
     Returns:
         (K, 3) points in the geometry's frame O [m].
@@ -506,9 +553,10 @@ def surface_points(geometry: CollisionGeometry, count: int = 300) -> FloatArray:
 def geometry_distance(
     geometries: CollisionGeometries, k: int, x: float, y: float, z: float, t: float
 ) -> float:
-    """Computes the signed distance [m] of a point (x, y, z) to geometry k at time t [s].
+    """Computes the signed distance [m] from a point (x, y, z) in the world to collision geometry k
+    at time t [s].
 
-    It is exact, also inside, except for a field (see `drake_oa.geometry.distance_field`).
+    The distance is exact, also inside, except for a field (see `drake_oa.geometry.distance_field`).
     """
     ball, X = geometries.ball, geometries.X_WO
     since = t - ball[k, 7]
@@ -538,7 +586,11 @@ def geometry_distance(
 def ball_bound(
     geometries: CollisionGeometries, k: int, x: float, y: float, z: float, t: float
 ) -> float:
-    """Computes a lower bound of `geometry_distance` from the bounding sphere [m]."""
+    """Computes a lower bound of the distance [m] from a point (x, y, z) in the world to collision
+    geometry k at time t [s].
+
+    The bound is the distance to the geometry's bounding sphere; -inf for a half-space.
+    """
     ball = geometries.ball
     since = t - ball[k, 7]
     x -= ball[k, 0] + since * ball[k, 4]
@@ -551,7 +603,8 @@ def ball_bound(
 def least_distances(
     geometries: CollisionGeometries, points: FloatArray, t: float, upper: float, enough: float
 ) -> FloatArray:
-    """Computes the signed distances [m] of points to the nearest of some geometries at a time.
+    """Computes the signed distance of each of N points to the nearest of K collision geometries at
+    a given time.
 
     Args:
         geometries: K collision geometries.
@@ -561,7 +614,7 @@ def least_distances(
         enough: distance below which the search for a nearer geometry ends [m].
 
     Returns:
-        (N,) distances, negative inside; `upper` without a nearer geometry.
+        (N,) distances [m], negative inside; `upper` without a nearer geometry.
     """
     distance, ball = np.full(len(points), upper), geometries.ball
     for k in range(len(ball)):
@@ -582,7 +635,13 @@ def least_distances(
 
 @leaf
 def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
-    """Computes the signed distance to a primitive with a size as in `CollisionGeometries` [m]."""
+    """Computes the signed distance [m] from a point to a primitive: a cylinder or a rounded box.
+
+    Args:
+        x, y, z: coordinates of the point in the frame of the primitive [m].
+        size: half extents of the inner box, rounding radius [m], and 1 for a cylinder about z, else
+            0.
+    """
     a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
     if size[4] != 0.0:
         a = math.sqrt(x * x + y * y) - size[0]
@@ -596,12 +655,12 @@ def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
 
 @leaf
 def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> float:
-    """Computes the signed distance to a hull [m].
+    """Computes the signed distance [m] from a point to a convex hull.
 
     Args:
         f: (F, 13) faces of all hulls, see `CollisionGeometries.faces`.
         span: first face of the hull, and one past its last.
-        x, y, z: the point in the hull's frame [m].
+        x, y, z: coordinates of the point in the frame of the hull [m].
     """
     largest, best = -np.inf, np.inf
     for n in range(span[0], span[1]):
@@ -644,15 +703,17 @@ def _interpolated(
     span: IntArray,
     voxels: NDArray[np.float32],
 ) -> float:
-    """Interpolates a distance field at a point of its frame O; outside the grid, a lower bound [m].
+    """Interpolates a distance field at a point of its frame O [m]; outside the grid, the result is
+    a lower bound of the distance.
 
-    For a point q outside and the nearest point c of the grid's box, which is convex and contains
-    the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
+    For a point q outside the grid, let c be the nearest point of the grid's box. The box is convex
+    and contains the obstacle. Therefore |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the
+    obstacle.
 
     Args:
-        x, y, z: the point [m].
+        x, y, z: coordinates of the point [m].
         size: (7,) edge of a voxel, and low and high corner of the box of occupied nodes [m].
-        span: (4,) first element of the field in `voxels`, and nx, ny, nz.
+        span: (4,) first element of the field in `voxels`, and numbers of nodes nx, ny, nz.
         voxels: concatenated values of all fields [m].
     """
     scale, ny, nz = 1.0 / size[0], span[2], span[3]

@@ -1,4 +1,6 @@
-"""Unit vectors in evenly distributed directions, and lattices of points."""
+"""Unit vectors in evenly distributed directions, and lattices of points, which other modules use as
+samples.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,16 @@ from drake_oa.common.messages import FloatArray
 
 
 def lattice(*axes: ArrayLike) -> FloatArray:
-    """Returns the points (N, n) of a lattice from its coordinates along each of n axes."""
+    """Returns all N points (N, n) of a rectangular lattice in n dimensions, from its coordinates
+    along each axis.
+    """
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def sphere_points(count: int) -> FloatArray:
-    """Returns points (count + 6, 3) on the unit sphere: 6 on the axes, then a Fibonacci spiral."""
+    """Returns points (count + 6, 3) on the unit sphere: 6 on the coordinate axes, then `count` on a
+    Fibonacci spiral.
+    """
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count
     radius, angle = np.sqrt(1.0 - z * z), np.pi * (3.0 - np.sqrt(5.0)) * k
@@ -23,6 +29,7 @@ def sphere_points(count: int) -> FloatArray:
 
 
 _GRID = np.delete(lattice(*[[-1.0, 0.0, 1.0]] * 3), 13, axis=0)
-"""Points (26, 3) of a lattice of 3 x 3 x 3 points, without its center."""
+"""Points (26, 3) with coordinates -1, 0 and 1 along each axis, without the origin, from which
+`DIRECTIONS` is computed."""
 DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
-"""Unit vectors (26, 3) to the faces, edges and corners of a cube."""
+"""Unit vectors (26, 3) from the center of a cube to its 6 faces, 12 edges and 8 corners."""

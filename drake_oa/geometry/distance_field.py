@@ -1,8 +1,9 @@
-"""Signed distance field of a point cloud: a grid of distances around it, in its own frame.
+"""Signed distance field of an obstacle's point cloud: distances to the cloud at the nodes of a grid
+around it.
 
-A distance query has the same cost for any number of points. The frame O has the world's axes, and
-its origin is the first node of the grid; it moves with the obstacle. Nodes are the centers of
-voxels of the world, so that a cloud of one point per voxel occupies one node per point.
+A distance query has the same cost for any number of points. The frame O of the grid has the world's
+axes, and its origin is the first node; it moves with the obstacle. Nodes are the centers of voxels
+of the world, so that a cloud of one point per voxel occupies one node per point.
 """
 
 from __future__ import annotations
@@ -20,40 +21,49 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane
 
 VOXEL = 0.01
-"""Edge of the voxels of a distance field [m]."""
+"""Edge of the voxels of a distance field, unless its cloud is so large that `MAX_CELLS` requires a
+longer edge [m]."""
 MARGIN = 0.25
-"""Distance by which a grid exceeds the bounding box of its cloud [m]."""
+"""Distance by which the grid of a distance field extends beyond the bounding box of its cloud [m].
+"""
 MAX_CELLS = 1 << 20
-"""Maximum number of nodes of a distance field (4 MB); larger clouds have coarser voxels."""
+"""Maximum number of nodes of a distance field (4 MB); the voxels of a field for a larger cloud are
+coarser [-]."""
 DEEPEST = 0.08
-"""Maximum assumed depth of an obstacle that is observed from one side [m]."""
+"""Maximum depth that is assumed for an obstacle whose occluded part is filled, because cameras
+observe it from one side only [m]."""
 
 OFFSET = 0.13
-"""Reduction of every distance in a field, so that it is at most one voxel too large [voxel].
+"""Constant that is subtracted from all distances of a distance field, so that they are at most one
+voxel too large [voxel].
 
-A point is at most sqrt(3) / 2 from its node. Interpolation adds at most 0.26 to the distance from
-a node; the maximum, by numerical search, is near the center of a voxel with the node as a corner.
-"""
+A point is at most sqrt(3) / 2 from its node. Interpolation adds at most 0.26 to the distance from a
+node; the maximum, by numerical search, is near the center of a voxel with the node as a corner."""
 _THIN = 1e-4
-"""Half the width of each point in the outline of an obstacle from above [m]."""
+"""Half the width of each point in the outline of an obstacle from above, so that collinear points
+have an outline [m]."""
 _MIN_VIEW_DISTANCE = 0.05
-"""Minimum distance of a viewpoint from the cloud for which occluded space is filled [m]."""
+"""Minimum distance of a camera from the bounding box of the cloud at which the space that the
+obstacle occludes is filled [m]."""
 _PIXEL = 1.0
-"""Width of a pixel of the depth image from a viewpoint, at the center of the cloud [voxel]."""
+"""Width of a pixel, at the center of the cloud, in the depth image from which the space that the
+cloud occludes is computed [voxel]."""
 _MAX_PIXELS = 1024
-"""Maximum number of rows and columns of the depth image from a viewpoint."""
+"""Maximum number of rows and of columns of the depth image from which the space that a cloud
+occludes is computed [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceField(Frozen):
-    """Signed distances to a cloud at the nodes of a grid; between nodes they are interpolated.
+    """Signed distances to a point cloud at the nodes of a grid; between nodes they are
+    interpolated.
 
-    Outside the cloud a distance is at most one voxel too large; see `field_of` for the opposite
-    error.
+    The frame O of the grid has the world's axes and its origin at the first node. Outside the cloud
+    a distance is at most one voxel too large; see `field_of` for the opposite error.
 
     Attributes:
         p_WO: (3,) first node in the world, at the observation of the cloud [m].
-        voxel: edge of a voxel [m].
+        voxel: edge of a voxel, the distance between neighboring nodes [m].
         values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
         low, high: (3,) corners of the bounding box of the occupied nodes, in O [m].
     """
@@ -73,13 +83,16 @@ def field_of(
     table: TablePlane | None = None,
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> DistanceField:
-    """Computes the distance field of a cloud, and fills the space that the obstacle occludes.
+    """Computes the distance field of a point cloud, after filling the space that the obstacle
+    occludes from the cameras.
 
-    A node is occupied if its voxel contains a point. At nodes the distance is exact for the
-    occupied nodes. For each viewpoint nodes are also filled that satisfy all of these conditions:
+    A node is occupied if its voxel contains a point. At each node the distance to the nearest
+    occupied node is exact. For each viewpoint, nodes that satisfy all of these conditions are also
+    occupied:
 
-    - The node is behind the visible surface on a ray of the viewpoint, by a horizontal distance of
-      at most `deepest`, or of the larger of the obstacle's width and visible depth if smaller.
+    - The node is behind the visible surface on a ray of the viewpoint. Its horizontal distance from
+      this surface is at most `deepest`, and at most the larger of the obstacle's width and visible
+      depth.
     - It is within the outline from above of the visible part and its mirror image about the center
       of the object. The assumed depth is the visible depth, or the width up to `deepest` if larger.
     - It is above the table. Without a table, it is above the lowest point, or below the highest
@@ -132,7 +145,9 @@ def field_of(
 
 
 def _distances(occupied: BoolArray) -> FloatArray:
-    """Computes distances from all nodes of a grid to the nearest occupied node [voxel]."""
+    """Computes the Euclidean distance of each node of a grid (nx, ny, nz) to the nearest occupied
+    node [voxel].
+    """
     squared = np.where(occupied, 0.0, np.inf).astype(np.float32)
     for _ in range(3):
         lines = np.ascontiguousarray(np.moveaxis(squared, 0, 2))
@@ -142,10 +157,11 @@ def _distances(occupied: BoolArray) -> FloatArray:
 
 @compiled
 def _nearest_along(lines: FloatArray) -> FloatArray:
-    """Computes min_j f_j + (i - j)^2 at each i of lines f (L, n), by the lower envelope.
+    """Computes min_j (f_j + (i - j)^2) at each i of each line f (L, n), one pass of a squared
+    distance transform.
 
-    P. Felzenszwalb and D. Huttenlocher, "Distance transforms of sampled functions", Theory of
-    Computing 8(19), 2012.
+    The minimum is the lower envelope of parabolas: P. Felzenszwalb and D. Huttenlocher, "Distance
+    transforms of sampled functions", Theory of Computing 8(19), 2012.
     """
     result, n = np.empty_like(lines), lines.shape[1]
     vertex, begin = np.zeros(n, dtype=np.int64), np.empty(n)
@@ -171,7 +187,13 @@ def _nearest_along(lines: FloatArray) -> FloatArray:
 
 
 def _grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray, IntArray]:
-    """Computes the grid of a box: voxel edge [m], first indices (3,) in the world, size (3,)."""
+    """Computes the grid of the distance field of a cloud that has the bounding box from low to high
+    (3,) [m].
+
+    Returns:
+        Edge of the voxels [m], indices (3,) of the first voxel in the world, and numbers (3,) of
+        nodes.
+    """
     voxel = VOXEL
     while True:
         # At least one free node on each side of the occupied nodes.
@@ -192,7 +214,8 @@ def _find_occluded(
     deepest: float,
     table: TablePlane | None,
 ) -> IntArray:
-    """Finds the nodes (K, 3) of a grid that an obstacle occludes from a viewpoint, see `field_of`.
+    """Finds the nodes of a grid that an obstacle occludes from a viewpoint, by the conditions of
+    `field_of`.
 
     Args:
         points: (N, 3) points of the obstacle [m].
@@ -201,6 +224,9 @@ def _find_occluded(
         voxel: edge of a voxel [m].
         deepest: maximum assumed depth of the obstacle [m].
         table: support plane; nothing is filled below it.
+
+    Returns:
+        (K, 3) indices of the occluded nodes.
     """
     nodes = np.zeros((0, 3), dtype=np.int64)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -254,14 +280,14 @@ def _find_occluded(
 
 
 def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
-    """Computes the outline of an obstacle from above, including its occluded part.
+    """Computes the outline of an obstacle from above, including its occluded part, as half-planes.
 
     Most objects are symmetric about a vertical axis (J. Bohg et al., ICRA 2011, mirror the visible
     part at a plane). The outline is therefore the convex hull of the points and of their mirror
     images about the center.
 
     Args:
-        along, across: (N,) coordinates of the points along the view and across it [m].
+        along, across: (N,) horizontal coordinates of the points along the view and across it [m].
         depth: depth of the obstacle along the view, from its nearest point [m].
 
     Returns:
@@ -277,7 +303,8 @@ def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
 
 
 def _depth_image(place: FloatArray, distance: FloatArray) -> FloatArray:
-    """Renders points as an image of their nearest distances; inf: no point.
+    """Renders points to an image of distances from the viewpoint [m], the nearest in each pixel;
+    inf: no point.
 
     Args:
         place: (N, 2) image coordinates of the points [pixel].

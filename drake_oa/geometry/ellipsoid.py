@@ -1,15 +1,16 @@
-"""Ellipsoids as unified descriptors of an obstacle and the tool.
+"""Ellipsoids as unified descriptors of an obstacle and the tool, so that avoidance treats the tool
+as a point.
 
-The obstacle's points are dilated by the tool, one ellipsoid encloses the result,
-and the other layers then treat the tool as the point E (Pairet et al. 2019,
-section IV-B; lambda_4 = lambda_5 = 1 in eq. 10). An ellipsoid O has a center p_WO,
-a rotation R_WO with the principal axes as columns, and semi-axes a:
+The obstacle's points are dilated by the tool, and one ellipsoid encloses the result. The other
+layers then treat the tool as the tool point E (Pairet et al., RA-L 2019, section IV-B; lambda_4 =
+lambda_5 = 1 in (10) of the paper). An ellipsoid O has a center p_WO, a rotation R_WO with the
+principal axes as columns, and semi-axes a:
 
     x inside  <=>  gauge(x) = | diag(1/a) R_WO^T (x - p_WO) | <= 1.
 
-Functions of many ellipsoids broadcast their leading shapes as NumPy does: centers
-(M, 3), rotations (M, 3, 3) and semi-axes (M, 3) against one point (3,) give (M,);
-for N points against M ellipsoids pass the points as (N, 1, 3).
+Functions of many ellipsoids broadcast their leading shapes as NumPy does: centers (M, 3), rotations
+(M, 3, 3) and semi-axes (M, 3) against one point (3,) give (M,); for N points against M ellipsoids
+pass the points as (N, 1, 3).
 """
 
 from __future__ import annotations
@@ -26,21 +27,24 @@ from drake_oa.geometry import ellipsoid_kernels as kernels
 from drake_oa.geometry.directions import sphere_points
 
 LEAST_SEMI_AXIS = 1e-3
-"""Minimum semi-axis of a fit [m].
+"""Minimum semi-axis of an ellipsoid that is fitted to a point cloud [m].
 
-A cloud thinner than a hundredth of it along a principal axis is enclosed along the other axes only.
-"""
+A cloud that is thinner than a hundredth of this value along a principal axis is enclosed along the
+other axes only."""
 _TOLERANCE = 1e-2
-"""Relative tolerance of the optimality of the enclosing ellipsoid [1].
+"""Relative tolerance with which an enclosing ellipsoid has the least volume [-].
 
-Before the final scaling, the squared gauge of the ellipsoid exceeds 1 by at most about this value.
-"""
+The gauge of a point is 1 on the surface of the ellipsoid. Before the final scaling, which encloses
+all points, the squared gauge of the points is at most about 1 plus this value."""
 _DIRECTIONS = sphere_points(156)
-"""Unit vectors (162, 3) in whose directions support points are computed."""
+"""Unit vectors (162, 3) in whose directions the support points (farthest points) of a dilated cloud
+are computed."""
 _MAX_STEPS = 100_000
-"""Maximum number of steps of one optimization of the weights of support points."""
+"""Maximum number of steps of the optimization that weights the support points of one enclosing
+ellipsoid [-]."""
 _MAX_ROUNDS = 20
-"""Maximum number of fits, each with one more support point."""
+"""Maximum number of fits of an enclosing ellipsoid; each fit after the first has one more support
+point [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +55,9 @@ class Ellipsoid(Frozen):
         center: (3,) center p_WO [m].
         R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
         semi_axes: (3,) semi-axes along those columns, largest first [m].
-        gauge: largest gauge of any point dilated by any corner of the tool, computed from center,
-            R and semi_axes. A value of at most 1 certifies that all are enclosed.
+        gauge: largest gauge of any point dilated by any corner of the tool, computed from the other
+            fields. The gauge is 1 on the surface and smaller inside, so that a value of at most 1
+            certifies that the ellipsoid encloses all dilated points.
     """
 
     center: FloatArray
@@ -62,23 +67,24 @@ class Ellipsoid(Frozen):
 
 
 def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
-    """Computes points on the C-obstacle O + (-E) of a point cloud O and a convex tool E.
+    """Computes points on the C-obstacle O + (-E), the Minkowski sum of a point cloud O and a
+    reflected convex tool E.
 
-    E is reflected, since the C-obstacle contains the positions of the tool's reference point at
-    which tool and obstacle intersect (Lozano-Perez). In each direction u the support point of a
-    Minkowski sum is the sum of the support points. No hull is needed, so that a single point, a
-    line or a plane of points is a valid cloud.
+    The C-obstacle (configuration-space obstacle) contains the positions of the tool's reference
+    point at which tool and obstacle intersect (Lozano-Perez). In each direction the support point
+    of a Minkowski sum is the sum of the support points. No hull is needed, so that a single point,
+    a line or a plane of points is a valid cloud.
 
     Args:
         points: (N, 3) surface points in W [m].
-        tool: (K, 3) vertices of the tool's convex geometry relative to its reference point
-            (the TCP), in W orientation [m]; [[0, 0, 0]]: a point.
+        tool: (K, 3) vertices of the tool's convex geometry relative to its reference point (the
+            TCP), in W orientation [m]; [[0, 0, 0]]: a point.
 
     Returns:
         (S, 3) distinct support points in W [m], at most one for each of `_DIRECTIONS`.
 
     Raises:
-        ValueError: if points or tool are empty, not (., 3), or not finite.
+        ValueError: if points or tool are empty, not of shape (., 3), or not finite.
     """
     points, tool = checked_points(points, "points"), checked_points(tool, "tool")
     rows = (_DIRECTIONS @ points.T).argmax(axis=1), (_DIRECTIONS @ tool.T).argmin(axis=1)
@@ -87,7 +93,8 @@ def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
 
 
 def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> Ellipsoid:
-    """Computes the ellipsoid of least volume around a cloud dilated by a tool, with a certificate.
+    """Computes the ellipsoid of least volume that encloses a point cloud dilated by a tool, and
+    certifies it.
 
     Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) encloses the support
     points of `dilate`. While a dilated point is outside by more than the tolerance, the farthest
@@ -102,7 +109,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
         Ellipsoid with gauge <= 1.
 
     Raises:
-        ValueError: if points or tool are empty, not (., 3), or not finite.
+        ValueError: if points or tool are empty, not of shape (., 3), or not finite.
     """
     points = checked_points(points, "points")
     corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
@@ -130,7 +137,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
 def signed_distance(
     p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike
 ) -> FloatArray:
-    """Computes Euclidean distances of points to ellipsoids, negative inside.
+    """Computes the Euclidean distances of points to the surfaces of ellipsoids, negative inside.
 
     A monotone Newton iteration solves the secular equation of the nearest point (Eberly) in the
     ellipsoid's axes.
@@ -158,10 +165,10 @@ def signed_distance(
 
 
 def section_matrix(R: ArrayLike, semi_axes: ArrayLike, U: ArrayLike) -> FloatArray:
-    """Computes matrices S of plane sections through the center of ellipsoids.
+    """Computes the matrices S of the ellipses in which planes through their centers cut ellipsoids.
 
-    S = U A U^T with A = R diag(1/a^2) R^T; the section is {x : x^T S x <= 1}, with coordinates x
-    along the rows of U.
+    With A = R diag(1/a^2) R^T and semi-axes a, S = U A U^T. The ellipse is {x : x^T S x <= 1}, with
+    coordinates x along the rows of U.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
@@ -178,10 +185,12 @@ def section_matrix(R: ArrayLike, semi_axes: ArrayLike, U: ArrayLike) -> FloatArr
 def plane_section(
     R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the section of an ellipsoid by the plane through its center along e1 and e2.
+    """Computes the ellipse in which the plane through an ellipsoid's center along e1 and e2 cuts
+    the ellipsoid.
 
-    The principal semi-axes eig(S)^(-1/2), with S of `section_matrix`, are the descriptors lambda'
-    if the plane is the P-plane: the plane of tool, velocity and obstacle center.
+    The principal semi-axes are eig(S)^(-1/2), with S of `section_matrix`. They are the descriptors
+    lambda' of Pairet et al., RA-L 2019, if the plane is the P-plane: the plane of tool, velocity
+    and obstacle center.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
@@ -204,7 +213,8 @@ def plane_section(
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:
-    """Returns points as an array of floats, without a copy if they are one.
+    """Checks an array of points, and returns it as float64 array, without a copy if it already is
+    one.
 
     Args:
         points: (N, 3) points, N >= 1.
@@ -223,9 +233,15 @@ def checked_points(points: ArrayLike, name: str) -> FloatArray:
 
 
 def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Computes center, rotation and semi-axes of the enclosing ellipsoid of least volume.
+    """Computes the ellipsoid of least volume that encloses points, up to the tolerance
+    `_TOLERANCE`.
 
-    The squared gauge of the points (N, 3) exceeds 1 by at most about `_TOLERANCE`.
+    Args:
+        points: (N, 3) points [m].
+
+    Returns:
+        Center (3,) [m], rotation (3, 3) whose columns are the principal axes, and semi-axes (3,),
+        largest first [m].
     """
     mean = points.mean(axis=0)
     spread = points - mean
@@ -251,14 +267,28 @@ def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def right_handed(axes: FloatArray) -> FloatArray:
-    """Returns the rotation (3, 3) with some orthonormal columns, negated if left-handed."""
+    """Returns the rotation matrix (3, 3) whose columns are three orthonormal axes, all negated if
+    they are left-handed.
+    """
     return np.asarray(np.sign(np.linalg.det(axes)) * axes)
 
 
 def _farthest(
     points: FloatArray, tool: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> tuple[float, int, int]:
-    """Finds the largest gauge of dilated points, and the rows of its point and tool corner."""
+    """Finds the dilated point that is farthest outside or least inside an ellipsoid, by its gauge:
+    1 on the surface.
+
+    Args:
+        points: (N, 3) points of a cloud [m].
+        tool: (K, 3) vertices of the tool, relative to its reference point [m]; they are subtracted
+            from the points.
+        center, R, semi_axes: center (3,) [m], rotation (3, 3) and semi-axes (3,) [m] of the
+            ellipsoid.
+
+    Returns:
+        Largest gauge, index of the point, and index of the tool vertex.
+    """
     y, s = (points - center) @ R / semi_axes, tool @ R / semi_axes
     length = np.linalg.norm(y, axis=1)
     # By the triangle inequality shorter rows cannot be the farthest; the margin is for rounding.

@@ -1,4 +1,5 @@
-"""Compiled loops of `drake_oa.geometry.ellipsoid`; other modules call the functions there.
+"""Compiled loops of `drake_oa.geometry.ellipsoid`, which fits ellipsoids to obstacles; other
+modules call the functions there.
 
 Every kernel takes writable C-contiguous float64 arrays, so that numba compiles each of them once,
 and caches it on disk.
@@ -14,16 +15,18 @@ from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
 
 _THIN = 1e-9
-"""Minimum coordinate of a point relative to the semi-axis; smaller ones are replaced by it [1]."""
+"""Minimum absolute coordinate of a point, relative to the semi-axis, for which its distance to an
+ellipsoid is computed; smaller ones are replaced by it [-]."""
 
 
 @leaf
 def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> float:
-    """Computes the signed distance of a point (x, y, z) to an ellipsoid with semi-axes e [m].
+    """Computes the signed distance [m] from a point (x, y, z) to an ellipsoid with semi-axes e [m],
+    in the frame of the ellipsoid.
 
-    With y_i the absolute coordinates, the nearest point is e_i^2 y_i / (s + e_i^2), s the largest
-    root of the secular equation sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013). Newton's method
-    on the inverse square root of the sum, which is concave, converges to s from below.
+    With y_i the absolute coordinates, the nearest point is e_i^2 y_i / (s + e_i^2). s is the
+    largest root of the secular equation sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013). Newton's
+    method on the inverse square root of the sum, which is concave, converges to s from below.
     """
     a2, b2, c2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
     # On a plane of symmetry a term of the sum, and with it the largest root, would vanish.
@@ -46,7 +49,14 @@ def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> float:
 
 @compiled
 def signed_distances(y: FloatArray, e: FloatArray, distance: FloatArray) -> None:
-    """Writes the signed distances (N,) of points y to ellipsoids of semi-axes e, both (N, 3)."""
+    """Computes the signed distances from N points to N ellipsoids, each point in the frame of its
+    ellipsoid.
+
+    Args:
+        y: (N, 3) points [m].
+        e: (N, 3) semi-axes [m].
+        distance: (N,) distances [m], written.
+    """
     for n in range(len(distance)):
         distance[n] = to_ellipsoid(y[n, 0], y[n, 1], y[n, 2], (e[n, 0], e[n, 1], e[n, 2]))
 
@@ -55,17 +65,22 @@ def signed_distances(y: FloatArray, e: FloatArray, distance: FloatArray) -> None
 def optimal_weights(
     points: FloatArray, rank: int, tolerance: float, max_steps: int, u: FloatArray
 ) -> None:
-    """Computes D-optimal weights of points with mean 0 and covariance I (Todd and Yildirim 2007).
+    """Computes the weights of points that determine their enclosing ellipsoid of least volume:
+    D-optimal weights.
 
-    Each step of coordinate ascent changes the weight of one point: it increases that of the point
-    with the largest g_i = q_i^T (sum_k u_k q_k q_k^T)^-1 q_i, q_i = (x_i, 1), or decreases that of
-    the point with the least g_i among those with weight, whichever violates optimality more.
+    The points have mean 0 and covariance I (Todd and Yildirim 2007). Each step of coordinate ascent
+    changes the weight of one point, the one that violates optimality most:
+
+        g_i = q_i^T (sum_k u_k q_k q_k^T)^-1 q_i   with q_i = (x_i, 1).
+
+    The weight of the point with the largest g_i increases, or that of the point with the least g_i
+    among those with weight decreases.
 
     Args:
         points: (N, 3), zero in the last 3 - rank coordinates.
         rank: dimension of the space that the points span.
-        tolerance: relative tolerance of optimality: g_i <= (1 + tolerance) n for all points and
-            g_i >= (1 - tolerance) n for those with weight, n = rank + 1.
+        tolerance: relative tolerance of optimality: g_i <= (1 + tolerance) n for all points and g_i
+            >= (1 - tolerance) n for those with weight, n = rank + 1.
         max_steps: maximum number of steps.
         u: (N,) weights, written.
     """

@@ -1,7 +1,9 @@
-"""Projection of a pinhole camera, and classification of points by a depth image.
+"""Projection of points by a pinhole camera, and classification of points by a depth image as free,
+occluded or at a surface.
 
-Column u = fx x / z + cx and row v = fy y / z + cy of a point (x, y, z) in the camera frame
-(x right, y down, z forward).
+In the camera frame x is right, y down and z forward. A point (x, y, z) is projected to
+
+    column u = fx x / z + cx,    row v = fy y / z + cy.
 """
 
 from __future__ import annotations
@@ -16,28 +18,28 @@ from pydrake.systems.sensors import CameraInfo
 from drake_oa.common.messages import FloatArray, IntArray
 
 HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
-"""States of a point in a depth image.
+"""States of a point in a depth image, as returned by `classify_points`.
 
 HIDDEN: occluded; AT: at the depth of a surface; FREE: in free space; OUT: outside the image, or
 without depth; EMPTY: without depth, also far around it, as before a background too far to be
-measured.
-"""
+measured."""
 _AROUND = 12
-"""Distance of the pixels around a pixel that decide between OUT and EMPTY [pixel].
+"""Distance to the pixels around a pixel without depth that decide whether a point there is EMPTY or
+OUT [pixel].
 
-It is larger than the width of the bands without depth beside nearer objects.
-"""
+A point is EMPTY if these pixels have no depth either. The distance is larger than the width of the
+bands without depth beside nearer objects."""
 _STEPS = np.indices((3, 3)).reshape(2, -1) - 1
-"""Row and column offsets (2, 9) of a pixel and its eight neighbors [pixel]."""
+"""Row and column offsets (2, 9) from a pixel to itself and its eight neighbors [pixel]."""
 
 
 class View(NamedTuple):
-    """Depth image with the intrinsics and the pose of its camera.
+    """Depth image of a camera, with the intrinsics and the pose of this camera.
 
     Attributes:
         z: (H, W) float32 depth along the optical axis [m].
-        K: (4,) fx, fy, cx, cy [pixel].
-        X_WC: (4, 4) pose of the camera (x right, y down, z forward).
+        K: (4,) focal lengths fx, fy and principal point cx, cy [pixel].
+        X_WC: (4, 4) pose of the camera in the world (x right, y down, z forward).
     """
 
     z: NDArray[np.float32]
@@ -46,7 +48,9 @@ class View(NamedTuple):
 
 
 def pinhole(camera: CameraInfo) -> list[float]:
-    """Returns the intrinsics [fx, fy, cx, cy] of a camera [pixel]."""
+    """Returns the intrinsics of a camera: focal lengths fx, fy, and principal point cx, cy, in
+    pixels.
+    """
     return [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
 
 
@@ -54,17 +58,23 @@ def pinhole(camera: CameraInfo) -> list[float]:
 def pixel_rays(
     shape: tuple[int, int], fx: float, fy: float, cx: float, cy: float
 ) -> NDArray[np.float32]:
-    """Computes rays (H W, 3) of unit depth through the pixels of an image, in the camera frame."""
+    """Computes rays (H W, 3) through the pixels of an image, in the camera frame and scaled to a
+    depth of 1.
+
+    Args:
+        shape: rows H and columns W of the image.
+        fx, fy, cx, cy: focal lengths and principal point of the camera [pixel].
+    """
     row, column = np.indices(shape)
     ray = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones(shape)], axis=-1)
     return ray.reshape(-1, 3).astype(np.float32)
 
 
 def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray:
-    """Computes flat indices of the pixels of points in the camera frame.
+    """Computes the pixels to which a camera projects points, as indices of the flattened image.
 
     Args:
-        p_C: (..., 3) points [m].
+        p_C: (..., 3) points in the camera frame [m].
         shape: rows and columns of the image.
         K: (4,) fx, fy, cx, cy [pixel].
 
@@ -79,14 +89,14 @@ def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray
 
 
 def classify_points(points: FloatArray, view: View, margin: float) -> tuple[IntArray, IntArray]:
-    """Classifies points by a depth image: occluded, at a surface, free, or unobserved.
+    """Classifies points by a depth image: occluded, at a surface, in free space, or unobserved.
 
-    Nine pixels around each point are used: a single pixel without depth, or with the mixed depth of
-    an edge, does not decide.
+    Nine pixels around each point are used, so that one pixel without depth, or with the mixed depth
+    of an edge, does not decide.
 
     Args:
         points: (N, 3) points in the world frame [m].
-        view: depth image.
+        view: depth image with intrinsics and pose of its camera.
         margin: maximum depth difference of a point and the surface that it is at [m].
 
     Returns:

@@ -1,7 +1,8 @@
-"""Least-squares fit of a superquadric (Pairet et al. 2019, eq. 10 and 11) with exponents of 1.
+"""Least-squares fit of a superquadric to a point cloud, by (10) and (11) of Pairet et al., RA-L
+2019, with exponents of 1.
 
 With exponents of 1, as in section IV-B of the paper, a superquadric with semi-axes lambda_1..3 is
-the ellipsoid F <= 1 in its own frame, with
+an ellipsoid. In its own frame it is F <= 1, with
 
     F(x, y, z) = (x/lambda_1)^2 + (y/lambda_2)^2 + (z/lambda_3)^2               (eq. 10)
 """
@@ -20,14 +21,17 @@ from drake_oa.geometry.ellipsoid import LEAST_SEMI_AXIS, checked_points, right_h
 
 
 def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fits a superquadric to a (dilated) cloud by least squares.
+    """Fits a superquadric with exponents of 1, which is an ellipsoid, to a point cloud by least
+    squares.
 
-    The published eq. 11 has no square: its sum has no lower bound, and decreases with the size of
-    the superquadric. Here, after Solina and Bajcsy (1990),
+    With F_i = |diag(1/lambda) R^T (p_i - p)|^2 for point p_i, center p, rotation R and semi-axes
+    lambda, the fit solves
 
-        min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i - 1).
+        min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i - 1)
 
-    Center, rotation and semi-axes are optimized together, starting at the cloud's principal axes.
+    after Solina and Bajcsy (1990). In (11) of Pairet et al., RA-L 2019, the residual is not
+    squared. That sum has no lower bound, and decreases with the size of the superquadric. Center,
+    rotation and semi-axes are optimized together, starting at the cloud's principal axes.
 
     Args:
         points: (N, 3) points in W [m].
@@ -47,16 +51,20 @@ def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatAr
     half = np.maximum(0.5 * np.ptp(local, axis=0), LEAST_SEMI_AXIS)
 
     def shape(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Computes center, rotation and semi-axes from the unknowns x (9,).
+        """Computes center, rotation and semi-axes of the superquadric, in the frame of the cloud's
+        principal axes.
 
-        x: center in half extents, rotation vector, and logarithms of the semi-axes over the half
-        extents.
+        Args:
+            x: (9,) optimization variables: displacement of the center in half extents of the cloud,
+                rotation vector, and logarithms of the semi-axes over the half extents.
         """
         turn = np.asarray(Rotation.from_rotvec(x[3:6]).as_matrix())
         return middle + half * x[:3], turn, half * np.exp(x[6:])
 
     def residuals(x: FloatArray) -> FloatArray:
-        """Computes the residuals r_i (N,) of the points."""
+        """Computes the least-squares residuals r_i (N,) of all points for the optimization
+        variables x (9,).
+        """
         center, turn, semi_axes = shape(x)
         F = (((local - center) @ turn / semi_axes) ** 2).sum(axis=1)
         return np.asarray(np.sqrt(np.prod(semi_axes)) * (F - 1.0))

@@ -1,4 +1,4 @@
-"""Mean points by voxel, and clusters of near points."""
+"""Voxel grid and clustering of point clouds: mean points by voxel, and clusters of near points."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from drake_oa.common.messages import FloatArray, IntArray
 
 
 def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
-    """Averages points by voxel.
+    """Averages the points of a cloud in each voxel, a cube of a regular grid.
 
     The grid has a corner at the origin, and up to 2**16 voxels along each half axis.
 
     Args:
-        points: (N, 3) [m].
+        points: (N, 3) points [m].
         voxel: edge of a voxel [m].
 
     Returns:
-        (M, 3) means, sorted by voxel; (N,) voxel of each point; (M,) number of points per voxel.
+        (M, 3) mean points of the occupied voxels [m], sorted by voxel; (N,) index of the voxel of
+        each point; (M,) number of points per voxel.
     """
     keys = np.floor(points / voxel) @ [2.0**34, 2.0**17, 1.0]
     # Consecutive points usually share a voxel: sorting only the first of each run is faster.
@@ -32,7 +33,13 @@ def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray,
 
 @compiled
 def _root(parent: IntArray, i: int) -> int:
-    """Finds the root of node i in a forest of sets, and shortens the path to it."""
+    """Finds the root of the set that contains node i in a union-find forest, and shortens the path
+    to the root.
+
+    Args:
+        parent: parent of each node; a root is its own parent.
+        i: index of the node.
+    """
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -41,7 +48,7 @@ def _root(parent: IntArray, i: int) -> int:
 
 @compiled
 def _unite(points: FloatArray, tolerance: float, parent: IntArray) -> None:
-    """Unites the sets of near points in a forest.
+    """Unites the sets of near points in a union-find forest, so that each set becomes a cluster.
 
     Args:
         points: (N, 3), ascending along their first axis [m].
@@ -64,10 +71,11 @@ def _unite(points: FloatArray, tolerance: float, parent: IntArray) -> None:
 def connected_clusters(
     points: FloatArray, tolerance: float, groups: IntArray | None = None
 ) -> IntArray:
-    """Clusters points: two points within the tolerance belong to the same cluster.
+    """Clusters points: two points within the tolerance, and all points of a group, belong to the
+    same cluster.
 
     Args:
-        points: (N, 3) [m].
+        points: (N, 3) points [m].
         tolerance: maximum distance of connected points [m].
         groups: (N,) group of each point; points of one group are connected at any distance. None:
             no groups.
