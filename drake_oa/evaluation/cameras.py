@@ -49,7 +49,7 @@ TWO_CAMERAS = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
 Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. For this pair 1 % of
 the space near the arm is occluded."""
 MAX_DEPTH = 3.5
-"""Maximum depth that perception uses of the cameras that observe the workspace [m]."""
+"""Maximum depth of points that perception uses from cameras that observe the workspace [m]."""
 TABLE_MARGIN = 0.6
 """Maximum horizontal distance from the table's edge up to which objects are perceived [m].
 

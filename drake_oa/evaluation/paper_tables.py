@@ -32,7 +32,7 @@ from drake_oa.inference.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
-"""Keys that the JSON of Table I copies from the metadata of each file of trained networks."""
+"""Keys that the JSON of the reproduced Table I copies from the metadata of trained chains."""
 
 
 TABLE_ONE = {
@@ -133,13 +133,13 @@ TABLE_TWO: dict[float, dict[str, Any]] = {
 The baseline is the distance from start to goal [m]. The metrics are mean and minimum clearance,
 mean and maximum goal error [m], and the number of collisions."""
 LINE_COLLISION_RATE = 0.324
-"""Published fraction of Table II's scenes in which the line from start to goal hits the obstacle.
+"""Published fraction of scenes in which the line from start to goal hits the obstacle [-].
 
-Pairet et al., RA-L 2019, state 1,296 of 4,000 scenes."""
+Pairet et al., RA-L 2019, state 1,296 of the 4,000 scenes of their Table II."""
 
 
 def evaluate_novel(scenes: Scenes) -> Outcome:
-    """Runs the paper's method on the scenes of Table II and evaluates the motions.
+    """Runs the method of Pairet et al. on the scenes of their Table II and evaluates the motions.
 
     Clearances are distances to the obstacle's section with the P-plane, the plane through the line
     from start to goal and the obstacle's center.
@@ -151,17 +151,17 @@ def evaluate_novel(scenes: Scenes) -> Outcome:
 
 
 _MEAN_TOLERANCE = 0.01
-"""Maximum difference of a mean clearance in Table II from the published value, to agree [m]."""
+"""Tolerance of a mean clearance in the reproduced Table II from its published value [m]."""
 _MIN_TOLERANCE = 0.03
-"""Maximum difference of a minimum clearance in Table II from the published value, to agree [m]."""
+"""Tolerance of a minimum clearance in the reproduced Table II from its published value [m]."""
 _ERROR_FACTOR = 2.0
-"""Maximum factor between a goal error in Table II and the published value, to agree [-]."""
+"""Maximum factor between a goal error in the reproduced Table II and its published value [-]."""
 _COLLISION_TOLERANCE = 3
-"""Maximum difference of a number of collisions in Table II from the published value, to agree."""
+"""Tolerance of a number of collisions in the reproduced Table II from its published value [-]."""
 
 
 def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str, bool]:
-    """Checks whether each metric of a row of Table II agrees with its published value.
+    """Checks whether the metrics in a row of the reproduced Table II agree with published values.
 
     Args:
         metrics: metrics of the row, and `scenes`, the number of its scenes.
@@ -187,9 +187,10 @@ def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str
 
 
 def table_two_metrics(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, Any]:
-    """Returns the JSON of Table II: metrics for each baseline, and their agreement with the paper.
+    """Returns the JSON of the reproduced Table II: metrics for each baseline and published ones.
 
-    A baseline is the distance from start to goal.
+    A baseline is the distance from start to goal. `agrees` states for each metric whether it is
+    within its tolerance of the published value.
 
     Args:
         outcome: result of `evaluate_novel`.
@@ -268,7 +269,7 @@ The metrics are mean clearance [m] and mean goal error [m] (None for "fail"), nu
 obstacles, and number of obstacles passed at less than 0.15 m."""
 
 TRIAL_KINDS = ("box", "irregular", "clutter")
-"""Kinds of obstacles in Table III; the scenario of a kind is named `paper_` and the kind."""
+"""Kinds of obstacles in Table III of Pairet et al.; `paper_box` is the scenario of `box`, etc."""
 
 _TRIAL_COLUMNS = (
     Column("name", "scene, method"),
@@ -296,7 +297,9 @@ def trial_text(name: str, seed: int) -> str:
 def trial_suites(
     methods: Sequence[str], trials: int, seed: int, perception: str, duration: float | None
 ) -> list[PandaSuite]:
-    """Returns the suite of each kind of obstacles in Table III: trials with their own camera noise.
+    """Returns one suite of runs for each kind of obstacles in Table III of Pairet et al.
+
+    A suite consists of trials: runs of the same scenario, each with its own camera noise.
 
     Args:
         methods: names of methods, from `panda.evaluation.METHODS`.
@@ -326,11 +329,12 @@ def trial_suites(
 def trial_metrics(
     runs: Mapping[int, Mapping[str, Any]], published: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Returns the metrics of one row of Table III, with the published values if there are any.
+    """Returns the metrics of one row of the reproduced Table III, beside published values if known.
 
     Args:
         runs: number of a trial -> result of `run_and_evaluate`.
-        published: the row of `TABLE_THREE`; None if the paper has no such row.
+        published: row of `TABLE_THREE` with the published values; None if the paper has no such
+            row.
     """
     known = [run for run in runs.values() if run["tool_clearance_min"] is not None]
     clearance = [run["tool_clearance_min"] for run in known]
@@ -354,7 +358,7 @@ def trial_metrics(
 def trials_metrics(
     results: Sequence[PandaResults], metrics: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Returns the JSON of Table III: metrics of each kind of obstacles and method.
+    """Returns the JSON of the reproduced Table III: metrics of each kind of obstacles and method.
 
     The keys are "suite", the suite's name; "rows", kind -> method -> result of `trial_metrics`; and
     "kinds", kind -> result of `panda_metrics`.

@@ -119,9 +119,9 @@ def take_step(
         dmp: movement primitive of three dimensions, used if the segment has none.
         config: constants of coupling terms and holds.
         speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T), with normalized time
-            s, demonstrated duration T and temporal scaling tau. The speed changes
-            toward this fraction at the rate given by `config.hold_time`. Values are clipped to
-            [0, 1]; NaN counts as 0.
+            s, demonstrated duration T and temporal scaling tau. The speed changes toward this
+            fraction at the rate given by `config.hold_time`. Values are clipped to [0, 1]; NaN
+            counts as 0.
         evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], which
             displaces p_WE in addition to the primitive, without effect on scaled velocity and
             phase. It is linear in time within the step. None or not finite: 0.
@@ -179,10 +179,10 @@ def take_step(
 def restart(
     before: Segment, p_WG: FloatArray, time: float, primitive: Dmp | None = None
 ) -> Segment:
-    """Restarts a motion that is at rest: the current position becomes its start, the phase 1.
+    """Restarts a motion of the tool point that is at rest, with its current position as the start.
 
-    The segment is returned unchanged if the motion has left its start and moves, is at the goal, or
-    is still at its start with the same primitive.
+    The phase becomes 1 and the goal `p_WG`. The segment is returned unchanged if the motion has
+    left its start and moves, is at the goal, or is still at its start with the same primitive.
 
     Args:
         before: current segment.

@@ -107,8 +107,9 @@ class Dmp(Frozen):
     def forcing(self, k: FloatArray) -> FloatArray:
         """Computes the forcing term (T, D) in the local frame at phases k (T,).
 
-        The forcing term is f(k) = k sum_i w_i psi_i(k) / sum_i psi_i(k), (3) of Pairet et al.,
-        RA-L 2019, for a distance of 1 from start to goal.
+        The forcing term is f(k) = k sum_i w_i psi_i(k) / sum_i psi_i(k), with basis functions psi_i
+        and their weights w_i, (3) of Pairet et al., RA-L 2019. It is that of a motion with a
+        distance of 1 from start to goal.
         """
         return np.asarray(activations(k, self.centers, self.widths) @ self.weights.T)
 
@@ -154,7 +155,15 @@ def activations(k: FloatArray, centers: FloatArray, widths: FloatArray) -> Float
 
 
 def normalized_time(k: float, alpha_k: float) -> float:
-    """Computes the normalized time s = -ln(k) / alpha_k at phase k, the inverse of `Dmp.phase`."""
+    """Computes the normalized time s = -ln(k) / alpha_k at phase k, the inverse of `Dmp.phase`.
+
+    Args:
+        k: phase of the movement primitive, 1 at the start and decaying to 0.
+        alpha_k: decay rate of the phase.
+
+    Returns:
+        Time over the planned duration of the motion [-].
+    """
     return -math.log(max(k, 1e-300)) / alpha_k
 
 
@@ -750,15 +759,16 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
 
 
 QUATERNION, W, ALPHA = slice(0, 4), slice(4, 7), slice(7, 10)
-"""Slices of quaternion, angular velocity and angular acceleration in the result of `evaluate`."""
+"""Slices of quaternion, angular velocity and acceleration of the tool in a result of `evaluate`."""
 _DIFFERENCE = 1e-5
 """Time step of the central difference that computes the tool's angular acceleration [s]."""
 
 
 def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> FloatArray:
-    """Computes orientation, angular velocity and acceleration of the tool between two steps.
+    """Computes orientation, angular velocity and acceleration of the tool at a given time.
 
-    The orientation is R_WE = R_WA exp([r]), with a fixed frame A. The rotation vector r is a cubic
+    The time is between two steps of the integrator, or later. The orientation is
+    R_WE = R_WA exp([r]), with a fixed frame A. The rotation vector r is a cubic
     polynomial in time between both steps; after the second step its time derivative is constant.
 
     Args:

@@ -1,10 +1,10 @@
 """Computation of the guidance heading v_d, which leads the motion past an obstacle.
 
 The guidance term, (9) of Pairet et al., RA-L 2019, is a coupling term that turns the motion toward
-v_d, on the selected side of the obstacle. The paper defines neither v_d for a
-selected passing direction omega_d of an obstacle, nor when guidance ends. Here v_d is the direction
-from the tool point E along the tangent to the obstacle at the requested clearance, on the selected
-side. This is the shortest path past the obstacle.
+v_d, on the selected side of the obstacle. The paper defines neither v_d for a selected passing
+direction omega_d of an obstacle, nor when guidance ends. Here v_d is the direction from the tool
+point E along the tangent to the obstacle at the requested clearance, on the selected side. This is
+the shortest path past the obstacle.
 
 Guidance acts while both conditions hold, with the heading u of the motion and the direction e from
 E to the center of the obstacle:

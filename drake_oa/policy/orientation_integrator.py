@@ -197,10 +197,10 @@ class OrientationIntegrator(LeafSystem):
     def _restart(
         self, context: Context, before: OrientationSegment, policy: PolicyState
     ) -> OrientationSegment:
-        """Returns a new segment at rest if a demonstrated motion starts, else the previous one.
+        """Returns a new orientation segment if a demonstrated motion starts, else the previous one.
 
-        If the demonstration has orientations, the segment starts at the first one. Otherwise the
-        constructor's primitive starts at the current orientation.
+        The new segment is at rest. If the demonstration has orientations, the segment starts at the
+        first one. Otherwise the constructor's primitive starts at the current orientation.
 
         Args:
             context: context of the system, whose input `demonstration` is read.

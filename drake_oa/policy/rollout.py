@@ -143,7 +143,8 @@ def roll_out_tool(
             is `period` over the duration of the primitive.
         end: earliest normalized time at which a motion may end; values below the current
             normalized time count as the current one.
-        latest: latest normalized time at which a motion ends; at least 1 after the current one.
+        latest: latest normalized time at which a motion ends; values less than 1 after the current
+            normalized time count as 1 after it.
         tolerance: distance from the goal below which a slow motion ends between `end` and `latest`
             [m].
         longest: () or (N,) maximum path lengths [m]; a simulation ends as soon as the length so far

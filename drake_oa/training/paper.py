@@ -53,7 +53,7 @@ ACTION_LEVELS = {
     "released": ("released code: tau^2 on the spring, 1000 steps of 3 ms", "rad/s"),
     "running": ("the running system's: exact turns, 1000 steps", "1/T"),
 }
-"""Name of an action level -> its description and the unit of alpha, for the file of a chain.
+"""Name of an action level -> its description and the unit of alpha, for a trained chain's file.
 
 An action level is the equations of motion by which the training set is simulated; alpha is the
 strength of the coupling term."""

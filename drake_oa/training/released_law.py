@@ -131,7 +131,7 @@ class ReleasedMotions:
         original: bool = False,
         end: Triple = (0.0, 0.0, 0.0),
     ) -> None:
-        """Starts the motions at rest at the origin.
+        """Initializes N motions at rest at the origin, before their first time step.
 
         Args:
             baseline: (N,) distances from start to goal [m].
@@ -152,7 +152,7 @@ class ReleasedMotions:
         self.is_over, self.number = np.zeros(len(tau), bool), 0
 
     def advance(self, parameters: FloatArray, count: int = 1) -> FloatArray:
-        """Integrates all motions over a number of steps.
+        """Integrates all N motions past their obstacles over the next time steps.
 
         Args:
             parameters: (N, 3) parameters alpha [rad/s], psi [rad] and kappa [1/m^2] of the coupling
@@ -187,7 +187,7 @@ def _advance(
     parameters: FloatArray,
     forcing: FloatArray,
 ) -> None:
-    """Integrates N motions of `ReleasedMotions` over S steps.
+    """Integrates N motions past their obstacles over S steps, for `ReleasedMotions.advance`.
 
     Args:
         path: (N, S + 1, 3) positions [m]; the first is input, the others output.

@@ -2,9 +2,9 @@
 
 In: the scenes of a suite (`suites`), N at once as arrays (`scenes.Scenes`: meters, in the frame of
 the motion, start at the origin, goal at (baseline, 0, 0), with the distance `baseline`), and
-methods (`methods`), each a function
-of scenes and a setting. Out: `scenes.Motions`, sampled paths and velocities; their evaluation on
-ground truth between the samples (`ground_truth`), and metrics over all motions (`evaluation`).
+methods (`methods`), each a function of scenes and a setting. Out: `scenes.Motions`, sampled paths
+and velocities; their evaluation on ground truth between the samples (`ground_truth`), and metrics
+over all motions (`evaluation`).
 
     methods        `verified`, this project's search among roll-outs, and `movement_primitives`,
                    the package of that name

@@ -116,9 +116,9 @@ class Setting:
 
     Attributes:
         label: name in the paper's notation.
-        constrained: whether a clearance is requested. The paper's method then uses the regressor
-            chain RC(lambda', Delta), else RC(lambda'). A chain predicts the parameters of the
-            coupling term.
+        constrained: whether a clearance Delta is requested. The paper's method then uses the
+            regressor chain RC(lambda', Delta), else RC(lambda'). A chain predicts the parameters of
+            the coupling term from the semi-axes lambda' of the obstacle's section.
         scale_time: whether the temporal scaling tau is the avoiding path's length over the nominal
             path's length; else tau = 1.
         clearance: requested clearance Delta in every scene [m]; None: the clearances of the scenes.
