@@ -1,7 +1,8 @@
-"""Reactive obstacle avoidance as Drake systems (Pairet et al., RA-L 2019).
+"""Reactive obstacle avoidance of robot arms as Drake systems, by the method of Pairet et al., RA-L
+2019.
 
-`from drake_oa import DepthPerception` imports the system of a layer from its module, at the first
-access.
+`from drake_oa import DepthPerception` imports the system of a layer. Its module is imported only at
+this first access.
 """
 
 from importlib import import_module as _import_module
@@ -30,13 +31,17 @@ _SYSTEMS = {
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
-"""Class of a system -> its module in this package."""
+"""Modules in this package of the exported Drake systems, by class name."""
 
 __all__ = list(_SYSTEMS)
 
 
 def __getattr__(name: str) -> type:
-    """Imports the class of a system."""
+    """Returns the class of an exported Drake system, whose module is imported at the first access.
+
+    Raises:
+        AttributeError: if no exported system has this name.
+    """
     if name not in _SYSTEMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     system: type = getattr(_import_module(f"{__name__}.{_SYSTEMS[name]}"), name)
@@ -44,5 +49,7 @@ def __getattr__(name: str) -> type:
 
 
 def __dir__() -> list[str]:
-    """Returns the names of the package, with those of the systems."""
+    """Returns the names in this package, including the exported Drake systems that are not imported
+    yet.
+    """
     return [*globals(), *_SYSTEMS]

@@ -1,9 +1,11 @@
-"""Real-time factors of scenarios, and wall times of their systems.
+"""Measurement of the real-time factor of scenarios, and of the wall time that each of their systems
+takes.
 
-The real-time factor is that of `drake-oa run`. A second run times each callback of the Python
-systems. If a callback evaluates a port of another Python system, the time of that evaluation counts
-for the other system only. Drake's systems are part of the Python system that evaluates their
-ports, for example a camera without delay; the remainder is plant, Simulator and logs.
+The real-time factor is simulated time over wall time of a run as by `drake-oa run`. A second run
+measures each callback of the Python systems. If a callback evaluates a port of another Python
+system, the time of that evaluation counts for the other system only. The time of Drake's own
+systems, such as a camera without delay, counts for the Python system that evaluates their ports.
+The remainder is plant, Simulator and logs.
 """
 
 from __future__ import annotations
@@ -25,21 +27,23 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
 
 REMAINDER = "plant, Simulator and logs"
-"""Name of the table row for the wall time outside all Python systems."""
+"""Name of the table row for the wall time of a simulation outside all Python systems."""
 _WARMUP = 0.1
-"""Simulated duration of the warm-up, which loads kernels and renderer [s]."""
+"""Simulated duration of a run before the measurements, which loads kernels and renderer [s]."""
 
 
 def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) -> dict[str, Any]:
-    """Measures the real-time factor and the wall times of the systems of scenarios.
+    """Measures for each scenario the real-time factor of its simulation and the wall times of its
+    systems.
 
     Args:
         scenarios: scenarios by name.
         seconds: simulated duration of each run [s].
 
     Returns:
-        `machine`, `versions` and `scenarios`: name -> {"run": {`real_time_factor`, `layers`: system
-        -> wall time per simulated second [s/s]}}.
+        Dictionary of "machine" (processor and number of cores), "versions" (of the software) and
+        "scenarios". The latter has for each name {"run": {"real_time_factor", "layers"}}, where
+        "layers" is the wall time per simulated second [s/s] by the name of the system.
     """
     metrics: dict[str, dict[str, Any]] = {}
     for name, scenario in scenarios.items():
@@ -60,7 +64,9 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
 
 
 def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
-    """Returns a table of the metrics of `run_benchmark`, with a column for each scenario."""
+    """Returns the result of `run_benchmark` as a table, with a column for each scenario and a row
+    for each system.
+    """
     runs = {name: item["run"] for name, item in metrics["scenarios"].items()}
     rows = [{"name": name, **run, **run["layers"]} for name, run in runs.items()]
     layers = dict.fromkeys(of for run in runs.values() for of in run["layers"])
@@ -77,7 +83,12 @@ def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
 
 @contextmanager
 def timed_systems() -> Iterator[dict[str, float]]:
-    """Yields the wall times [s], by name, of the Python systems that are created in the block."""
+    """Measures the wall times of the callbacks of all Python systems that are created in the `with`
+    block.
+
+    Yields:
+        Wall time [s] by the name of the system, updated at each callback.
+    """
     wall_times: dict[str, float] = defaultdict(float)
     inner = [0.0]
     originals = {

@@ -1,9 +1,8 @@
-"""The command `drake-oa`.
+"""Commands of the command line `drake-oa`, one function for each command.
 
 Inputs: scenarios by name or file, logs, depth images, options. Outputs: tables on stdout; messages,
-progress and errors on stderr; the files that options name. Each command is a typed function:
-cyclopts derives its options from the signature, and its help, which addresses users, from the
-docstring.
+progress and errors on stderr; the files that options name. The package cyclopts derives the options
+of a command from the signature of its function, and the help text for users from the docstring.
 
     run                 both motions of a scenario, with a report, a log and a recording
     play                an interactive run in a browser
@@ -14,9 +13,9 @@ docstring.
     perceive            table, clusters and ellipsoids of recorded frames
     benchmark           real-time factors, and wall times of systems (`drake_oa.benchmark`)
     evaluate            methods on suites of scenes (`drake_oa.evaluation`), with the subcommands
-                        `panda`, `mbm` and `sources`, and the paper's tables and figures
-                        (`paper_tables`)
-    train               the networks (`drake_oa.training`)
+                        `panda`, `mbm` and `sources`, and the tables and figures of Pairet et al.,
+                        RA-L 2019 (`paper_tables`)
+    train               training of the networks (`drake_oa.training`)
 
 The module of a command is imported when the command is called, and numerical packages when they are
 needed: `--help` and `scenarios` import neither NumPy nor Drake. On a terminal rich formats tables
@@ -24,7 +23,8 @@ and progress; elsewhere they are plain text (`drake_oa.common.console`).
 
 Exit statuses: 0 success; 1 failure (an avoiding motion that missed the goal or was in contact, an
 image without a table, a file that could not be written); 2 invalid input, reported in one line
-"drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted; 143 terminated.
+"drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted by Ctrl-C; 143 terminated
+by SIGTERM or SIGHUP.
 
 Begin with `main.main`.
 """

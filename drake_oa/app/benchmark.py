@@ -1,4 +1,4 @@
-"""Command `drake-oa benchmark`: computing times of scenarios and of their systems."""
+"""Command `drake-oa benchmark`: real-time factors of scenarios, and wall times of their systems."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Command `drake-oa evaluate`: runs methods on suites of scenes, and prints their metrics."""
+"""Command `drake-oa evaluate`: runs methods of obstacle avoidance on suites of test scenes, and
+prints their metrics.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,11 @@ if TYPE_CHECKING:
     from drake_oa.evaluation.panda.evaluation import PandaResults, PandaSuite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
-"""Default folder of the results of runs, relative to the current folder."""
+"""Default folder for the result files of evaluations with the whole robot, relative to the current
+folder."""
 
 Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
-"""Annotation of the repeatable option --method: names of methods."""
+"""Annotation of the repeatable command-line option --method: names of the methods to evaluate."""
 
 evaluate = App(name="evaluate")
 for _name in ("table1", "table2", "table3", "figure_familiar", "figure_dead_zone"):
@@ -45,15 +48,15 @@ def synthetic(
     """Compare methods on scenes of a point among ellipsoids.
 
     The subcommands table1, table2, table3, figure_familiar and figure_dead_zone reproduce tables
-    and figures of the paper beside its published values. The subcommands panda, mbm and sources
-    simulate the whole robot.
+    and figures of the paper (Pairet et al., RA-L 2019) beside its published values. The subcommands
+    panda, mbm and sources simulate the whole robot.
 
     The table has a row for each method, and these columns:
 
       collisions               number of scenes in which the motion is in collision
       mean clearance [m]       mean over the scenes of the minimum clearance of a motion
-      mean if achievable [m]   its mean over the scenes whose achievable clearance is the requested
-                               clearance Delta
+      mean if achievable [m]   the same mean over the scenes whose achievable clearance is the
+                               requested clearance Delta
       min. clearance [m]       minimum clearance over all scenes
       scenes with shortfall    number of scenes with more than 1 mm less than the achievable
                                clearance min(Delta, distance of start, distance of goal)
@@ -61,12 +64,14 @@ def synthetic(
                                tau T; at the arrival, up to 2 tau T for verified and 2 T for paper
       mean path ratio          mean length of the path over that of the straight line
 
-    An independent float64 check evaluates the motions on samples that are four times finer.
+    All columns are computed in float64, independently of the methods, from motions that are sampled
+    four times more finely.
 
     Suites (number of scenes):
 
-      novel      the paper's random obstacles at baselines of 0.5 to 2 m (4000)
-      hit        as novel, with random orientations and a straight line in collision (1000)
+      novel      the paper's random obstacles, with start and goal at distances of 0.5 to 2 m (4000)
+      hit        as novel, but the obstacles have random orientations and the straight line from
+                 start to goal is in collision (1000)
 
     Methods (default: paper and verified):
 
@@ -102,16 +107,18 @@ def evaluate_points(
     notes: Sequence[str] = (),
     terms: bool = False,
 ) -> None:
-    """Runs methods on a suite of ellipsoids and prints their tables.
+    """Runs methods on a suite of scenes in which a point moves among ellipsoids, and prints tables
+    of their metrics.
 
     Args:
         name: name of the suite.
-        methods: names of methods.
+        methods: names of the methods.
         count: number of scenes; None: that of the suite.
-        seed: seed of the scenes; None for scenes without one.
-        json: file of the metrics, or None.
+        seed: seed of the scenes; None for scenes without random numbers.
+        json: file to which the metrics are written, or None.
         notes: lines below the first table.
-        terms: whether both coupling terms are also compared without a method.
+        terms: whether the paper's coupling term and the original one are also compared alone,
+            without a method.
     """
     from drake_oa.evaluation.scenes.evaluation import (
         compare_terms,
@@ -141,7 +148,8 @@ def evaluate_points(
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """Options of evaluations of the whole robot: processes, duration, and files of results.
+    """Command-line options that all evaluations with the whole robot share: parallel processes,
+    duration, and result files.
 
     Attributes:
         jobs: number of parallel processes (default: number of cores).
@@ -163,7 +171,7 @@ class Runs:
 
 
 RUNS = Runs()
-"""Default options of evaluations of the whole robot."""
+"""Default values of the command-line options that all evaluations with the whole robot share."""
 
 
 @evaluate.command
@@ -180,7 +188,8 @@ def panda(
 ) -> int:
     """Evaluate methods with the whole robot in random scenes of several kinds.
 
-    In each scene the nominal motion, of 0.5 to 1.0 m, is in contact. Kinds (--suite):
+    In each scene the nominal motion, which avoids nothing and is 0.5 to 1.0 m long, is in contact.
+    Kinds (--suite):
 
       tabletop     1 to 6 objects on the table: boxes, cylinders, spheres, piles
       moving       1 or 2 objects cross the nominal path at 0.1 to 0.4 m/s, with up to 2 resting
@@ -199,11 +208,11 @@ def panda(
 
     Methods (default: the first four):
 
-      nominal          the nominal motion, which avoids nothing
-      paper            the paper's method, without verification
-      verified         motions of the whole arm that roll-outs have verified among the obstacles,
-                       or a joint path that the movement primitives imitate; among moving
-                       obstacles also maneuvers of the whole arm
+      nominal          the nominal motion
+      paper            the method of Pairet et al., RA-L 2019, without verification
+      verified         motions of the whole arm that are verified among the obstacles by simulation
+                       (roll-outs), or a joint path that the movement primitives imitate; among
+                       moving obstacles also maneuvers of the whole arm
       differential_ik  baseline: Drake's differential inverse kinematics with collision constraints
                        along the nominal motion; it knows the obstacles exactly, and requests
                        the achievable clearance
@@ -219,8 +228,8 @@ def panda(
                                    the table or itself, by SceneGraph, until the world is at rest
       avoidable by physics, by view
                                    number of contacts with moving objects that at least one of 500
-                                   joint motions avoids from the state 0.2 s before; and of those
-                                   with an obstacle whose velocity was observed in time
+                                   joint motions avoids from the state 0.2 s before the contact; and
+                                   of those with an obstacle whose velocity was observed in time
       success                      number of scenes without contact and with the tool within 5 mm of
                                    the goal at the end
       violations of claims A, B    number of logged instants at which a point of the arm approaches
@@ -344,13 +353,13 @@ def sources(
     seed: Seed = 0,
     runs: Runs = RUNS,
 ) -> int:
-    """Evaluate the method `verified` without each source of motions, and count executed sources.
+    """Evaluate the method `verified` without each of its sources of motions, and count sources.
 
-    Sources: nominal (the nominal motion), chain (parameters of the paper's regressor chain, with
-    heading guidance), search (the local search) and joint_path (a joint path that the movement
-    primitives imitate). The table is that of `drake-oa evaluate panda`, for `verified` and for
-    `verified` without chain, search and joint_path. Lines below it count the scenes in which a
-    motion of each source was executed.
+    Sources of the executed motion: nominal (the nominal motion), chain (parameters of the regressor
+    chain of Pairet et al., RA-L 2019, with heading guidance), search (the local search) and
+    joint_path (a joint path that the movement primitives imitate). The table is that of `drake-oa
+    evaluate panda`, for `verified` and for `verified` without chain, without search and without
+    joint_path. Lines below it count the scenes in which a motion of each source was executed.
 
     For example:
 
@@ -385,14 +394,17 @@ def run_suites(
     merge: Callable[[Sequence[PandaResults], Sequence[dict[str, Any]]], dict[str, Any]],
     table: Callable[[Mapping[str, Any]], TextTable] | None = None,
 ) -> int:
-    """Runs suites of the whole robot, prints their table, and returns the exit status.
+    """Runs suites of scenes with the whole robot, prints the table of their metrics, and returns
+    the exit status.
 
     Args:
-        runs: options of the runs.
+        runs: command-line options of the runs.
         suites: suites to run.
         heading: beginning of the line above the table.
-        merge: function that returns the metrics to write from results and metrics of each suite.
-        table: function that returns the table of the merged metrics; None: that of `panda`.
+        merge: function that merges the metrics to write with --json; its arguments are the results
+            and the metrics of all suites.
+        table: function that returns the table of the merged metrics; None: the table of `drake-oa
+            evaluate panda`.
     """
     if runs.jobs is not None and runs.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")

@@ -32,7 +32,7 @@ For example:
     drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
     drake-oa graph tabletop_box > layers.svg
 """
-"""Help text of the command line."""
+"""Help text of the command line `drake-oa`, with examples of its commands."""
 
 
 _COMMANDS = {
@@ -50,25 +50,28 @@ _COMMANDS = {
     "evaluate": "evaluate",
     "train": "train",
 }
-"""Name of a command -> module of this package with a function or an `App` of that name."""
+"""Module in `drake_oa.app` of each command, by name. The module has a function or an `App` with the
+name of the command."""
 
 
 def _shown_default(value: Any) -> str | None:
-    """Returns the text of an option's default for the help; None: the help omits it."""
+    """Returns the text of an option's default value, for the help; None: the help omits it."""
     if value is None or value is False or value == ():
         return None
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _versions() -> str:
-    """Returns the versions of drake_oa and Drake."""
+    """Returns one line with the versions of drake_oa and Drake, for `drake-oa --version`."""
     from importlib.metadata import version
 
     return f"drake-oa {version('drake_oa')} (drake {version('drake')})"
 
 
 def _app() -> App:
-    """Creates the command line; the module of a command is imported when it is used."""
+    """Creates the cyclopts `App` of the command line `drake-oa`, which imports the module of a
+    command at its first use.
+    """
     app = App(
         name="drake-oa",
         help=_HELP,
@@ -89,7 +92,7 @@ def _app() -> App:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line, and returns the exit status.
+    """Runs the command line `drake-oa`, reports errors on stderr, and returns the exit status.
 
     Args:
         arguments: command and arguments; None: those of the process.
@@ -126,14 +129,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Checks whether Ctrl-C caused an error; compiled modules may raise another one instead."""
+    """Checks whether Ctrl-C caused an exception, directly or through the chain of its causes.
+
+    Compiled modules may raise another exception in place of KeyboardInterrupt.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 def _run(tokens: Sequence[str]) -> int:
-    """Parses the command line, calls the command, and returns the exit status."""
+    """Parses the command line `drake-oa`, calls the command, and returns its exit status.
+
+    Args:
+        tokens: command and its arguments.
+    """
     app = _app()
     group = app["evaluate"] if "evaluate" in tokens else app
     if group is not app or not any(name in tokens for name in _COMMANDS):
@@ -171,7 +181,13 @@ def _run(tokens: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
-    """Limits BLAS to one thread during a command, and announces the compilation of kernels."""
+    """Limits the BLAS libraries to one thread during a command, and announces the compilation of
+    numba kernels.
+
+    Args:
+        command: function of the command; `scenarios` and `new` need neither library.
+        level: level of Drake's log messages.
+    """
     if command.__name__ in ("scenarios", "new"):
         yield
         return

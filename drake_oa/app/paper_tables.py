@@ -1,4 +1,5 @@
-"""Subcommands of `drake-oa evaluate` for the paper's tables and figures, with published values."""
+"""Subcommands of `drake-oa evaluate` that reproduce tables and figures of Pairet et al., RA-L 2019.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +21,10 @@ from drake_oa.common.files import check_outputs, replace_json
 
 
 def table1(*, json: Path | None = None) -> None:
-    """Print the paper's Table I: errors of the shipped regressor chains, with published values.
+    """Print Table I of Pairet et al., RA-L 2019, errors of networks, with the published values.
 
-    The table of each chain has a row for each network (kappa, psi, alpha), and these columns:
+    A regressor chain consists of three networks that compute the parameters kappa, psi and alpha of
+    a coupling term. The table of each shipped chain has a row for each network, and these columns:
 
       train NMSE, published   normalized mean squared error on the training rows
       test NMSE, published    the same on the test rows
@@ -44,9 +46,11 @@ def table1(*, json: Path | None = None) -> None:
 
 
 def table2(*, scenes: Count = 4000, seed: Seed = 0, json: Path | None = None) -> None:
-    """Reproduce the paper's Table II: 4 x 1,000 novel scenes, with published values.
+    """Reproduce Table II of Pairet et al., RA-L 2019: novel scenes, with published values.
 
-    The table has a row for each baseline, followed by a row of published values, and these columns:
+    The scenes, 1,000 for each of four baselines (distances from start to goal), have random
+    obstacles. The table has a row for each baseline, followed by a row of published values, and
+    these columns:
 
       collisions            number of scenes in which the motion is in collision
       mean clearance [m]    mean over the scenes of the minimum clearance of a motion
@@ -87,7 +91,7 @@ def table3(
     perception: Literal["depth", "truth"] = "depth",
     runs: Runs = RUNS,
 ) -> int:
-    """Reproduce the paper's Table III: three kinds of obstacles with the whole robot.
+    """Reproduce Table III of Pairet et al., RA-L 2019: the whole robot at three kinds of obstacles.
 
     A trial is a run of the scenario paper_box, paper_irregular or paper_clutter with its own noise
     of the camera. Methods: nominal, which avoids nothing, and paper, the paper's method without
@@ -123,12 +127,13 @@ def figure_familiar(
     scenes: Count = 100,
     json: Path | None = None,
 ) -> None:
-    """Reproduce the paper's figure of familiar scenes: 100 ellipses in 12 settings each.
+    """Reproduce the figure of familiar scenes of Pairet et al., RA-L 2019: 100 ellipses.
 
-    The settings are six chains, RC(lambda') and RC(lambda', Delta) for five Delta, with and without
-    temporal scaling. Tables have the columns of `drake-oa evaluate SUITE`: first a row for each
-    method, over the settings with Delta and temporal scaling; then one for each setting. --json has
-    the latter under "settings".
+    Each ellipse is evaluated in 12 settings: regressor chains without requested clearance,
+    RC(lambda'), and with one of five requested clearances, RC(lambda', Delta), each with and
+    without temporal scaling. Tables have the columns of `drake-oa evaluate SUITE`. The first table
+    has a row for each method, over the settings with Delta and temporal scaling. The other tables
+    have a row for each setting, which --json has under "settings".
 
     For example:
 
@@ -153,11 +158,13 @@ def figure_dead_zone(
     scenes: Count = 41,
     json: Path | None = None,
 ) -> None:
-    """Reproduce the paper's dead-zone figure: two coupling terms at an obstacle on the baseline.
+    """Reproduce the dead-zone figure of Pairet et al., RA-L 2019: an obstacle on the baseline.
 
-    The point obstacle is exactly on the baseline in the first scene, and 10 um to 10 cm beside it
-    in the others. The first table compares the coupling terms with equal peak and area, with a row
-    for each gain gamma of the original term:
+    The original coupling term of the literature has a dead zone: it does not turn a motion that
+    heads exactly for an obstacle. The paper's coupling term has none. The point obstacle is exactly
+    on the baseline, the line from start to goal, in the first scene, and 10 um to 10 cm beside it
+    in the others. The first table compares both terms with equal peak and area, with a row for each
+    gain gamma of the original term:
 
       clearance head-on: original [mm], dead-zone free [mm]
                                              minimum clearance in the first scene

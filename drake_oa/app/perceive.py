@@ -1,7 +1,8 @@
-"""Command `drake-oa perceive`: table, clusters and ellipsoids of recorded frames.
+"""Command `drake-oa perceive`: finds the table, clusters and their ellipsoids in recorded depth
+images and clouds.
 
-C is the frame of the camera, or of the points of a cloud; W is the world frame of X_WC. The tool is
-described in the orientation of W; all results are in C.
+C is the frame of the camera, or of the points of a cloud; W is the world frame of the camera pose
+X_WC. The tool is described in the orientation of W; all results are in C.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ if TYPE_CHECKING:
     from drake_oa.perception.recordings import RecordedFrame
 
 _ENCLOSED_TOLERANCE = 1e-9
-"""Tolerance of the normalized distance to an ellipsoid's center, 1 on its surface [1]."""
+"""Tolerance with which points count as inside an ellipsoid: of the distance from its center, 1 on
+its surface [-]."""
 _REPEATS = 5
-"""Number of time measurements, of which the median is reported."""
+"""Number of repetitions of the computation for a file, whose median processor time is reported."""
 
 
 def perceive(
@@ -151,17 +153,18 @@ def perceive_frame(
     *,
     X_WC: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Segments a frame, computes the ellipsoids of its clusters, and measures the time.
+    """Segments a recorded frame, computes the ellipsoids of its clusters dilated by the tool, and
+    measures the processor time.
 
     Args:
-        frame: a depth image with K, or points.
+        frame: depth image with K, or points.
         tool_W: (K, 3) corners of the tool about its reference point, in the orientation of W
             [m]; [[0, 0, 0]] for a point.
         config: parameters of the segmentation.
         X_WC: (4, 4) pose of the camera for a frame without one; None: unknown.
 
     Returns:
-        Results of the file, with the keys that `drake-oa perceive --help` lists.
+        Results for the file of the frame, with the keys that `drake-oa perceive --help` lists.
 
     Raises:
         ValueError: if an array has a wrong shape.
@@ -228,11 +231,16 @@ _COLUMNS = (
     Column("inside"),
     Column("milliseconds", "CPU time [ms]", "{:.1f}"),
 )
-"""Columns of the table of clusters, which the help explains."""
+"""Columns of the table of clusters, which `drake-oa perceive --help` explains."""
 
 
 def _table(results: Sequence[dict[str, Any]]) -> TextTable:
-    """Returns the table of clusters: one row per cluster, or per file without clusters."""
+    """Returns the table that `drake-oa perceive` prints: a row for each cluster, or for a file
+    without clusters.
+
+    Args:
+        results: results of all files, as `perceive_frame` returns them.
+    """
     rows: list[dict[str, Any]] = []
     for result in results:
         if "error" in result:

@@ -1,4 +1,6 @@
-"""Command `drake-oa play`: an interactive run in a browser."""
+"""Command `drake-oa play`: an interactive run of a scenario in a browser, with a movable goal and
+obstacles.
+"""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def replay(
 
 
 def plot(log: Path, /, *, out: Path | None = None) -> None:
-    """Plot the motions of a logged run.
+    """Plot the motions of a logged run to a file.
 
     The plots over time are: clearance of tool and robot, with the requested clearance; phase and
     speed scale; and the maximum joint torque over its limit. Two further plots are the path with

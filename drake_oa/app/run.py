@@ -1,4 +1,6 @@
-"""Commands `drake-oa run` and `drake-oa station`."""
+"""Commands `drake-oa run`, which runs a scenario, and `drake-oa station`, which simulates an arm
+with LCM messages.
+"""
 
 from __future__ import annotations
 
@@ -45,24 +47,24 @@ if TYPE_CHECKING:
     from drake_oa.scenario.scenario import Scenario
 
 LOG_FOLDER = Path("drake_oa_runs")
-"""Default folder of logs, relative to the current folder."""
+"""Default folder of the logs that commands write, relative to the current folder."""
 LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
 """Default URL of the LCM bus: local to this computer, with a receive buffer for images."""
 
 
 @dataclass
 class _Run:
-    """State of one run.
+    """Settings and results of one call of `drake-oa run`, which the functions of this module share.
 
     Attributes:
         name: name of the scenario.
         scenario: scenario of the run.
         meshcat: viewer, or None.
         browser: whether a browser displays the viewer.
-        html: file of the recording, or None.
-        duration: simulated time after which each motion is stopped [s]; None: its termination.
+        html: file to which the recording of the avoiding motion is written, or None.
+        duration: simulated time after which each motion is stopped [s]; None: no such limit.
         raise_if_requested: function that raises KeyboardInterrupt after a request to stop.
-        logs: logs of the finished motions by name.
+        logs: logs of the finished motions "nominal" and "avoiding", by name.
         failure: exception that interrupted the last motion; None: no interruption.
     """
 
@@ -258,7 +260,11 @@ def station(
 
 
 def _open_bus(lcm_url: str) -> DrakeLcm:
-    """Opens the LCM bus of --lcm-url; an invalid URL is a ValueError."""
+    """Opens the LCM bus at the URL of --lcm-url, and returns it.
+
+    Raises:
+        ValueError: if the URL is invalid.
+    """
     from pydrake.lcm import DrakeLcm
 
     from drake_oa.common.config import check_lcm_url
@@ -272,7 +278,19 @@ def _open_bus(lcm_url: str) -> DrakeLcm:
 
 @contextlib.contextmanager
 def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Path | None]:
-    """Yields the file of the log: that of --log, or a new one; None with --no-log."""
+    """Yields the log file of a run: the file of --log, a new file in `LOG_FOLDER`, or None with
+    --no-log.
+
+    A new file that is still empty at the end of the `with` block is deleted.
+
+    Args:
+        named: file of --log, or None.
+        no_log: whether --no-log was given.
+        scenario: name of the scenario, with which the name of a new file begins.
+
+    Raises:
+        ValueError: if both options were given, or the folder cannot be written.
+    """
     if named is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
     if named is not None or no_log:
@@ -288,7 +306,15 @@ def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Pa
 
 
 def _simulate_both(this: _Run, log_file: Path | None) -> None:
-    """Simulates the nominal and the avoiding motion; an interrupted motion is the last one."""
+    """Simulates the nominal motion and then the avoiding motion of a run, and adds their logs to
+    the run.
+
+    After an interruption of the nominal motion, the avoiding motion is not simulated.
+
+    Args:
+        this: settings of the run.
+        log_file: file to which the log of the nominal motion is already written, or None.
+    """
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.scenario_check import end_contacts
@@ -314,7 +340,13 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
 
 
 def _drive(this: _Run, lcm_url: str, rate: float) -> None:
-    """Executes the avoiding motion on a real arm."""
+    """Executes the avoiding motion of a run on a real arm, and adds its log to the run.
+
+    Args:
+        this: settings of the run.
+        lcm_url: URL of the LCM bus.
+        rate: maximum ratio of simulated time to wall time.
+    """
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, prepare_hardware
 
@@ -337,7 +369,14 @@ def _drive(this: _Run, lcm_url: str, rate: float) -> None:
 def _add_motion(
     this: _Run, name: str, motion: Callable[..., MotionLog], panel: LivePanel | None = None
 ) -> None:
-    """Runs a motion with a progress bar, and adds its log until its end or interruption."""
+    """Runs a motion with a progress bar, and adds its log to the run, also after an interruption.
+
+    Args:
+        this: settings of the run.
+        name: name of the motion, "nominal" or "avoiding".
+        motion: function that runs the motion; its argument `on_step` is called once per period.
+        panel: panel of a viewer page that is updated during the motion, or None.
+    """
     from drake_oa.policy.dmp import normalized_time
     from drake_oa.runs.simulation import MotionInterruptedError
     from drake_oa.viewing.viewer import recording
@@ -360,7 +399,12 @@ def _add_motion(
 
 
 def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
-    """Prints the report, and writes log, recording and report.
+    """Prints the report of a run, and writes its log, recording and report to their files.
+
+    Args:
+        this: settings and logs of the run.
+        json: file of the report, or None.
+        log_file: file of the log, or None.
 
     Returns:
         0, or `FAILED` if the avoiding motion missed the goal or was in contact.
@@ -390,7 +434,10 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
 
 
 def _open_panel(this: _Run) -> LivePanel | None:
-    """Opens the live page for a browser; None if it is not requested."""
+    """Opens the live viewer page of a run in a browser, and returns the updater of its text panel.
+
+    The result is None if the run has no viewer in a browser.
+    """
     if this.meshcat is None or not this.browser:
         return None
     from drake_oa.runs.page import LivePanel, motion_name
@@ -402,7 +449,7 @@ def _open_panel(this: _Run) -> LivePanel | None:
 
 
 class Terminated(KeyboardInterrupt):
-    """Interruption by SIGTERM or SIGHUP, handled as Ctrl-C."""
+    """Exception for the signals SIGTERM and SIGHUP, which commands handle like Ctrl-C."""
 
     def __str__(self) -> str:
         return "terminated"
@@ -410,10 +457,14 @@ class Terminated(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def stop_between_steps() -> Iterator[Callable[[], None]]:
-    """Delays Ctrl-C and SIGTERM; yields a function that raises them between two steps.
+    """Delays exceptions by Ctrl-C, SIGTERM and SIGHUP in the `with` block until the end of a
+    simulation step.
 
-    An exception inside a callback of numba or Drake would leave its data inconsistent. A second
-    signal raises at once.
+    Inside a callback of numba or Drake, an exception would leave inconsistent data. A second signal
+    raises its exception at once.
+
+    Yields:
+        Function to call between two steps: it raises the exception of a signal that has arrived.
     """
     requested: list[type[KeyboardInterrupt]] = []
 

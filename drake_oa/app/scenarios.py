@@ -1,4 +1,6 @@
-"""Commands `drake-oa scenarios`, `new`, `check` and `graph`; parts shared by other commands."""
+"""Commands `drake-oa scenarios`, `new`, `check` and `graph`, and the option types and helpers that
+other commands share.
+"""
 
 from __future__ import annotations
 
@@ -25,24 +27,31 @@ else:
     ScenarioName = Annotated[
         str | Literal[tuple(shipped_scenarios())], Parameter(show_choices=False)
     ]
-    """Name or file of a scenario; the shell completes the shipped names."""
+    """Annotation of a command-line argument that is a scenario's name or file; the shell completes
+    shipped names."""
 
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
-"""Annotation of the repeatable option --set: scenario fields with new values, as "a.b=c"."""
+"""Annotation of the repeatable command-line option --set: new values of scenario fields, each as
+"a.b=c"."""
 
 
 Positive = Annotated[float, Parameter(validator=Number(gt=0.0, lt=math.inf))]
-"""Annotation of an option that must be a positive finite number."""
+"""Annotation of a command-line option that must be a positive finite number."""
 Rate = Annotated[float, Parameter(validator=Number(gt=0.0, lte=1.0))]
-"""Annotation of an option for simulated time over wall time, in (0, 1]."""
+"""Annotation of a command-line option for the ratio of simulated time to wall time, in (0, 1]."""
 Count = Annotated[int, Parameter(validator=Number(gte=1))]
-"""Annotation of an option that counts scenes, processes or steps, at least 1."""
+"""Annotation of a command-line option for a number of scenes, processes or steps, at least 1."""
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
-"""Annotation of an option for the seed of random numbers, at least 0."""
+"""Annotation of a command-line option for the seed of random numbers, at least 0."""
 
 
 def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) -> Scenario:
     """Loads a scenario, and checks that the output files of a command can be written.
+
+    Args:
+        name: name of a shipped scenario, or a file.
+        overrides: new values of scenario fields, each as "a.b=c".
+        outputs: output files of the command; None: no output.
 
     Raises:
         ValueError, OSError: if the scenario cannot be read, or a file cannot be written.
@@ -56,7 +65,11 @@ def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) ->
 
 @contextlib.contextmanager
 def build_errors() -> Iterator[None]:
-    """Turns RuntimeErrors of Drake about models and cameras into ScenarioErrors."""
+    """Converts a RuntimeError in the `with` block, by which Drake reports a wrong model or camera,
+    to a ScenarioError.
+
+    Commands report a ScenarioError in one line. MotionInterruptedError passes unchanged.
+    """
     from drake_oa.common.config import ScenarioError
     from drake_oa.runs.simulation import MotionInterruptedError
 
@@ -69,7 +82,9 @@ def build_errors() -> Iterator[None]:
 
 
 def scenario_name(name_or_file: str) -> str:
-    """Returns the name of a scenario: its shipped name, or that of its file."""
+    """Returns the name of a scenario from its shipped name or its file, without folder and suffix
+    .scenario.yaml.
+    """
     return Path(name_or_file).name.removesuffix(".scenario.yaml")
 
 
@@ -90,7 +105,7 @@ def scenarios(*, files: bool = False) -> None:
 
 
 SCHEMA = "scenario.schema.json"
-"""Name of the file with the JSON schema of scenarios."""
+"""Name of the file with the JSON schema of scenarios, which `drake-oa new` writes for editors."""
 
 
 def new(name: str, /, *, like: str | None = None) -> int:
@@ -197,7 +212,7 @@ def graph(
 ) -> None:
     """Print the diagram of a scenario: its layers as SVG, or its systems as dot source or table.
 
-    It is the diagram of the avoiding motion.
+    The diagram is that of the avoiding motion, with the systems of all layers.
 
     For example:
 

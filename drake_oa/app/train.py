@@ -1,4 +1,4 @@
-"""Command `drake-oa train`: training of the networks."""
+"""Command `drake-oa train`: trains the networks that compute coupling terms (regressor chains)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ def train(
 ) -> None:
     """Train a regressor chain on simulated motions, and write its weights.
 
-    The recipes are:
+    A regressor chain consists of three networks that compute the parameters of a coupling term. Its
+    inputs are the semi-axes lambda' of an obstacle's section and, for RC(lambda', Delta), the
+    requested clearance Delta. The paper is Pairet et al., RA-L 2019. The recipes are:
 
       paper          the paper's regressor chains on the paper's training set:
                      paper_chain.safetensors with RC(lambda', Delta), and

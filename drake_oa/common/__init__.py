@@ -1,4 +1,7 @@
-"""Modules that all layers share, and that do not import any layer.
+"""Package of the modules that all layers of the diagram share: messages, signals, configuration,
+files.
+
+These modules do not import any layer.
 
 - `messages`: immutable messages on the abstract ports between layers: `ObstacleClouds`,
   `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Copying a message

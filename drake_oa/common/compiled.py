@@ -1,4 +1,6 @@
-"""Decorators of compiled functions, their cache folder, and threads for all cores."""
+"""Decorators of functions that numba compiles (kernels), the cache of their machine code, and
+threads that run them on all cores.
+"""
 
 from __future__ import annotations
 
@@ -23,15 +25,17 @@ from numpy.typing import ArrayLike, NDArray
 from drake_oa.common.files import user_cache
 
 CORES = max(len(os.sched_getaffinity(0)), 1)
-"""Number of cores that this process may use."""
+"""Number of processor cores that this process may use, for parallel kernels."""
 
 
 class KernelCacheLocator(InTreeCacheLocator):
-    """Locator of the folder and the source stamp of cached kernels, for numba.
+    """Cache locator for numba: determines the folder of a kernel's cached machine code, and the
+    stamp of its source.
 
-    The folder is `__pycache__` of the source; if it is read-only, a copy in the user's cache; else
-    a temporary folder. Numba's own stamp covers only the file of a kernel, so that outdated code of
-    called kernels would be used. This stamp covers called kernels and used constants, too.
+    The folder is `__pycache__` beside the source, or, if that is read-only, a copy in the user's
+    cache, or else a temporary folder. Cached code is used only if its stamp is equal. Numba's own
+    stamp covers only the file of the kernel, so that outdated code of called kernels would be used.
+    This stamp also covers the called kernels and the constants that the kernel uses.
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
@@ -47,7 +51,13 @@ class KernelCacheLocator(InTreeCacheLocator):
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelCacheLocator | None:
-        """Returns a locator; None for other packages, or if NUMBA_CACHE_DIR is set."""
+        """Returns the locator of a kernel; None for a kernel of another package, or if
+        NUMBA_CACHE_DIR is set.
+
+        Args:
+            py_func: Python function of the kernel.
+            py_file: file of its source.
+        """
         is_own = py_func.__module__.startswith(f"{__package__.partition('.')[0]}.")
         return cls(py_func, py_file) if is_own and not numba.config.CACHE_DIR else None
 
@@ -60,7 +70,9 @@ class KernelCacheLocator(InTreeCacheLocator):
         return self.get_source_stamp()[:16]
 
     def get_source_stamp(self) -> str:
-        """Computes the digest of the sources and constants that determine the compiled code."""
+        """Computes the stamp of a kernel: a digest of the sources and constants that determine its
+        machine code.
+        """
         stamps = [super().get_source_stamp()]
         for value in self._used:
             if isinstance(value, Dispatcher) and hasattr(value._cache, "_cache_file"):
@@ -72,7 +84,12 @@ class KernelCacheLocator(InTreeCacheLocator):
 
 @cache
 def _kernel_folder(beside: str) -> str:
-    """Returns a writable cache folder for kernels: `beside`, its copy, or a temporary folder."""
+    """Returns a writable cache folder for the machine code of kernels.
+
+    Args:
+        beside: preferred folder, beside the source. If it is not writable, the result is a copy in
+            the user's cache, or else a temporary folder.
+    """
     user = user_cache("kernels") / hashlib.sha256(beside.encode()).hexdigest()[:16]
     with suppress(OSError):
         Path(beside).mkdir(exist_ok=True)
@@ -99,28 +116,39 @@ numba.config.CACHE_LOCATOR_CLASSES = ",".join(
 # Each decorator sets fastmath explicitly. Otherwise a kernel would be compiled with the setting of
 # its first caller, and cached for all callers; with fastmath, 0 * inf is undefined.
 compiled = njit(cache=True, error_model="numpy", fastmath=False, _nrt=True)
-"""Decorator of a kernel: `numba.njit`, cached on disk, with NumPy's division and no fastmath."""
+"""Decorator of a kernel: `numba.njit` with a cache on disk, NumPy's division by zero, and no
+fastmath."""
 
 leaf = njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)
-"""Decorator of a kernel without allocations: as `compiled`, without reference counting.
+"""Decorator of a short kernel that allocates no arrays: like `compiled`, but without reference
+counting.
 
 Reference counting costs 10 ns per array and call, more than a short kernel with many arrays.
 """
 
 parted = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-"""Decorator of a kernel for `on_cores`: as `compiled`, without the global interpreter lock."""
+"""Decorator of a kernel that `on_cores` runs in parallel threads: like `compiled`, but without the
+global interpreter lock."""
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    """Returns the pool of threads of `on_cores`."""
+    """Returns the pool of threads in which `on_cores` runs the parts of a kernel, created once per
+    process.
+    """
     return ThreadPoolExecutor(max(CORES - 1, 1), "on_cores")
 
 
 def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
     """Runs `kernel(part, parts, *arguments)` for part = 0, ..., parts - 1 in parallel threads.
 
-    Numba's own threads wait for the next call in a busy loop, which costs 6 ms of processor time.
+    These threads replace those of numba, which wait for the next call in a busy loop and so cost
+    6 ms of processor time.
+
+    Args:
+        kernel: kernel that computes one part of a result and writes it to its arguments.
+        parts: number of parts.
+        arguments: other arguments of the kernel.
     """
     others = [_pool().submit(kernel, part, parts, *arguments) for part in range(1, parts)]
     kernel(0, parts, *arguments)
@@ -129,8 +157,8 @@ def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
 
 
 def kernel_arrays(*arrays: ArrayLike) -> list[NDArray[np.float64]]:
-    """Returns writable, C-contiguous float64 copies of arrays.
+    """Returns writable, C-contiguous float64 copies of arrays, as arguments for kernels.
 
-    For the read-only arrays of frozen dataclasses numba would compile each kernel again.
+    Numba would compile each kernel again for the read-only arrays of frozen dataclasses.
     """
     return [np.array(array, dtype=float, order="C") for array in arrays]

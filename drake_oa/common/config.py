@@ -38,7 +38,8 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
 _LCM_PROVIDERS = ("udpm", "tcpq", "memq")
-"""LCM providers that both send and receive messages; `file` only records or replays."""
+"""Beginnings of valid LCM URLs: providers that both send and receive messages. The provider `file`
+only records or replays."""
 
 BLOCK = ConfigDict(
     extra="forbid",
@@ -47,11 +48,12 @@ BLOCK = ConfigDict(
     validate_default=True,
     arbitrary_types_allowed=True,
 )
-"""Pydantic configuration of every block: unknown fields and non-finite numbers are errors."""
+"""Pydantic settings of every configuration block: unknown fields and non-finite numbers are
+errors."""
 
 
 class ScenarioError(ValueError):
-    """Error of a scenario that cannot be run.
+    """Error for a scenario that cannot be run, with a message that names each wrong field.
 
     Attributes:
         problems: one line for each wrong field: its name, the problem and the valid values.
@@ -70,13 +72,22 @@ class ScenarioError(ValueError):
         self.problems = problems
 
     def of_file(self, name: str) -> ScenarioError:
-        """Returns the error with the name of the file."""
+        """Returns a copy of the error whose message begins with the name of the scenario file.
+
+        Args:
+            name: name of the file.
+        """
         return ScenarioError(*self.problems, file=name)
 
 
 @contextmanager
 def field_errors(field: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Turns exceptions of some types into a `ScenarioError` that names a field."""
+    """Converts exceptions in the `with` block to a `ScenarioError` that names a field.
+
+    Args:
+        field: full name of the field, such as "task.goal".
+        kinds: types of the exceptions that are converted.
+    """
     try:
         yield
     except kinds as error:
@@ -84,7 +95,11 @@ def field_errors(field: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 def _check_angle(angle: float) -> float:
-    """Returns an angle [rad]; raises ValueError above one turn, which is probably in degrees."""
+    """Checks that an angle is in [-2 pi, 2 pi], and returns it [rad].
+
+    Raises:
+        ValueError: if the angle is more than one turn, and so probably in degrees.
+    """
     if abs(angle) > 2.0 * math.pi:
         raise ValueError(
             f"{angle:g} rad is more than one turn; angles are in radians "
@@ -94,18 +109,22 @@ def _check_angle(angle: float) -> float:
 
 
 def length(count: int) -> Any:
-    """Returns the annotation of a list with `count` values."""
+    """Returns the pydantic annotation of a configuration field that is a list of `count` values."""
     return Field(min_length=count, max_length=count)
 
 
 Vector3 = Annotated[list[float], length(3)]
-"""List of three numbers."""
+"""Annotation of a configuration field that is a list of three numbers."""
 Angles = Annotated[list[Annotated[float, AfterValidator(_check_angle)]], length(3)]
-"""List of roll, pitch and yaw, each in [-2 pi, 2 pi] [rad]."""
+"""Annotation of a configuration field with roll, pitch and yaw, each in [-2 pi, 2 pi] [rad]."""
 
 
 def above(name: str) -> AfterValidator:
-    """Returns the validator of a field that must exceed an earlier field."""
+    """Returns the pydantic validator of a number that must be greater than another field.
+
+    Args:
+        name: name of the other field, which the block defines earlier.
+    """
 
     def check(value: float, info: ValidationInfo) -> float:
         if name in info.data and value <= info.data[name]:
@@ -116,10 +135,12 @@ def above(name: str) -> AfterValidator:
 
 
 class Tagged:
-    """Annotation of a union of blocks that are distinguished by their YAML tags.
+    """Annotation of a field whose value is one of several configuration blocks, distinguished by
+    their YAML tags.
 
-    The tag is an exclamation mark and the name of the class; a mapping without tag belongs to the
-    first class. In plain data the tag is the value of the key "_tag".
+    The tag of a block is an exclamation mark and the name of its class, such as `!GroundTruth`. A
+    mapping without a tag belongs to the first class of the union. In plain data the tag is the
+    value of the key "_tag".
     """
 
     def __get_pydantic_core_schema__(
@@ -153,14 +174,16 @@ class Tagged:
 
 
 def _without_tag(data: Any) -> Any:
-    """Returns plain data without the key of the tag."""
+    """Returns the plain data of a block without the key "_tag", which stores its YAML tag."""
     if isinstance(data, Mapping):
         return {name: value for name, value in data.items() if name != "_tag"}
     return data
 
 
 class DrakeStruct:
-    """Annotation of a field with one of Drake's YAML structs as its type."""
+    """Annotation of a configuration field whose type is a struct of Drake that Drake reads from
+    YAML, such as `Transform`.
+    """
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -184,7 +207,7 @@ class DrakeStruct:
 
 
 def _struct_schema(struct: Any) -> dict[str, Any]:
-    """Returns the JSON schema of one of Drake's structs: the names of its fields."""
+    """Returns the JSON schema of a struct of Drake, which contains the names of its fields only."""
     properties = {
         field.name: _struct_schema(field.type) if hasattr(field.type, "__fields__") else {}
         for field in struct.__fields__
@@ -193,7 +216,8 @@ def _struct_schema(struct: Any) -> dict[str, Any]:
 
 
 def validate(kind: Any, data: Any, where: str = "") -> Any:
-    """Builds a value of a type from plain data.
+    """Builds a configuration block, or a value that contains blocks, from plain data, and checks
+    all its fields.
 
     Args:
         kind: a block, or a type that contains blocks.
@@ -211,7 +235,9 @@ def validate(kind: Any, data: Any, where: str = "") -> Any:
 
 
 class _BlockSchema(GenerateJsonSchema):
-    """Generator of JSON schemas that describe all fields of a block, inherited ones included."""
+    """Generator of JSON schemas with a description of each field of a block, inherited fields
+    included.
+    """
 
     def dataclass_schema(self, schema: core_schema.DataclassSchema) -> dict[str, Any]:
         result, block = super().dataclass_schema(schema), typing.cast(Any, schema["cls"])
@@ -221,15 +247,19 @@ class _BlockSchema(GenerateJsonSchema):
 
 
 def json_schema(block: type) -> dict[str, Any]:
-    """Returns the JSON Schema of a block, with the description of each field."""
+    """Returns the JSON schema of a configuration block, with the description of each field, for
+    editors.
+    """
     return TypeAdapter(block).json_schema(schema_generator=_BlockSchema)
 
 
 @cache
 def _descriptions(block: type) -> dict[str, str]:
-    """Returns the descriptions of the fields of a block and of its base classes, by field.
+    """Returns the descriptions of all fields of a configuration block, inherited ones included, by
+    the name of the field.
 
-    They are read on demand; pydantic would read the source of every block at its import.
+    The descriptions are the strings below the fields in the source, which is read at the first
+    call. Pydantic would read the source of every block at its import.
     """
     descriptions: dict[str, str] = {}
     for base in filter(is_dataclass, reversed(block.__mro__)):
@@ -244,12 +274,21 @@ def _descriptions(block: type) -> dict[str, str]:
 
 
 def plain_data(value: Any) -> Any:
-    """Returns the plain data of a block, with the defaults of it and of its inner blocks."""
+    """Converts a configuration block to plain data (dictionaries, lists, numbers, texts), defaults
+    included.
+    """
     return TypeAdapter(type(value)).dump_python(value)
 
 
 def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
-    """Returns one line for an error: full name of the field, problem and valid values."""
+    """Converts an error of pydantic to one line with the full name of the field, the problem and
+    the valid values.
+
+    Args:
+        kind: type that was validated.
+        error: details of the error.
+        where: name of the field with the validated data; empty for a whole file.
+    """
     place, block, unit, limits = where, _block(kind), "", list[str]()
     for part in error["loc"]:
         if isinstance(part, int):
@@ -300,7 +339,13 @@ def _limits(metadata: Iterable[Any]) -> list[str]:
 
 
 def _block(kind: Any, tag: str = "") -> Any:
-    """Returns the first block in a type, or the one with a tag; None if there is none."""
+    """Finds the first configuration block in a type, such as a list or union of blocks; None if
+    there is none.
+
+    Args:
+        kind: type or annotation.
+        tag: YAML tag of the block to find; empty: any block.
+    """
     if isinstance(kind, type) and hasattr(kind, "__dataclass_fields__"):
         return kind if tag in ("", f"!{kind.__name__}") else None
     blocks = (_block(each, tag) for each in typing.get_args(kind))
@@ -308,14 +353,25 @@ def _block(kind: Any, tag: str = "") -> Any:
 
 
 def check_choice(subject: str, choices: Collection[str], *names: str) -> None:
-    """Checks that names are valid choices; raises ValueError with the subject and all choices."""
+    """Checks that names are among the valid choices, for example of a command-line option.
+
+    Args:
+        subject: noun for the error message, such as "method".
+        choices: valid names.
+        names: names to check.
+
+    Raises:
+        ValueError: for the first other name; lists the choices.
+    """
     for name in names:
         if name not in choices:
             raise ValueError(f"unknown {subject} {name!r}; valid: {', '.join(choices)}")
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str:
-    """Returns ` (did you mean ...?)` with the most similar known word; "" without one."""
+    """Returns the text " (did you mean ...?)" with the valid choice that is most similar to a word;
+    "" if none is similar.
+    """
     near = difflib.get_close_matches(word, choices, 1)
     return f" (did you mean {near[0]}?)" if near else ""
 
@@ -361,7 +417,16 @@ def read_yaml(text: str) -> Any:
 
 
 def _check_nodes(node: yaml.Node, where: str = "") -> None:
-    """Checks that plain data can represent a YAML node: its tags, and unique textual keys."""
+    """Checks that plain data can represent a YAML node: only mappings have tags, and keys are
+    unique texts.
+
+    Args:
+        node: node to check, with all nodes below it.
+        where: name of the field with the node, followed by "."; empty for the root.
+
+    Raises:
+        ScenarioError: naming the field or the line.
+    """
     if node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
         prefix = f"{where.rstrip('.')}: " if where else ""
         raise ScenarioError(f"{prefix}tag {node.tag} requires a block: write '{node.tag} {{}}'")
@@ -383,9 +448,17 @@ def _check_nodes(node: yaml.Node, where: str = "") -> None:
 
 
 def apply_override(data: dict[str, Any], override: str) -> None:
-    """Merges "a.b=c" into plain data: c, read as YAML, replaces field b of block a.
+    """Applies an override "a.b=c" to plain data: the value c, read as YAML, replaces field b of
+    block a.
 
-    A block without a tag is merged into the existing block.
+    If c is a block without a tag, its fields are merged into an existing block b.
+
+    Args:
+        data: plain data of a scenario, modified in place.
+        override: override in this form.
+
+    Raises:
+        ScenarioError: if the override has another form, c is not valid YAML, or a is not a block.
     """
     key, equals, text = override.partition("=")
     if not equals or not all(map(str.strip, key.split("."))):

@@ -22,14 +22,19 @@ from drake_oa.common.messages import Frozen
 
 @dataclass(config=BLOCK)
 class LatencyModel:
-    """Model of the processor time of a decision on two cores at 2.5 GHz."""
+    """Model that converts the counted work of a decision to its simulated compute latency.
+
+    The default times are those of two cores at 2.5 GHz.
+    """
 
     decision: float = Field(default=1e-3, ge=0.0, le=1.0)
     """Time of one decision, independent of its work [s]. Raising it delays every decision."""
     search: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Time of one batch of rolled-out motions [s]. Raising it delays searches."""
+    """Time of one batch of roll-outs (simulations of candidate motions) [s]. Raising it delays
+    searches."""
     step: float = Field(default=1e-7, ge=0.0, le=1.0)
-    """Time of one time step of one rolled-out motion [s]. Raising it delays searches."""
+    """Time of one time step in the roll-out of one candidate motion [s]. Raising it delays
+    searches."""
     configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
     """Time of one clearance computation of the whole arm [s]. Raising it delays searches and
     maneuvers."""
@@ -50,7 +55,9 @@ _account: ContextVar[Counter[str]] = ContextVar("work")
 
 @contextmanager
 def counted() -> Iterator[Counter[str]]:
-    """Counts the work in the block; the counts are also added to an enclosing `counted` block.
+    """Counts the computing work of a decision, which is reported by `count` in the `with` block.
+
+    The counts are also added to an enclosing `counted` block.
 
     Yields:
         Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs) and
@@ -66,9 +73,12 @@ def counted() -> Iterator[Counter[str]]:
 
 
 def count(**work: int) -> None:
-    """Adds to the counters "searches", "steps", "configurations" of the enclosing `counted` block.
+    """Reports computing work, which is added to the counters of the enclosing `counted` block.
 
     Does nothing outside of such a block.
+
+    Args:
+        work: numbers to add to the counters "searches", "steps" and "configurations".
     """
     _account.get(Counter()).update(work)
 
@@ -78,9 +88,11 @@ T = TypeVar("T")
 
 @dc.dataclass(frozen=True, eq=False)
 class PendingDecision(Frozen, Generic[T]):
-    """Active decision, and the decision in progress; only one is computed at a time.
+    """Active decision of a layer, and the next decision while it is computed with simulated
+    latency.
 
-    A decision uses the inputs at its start, and becomes active at `due`.
+    Only one decision is computed at a time. It uses the inputs at its start, and becomes active at
+    `due`.
 
     =========  ===========================  ================================================
     State      Condition                    Next state
@@ -136,7 +148,7 @@ class PendingDecision(Frozen, Generic[T]):
         return dc.replace(self, active=self.pending, pending=None, due=math.inf)
 
     def discard(self) -> Self:
-        """Returns the state without the pending decision."""
+        """Returns the state without the pending decision, which never becomes active."""
         return dc.replace(self, pending=None, due=math.inf)
 
     @property

@@ -340,4 +340,4 @@ class CouplingParameters(Frozen):
 
 
 DECIDING = "no motion from here is verified yet"
-"""Note in the policy's state of a motion that is held until its first decision is active."""
+"""Note in `PolicyState` while a motion is held at its start until the first decision is active."""

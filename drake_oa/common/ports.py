@@ -23,7 +23,7 @@ class AbstractInput(Generic[T]):
     """Abstract input port of a Drake system, with a check of the type of its values."""
 
     def __init__(self, system: LeafSystem, name: str, kind: type[T]) -> None:
-        """Declares the port.
+        """Declares the abstract input port in a system.
 
         Args:
             system: system under construction, to which the port is added.
@@ -54,16 +54,18 @@ class AbstractInput(Generic[T]):
         return self.read(context) if self.port.HasValue(context) else None
 
     def read_or_empty(self, context: Context) -> T:
-        """Evaluates the port, and returns its value or, if not connected, a default instance."""
+        """Evaluates the port, and returns its value; if the port is not connected, a default
+        instance of its class.
+        """
         return self.read(context) if self.port.HasValue(context) else self._kind()
 
     def ticket(self) -> DependencyTicket:
-        """Returns the dependency ticket of the port, for cache entries and outputs."""
+        """Returns Drake's dependency ticket of the port, for cache entries and output ports."""
         return self.port.ticket()
 
 
 def valid_period(period: float) -> float:
-    """Checks the period of a system, and returns it [s].
+    """Checks that the update period of a system is positive and finite, and returns it [s].
 
     Raises:
         ValueError: if the period is not positive and finite.

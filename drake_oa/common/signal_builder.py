@@ -121,7 +121,9 @@ class SignalBuilder:
         self._sources[signal] = port
 
     def add_sink(self, signal: str, port: InputPort) -> None:
-        """Connects a signal to an input port of a system already in the diagram builder."""
+        """Connects an input port of a system already in the diagram builder to a signal that it
+        reads.
+        """
         self._sinks.append((signal, port))
 
     def set_fallback(self, signal: str, fallback: str) -> None:

@@ -1,5 +1,4 @@
-"""Report of a run as JSON data and as a table: clearances, contacts and decisions of its motions.
-"""
+"""Report of a run as JSON data and table: clearances, contacts and decisions of its motions."""
 
 from __future__ import annotations
 
