@@ -2,15 +2,16 @@
 
 In: robot_state (positions q and velocities v), and desired position, velocity and acceleration,
 either of the arm's joints or (3,) of the tool point E in the world [m, m/s, m/s^2]. For the tool,
-desired orientation, angular velocity, angular acceleration and posture are optional. Out: actuation
-[N m], whether torques saturate, and whether the arm is being braked; for the tool also tracking
-error (3,) [m] and orientation error (3,) [rad].
+desired orientation, angular velocity, angular acceleration and posture are optional.
+Out: actuation [N m], whether torques saturate, and whether the arm is being braked; for the tool
+also tracking error (3,) [m] and orientation error (3,) [rad].
 
 Systems:
 
 - `JointInverseDynamics`: computed-torque control of the joint motion that MotionGuard outputs.
 - `CartesianInverseDynamics`: operational-space control of the tool, in diagrams without
-  MotionGuard, such as those of `!Paper`.
+  MotionGuard, such as those of `inference: !Paper` (the method of the paper without checks by
+  simulation).
 
 Both derive from `InverseDynamics`. Integral action, updated each `policy.period`, removes the
 steady-state error caused by model errors. Torques are limited to the joints' effort limits without

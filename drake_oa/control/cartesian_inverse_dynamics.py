@@ -1,4 +1,6 @@
-"""System of the control layer that tracks a tool motion by operational-space inverse dynamics."""
+"""Drake system of the control layer that tracks a tool motion by operational-space inverse
+dynamics.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,14 @@ from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.robot.arm import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
-"""Position error of the tool along a world axis above which integral action pauses [m].
+"""Position error of the tool along a world axis above which the controller's integral action pauses
+[m].
 
-A larger error is probably not caused by errors of the robot's model, but by contact or
-saturation."""
+A larger error is probably not caused by errors of the robot's model, but by contact or saturation.
+"""
 LARGEST_ACCELERATION = 2.0
-"""Maximum correction of the tool's acceleration along a world axis by integral action [m/s^2].
+"""Maximum acceleration that the controller's integral action adds to the tool's acceleration along
+a world axis [m/s^2].
 
 Model errors of a Panda require less than 1 m/s^2."""
 
@@ -48,8 +52,8 @@ class CartesianInverseDynamics(InverseDynamics):
       - tracking_error
       - orientation_error
 
-    - robot_state: (2n,) positions and velocities of the robot, 18 elements for the Panda with
-      its hand [rad, m, rad/s, m/s].
+    - robot_state: (2n,) positions and velocities of the robot's n joints, 18 elements for the Panda
+      with its hand [rad, m, rad/s, m/s].
     - desired_position: (3,) position of the tool point in the world frame [m].
     - desired_velocity: (3,) velocity of the tool point in the world frame [m/s].
     - desired_acceleration: (3,) acceleration of the tool point in the world frame [m/s^2].
@@ -77,7 +81,9 @@ class CartesianInverseDynamics(InverseDynamics):
     a blocked tool does not grow, the integral pauses while the error exceeds `LARGEST_ERROR`, and
     the added acceleration is limited to `LARGEST_ACCELERATION`.
 
-    The task acceleration is A_c = (alpha_c, a_c) with
+    With the index d for desired quantities of the tool (position p, velocity v, acceleration a,
+    rotation R, angular velocity w and acceleration alpha), the task acceleration is
+    A_c = (alpha_c, a_c) with
 
         a_c = a_d + kd_position (v_d - v) + kp_position (p_d - p) + ki_position int (p_d - p) dt,
         alpha_c = alpha_d + kd_orientation (w_d - w) + kp_orientation log(R_d R^T),
@@ -98,7 +104,7 @@ class CartesianInverseDynamics(InverseDynamics):
         q_posture: FloatArray,
         **options: Any,
     ) -> None:
-        """Declares ports and state.
+        """Declares the ports and the state of the controller.
 
         Args:
             plant: plant of the robot, with the requirements of `InverseDynamics`.

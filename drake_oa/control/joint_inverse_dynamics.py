@@ -1,9 +1,10 @@
-"""System of the control layer in joint space, and the base class of both controllers.
+"""Drake system that controls the arm in joint space by inverse dynamics, and the base class of both
+controllers.
 
-With the arm's equation of motion M(q) dv/dt + h(q, v) = tau, computed torque (J. Y. S. Luh,
-M. W. Walker and R. P. C. Paul, IEEE Trans. Automatic Control 25(3), 1980) is
+With the arm's equation of motion M(q) dv/dt + h(q, v) = tau, computed torque (J. Y. S. Luh, M. W.
+Walker and R. P. C. Paul, IEEE Trans. Automatic Control 25(3), 1980) is
 
-    tau = M (a_d + kd (v_d - v) + kp (q_d - q) + i) + h,    di/dt = ki (q_d - q).
+    tau = M (a_d + kd (v_d - v) + kp (q_d - q) + i) + h,    di/dt = ki (q_d - q),
 
 with desired joint positions q_d, velocities v_d and accelerations a_d, and integral action i.
 `InverseDynamics` is the common base class of `JointInverseDynamics` and `CartesianInverseDynamics`.
@@ -29,25 +30,28 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Gains
 
 LARGEST_ERROR = 0.02
-"""Position error of a joint above which integral action pauses [rad].
+"""Position error of a joint above which the controller's integral action pauses [rad].
 
 With a larger error, contact probably blocks the arm."""
 LARGEST_ACCELERATION = 4.0
-"""Maximum correction of the acceleration of each joint by integral action [rad/s^2]."""
+"""Maximum acceleration that the controller's integral action adds to the desired acceleration of
+each joint [rad/s^2]."""
 FINGER_STIFFNESS = 400.0
 """Stiffness with which the controller holds each finger joint at its set point [N/m]."""
 FINGER_DAMPING = 10.0
 """Damping with which the controller holds each finger joint at its set point [N s/m]."""
 LARGEST_STATE = 1e9
-"""Magnitude of a position [rad, m] or velocity [rad/s, m/s] from which the state counts as invalid.
+"""Magnitude of a position [rad, m] or velocity [rad/s, m/s] from which the controller treats the
+robot's state as invalid.
 
-The controller treats an invalid state as one that is not finite, because torques computed from
-larger values would overflow."""
+An invalid state is treated as one that is not finite, because torques computed from larger values
+would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Command(Frozen):
-    """Torques and status from one evaluation of the control law.
+    """Result of one evaluation of a controller's control law: joint torques, control error and
+    status.
 
     Attributes:
         tau: (m,) torques and forces of all m joints, finite and within the limits [N m, N].
@@ -76,22 +80,25 @@ class InverseDynamics(LeafSystem):
       - torque_saturation
       - stopping
 
-    - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
+    - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s].
     - actuation: (m,) torques and forces in the order of the plant's actuators [N m, N].
     - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
       otherwise 0.
     - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0.
 
-    With the equation of motion M dv/dt + h = tau, a subclass computes tau - h and the control
-    error. The subclass also declares a discrete state of the same size as the error. This state is
-    `ki_position` times the integral of the error, an acceleration. The control law is evaluated
-    once for all outputs. The Context of the robot's plant is a cache entry.
+    With the arm's equation of motion M dv/dt + h = tau (mass matrix M, gravity and velocity terms
+    h), a subclass computes tau - h and the control error. The subclass also declares a discrete
+    state of the same size as the error. This state is `ki_position` times the integral of the
+    error, an acceleration. The control law is evaluated once for all outputs. The Context of the
+    robot's plant is a cache entry.
     """
 
     largest_error: FloatArray | float
-    """Magnitude of a component of the control error above which its integral pauses [m or rad]."""
+    """Magnitude of a component of the control error above which the integral of this component
+    pauses [m or rad]."""
     max_correction: float
-    """Maximum acceleration that integral action adds to each component [m/s^2 or rad/s^2]."""
+    """Maximum acceleration that integral action adds to each component of the controlled motion
+    [m/s^2 or rad/s^2]."""
 
     def __init__(
         self,
@@ -141,7 +148,8 @@ class InverseDynamics(LeafSystem):
         self._declare_output("stopping", 1, lambda command: np.full(1, command.stopping))
 
     def _declare_output(self, name: str, size: int, part: Callable[[Command], Any]) -> None:
-        """Declares a vector output port that publishes a part of the current `Command`.
+        """Declares a vector output port that publishes a part of the current `Command`, the result
+        of the control law.
 
         Args:
             name: name of the port.
@@ -163,7 +171,8 @@ class InverseDynamics(LeafSystem):
     def _drive(
         self, context: Context, model: Context, M: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Computes the torques that accelerate the arm, in addition to those against gravity.
+        """Computes the torques that accelerate the arm, without those that compensate gravity and
+        velocity terms.
 
         Args:
             context: context of the system.
@@ -210,7 +219,7 @@ class InverseDynamics(LeafSystem):
 
 
 class JointInverseDynamics(InverseDynamics):
-    """Inverse-dynamics controller of the arm's joints.
+    """Inverse-dynamics controller that tracks a desired motion of the arm's joints.
 
     .. pydrake_system::
 
@@ -224,7 +233,7 @@ class JointInverseDynamics(InverseDynamics):
       - torque_saturation
       - stopping
 
-    - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
+    - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s].
     - desired_joint_state: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints.
     - desired_joint_acceleration: (n,) accelerations of the arm's joints [rad/s^2].
     - actuation: (m,) torques and forces in the order of the plant's actuators [N m, N]: computed
@@ -239,7 +248,8 @@ class JointInverseDynamics(InverseDynamics):
         tau = M (a_d + kd_position (v_d - v) + kp_position (q_d - q) + i) + h,
         di/dt = ki_position (q_d - q),
 
-    with the gains of `Gains`; `kd_stop` is the damping of braking. If a torque exceeds its limit,
+    with measured q and v, desired q_d, v_d and a_d, mass matrix M, gravity and velocity terms h,
+    and the gains of `Gains`; `kd_stop` is the damping of braking. If a torque exceeds its limit,
     the accelerating torques of all joints are reduced by the same factor. The direction of the
     acceleration then does not change (`limit_torque`). Drake's `InverseDynamicsController` does not
     limit torques, and outputs NaN for a state that is not finite.
@@ -248,7 +258,7 @@ class JointInverseDynamics(InverseDynamics):
     largest_error, max_correction = LARGEST_ERROR, LARGEST_ACCELERATION
 
     def __init__(self, plant: MultibodyPlant, **options: Any) -> None:
-        """Declares ports and state.
+        """Declares the ports and the state of the controller.
 
         Args:
             plant: plant of the robot, with the requirements of `InverseDynamics`.
@@ -274,7 +284,8 @@ class JointInverseDynamics(InverseDynamics):
 
 
 def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
-    """Finds the joints that move the tool, as a slice of the plant's velocities.
+    """Finds the joints that move the tool, and returns their range as a slice of the plant's
+    velocities.
 
     Args:
         plant: plant of the robot.

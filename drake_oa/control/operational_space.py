@@ -27,13 +27,15 @@ def operational_space_drive(
 ) -> FloatArray:
     """Computes the joint torques for a commanded acceleration of the tool and a null-space posture.
 
-    The torques are tau - h = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0), to which the
+    The arm's equation of motion is M dv/dt + h = tau, and J is the Jacobian of the tool. The
+    torques are tau - h = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0), to which the
     controller adds gravity and velocity terms h.
 
     Args:
         M: (n, n) mass matrix [kg m^2].
         J: (6, n) Jacobian of the tool, rotation first.
-        task: (6,) task acceleration A_c - dJ/dt v [rad/s^2, m/s^2].
+        task: (6,) task acceleration A_c - dJ/dt v: commanded acceleration A_c of the tool without
+            its bias [rad/s^2, m/s^2].
         posture: (n,) posture acceleration a_0 [rad/s^2].
         gains: gains, of which `max_effective_mass` and `rotation_length` are used.
 
@@ -52,12 +54,13 @@ def operational_space_drive(
 def damped_task_force(
     inverse_inertia: FloatArray, acceleration: FloatArray, max_mass: float, length: float
 ) -> FloatArray:
-    """Computes the spatial force (J M^-1 J^T)^-1 A at the tool, damped near singularities.
+    """Computes the spatial force (J M^-1 J^T)^-1 A that accelerates the tool as commanded, damped
+    near singularities.
 
-    A is the commanded spatial acceleration of the tool. Let u_i and w_i be eigenvectors and
-    eigenvalues of S (J M^-1 J^T) S, where S multiplies angles by a length. w_i is the inverse of
-    the effective mass in direction u_i. The damped inverse is
-    S sum_i u_i u_i^T / (w_i + mu_i) S with
+    A is the commanded spatial acceleration of the tool, J its Jacobian and M the mass matrix. Let
+    u_i and w_i be eigenvectors and eigenvalues of S (J M^-1 J^T) S, where S multiplies angles by a
+    length. w_i is the inverse of the effective mass in direction u_i. The damped inverse is S sum_i
+    u_i u_i^T / (w_i + mu_i) S with
 
         mu_i = w_0 (1 - w_i / w_0)^2 if w_i < w_0 = 1 / max_mass, else 0.
 

@@ -1,7 +1,7 @@
 """Posture layer: nominal joint motion that the null space of a redundant arm tracks.
 
 In:  motion `PlannedMotion` with joint positions (T, n) [rad]; policy_state `PolicyState`.
-Out: desired_posture (2n,) [rad, rad/s] for `CartesianInverseDynamics`.
+Out: desired_posture (2n,) [rad, rad/s] for `MotionGuard` or `CartesianInverseDynamics`.
 
 System
     NominalPostureSource  outputs the planned joint positions as a continuous trajectory over time,

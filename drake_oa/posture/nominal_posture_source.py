@@ -1,4 +1,6 @@
-"""System of the posture layer: source of the nominal posture that the arm's null space tracks."""
+"""Drake system of the posture layer: source of the nominal posture that the arm's null space
+tracks.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from drake_oa.posture.posture_trajectory import PostureTrajectory, trajectory_of
 
 
 class NominalPostureSource(LeafSystem):
-    """Source of the nominal posture that is planned along the motion of the tool.
+    """Source of the nominal posture that is planned along the motion of the tool, and that the null
+    space of the arm tracks.
 
     .. pydrake_system::
 
@@ -30,7 +33,7 @@ class NominalPostureSource(LeafSystem):
       duration times tau); without joint positions the nominal posture is `q_rest`.
     - policy_state: abstract `PolicyState` of the movement primitive.
     - desired_posture: (2n,) nominal positions [rad] and velocities [rad/s] of the arm's n joints,
-      for `CartesianInverseDynamics`.
+      for `MotionGuard` or `CartesianInverseDynamics`.
 
     The posture is that of the planned motion at the policy's normalized time. The posture is at
     rest while the motion is held, and after a restart until the input contains a plan for the new
@@ -45,13 +48,12 @@ class NominalPostureSource(LeafSystem):
         *,
         period: float = 0.008,
     ) -> None:
-        """Declares the ports.
+        """Declares the ports and the state, the current trajectory.
 
         Args:
             q_rest: (n,) nominal posture while no joint positions are planned [rad].
             alpha_k: decay rate of the policy's phase, per normalized time.
             period: period at which the input `motion` is checked for a new plan [s].
-
         """
         super().__init__()
         period = valid_period(period)
@@ -78,7 +80,8 @@ class NominalPostureSource(LeafSystem):
         return context.get_abstract_state(self._trajectory).get_value()
 
     def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
-        """Computes the arguments of `PostureTrajectory.at` for the current state of the policy.
+        """Computes the arguments of `PostureTrajectory.at`, which evaluates the trajectory, for the
+        current state of the policy.
 
         Args:
             context: context of the system.

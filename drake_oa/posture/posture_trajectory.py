@@ -31,7 +31,8 @@ class PostureTrajectory(Frozen):
 
     Attributes:
         motion: planned motion that the trajectory follows.
-        spline: planned joint positions over normalized time [rad]; constant if none are planned.
+        spline: planned joint positions over normalized time (time over demonstrated duration times
+            tau) [rad]; constant if none are planned.
         offset: (2n,) positions and velocities of the previous trajectory minus those of the plan,
             at the time of the change to this plan [rad, rad/s].
         since: time of the change to this plan [s].
@@ -43,7 +44,7 @@ class PostureTrajectory(Frozen):
     since: float = 0.0
 
     def at(self, s: float, speed: float, time: float) -> FloatArray:
-        """Computes positions and velocities of the joints at a time.
+        """Computes the nominal positions and velocities of the arm's joints at a time.
 
         Args:
             s: normalized time in the planned motion, clipped to the planned range.
@@ -63,7 +64,8 @@ class PostureTrajectory(Frozen):
 
 
 def trajectory_of(motion: PlannedMotion, rest: FloatArray) -> PostureTrajectory:
-    """Returns the trajectory of a planned motion, without a transition from a previous plan.
+    """Returns the trajectory of the nominal posture for a planned motion, without a transition from
+    a previous plan.
 
     Args:
         motion: planned motion.
