@@ -214,7 +214,7 @@ def restart(
 
 @dataclass(frozen=True, eq=False)
 class CouplingInputs(Frozen):
-    """Obstacles, coupling terms and decisions of other layers, evaluated from the policy's inputs.
+    """Obstacles, coupling terms and decisions of other layers, combined from the policy's inputs.
 
     Coupling terms turn the motion away from obstacles. The policy uses the same object in each step
     until its inputs change.

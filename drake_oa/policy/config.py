@@ -9,10 +9,10 @@ from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
 
 @dataclass(config=BLOCK)
 class Policy:
-    """Constants of the dynamic movement primitive that generates the motion of the tool.
+    """Constants of the dynamic movement primitive (DMP) that generates the motion of the tool.
 
-    They also concern its coupling terms, which turn the motion away from obstacles, and its holds,
-    which stop it on its path.
+    Some constants belong to its coupling terms, which turn the motion away from obstacles, and to
+    its holds, which stop the motion on its path.
     """
 
     period: float = Field(default=0.008, ge=1e-4, le=0.1)

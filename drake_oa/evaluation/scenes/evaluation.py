@@ -211,9 +211,10 @@ The coupling term turns the motion away from an obstacle, except straight ahead,
 def matched_term(gamma: float) -> tuple[float, float]:
     """Computes parameters of the paper's coupling term that make it as strong as Hoffmann's.
 
-    As functions of the angle to the obstacle, both turning rates have the same peak, and the same
-    area on each side:
-    alpha = gamma / (beta e), psi = 2 e / (beta sqrt(pi)).
+    Coupling terms turn the motion away from an obstacle. As functions of the angle to the obstacle,
+    both turning rates have the same peak, and the same area on each side:
+
+        alpha = gamma / (beta e),   psi = 2 e / (beta sqrt(pi)).
 
     Args:
         gamma: gain of Hoffmann's coupling term [1/s], whose decay rate is `BETA`.
@@ -228,7 +229,7 @@ def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
     """Runs Hoffmann's and the paper's coupling term, equally strong, on all scenes.
 
     Coupling terms turn the motion away from an obstacle. Their strength is varied by the gains in
-    `GAMMAS`; the motions have the demonstrated duration (temporal scaling tau = 1).
+    `GAMMAS`; the temporal scaling tau is 1.
 
     Args:
         scenes: scenes of the suite `dead-zone`, in the first of which the obstacle is straight

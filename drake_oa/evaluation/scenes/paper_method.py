@@ -36,7 +36,7 @@ from drake_oa.inference.regressor import ChainWeights, load_chain, plane_axes
 from drake_oa.training.released_law import STEPS, ReleasedMotions, Steps
 
 GAMMA = 1000.0
-"""Published gain gamma of Hoffmann's coupling term, which turns motions off an obstacle [1/s]."""
+"""Published gain gamma of Hoffmann's coupling term, which avoids an obstacle by turning [1/s]."""
 BETA = 20.0 / math.pi
 """Published decay beta of Hoffmann's coupling term with the angle to the obstacle [1/rad]."""
 
@@ -62,9 +62,10 @@ was trained on motions of the running system instead of the authors' released co
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes the motions of the paper's method with the shipped regressor chains.
+    """Computes motions by the method of Pairet et al., RA-L 2019, with a shipped regressor chain.
 
-    A chain predicts the parameters of the coupling term, which turns the motion.
+    The chain predicts the parameters of the coupling term, which turns a motion away from an
+    obstacle.
 
     Args:
         scenes: N scenes.
@@ -79,7 +80,7 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
 
 
 def run_original(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes motions with Hoffmann's coupling term, which turns the motion off an obstacle.
+    """Computes motions with Hoffmann's coupling term, which turns them away from an obstacle.
 
     Args:
         scenes: N scenes.
