@@ -185,7 +185,7 @@ def cloud_geometry(grid: DistanceField, **more: Any) -> CollisionGeometry:
         X_WO=X_WO,
         size=(grid.voxel, *grid.low, *grid.high),
         center=0.5 * (grid.low + grid.high),
-        # A point is at largest half a diagonal of a voxel from its node.
+        # A point is at most half a diagonal of a voxel from its node.
         radius=0.5 * float(np.linalg.norm(grid.high - grid.low)) + 0.87 * grid.voxel,
         grid=grid,
     )

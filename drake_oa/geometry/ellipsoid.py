@@ -113,7 +113,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     """
     points = checked_points(points, "points")
     corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
-    # Relative to their mean: far from the origin the sums would lose digits.
+    # The points are relative to their mean: far from the origin the sums would lose digits.
     origin = points.mean(axis=0)
     cloud = points - origin
     support = dilate(cloud, corners)

@@ -18,11 +18,11 @@ class GuardParameters:
     """
 
     candidates: int = Field(default=96, ge=16, le=10_000)
-    """Number of candidate maneuvers that the motion guard compares in each decision [-]. Raising it
-    searches more widely and takes longer."""
+    """Number of candidate maneuvers (joint motions that evade obstacles) that the motion guard
+    compares in each decision [-]. Raising it searches more widely and takes longer."""
     refinements: int = Field(default=48, ge=0, le=10_000)
-    """Number of random variations of the best candidate maneuvers that each decision also compares
-    [-]. Raising it finds better maneuvers and takes longer."""
+    """Number of random variations of the best evasive maneuvers that the motion guard compares in
+    each decision [-]. Raising it finds better maneuvers and takes longer."""
     speed_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
     """Fraction of the joint speed limits that evasive maneuvers may use [-]. Raising it makes the
     arm evade faster."""
@@ -30,8 +30,8 @@ class GuardParameters:
     """Maximum joint acceleration of evasive maneuvers, braking included [rad/s^2]. Raising it makes
     the arm evade and brake faster."""
     acceleration_limit: float = Field(default=10.0, gt=0.0, le=1000.0)
-    """Maximum joint acceleration of the command while it follows the verified motion [rad/s^2].
-    Raising it makes the command deviate less in sharp turns."""
+    """Maximum joint acceleration of the command while it follows the verified motion (checked by
+    simulation) [rad/s^2]. Raising it makes the command deviate less in sharp turns."""
     margin_moving: float = Field(default=0.12, gt=0.0, le=1.0)
     """Distance beyond the required clearance to moving obstacles within which a predicted
     trajectory is penalized for proximity [m]. Raising it makes the arm avoid moving obstacles at a
@@ -42,8 +42,8 @@ class GuardParameters:
     error. The command then restarts from the measured configuration. Raising it avoids false
     contacts, but detects contacts later."""
     contact_time: float = Field(default=0.5, ge=0.0, le=60.0)
-    """Time after a contact during which maneuvers move no point of the arm faster than `v_unseen`
-    [s]."""
+    """Time after a contact during which evasive maneuvers move no point of the arm faster than
+    `v_unseen` [s]. Raising it makes the arm return more slowly."""
     obstacle_speed: float = Field(default=0.0, ge=0.0, le=10.0)
     """Maximum speed of obstacles that the checks of passive motion safety assume [m/s]; 0: no
     checks. With these checks, a part of the arm that an obstacle may reach at this speed is at rest
@@ -53,9 +53,9 @@ class GuardParameters:
     """Maximum speed of any point of the arm toward unobserved space, checked if `obstacle_speed` is
     not 0, and in maneuvers after a contact [m/s]. Raising it makes the arm faster there."""
     stale_frames: float = Field(default=2.5, ge=1.0, le=1e6)
-    """Age of the last observation, in periods between camera images, above which the motion slows
-    down [-]. Above the age `policy.max_observation_age` the motion is held. Raising it tolerates
-    longer gaps in perception."""
+    """Age of the last observation, in periods between camera images, above which the motion of the
+    arm slows down [-]. Above the age `policy.max_observation_age` the motion is held. Raising it
+    tolerates longer gaps in perception."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
     """Seed of the random numbers from which candidate maneuvers are drawn [-]; equal seeds
     reproduce the maneuvers."""

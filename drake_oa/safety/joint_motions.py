@@ -1,9 +1,9 @@
 """Compiled functions for joint trajectories of the motion guard: tracking of a tool motion, evasive
 maneuvers, and costs of contact and proximity.
 
-A maneuver is a joint trajectory that leaves the verified motion to evade obstacles. A maneuver
-consists of two legs. In each leg, every joint moves to its target with a trapezoidal velocity
-profile, of bounded speed and acceleration, and rests there.
+A maneuver is a joint trajectory that leaves the verified motion (checked by simulation) to evade
+obstacles. A maneuver consists of two legs. In each leg, every joint moves to its target with a
+trapezoidal velocity profile, of bounded speed and acceleration, and rests there.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _LIMIT_TOLERANCE = 1e-3
 """Violation of a joint limit that is tolerated in predicted trajectories as an interpolation error
 [rad]. A larger violation counts as a contact."""
 _MIN_MOTIONS_PER_THREAD = 8
-"""Minimum number of trajectories for each additional thread that evaluates trajectories in parallel
-[-]."""
+"""Minimum number of trajectories for each additional thread, if trajectories are evaluated in
+parallel [-]."""
 
 
 @compiled
@@ -192,8 +192,9 @@ _RESTING_MARGIN = 0.03
 """Distance beyond the required clearance to resting obstacles within which a trajectory is
 penalized for proximity [m]."""
 _MARGIN_GROWTH = 0.1
-"""Rate at which the distance that is penalized as proximity to a moving obstacle grows with the
-prediction time, because predictions become less accurate [m/s]."""
+"""Growth rate, with the prediction time, of the distance from moving obstacles within which a
+predicted trajectory is penalized for proximity [m/s]. Predictions become less accurate with time.
+"""
 _CONTACT_DECAY = 0.8
 """Time constant with which the costs of contact and of proximity to moving obstacles decrease with
 the prediction time [s]."""
@@ -202,8 +203,9 @@ the prediction time [s]."""
 class MotionCosts(NamedTuple):
     """Costs of predicted contact and proximity of N joint trajectories, each an array (N,).
 
-    Let d(t) be the clearance margin at time t: distance to obstacles minus required clearance. With
-    T = 0.8 s, D = 30 mm and the time t_1 of the first contact, at which the integrals end,
+    Let d(t) be the clearance margin at time t: distance to obstacles (moving, resting, or both)
+    minus required clearance. With T = 0.8 s, D = 30 mm and the time t_1 of the first contact, at
+    which the integrals end,
 
         contact      = T exp(-t_1 / T) (1 + min(-d(t_1) / D, 3))
         near_moving  = integral of exp(-t / T) max(1 - d(t) / (margin + 0.1 m/s t), 0)^2 dt

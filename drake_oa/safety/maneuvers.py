@@ -11,10 +11,9 @@ The trajectory with the least cost
 
 is selected, with hysteresis for the current maneuver. `contact`, `near_moving` and `near_resting`
 are costs of `joint_motions.MotionCosts`. `turn` is the integral of the angle between the tool and
-its orientation on the verified motion. `delay` is the time lost on this motion.
-Obstacles move at constant velocity, and the margin to them grows with time. Every trajectory ends
-at rest: the phase of a followed motion stops within `hold_time`, and each leg of a maneuver ends at
-its target.
+its orientation on the verified motion. `delay` is the time lost on this motion. Obstacles move at
+constant velocity, and the margin to them grows with time. Every trajectory ends at rest: the phase
+of a followed motion stops within `hold_time`, and each leg of a maneuver ends at its target.
 """
 
 from __future__ import annotations
@@ -78,8 +77,8 @@ _TURN_STRIDE = 2
 """Number of samples of a trajectory between two samples at which the tool's orientation is
 evaluated [-]."""
 _HYSTERESIS = 0.1
-"""Maximum reduction of the cost of the current maneuver, so that the guard selects another one only
-for a clear advantage [s]."""
+"""Maximum reduction of the cost of the maneuver in progress, so that the motion guard selects
+another one only for a clear advantage [s]."""
 _MOVING_CONTACT_DISTANCE = 0.012
 """Distance from the arm to a moving obstacle, beyond the obstacle's padding (position uncertainty),
 below which a predicted trajectory counts as a contact [m]."""
@@ -87,11 +86,12 @@ _RESTING_CONTACT_DISTANCE = 0.004
 """Distance to a resting obstacle below which a predicted trajectory counts as a contact, unless the
 verified motion (checked by simulation) comes closer [m]."""
 _DISTANCE_SLACK = 2e-3
-"""Tolerance by which required distances are below those of the current configuration [m]. Also the
-tolerance of the maximum angle by which a maneuver turns the tool [rad]."""
+"""Amount by which required distances are lowered below those of the current configuration, so that
+no trajectory starts in contact [m]. Also the tolerance of the maximum angle by which a maneuver
+turns the tool [rad]."""
 _VERIFIED_SLACK = 5e-3
-"""Tolerance by which the distances that maneuvers require from resting obstacles are below those of
-the verified motion (checked by simulation) [m]."""
+"""Amount by which distances required from resting obstacles are below those along the verified
+motion (checked by simulation), so that it is no contact [m]."""
 _SELF_CLEARANCE = 5e-3
 """Required distance between links of the arm in a maneuver, unless the present configuration or the
 verified motion (checked by simulation) has less [m]."""
@@ -104,7 +104,8 @@ decays while the arm follows this motion [1/s]."""
 _LIMIT_MARGIN = 0.03
 """Minimum distance of the target configurations of maneuvers from the joint limits [rad]."""
 _N_PARENTS = 8
-"""Number of maneuvers of least cost from which the motion guard derives random variations [-]."""
+"""Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
+"""
 _MAX_CLAIM_CHECKS = 40
 """Maximum number of trajectories, in the order of their costs, that a decision checks for passive
 motion safety [-]."""
@@ -142,7 +143,8 @@ class GuardDecision(Frozen):
         contact: time of the first contact predicted on the verified motion at full speed [s]; inf:
             no contact.
         obstacle: label of the moving obstacle that is nearest to the arm; "": no obstacle moves.
-        claim: claim of passive motion safety that rejected a trajectory of less cost; "": none.
+        claim: claim "A" or "B" of passive motion safety that a trajectory of less cost violates;
+            "": none.
     """
 
     action: Action = "follow"
@@ -156,15 +158,15 @@ class GuardDecision(Frozen):
 
     @property
     def action_number(self) -> int:
-        """Index of the decision's action in `ACTIONS`, for the output port guard_action of
-        MotionGuard.
+        """Index of the decision's action (follow, slow, wait, evade, brake) in `ACTIONS`, for the
+        output port guard_action of MotionGuard.
         """
         return ACTIONS.index(self.action)
 
     @property
     def claim_number(self) -> int:
-        """Index of the violated claim of passive motion safety in `CLAIMS`, for the output port
-        guard_claim of MotionGuard.
+        """Index, in `CLAIMS`, of the claim of passive motion safety that limits the speed, for the
+        output port guard_claim of MotionGuard.
         """
         return CLAIMS.index(self.claim)
 
@@ -325,7 +327,7 @@ class GuardSearch:
         passive motion safety.
 
         Args:
-            model: collision model of the decision.
+            model: collision models of the decision.
             options: N candidate trajectories.
             q: (N, T, n) configurations along the trajectories [rad].
             cost: (N,) costs of the trajectories without the costs of violated claims [s].
@@ -468,12 +470,14 @@ class GuardSearch:
         return np.asarray(motion.joints(s) + np.exp(-_OFFSET_DECAY * self._times)[:, None] * offset)
 
     def _roll_out(self, options: list[GuardDecision], inputs: GuardInputs) -> FloatArray:
-        """Simulates N maneuvers, starting from the joint state of the inputs, to configurations (N,
-        T, n) [rad].
+        """Simulates N maneuvers, starting from the joint state of the inputs.
 
         Args:
             options: N maneuvers.
             inputs: inputs of the decision.
+
+        Returns:
+            (N, T, n) configurations [rad].
         """
         legs = Legs(
             np.stack([option.target for option in options]),
@@ -489,6 +493,8 @@ class GuardSearch:
     def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Computes the configuration q + sign(v) v^2 / (2 a) (n,) [rad] in which all joints rest
         after braking at the acceleration a.
+
+        The configuration is within the joint limits.
 
         Args:
             q, v: (n,) positions [rad] and velocities [rad/s] at which braking begins.

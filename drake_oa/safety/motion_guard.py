@@ -84,8 +84,8 @@ _DAMPING = 0.1
 """Ratio kd / kp of damping to stiffness of the joint controller, used to detect contact from its
 feedback torque [s]."""
 _FEEDBACK_FRACTION = 0.6
-"""Ratio of the contact threshold for the feedback torque, as a joint error, to the threshold
-`contact_error` for the joint error itself [-]."""
+"""Ratio of two thresholds that detect contact: that of the feedback torque, as a joint error, to
+that of the joint error [-]."""
 _MAX_PERIODS = 3.0
 """Number of periods without a newer decision of the motion guard after which the motion is held, or
 a maneuver is replaced by braking [-]."""
@@ -163,7 +163,7 @@ class GuardState(Frozen):
     @property
     def is_on_path(self) -> bool:
         """Whether the joint command follows the verified motion (checked by simulation), or rests
-        close to it.
+        within 0.01 rad of it.
         """
         n = len(self.path) // 2
         is_near = bool((np.abs(self.x - self.path)[:n] <= ON_PATH_DEVIATION).all())
@@ -414,7 +414,7 @@ class MotionGuard(LeafSystem):
         value, time = state.get_mutable_abstract_state(self._state), context.get_time()
         previous: GuardState = value.get_value()
         if previous.end > -math.inf:
-            # The Context of a running motion, taken over by another Simulator.
+            # This is the Context of a running motion, which another Simulator continues.
             return EventStatus.DidNothing()
         q, _ = self._arm_state(context)
         rest_state = np.append(q, np.zeros(self._n)) if math.isfinite(q.sum()) else previous.x
@@ -448,7 +448,8 @@ class MotionGuard(LeafSystem):
         return replace(state, pending=pending, expiry=math.inf)
 
     def _activate(self, state: GuardState, time: float) -> GuardState:
-        """Returns the guard state with the expiry time of a decision that has just become active.
+        """Returns the guard state with the expiry time of a decision of the guard that has just
+        become active.
 
         A braking maneuver is recomputed from the current joint state.
         """
@@ -464,13 +465,16 @@ class MotionGuard(LeafSystem):
     def _react_to_contact(
         self, state: GuardState, q: FloatArray, v: FloatArray, time: float
     ) -> GuardState:
-        """Detects a contact of the arm by the measured joint state, and returns the guard state, in
-        which the command then restarts at rest.
+        """Detects a contact of the arm by the measured joint state; after a contact the command
+        restarts at rest from there.
 
         Args:
             state: state of the guard.
             q, v: (n,) measured positions [rad] and velocities [rad/s].
             time: current time [s].
+
+        Returns:
+            State of the guard, unchanged without a contact.
         """
         n = self._n
         error = q - state.x[:n]

@@ -1,8 +1,8 @@
-"""Supervision of the motion: speed scale of its phase, limited by monitors.
+"""Supervision of the arm's motion: monitors that limit the speed at which the motion advances.
 
-The speed scale is the fraction of the full phase rate ds/dt = 1 / (tau T). T is the demonstrated
-duration, and tau the temporal scaling. Each monitor returns a `SpeedLimit`, and the smallest limit
-is active. The path is a function of normalized time s only, and therefore does not depend on the
+The speed scale is the fraction of the full rate ds/dt = 1 / (tau T) of normalized time s. T is the
+demonstrated duration, and tau the temporal scaling. Each monitor returns a `SpeedLimit`, and the
+smallest limit is active. The path is a function of s only, and therefore does not depend on the
 speed. A hold with a lasting cause becomes a stop. The verified motion is the joint motion that
 MotionVerifier checked by simulation.
 
