@@ -21,8 +21,8 @@ HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
 """States of a point in a depth image, as returned by `classify_points`.
 
 HIDDEN: occluded; AT: at the depth of a surface; FREE: in free space; OUT: outside the image, or
-without depth; EMPTY: without depth, also far around it, as before a background too far to be
-measured."""
+without depth; EMPTY: without depth, also far around it, as in front of a background that is too far
+to be measured."""
 _AROUND = 12
 """Distance to the pixels around a pixel without depth that decide whether a point there is EMPTY or
 OUT [pixel].

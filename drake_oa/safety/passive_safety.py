@@ -39,8 +39,10 @@ Claim = Literal["", "A", "B"]
 CLAIMS: tuple[Claim, ...] = get_args(Claim)
 
 _REST_SPEED = 0.02
-"""Speed toward a moving obstacle up to which a sphere of the arm counts as at rest, in claim (A) of
-passive motion safety [m/s]."""
+"""Speed toward a moving obstacle up to which a sphere of the arm counts as at rest [m/s].
+
+Claim (A) of passive motion safety forbids a faster approach if the obstacle may reach the sphere.
+"""
 _OCCUPIED_MARGIN = 0.01
 """Distance from a collision geometry or from the arm within which a point counts as occupied, and
 not as unobserved space [m]."""
