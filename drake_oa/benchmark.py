@@ -1,5 +1,5 @@
-"""Measurement of the real-time factor of scenarios, and of the wall time that each of their systems
-takes.
+"""Measurement of the real-time factors of scenarios, and of the wall time that each system of their
+diagrams needs.
 
 The real-time factor is simulated time over wall time of a run as by `drake-oa run`. A second run
 measures each callback of the Python systems. If a callback evaluates a port of another Python

@@ -1,5 +1,4 @@
-"""Subcommands of `drake-oa evaluate` that reproduce tables and figures of Pairet et al., RA-L 2019.
-"""
+"""Subcommands of `drake-oa evaluate` for the tables and figures of Pairet et al., RA-L 2019."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class KernelCacheLocator(InTreeCacheLocator):
         return cls(py_func, py_file) if is_own and not numba.config.CACHE_DIR else None
 
     def get_disambiguator(self) -> str:
-        """Returns the part of the cache file's name that depends on the source.
+        """Returns the part of the cache file's name that depends on the source of the kernel.
 
         Numba unpickles the argument types of a cache file before it compares stamps, which fails
         if a type has been renamed. With this name it never reads files of other sources.
@@ -116,8 +116,8 @@ numba.config.CACHE_LOCATOR_CLASSES = ",".join(
 # Each decorator sets fastmath explicitly. Otherwise a kernel would be compiled with the setting of
 # its first caller, and cached for all callers; with fastmath, 0 * inf is undefined.
 compiled = njit(cache=True, error_model="numpy", fastmath=False, _nrt=True)
-"""Decorator of a kernel: `numba.njit` with a cache on disk, NumPy's division by zero, and no
-fastmath."""
+"""Decorator of a kernel: `numba.njit` with a cache on disk, division by zero as in NumPy, and
+without fastmath."""
 
 leaf = njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)
 """Decorator of a short kernel that allocates no arrays: like `compiled`, but without reference

@@ -328,7 +328,7 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
 
 
 def _limits(metadata: Iterable[Any]) -> list[str]:
-    """Returns the limits of a numeric field as texts such as ">= 0", from its metadata."""
+    """Returns the limits of a numeric field as texts such as ">= 0", from pydantic's metadata."""
     signs = {"gt": ">", "ge": ">=", "le": "<="}
     return [
         f"{sign} {getattr(item, name):g}"
@@ -396,7 +396,9 @@ def check_lcm_url(url: str, field: str) -> str:
 
 
 def read_yaml(text: str) -> Any:
-    """Returns the plain data of a YAML text, with the tag of a mapping as its key "_tag".
+    """Parses a YAML text to plain data (dictionaries, lists, numbers, texts).
+
+    The tag of a mapping becomes the value of its key "_tag".
 
     Raises:
         ScenarioError: if the text is not valid YAML, or a mapping has a key twice.

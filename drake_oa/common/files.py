@@ -24,14 +24,14 @@ _SOURCES = {
     "drake_oa.diagrams": ("*.py", "*.scenario.yaml"),
     "drake_oa.models": ("*.sdf", "*.yaml", "*.urdf", "*.obj", "*.npz", "*.safetensors"),
 }
-"""Patterns of the files that `source_digest` covers, by the name of their package."""
+"""Name patterns of the source and model files that `source_digest` covers, by Python package."""
 _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
 """Folders and files of a package that `source_digest` does not cover.
 
 They do not affect simulated motions, or have their own entry in `_SOURCES`."""
 
 _PLOT_STYLE: tuple[Any, ...] = ("tableau-colorblind10", {"axes.grid": True, "legend.fontsize": 7})
-"""Matplotlib styles of all figures, with colors that color-blind readers can distinguish."""
+"""Matplotlib styles of all figures of this package, with colors for color-blind readers."""
 
 
 class OutputError(OSError):
@@ -124,7 +124,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replaces a text file atomically, by `replace_file`."""
+    """Replaces a text file atomically, by `replace_file`; missing folders are created."""
     replace_file(path, lambda temporary: temporary.write_text(text))
 
 
@@ -288,7 +288,8 @@ def installed_package(name: str) -> Path | None:
 
 
 _TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)', re.MULTILINE)
-"""Regular expression that matches comment lines and docstrings, with blank lines before them."""
+"""Regular expression of the parts of a Python file that `source_digest` ignores: comment lines and
+docstrings, with blank lines before them."""
 
 
 @cache

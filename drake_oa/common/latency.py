@@ -28,16 +28,17 @@ class LatencyModel:
     """
 
     decision: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Time of one decision, independent of its work [s]. Raising it delays every decision."""
+    """Compute time of one decision, apart from its counted work [s]. Raising it delays every
+    decision."""
     search: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Time of one batch of roll-outs (simulations of candidate motions) [s]. Raising it delays
-    searches."""
+    """Compute time of one batch of roll-outs (simulations of candidate motions) [s]. Raising it
+    delays searches."""
     step: float = Field(default=1e-7, ge=0.0, le=1.0)
-    """Time of one time step in the roll-out of one candidate motion [s]. Raising it delays
-    searches."""
+    """Compute time of one time step in the roll-out (simulation) of one candidate motion [s].
+    Raising it delays searches."""
     configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
-    """Time of one clearance computation of the whole arm [s]. Raising it delays searches and
-    maneuvers."""
+    """Compute time of the clearance of the whole arm in one configuration [s]. Raising it delays
+    searches and maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
         """Returns the compute latency of a decision [s] from its work, counted by `counted`."""
@@ -55,7 +56,7 @@ _account: ContextVar[Counter[str]] = ContextVar("work")
 
 @contextmanager
 def counted() -> Iterator[Counter[str]]:
-    """Counts the computing work of a decision, which is reported by `count` in the `with` block.
+    """Counts the computing work that the functions called in the `with` block report by `count`.
 
     The counts are also added to an enclosing `counted` block.
 
@@ -125,7 +126,8 @@ class PendingDecision(Frozen, Generic[T]):
         Args:
             decide: function that computes the decision from the active one.
             time: current time [s].
-            compute_latency: model of its duration; None: the decision is active at once.
+            compute_latency: model of the decision's compute latency; None: no latency, the
+                decision is active at once.
         """
         if self.pending is not None:
             return self

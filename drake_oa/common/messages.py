@@ -154,9 +154,10 @@ class HoldReason(StrEnum):
     DECIDING = "deciding"
     """Hold at the start of a motion until its first decision has been computed."""
     SPEED_SCALE = "speed_scale"
-    """Hold because the input `speed_scale` of the policy is 0."""
+    """Hold because the input port `speed_scale` of the policy (`DmpIntegrator`) is 0."""
     SUPERVISOR = "supervisor"
-    """Hold by the supervisor; the run monitor sets this reason, the policy reports SPEED_SCALE."""
+    """Hold because the motion guard has set the speed scale to 0, in logs and reports; the policy
+    itself reports SPEED_SCALE."""
     OBSTACLES = "obstacles"
     """Hold because obstacles are not observed, contain the tool or goal, or cannot be passed."""
 
@@ -173,7 +174,7 @@ class PolicyState(Frozen):
         tau: temporal scaling, by which the demonstrated duration T is multiplied [-].
         p_WS: (3,) start of the motion in the world frame [m].
         p_WG: (3,) goal in the world frame [m].
-        R_WL: (3, 3) local frame: x from start to goal, z up.
+        R_WL: (3, 3) orientation of the local frame L of the motion: x from start to goal, z up.
         stamp: time of this state [s].
         speed: ds/dt, the rate of normalized time [1/s]; 1 / (tau T) at full speed, 0 when held.
         hold: reason for holding the motion.
@@ -239,7 +240,8 @@ class Route(Frozen):
 
     A cost ring (Pairet et al., RA-L 2019) rates K directions in which an obstacle can be passed.
     The directions are evenly spaced on a circle around the baseline (the straight line from start
-    to goal). Rows are those of the EllipsoidSet from which the sides were selected.
+    to goal). Heading guidance is the coupling term that turns the motion to the selected side. Rows
+    are those of the EllipsoidSet from which the sides were selected.
 
     Attributes:
         direction_W: (M, 3) selected direction omega_d, a unit vector in the world frame orthogonal
@@ -247,15 +249,15 @@ class Route(Frozen):
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle is passed,
             with the direction x_L of the baseline; a positive rotation about this normal turns the
             baseline toward the selected side.
-        remaining_clearance: (M,) clearance at which guidance leads the motion past the obstacle on
-            the selected side [m]; 0: no guidance.
+        remaining_clearance: (M,) clearance at which heading guidance leads the motion past the
+            obstacle on the selected side [m]; 0: no guidance.
         index: (M,) index of the selected direction.
         angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
         costs: costs (M, K) in [0, 1] by the name of the ring.
         path_length: estimated length of the path past all obstacles on the selected sides [m].
         p_WS: (3,) start of the motion for which the sides were selected [m].
         p_WG: (3,) goal of this motion [m].
-        R_WL: (3, 3) local frame of this motion: x from start to goal, z up.
+        R_WL: (3, 3) orientation of the local frame of this motion: x from start to goal, z up.
         ids: (M,) IDs of the ellipsoids.
         blocked: whether every side of an obstacle is forbidden.
         note: reason why every side is forbidden; otherwise empty.
@@ -280,7 +282,9 @@ class Route(Frozen):
 
     @property
     def baseline(self) -> float:
-        """Distance from start to goal [m]; 0 before the first decision."""
+        """Distance from start to goal of the motion for which the sides were selected [m]; 0 before
+        the first selection.
+        """
         return math.dist(self.p_WG, self.p_WS)
 
 
@@ -304,8 +308,8 @@ class CouplingParameters(Frozen):
         center_W: (M, 3) centers of the terms in the world frame [m]; (0, 3): the centers of the
             ellipsoids.
         normal_W: (M, 3) normals of the planes in which the obstacles are passed. A nonzero row
-            replaces the normal of the route and switches guidance off for this obstacle; (0, 3): no
-            normals.
+            replaces the row of `Route.normal_W` and switches off heading guidance for this
+            obstacle; (0, 3): no normals.
         tau: temporal scaling of the motion, which replaces the scaling by the route's path length;
             0: not set.
         hold: reason for holding the motion; NONE: the motion is not held.
@@ -314,8 +318,8 @@ class CouplingParameters(Frozen):
         verified: whether roll-outs (simulations) have verified the motion. The coupling terms then
             act about `center_W` and do not belong to the perceived ellipsoids. A tool or goal
             inside a perceived ellipsoid then does not hold the motion.
-        ellipsoids: ellipsoids that belong to verified coupling terms, past which guidance turns the
-            motion.
+        ellipsoids: ellipsoids that belong to verified coupling terms, past which heading guidance
+            turns the motion.
     """
 
     alpha: FloatArray = zeros(0)

@@ -12,9 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _TARGET = "x86-64-v3"
-"""Processor level that kernels are compiled for: Intel since 2013, AMD since 2015."""
+"""Processor level for which numba compiles kernels, supported by Intel processors since 2013 and by
+AMD since 2015."""
 _TARGET_FLAGS = frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"])
-"""Flags in /proc/cpuinfo that `_TARGET` requires (System V ABI, AMD64 supplement)."""
+"""Flags in /proc/cpuinfo of a processor that supports `_TARGET`, the level x86-64-v3 (System V ABI,
+AMD64 supplement)."""
 
 
 def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
@@ -41,7 +43,8 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 @contextmanager
 def announced_compilation() -> Iterator[None]:
-    """Prints a line on stderr if kernels are compiled in the block instead of loaded from files.
+    """Prints a line on stderr if numba compiles kernels in the `with` block instead of loading them
+    from files.
 
     Kernels are compiled at the first use in a checkout, and after an update of numba or drake_oa.
     """

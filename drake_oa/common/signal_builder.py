@@ -20,7 +20,8 @@ _Added = TypeVar("_Added", bound=System)
 _Port = TypeVar("_Port", InputPort, OutputPort)
 
 Names = Mapping[str, str | None]
-"""Signal names by port name, for ports whose signal has another name than the port.
+"""Type of a mapping from port names to signal names, for ports whose signal has another name than
+the port.
 
 A port mapped to None is not connected."""
 
@@ -55,7 +56,7 @@ class _SignalSystem:
         return self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
 
     def _named(self, ports: list[_Port], names: Names) -> dict[str, _Port]:
-        """Returns ports by the name of their signal.
+        """Returns the ports of a system by the name of the signal that each reads or outputs.
 
         If the system has one port and is interposed on one signal, and `names` is empty, the port
         belongs to this signal.
@@ -271,7 +272,7 @@ class SignalBuilder:
             self.builder.ExportOutput(self._source(signal), signal)
 
     def _add(self, name: str, entry: _SignalSystem) -> None:
-        """Registers a system for `connect`.
+        """Registers a system and its signals, which `connect` adds to the diagram builder.
 
         Args:
             name: name of the subsystem.

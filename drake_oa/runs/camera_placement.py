@@ -31,8 +31,8 @@ from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.world_model import add_world
 
 MAX_UNOBSERVED_FRACTION = 0.15
-"""Fraction of the space near the arm that may be unobserved by all cameras; above this fraction
-`view_note` suggests a camera pose."""
+"""Maximum fraction of the space near the arm that no camera observes; above it `view_note` suggests
+a camera pose."""
 _DISTANCE = 2.1
 """Distance of a suggested camera from its target, the mean position of the arm along the nominal
 motion [m]."""

@@ -38,13 +38,14 @@ _WARMUP_DONE = 0.3
 """Duration of the warm-up, in simulated time, in which each layer is evaluated at least once before
 the arm moves [s]."""
 _IMAGE_DELAY = 0.05
-"""Delay of camera images, in wall time, for which the motion guard does not slow the motion of a
-real arm [s]."""
+"""Maximum delay of camera images, in wall time, up to which the motion guard does not slow the
+motion of a real arm [s]."""
 
 
 @dataclass(frozen=True)
 class HardwareSetup:
-    """Diagram that is ready to command a real arm, after a warm-up, with its scenario.
+    """Diagram that has been warmed up and is ready to command a real arm, with the scenario of the
+    run.
 
     Attributes:
         scenario: scenario of the run.
@@ -150,8 +151,8 @@ def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
 
 
 def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
-    """Creates the log of an arm that a station simulated for commands of another process
-    (`drake-oa station`).
+    """Creates the log of the simulated arm of a station (`drake-oa station`), which another process
+    commands by messages.
 
     The log contains the true states of the arm. Observations and decisions are known only to the
     process that sent the commands, so their attributes are empty.

@@ -344,7 +344,7 @@ class ClearanceEvaluator:
 
         Bounding balls give a lower bound for the distance of each pair of collision geometries.
         Pairs are evaluated in the order of these bounds, until no bound is below a minimum. A
-        distance without an obstacle within `OUT_OF_WORLD` is inf.
+        distance without an obstacle within `OUT_OF_WORLD` (25 m) is inf.
         """
         robot, obstacles = self._robot_balls, self._obstacle_balls
         apart = robot.centers(self._plant_context)[:, None] - obstacles.centers(self._plant_context)

@@ -56,14 +56,16 @@ delayed by the value of s - 1 at its last move.
 _CONTINUE = EventStatus.DidNothing()
 """Event status that `MotionMonitor` returns to the Simulator while the simulation continues."""
 _ARRIVAL_DELAY = 0.2
-"""Minimum delay between the predicted arrival of a verified motion and its termination as too late,
-in normalized time [-]."""
+"""Normalized time by which a verified motion may exceed its predicted arrival at the goal before it
+terminates as missed [-]."""
 ARRIVAL_TOLERANCE = Verified().tolerance
-"""Distance of the desired position from the goal below which the desired motion counts as arrived
-[m]."""
+"""Distance between the movement primitive's position and the goal below which its motion counts as
+arrived [m]."""
 ARRIVAL_SPEED_RATIO = 20.0
-"""Ratio of the scaled velocity tau T |v| to `ARRIVAL_TOLERANCE` below which the desired motion may
-count as arrived [-]."""
+"""Ratio tau T |v| / `ARRIVAL_TOLERANCE` below which the movement primitive counts as at rest at the
+goal [-].
+
+v is its velocity [m/s], T the demonstrated duration [s], and tau the temporal scaling."""
 AT_GOAL = 5e-3
 """Distance of the tool point to the goal up to which the tool is at the goal [m]."""
 AT_REST = 0.01
@@ -197,8 +199,8 @@ class MotionMonitor:
             scenario: configuration of the diagram.
             duration: time at which the simulation ends in any case [s]; None: the time limit of
                 the motion is `MAX_TIME_SCALING` demonstrated durations after the last move of the
-                goal. The simulation then ends at most `MAX_SETTLING_TIME` after that limit and
-                all trajectories.
+                goal. The simulation then ends at most `MAX_SETTLING_TIME` after this limit and the
+                end of all obstacle trajectories.
             on_step: function that is called after each evaluation with the monitor and the root
                 Context.
         """
@@ -284,8 +286,8 @@ class MotionMonitor:
         return q[None], self._plant.GetPositions(context)[None]
 
     def source(self, root: Context) -> float:
-        """Returns the source of the present motion as an index of
-        `drake_oa.planning.search.SOURCES`; -1: no source.
+        """Returns the source of the present motion, such as nominal motion or search, as an index
+        of `drake_oa.planning.search.SOURCES`; -1: no source.
         """
         return float(self._source(root)[0])
 
@@ -378,9 +380,7 @@ class MotionMonitor:
         return p_WE
 
     def _goal_error(self, root: Context) -> float:
-        """Returns the distance of the tool point to the goal [m], which counts at its final
-        position.
-        """
+        """Returns the distance of the tool point to the final position of the goal [m]."""
         return math.dist(self.tool_point(root), self._goal)
 
     def _record(
@@ -407,8 +407,8 @@ class MotionMonitor:
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _verified_end(self, root: Context) -> float:
-        """Returns the normalized time at which the verified motion is predicted to arrive at the
-        goal; 0: it does not arrive.
+        """Returns the normalized time at which the verified motion arrives at the goal by its
+        roll-out (simulation); 0: it does not arrive.
         """
         motion = self._motion(root)
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVAL_TOLERANCE:
