@@ -60,8 +60,9 @@ def synthetic(
       min. clearance [m]       minimum clearance over all scenes
       scenes with shortfall    number of scenes with more than 1 mm less than the achievable
                                clearance min(Delta, distance of start, distance of goal)
-      max. goal error [mm]     maximum distance to the goal at the end of a motion: at its duration
-                               tau T; at the arrival, up to 2 tau T for verified and 2 T for paper
+      max. goal error [mm]     maximum distance to the goal at the end of a motion. The end is at
+                               tau T (demonstrated duration T, temporal scaling tau), or at a later
+                               arrival: until 2 tau T for verified, until 2 T for paper
       mean path ratio          mean length of the path over that of the straight line
 
     All columns are computed in float64, independently of the methods, from motions that are sampled
@@ -76,9 +77,13 @@ def synthetic(
     Methods (default: paper and verified):
 
       paper      the paper's regressor chain, as in table2
-      verified   the running system's search among roll-outs, with seeds on 16 sides of the
-                 obstacles and without those of the regressor chain
+      verified   the search of `drake-oa run` among simulated candidate motions (roll-outs): its
+                 first candidates pass the obstacle on 16 sides, and none is from the regressor
+                 chain
       original   the coupling term of the literature that the paper improves
+      movement_primitives
+                 the package of this name, with its own coupling term
+                 (pip install 'drake_oa[baselines]')
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}.
 
@@ -213,10 +218,10 @@ def panda(
       verified         motions of the whole arm that are verified among the obstacles by simulation
                        (roll-outs), or a joint path that the movement primitives imitate; among
                        moving obstacles also maneuvers of the whole arm
-      differential_ik  baseline: Drake's differential inverse kinematics with collision constraints
-                       along the nominal motion; it knows the obstacles exactly, and requests
-                       the achievable clearance
-      planner          baseline: the planner RRT-Connect of the package ompl
+      differential_ik  for comparison: Drake's differential inverse kinematics with collision
+                       constraints along the nominal motion; it knows the obstacles exactly, and
+                       requests the achievable clearance
+      planner          for comparison: the planner RRT-Connect of the package ompl
                        (pip install 'drake_oa[baselines]'), which knows the obstacles exactly, with
                        25 mm clearance of the whole robot; among moving obstacles a search in space
                        and time that knows their trajectories, with 5 mm. Its path is not
@@ -232,9 +237,10 @@ def panda(
                                    of those with an obstacle whose velocity was observed in time
       success                      number of scenes without contact and with the tool within 5 mm of
                                    the goal at the end
-      violations of claims A, B    number of logged instants at which a point of the arm approaches
-                                   a moving obstacle that can reach it from its observed position
-                                   (A), or moves into unobserved space faster than 0.25 m/s (B)
+      violations of claims A, B    number of logged instants that violate a claim of passive motion
+                                   safety: a point of the arm approaches a moving obstacle that can
+                                   reach it from its observed position (A), or moves into unobserved
+                                   space faster than 0.25 m/s (B)
       DRPBench contacts, success   numbers of scenes by DRPBench's rules: a contact with an obstacle
                                    or the table within 16.7 s; none, and within 5 cm and 15 degrees
                                    of the goal at that time
@@ -353,7 +359,7 @@ def sources(
     seed: Seed = 0,
     runs: Runs = RUNS,
 ) -> int:
-    """Evaluate the method `verified` without each of its sources of motions, and count sources.
+    """Evaluate `verified` without each source of its motions, and count the executed sources.
 
     Sources of the executed motion: nominal (the nominal motion), chain (parameters of the regressor
     chain of Pairet et al., RA-L 2019, with heading guidance), search (the local search) and

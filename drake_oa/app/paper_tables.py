@@ -20,7 +20,7 @@ from drake_oa.common.files import check_outputs, replace_json
 
 
 def table1(*, json: Path | None = None) -> None:
-    """Print Table I of Pairet et al., RA-L 2019, errors of networks, with the published values.
+    """Print Table I of Pairet et al., RA-L 2019: errors of networks, with published values.
 
     A regressor chain consists of three networks that compute the parameters kappa, psi and alpha of
     a coupling term. The table of each shipped chain has a row for each network, and these columns:

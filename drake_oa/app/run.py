@@ -113,7 +113,9 @@ def run(
                                 changes the orientation
       saturated [%]             fraction of the time with a joint torque at its limit
       duration [s]              time from start to termination
-      motion source             nominal, chain, search or joint_path, with the fraction of the time
+      motion source             source of the avoiding motion, with the fraction of the time:
+                                nominal, chain (the regressor chain of Pairet et al., RA-L 2019),
+                                search (among simulated motions) or joint_path (a planned path)
       termination               goal, or the reason for which the motion ended elsewhere
 
     Notes and warnings below the table state contacts between links of the robot, an achievable
@@ -203,7 +205,7 @@ def station(
     duration: Positive | None = None,
     log: Path | None = None,
 ) -> int:
-    """Simulate a Panda and its cameras that communicate by the messages of the real ones.
+    """Simulate a Panda and its cameras, which use the LCM messages of the real arm and cameras.
 
     The station receives lcmt_panda_command on PANDA_COMMAND. It sends lcmt_panda_status on
     PANDA_STATUS, and depth images as lcmt_image_array on DRAKE_RGBD_CAMERA_IMAGES_<camera>. The arm

@@ -150,17 +150,18 @@ def check(
 ) -> int:
     """Check a scenario for errors, and print its clearances at start and goal.
 
-    Each error line names a field, the problem and the valid values. Without errors it prints a
-    table with a row for start and goal, and these columns:
+    Each error line names a field, the problem and the valid values. Without errors the command
+    prints a table with a row for start and goal, and these columns:
 
       tool clearance [m]   distance of hand and fingers to the nearest obstacle
       robot clearance [m]  distance of all links to the nearest obstacle
       contacts             pairs of a link and an object, or of two links, in contact
 
-    Below it are the requested clearance, the achievable clearance if that is less, and the fraction
-    of the space near the nominal motion of the arm that no camera observes.
+    Lines below the table state the requested clearance, the achievable clearance if that is less,
+    and the fraction of the space near the nominal motion of the arm that no camera observes.
 
-    Exit status: 0 without errors, 1 with errors, 2 if the file cannot be read.
+    Exit status: 0 without errors, 1 with errors or with a contact at start or goal, 2 if the file
+    cannot be read.
 
     Args:
         scenario: file, or name of a shipped scenario (see `drake-oa scenarios`).
