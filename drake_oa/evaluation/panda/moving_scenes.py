@@ -193,8 +193,8 @@ def _draw_trajectory(
 ) -> Obstacle:
     """Draws a trajectory of a moving obstacle past a target point.
 
-    The first obstacle, and each one without maneuvers, passes near a link of the nominal motion at
-    the same time. Others pass a random point above the table.
+    The first obstacle, and each one without maneuvers, passes the position of a link on the
+    nominal motion at the same time as the link. Others pass a random point above the table.
 
     Args:
         random: source of random numbers.

@@ -4,7 +4,7 @@ The nominal motion (without avoidance) is a straight tool motion of 0.5 to 1.0 m
 pointing down. The arm can follow it within its joint limits. At start and goal the whole robot,
 represented by its enclosing spheres (`scene_arm`), has 5 cm clearance to every obstacle. The
 centers of the obstacles are in the view of a camera at the table, also if another source perceives
-them. This does not apply to the kinds moving_hard, moving_high and drp_LEVEL.
+them. The condition on the view does not apply to moving_hard, moving_high and drp_LEVEL.
 
 The number of obstacles is drawn once; motions and obstacles are drawn until the conditions of the
 kind hold. Scene i of a seed does not depend on perception or method. The kinds are:
