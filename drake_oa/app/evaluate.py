@@ -238,9 +238,9 @@ def panda(
       success                      number of scenes without contact and with the tool within 5 mm of
                                    the goal at the end
       violations of claims A, B    number of logged instants that violate a claim of passive motion
-                                   safety: a point of the arm approaches a moving obstacle that can
-                                   reach it from its observed position (A), or moves into unobserved
-                                   space faster than 0.25 m/s (B)
+                                   safety. (A): a point of the arm approaches a moving obstacle that
+                                   can reach it from its observed position. (B): a point moves into
+                                   unobserved space faster than 0.25 m/s
       DRPBench contacts, success   numbers of scenes by DRPBench's rules: a contact with an obstacle
                                    or the table within 16.7 s; none, and within 5 cm and 15 degrees
                                    of the goal at that time
@@ -305,10 +305,10 @@ def mbm(
 
     The demonstration is a straight minimum-jerk motion of the tool from FK(start) to FK(goal) in
     5 s, with the rotation between them. The nominal posture leads from the start configuration to
-    the goal configuration. Obstacles are known exactly, or with --perception depth perceived by
-    two cameras, 1.2 m above and 1.2 m left and right of the center between start and goal. An
-    object that the goal grasps (the tool point is inside) is omitted. The requested clearance is
-    3 cm, or the clearance of the whole robot at start or goal if that is less; the motion guard
+    the goal configuration. Obstacles are known exactly, or with --perception depth perceived by two
+    cameras. These are 1.2 m above and 1.2 m left and right of the center between start and goal. An
+    object that the goal grasps (the tool point is inside) is omitted. The requested clearance is 3
+    cm, or the clearance of the whole robot at start or goal if that is less; the motion guard
     requires no more.
 
     Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each

@@ -25,8 +25,8 @@ def table1(*, json: Path | None = None) -> None:
     A regressor chain consists of three networks that compute the parameters kappa, psi and alpha of
     a coupling term. The table of each shipped chain has a row for each network, and these columns:
 
-      train NMSE, published   normalized mean squared error on the training rows
-      test NMSE, published    the same on the test rows
+      train NMSE, published   normalized mean squared error on the rows of the training set
+      test NMSE, published    normalized mean squared error on the rows of the test set
       lowest NMSE             test NMSE that no function of the network's inputs can improve
       rows                    number of training and test rows
 
@@ -90,11 +90,12 @@ def table3(
     perception: Literal["depth", "truth"] = "depth",
     runs: Runs = RUNS,
 ) -> int:
-    """Reproduce Table III of Pairet et al., RA-L 2019: the whole robot at three kinds of obstacles.
+    """Reproduce Table III of Pairet et al., RA-L 2019: trials with the whole robot.
 
-    A trial is a run of the scenario paper_box, paper_irregular or paper_clutter with its own noise
-    of the camera. Methods: nominal, which avoids nothing, and paper, the paper's method without
-    verification. The table has a row for each scenario and method, and these columns:
+    A trial is a run of the scenario paper_box, paper_irregular or paper_clutter, three kinds of
+    obstacles, with its own noise of the camera. Methods: nominal, which avoids nothing, and paper,
+    the paper's method without verification. The table has a row for each scenario and method, and
+    these columns:
 
       trials                           number of trials
       touched objects                  number of different objects in contact in any trial
@@ -126,9 +127,9 @@ def figure_familiar(
     scenes: Count = 100,
     json: Path | None = None,
 ) -> None:
-    """Reproduce the figure of familiar scenes of Pairet et al., RA-L 2019: 100 ellipses.
+    """Reproduce the figure of familiar scenes of Pairet et al., RA-L 2019.
 
-    Each ellipse is evaluated in 12 settings: regressor chains without requested clearance,
+    Each of 100 ellipses is evaluated in 12 settings: regressor chains without requested clearance,
     RC(lambda'), and with one of five requested clearances, RC(lambda', Delta), each with and
     without temporal scaling. Tables have the columns of `drake-oa evaluate SUITE`. The first table
     has a row for each method, over the settings with Delta and temporal scaling. The other tables
@@ -157,13 +158,13 @@ def figure_dead_zone(
     scenes: Count = 41,
     json: Path | None = None,
 ) -> None:
-    """Reproduce the dead-zone figure of Pairet et al., RA-L 2019: an obstacle on the baseline.
+    """Reproduce the dead-zone figure of Pairet et al., RA-L 2019: two coupling terms.
 
     The original coupling term of the literature has a dead zone: it does not turn a motion that
-    heads exactly for an obstacle. The paper's coupling term has none. The point obstacle is exactly
-    on the baseline, the line from start to goal, in the first scene, and 10 um to 10 cm beside it
-    in the others. The first table compares both terms with equal peak and area, with a row for each
-    gain gamma of the original term:
+    heads exactly for an obstacle. The paper's coupling term has none. The baseline is the line from
+    start to goal. A point obstacle is exactly on it in the first scene, and 10 um to 10 cm beside
+    it in the others. The first table compares both terms with equal peak and area, with a row for
+    each gain gamma of the original term:
 
       clearance head-on: original [mm], dead-zone free [mm]
                                              minimum clearance in the first scene

@@ -157,8 +157,9 @@ def check(
       robot clearance [m]  distance of all links to the nearest obstacle
       contacts             pairs of a link and an object, or of two links, in contact
 
-    Lines below the table state the requested clearance, the achievable clearance if that is less,
-    and the fraction of the space near the nominal motion of the arm that no camera observes.
+    Lines below the table state the requested clearance, and the achievable clearance if that is
+    less. A last line states which fraction of the space near the arm's nominal motion is observed
+    by no camera.
 
     Exit status: 0 without errors, 1 with errors or with a contact at start or goal, 2 if the file
     cannot be read.

@@ -16,8 +16,8 @@ These modules do not import any layer.
 - `files`: atomic replacement of files, software versions and source digest of a result.
 - `console`: exit statuses, errors, tables and progress of the commands.
 
-Units are SI. Frames follow Drake's monogram notation: p_WE is the position of the tool point E in
-the world W, R_WO the orientation of an obstacle O in W, v_WO the velocity of O in W.
+Units are SI. Frames follow Drake's monogram notation. p_WE is the position of the tool point E in
+the world W. R_WO is the orientation and v_WO the velocity of an obstacle O in W.
 
 Read first: `messages`.
 """

@@ -65,7 +65,7 @@ class KernelCacheLocator(InTreeCacheLocator):
         """Returns the part of the cache file's name that depends on the source of the kernel.
 
         Numba unpickles the argument types of a cache file before it compares stamps, which fails
-        if a type has been renamed. With this name it never reads files of other sources.
+        if a type has been renamed. With this name, numba never reads cache files of other sources.
         """
         return self.get_source_stamp()[:16]
 

@@ -5,8 +5,8 @@ Input: a `Scenario`, which configures robot, obstacles, cameras and task. Output
 (arrays over T instants, SI units, world frame, stored in an .npz file), plots of this log, and its
 replay in Meshcat.
 
-- `simulation`: builds the diagram of a scenario, simulates it until the motion has terminated and
-  the world is at rest, and collects the data of the log sinks (`simulate`).
+- `simulation`: builds and simulates the diagram of a scenario until the motion has terminated and
+  the world is at rest, and collects the log (`simulate`).
 - `motion_log`: the class `MotionLog`, and functions that write and read log files.
 - `metrics`: contacts, clearances and path length, computed from the true geometry.
 - `report`: the metrics of a run as JSON and as a table.

@@ -74,8 +74,8 @@ def prepare_hardware(
 
     Raises:
         ScenarioError: naming the wrong field.
-        HardwareError: if the arm sends no status, is not at the start, is beyond its limits, moves
-            or has another command source, or if the table is not at its height in the images.
+        HardwareError: if the arm sends no status, is not at rest at the start, is beyond its
+            limits, or has another command source; if the table in the images is not at its height.
     """
     max_delay = LEAD + link.rate * _IMAGE_DELAY
     known_scenario = hardware_scenario(scenario, link.url, max_delay)

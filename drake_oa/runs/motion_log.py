@@ -5,10 +5,10 @@ holds the number `SCHEMA_VERSION`. Each motion has one key MOTION/ATTRIBUTE for 
 `MotionLog`. MOTION is "nominal" or "avoiding", or "leg_1", "leg_2" and so on for `drake-oa play`.
 Texts are string arrays, of dimension 0 for a single text.
 
-W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms), F
-observations of at most M obstacles each, E notes of the policy, S changes of the supervision and D
-decisions. nq, nv and nu are the numbers of positions, velocities and actuators of the robot, 0
-without a robot.
+W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms) and
+F observations of at most M obstacles each. There are E notes of the policy, S changes of the
+supervision and D decisions. nq, nv and nu are the numbers of positions, velocities and actuators of
+the robot, 0 without a robot.
 
 ====================  =============  ========  ====================================================
 key                   shape          unit      content

@@ -59,13 +59,14 @@ _ARRIVAL_DELAY = 0.2
 """Normalized time by which a verified motion may exceed its predicted arrival at the goal before it
 terminates as missed [-]."""
 ARRIVAL_TOLERANCE = Verified().tolerance
-"""Distance between the movement primitive's position and the goal below which its motion counts as
-arrived [m]."""
+"""Distance between the position of the movement primitive and the goal below which the desired
+motion counts as arrived [m]."""
 ARRIVAL_SPEED_RATIO = 20.0
 """Ratio tau T |v| / `ARRIVAL_TOLERANCE` below which the movement primitive counts as at rest at the
 goal [-].
 
-v is its velocity [m/s], T the demonstrated duration [s], and tau the temporal scaling."""
+v is the velocity of the movement primitive [m/s], T the demonstrated duration [s], and tau the
+temporal scaling [-]."""
 AT_GOAL = 5e-3
 """Distance of the tool point to the goal up to which the tool is at the goal [m]."""
 AT_REST = 0.01
@@ -73,8 +74,8 @@ AT_REST = 0.01
 REST_TIME = 1.0
 """Time for which the world must be at rest after the motion before the simulation ends [s]."""
 MAX_SETTLING_TIME = 5.0
-"""Maximum time that the simulation continues after the time limit of the motion and the last change
-of the world, if the robot does not come to rest [s]."""
+"""Maximum time that the simulation continues after the motion's time limit and the world's last
+change, if the robot is not at rest [s]."""
 
 
 class MotionInterruptedError(RuntimeError):
@@ -148,9 +149,9 @@ class MotionMonitor:
     """Monitor for `Simulator.set_monitor` that records a motion, detects its termination, and ends
     the simulation.
 
-    After the motion has terminated, the simulation continues until all obstacles have ended their
-    trajectories and the world has been at rest for `REST_TIME`, so that later contacts count. If a
-    stopped or held motion continues in the meantime, it has not terminated.
+    After the termination, the simulation continues until all obstacles have ended their
+    trajectories and the world has been at rest for `REST_TIME`. Contacts in this time count, too.
+    If a stopped or held motion continues in the meantime, it has not terminated.
 
     The conditions use the normalized time s, which is 1 at the end of the demonstrated motion:
 
