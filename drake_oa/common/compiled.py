@@ -72,6 +72,8 @@ class KernelCacheLocator(InTreeCacheLocator):
     def get_source_stamp(self) -> str:
         """Computes the stamp of a kernel: a digest of the sources and constants that determine its
         machine code.
+
+        Numba uses cached machine code only if its stamp is equal.
         """
         stamps = [super().get_source_stamp()]
         for value in self._used:

@@ -174,7 +174,9 @@ class Tagged:
 
 
 def _without_tag(data: Any) -> Any:
-    """Returns the plain data of a block without the key "_tag", which stores its YAML tag."""
+    """Returns the plain data of a configuration block without the key "_tag", which stores the YAML
+    tag of the block.
+    """
     if isinstance(data, Mapping):
         return {name: value for name, value in data.items() if name != "_tag"}
     return data
@@ -235,8 +237,8 @@ def validate(kind: Any, data: Any, where: str = "") -> Any:
 
 
 class _BlockSchema(GenerateJsonSchema):
-    """Generator of JSON schemas with a description of each field of a block, inherited fields
-    included.
+    """Generator of the JSON schema of a configuration block (a dataclass that is read from YAML),
+    with field descriptions.
     """
 
     def dataclass_schema(self, schema: core_schema.DataclassSchema) -> dict[str, Any]:

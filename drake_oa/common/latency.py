@@ -51,7 +51,8 @@ class LatencyModel:
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
-"""Work counters of the decision that is being computed, set by `counted`."""
+"""Counters of computing work for the decision that is being computed; set by `counted`, increased by
+`count`."""
 
 
 @contextmanager

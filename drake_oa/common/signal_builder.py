@@ -32,8 +32,9 @@ class _SignalSystem:
 
     Attributes:
         system: the Drake system.
-        inputs: signal name by input port, as for `SignalBuilder.add`.
-        outputs: signal name by output port, as for `SignalBuilder.add`.
+        inputs: signal name by input port, for signals with another name than the port; a port
+            mapped to None is not connected.
+        outputs: signal name by output port, with the same meaning as `inputs`.
         interposed: signals that the system reads from their source and replaces for all other
             readers; empty: no signal.
     """

@@ -314,8 +314,12 @@ class ClearanceEvaluator:
         return speeds, float(self._plant.EvalKineticEnergy(self._plant_context))
 
     def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
-        """Finds the point of maximum penetration of each pair of bodies in contact, without
-        penetrations below `MIN_PENETRATION`.
+        """Finds the point of maximum penetration of each pair of bodies in contact.
+
+        Penetrations below `MIN_PENETRATION` do not count as contact.
+
+        Args:
+            query: SceneGraph's QueryObject at the positions of interest.
 
         Returns:
             Points of pairs "link - object", and points of pairs "link - link" of the robot.
@@ -343,8 +347,8 @@ class ClearanceEvaluator:
         the tool to resting obstacles.
 
         Bounding balls give a lower bound for the distance of each pair of collision geometries.
-        Pairs are evaluated in the order of these bounds, until no bound is below a minimum. A
-        distance without an obstacle within `OUT_OF_WORLD` (25 m) is inf.
+        Pairs are evaluated in the order of these bounds, until no bound is below the largest of the
+        three minima. A minimum is inf if no obstacle is within `OUT_OF_WORLD` (25 m).
         """
         robot, obstacles = self._robot_balls, self._obstacle_balls
         apart = robot.centers(self._plant_context)[:, None] - obstacles.centers(self._plant_context)

@@ -17,15 +17,15 @@ t                     (T,)           s         simulated time
 q                     (T, nq)        rad, m    positions of the robot
 v                     (T, nv)        rad/s     velocities of the robot (m/s: prismatic)
 torque                (T, nu)        N m, N    applied actuation
-saturated             (T,)           -         1 if a joint is at its effort limit, else 0
+saturated             (T,)           none      1 if a joint is at its effort limit, else 0
 p_WE                  (T, 3)         m         actual position of the tool point in W; without a
                                                robot the desired one
 desired_position      (T, 3)         m         desired position of the tool point in W
 desired_velocity      (T, 3)         m/s       first derivative of desired_position
 desired_acceleration  (T, 3)         m/s^2     second derivative of desired_position
-phase                 (T,)           -         canonical phase k of the movement primitive, from 1
+phase                 (T,)           none      canonical phase k of the movement primitive, from 1
                                                down to 0
-speed_scale           (T,)           -         fraction of full speed that the motion guard permits,
+speed_scale           (T,)           none      fraction of full speed that the motion guard permits,
                                                in [0, 1]; 1 without a guard
 tracking_error        (T,)           m         distance of E to its desired position, from the
                                                controller; NaN without one
@@ -36,12 +36,12 @@ observation_stamp     (F,)           s         times at which the scene was as o
                                                scenario gives the ellipsoids
 p_WO                  (F, M, 3)      m         centers of the obstacles' ellipsoids in W; NaN rows
                                                for observations of fewer than M ellipsoids
-R_WO                  (F, M, 3, 3)   -         orientations of the ellipsoids in W; the columns are
+R_WO                  (F, M, 3, 3)   none      orientations of the ellipsoids in W; the columns are
                                                the principal axes
 semi_axes             (F, M, 3)      m         semi-axes of the ellipsoids
 v_WO                  (F, M, 3)      m/s       velocities of the centers in W
-obstacle_id           (F, M)         -         IDs of the ellipsoids; -1: no ellipsoid
-out_of_range          (F,)           -         number of obstacles beyond the training range of the
+obstacle_id           (F, M)         none      IDs of the ellipsoids; -1: no ellipsoid
+out_of_range          (F,)           none      number of obstacles beyond the training range of the
                                                regressor chain
 inference             ()             text      "Verified" or "Paper"; "" for the nominal motion
 shortfall             (T,)           m         clearance that the verified motion is predicted to
@@ -62,25 +62,25 @@ stop_reason           ()             text      "goal", or the reason of another 
 wall_time             ()             s         wall-clock time of the simulation
 avoid_obstacles       ()             bool      whether obstacles were avoided
 scenario              ()             text      the scenario as YAML, defaults included
-seed                  ()             -         seed of the scenario
+seed                  ()             none      seed of the scenario
 versions              (P,)           text      packages, date and source digest: "name value"
 goal                  (T, 3)         m         position of the goal
-desired_orientation   (T, 4)         -         quaternion w, x, y, z of the desired R_WE; (0, 4):
+desired_orientation   (T, 4)         none      quaternion w, x, y, z of the desired R_WE; (0, 4):
                                                constant orientation
 orientation_error     (T, 3)         rad       rotation vector in W from actual to desired
                                                orientation; (0, 3): constant orientation
 desired_posture       (T, 2n)        rad,      nominal configuration of the null space, then its
                                      rad/s     velocities; (T, 0): none
-guard_action          (T,)           -         action of the guard: 0 follow, 1 slow, 2 wait, 3
+guard_action          (T,)           none      action of the guard: 0 follow, 1 slow, 2 wait, 3
                                                evade, 4 brake; (0,): no guard
 guard_contact         (T,)           s         time of the first contact predicted on the verified
                                                motion; inf: none
-guard_claim           (T,)           -         claim of passive motion safety that limits the speed:
+guard_claim           (T,)           none      claim of passive motion safety that limits the speed:
                                                0 none, 1 (A) moving obstacles, 2 (B) unobserved
                                                space
 clearance_reduction   (T,)           m         reduction of the requested clearance because start or
                                                goal leaves less; (0,): unknown
-motion_source         (T,)           -         source of the motion: -1 none, 0 nominal, 1 chain, 2
+motion_source         (T,)           none      source of the motion: -1 none, 0 nominal, 1 chain, 2
                                                search, 3 joint_path
 motion_end            ()             s         time at which the motion terminated, after which the
                                                world comes to rest; NaN: no termination

@@ -24,7 +24,9 @@ _PERIOD = 0.1
 
 
 def motion_name(is_avoiding: bool) -> str:
-    """Returns the name of the avoiding or of the nominal motion, for the title of a viewer page."""
+    """Returns the name of a motion, with or without obstacle avoidance, for the title of a viewer
+    page.
+    """
     return "avoiding motion" if is_avoiding else "nominal motion (without avoidance)"
 
 

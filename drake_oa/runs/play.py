@@ -48,10 +48,10 @@ _MAX_LATENESS = 0.1
 """Maximum delay of an interactive run behind the selected speed that the following steps catch up
 [s]."""
 _METHODS = ("verified", "paper", "nominal")
-"""Names of the methods of obstacle avoidance, in the order in which a button of the viewer selects
-them."""
+"""Names of the methods that compute the motion, in the order in which a button of the viewer selects
+them; "nominal" avoids nothing."""
 _NEXT = "next method (verified, paper, nominal)"
-"""Name of the button in the viewer that selects the next method of obstacle avoidance."""
+"""Name of the button in the viewer that selects the next method that computes the motion."""
 _SOURCE = "camera or ground truth"
 """Name of the button in the viewer that switches the source of obstacles: camera or true shapes."""
 
@@ -231,8 +231,8 @@ class PlaySession:
             time.sleep(max(0.0, due - time.monotonic()))
 
     def finish(self) -> dict[str, MotionLog]:
-        """Ends the present motion, and returns the logs of the last motions by the names "leg_1",
-        "leg_2" and so on.
+        """Ends the present motion, and returns the logs of up to 20 last motions by the names
+        "leg_1", "leg_2" and so on.
         """
         self._end_leg()
         return self.logs
