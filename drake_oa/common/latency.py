@@ -51,8 +51,8 @@ class LatencyModel:
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
-"""Counters of computing work for the decision that is being computed; set by `counted`, increased by
-`count`."""
+"""Counters of computing work for the decision that is being computed; `counted` sets them, and
+`count` increases them."""
 
 
 @contextmanager

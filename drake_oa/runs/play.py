@@ -48,8 +48,8 @@ _MAX_LATENESS = 0.1
 """Maximum delay of an interactive run behind the selected speed that the following steps catch up
 [s]."""
 _METHODS = ("verified", "paper", "nominal")
-"""Names of the methods that compute the motion, in the order in which a button of the viewer selects
-them; "nominal" avoids nothing."""
+"""Names of the methods that compute the motion, in the order in which a button of the viewer
+selects them; "nominal" avoids nothing."""
 _NEXT = "next method (verified, paper, nominal)"
 """Name of the button in the viewer that selects the next method that computes the motion."""
 _SOURCE = "camera or ground truth"
