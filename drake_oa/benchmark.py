@@ -42,8 +42,8 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
 
     Returns:
         Dictionary of "machine" (processor and number of cores), "versions" (of the software) and
-        "scenarios". The latter has for each name {"run": {"real_time_factor", "layers"}}, where
-        "layers" is the wall time per simulated second [s/s] by the name of the system.
+        "scenarios". The latter has for each name {"run": {"real_time_factor", "layers"}}. "layers"
+        is the wall time per simulated second [s/s] of each system, by the name of the system.
     """
     metrics: dict[str, dict[str, Any]] = {}
     for name, scenario in scenarios.items():

@@ -52,9 +52,9 @@ def perceive(
                   (NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ...) with
                   fx, fy, cx, cy or K, camera_matrix (ROS), and optionally depth_scale
 
-    Frames: C is that of the camera (x right, y down, z forward) or of the points of a cloud, W the
-    world of X_WC. If X_WC is unknown, the table defines W: z along its normal, the origin at its
-    intersection with the optical axis, x along the x axis of the camera.
+    C is the frame of the camera (x right, y down, z forward), or of the points of a cloud. W is the
+    world frame of the camera pose X_WC. If X_WC is unknown, the table defines W: z along the normal
+    of the table, the origin at its intersection with the optical axis, x along the camera's x axis.
 
     The table has a row for each cluster, and these columns:
 

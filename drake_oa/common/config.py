@@ -223,7 +223,7 @@ def validate(kind: Any, data: Any, where: str = "") -> Any:
 
     Args:
         kind: a block, or a type that contains blocks.
-        data: plain data, see `read_yaml`.
+        data: plain data (dictionaries, lists, numbers, texts), as `read_yaml` returns them.
         where: name of the field with these data, for errors; empty for a whole file.
 
     Raises:

@@ -171,8 +171,9 @@ class SignalBuilder:
         Args:
             name: name of the subsystem to replace.
             system: new system.
-            inputs: signal name by input port, as for `add`; None: those of the replaced system.
-            outputs: signal name by output port, as for `add`; None: those of the replaced system.
+            inputs: signal name by input port, for signals with another name than the port; None:
+                the names that the replaced system has.
+            outputs: signal name by output port, with the same meaning as `inputs`.
 
         Returns:
             The argument `system`.
@@ -210,8 +211,9 @@ class SignalBuilder:
             signal: name of one signal, or of several.
             name: name of the subsystem.
             system: system to insert.
-            inputs: signal name by input port, as for `add`.
-            outputs: signal name by output port, as for `add`.
+            inputs: signal name by input port, for signals with another name than the port; a port
+                mapped to None is not connected.
+            outputs: signal name by output port, with the same meaning as `inputs`.
 
         Returns:
             The argument `system`.
@@ -314,8 +316,8 @@ class SignalBuilder:
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
         """Returns the output port to which readers of a signal are connected.
 
-        It is the output port of the last system interposed on the signal; otherwise the source of
-        the signal; otherwise the source of its fallback.
+        The result is the output port of the last system interposed on the signal; otherwise the
+        source of the signal; otherwise the source of the fallback signal.
 
         Args:
             signal: name of the signal.

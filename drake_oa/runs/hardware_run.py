@@ -73,7 +73,7 @@ def prepare_hardware(
         Setup for `drive`.
 
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: if a field of the scenario is wrong; names the field.
         HardwareError: if the arm sends no status, is not at rest at the start, is beyond its
             limits, or has another command source; if the table in the images is not at its height.
     """
@@ -108,7 +108,7 @@ def drive(
     Args:
         setup: result of `prepare_hardware`.
         link: link to the arm of this setup.
-        duration: time limit in simulated time [s]; None: that of `MotionMonitor`.
+        duration: time limit in simulated time [s]; None: the default limit of `MotionMonitor`.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context of the diagram.
 

@@ -53,9 +53,9 @@ def achievable_clearance_of(scenario: Scenario) -> float:
     """Computes the achievable clearance of a task [m]: the requested one, or less if start or goal
     is nearer to an obstacle.
 
-    It is min(Delta, d_start, d_goal), with the requested clearance Delta and the true distances d
-    of the tool to resting obstacles; 0 if start or goal is in contact. A moving goal counts at its
-    last position.
+    The achievable clearance is min(Delta, d_start, d_goal), with the requested clearance Delta and
+    the true distances d of the tool to resting obstacles; 0 if start or goal is in contact. A
+    moving goal counts at its last position.
 
     Raises:
         ScenarioError: if start or goal is out of reach.
@@ -90,7 +90,8 @@ def motion_report(
         tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
             robot to obstacles; None: no obstacle.
         requested_clearance: clearance that the task requests.
-        achievable_clearance: see `achievable_clearance_of`.
+        achievable_clearance: requested clearance, or less if start or goal is nearer to an
+            obstacle.
         resting_clearance_min: minimum clearance of the tool to resting obstacles; None: no such
             obstacle.
         clearance_shortfall: achievable clearance minus `resting_clearance_min`, at least 0.

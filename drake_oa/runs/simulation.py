@@ -465,7 +465,7 @@ def simulate(
     Args:
         scenario: configuration of the diagram.
         avoid_obstacles: whether obstacles are avoided; False: the nominal motion.
-        duration: time limit [s], see `MotionMonitor`.
+        duration: time limit [s]; None: the default limit of `MotionMonitor`.
         meshcat: viewer, or None.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context.
@@ -473,8 +473,11 @@ def simulate(
         customize: function that modifies the signals of the diagram, see `build_avoidance`.
         diagram: result of `build_avoidance` with these arguments; None: it is built here.
 
+    Returns:
+        Log of the motion.
+
     Raises:
-        ScenarioError: naming the wrong field.
+        ScenarioError: if a field of the scenario is wrong; names the field.
         MotionInterruptedError: if the simulation raised or was interrupted, with the log until
             then as `log` and the cause as `__cause__`.
     """
