@@ -1,8 +1,8 @@
 """Reactive obstacle avoidance of robot arms as Drake systems, by the method of Pairet et al., RA-L
 2019.
 
-`from drake_oa import DepthPerception` imports the system of a layer. Its module is imported only at
-this first access.
+`from drake_oa import DepthPerception` imports the Drake system of a layer. The module of a system
+is imported only at the first access to the system.
 """
 
 from importlib import import_module as _import_module

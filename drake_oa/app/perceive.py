@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from drake_oa.perception.recordings import RecordedFrame
 
 _ENCLOSED_TOLERANCE = 1e-9
-"""Tolerance with which points count as inside an ellipsoid: of the distance from its center, 1 on
-its surface [-]."""
+"""Distance by which a point may exceed an ellipsoid and still count as enclosed, relative to the
+distance from center to surface [-]."""
 _REPEATS = 5
 """Number of repetitions of the computation for a file, whose median processor time is reported."""
 

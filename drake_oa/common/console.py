@@ -18,7 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
-"""Exit statuses of commands: failure, invalid input, and the signals SIGINT and SIGTERM."""
+"""Exit statuses of commands: failure, invalid input, interruption by SIGINT, and termination by
+SIGTERM."""
 
 _MAX_LINE_LENGTH = 2000
 """Length above which a line of an error message is truncated [characters]."""
