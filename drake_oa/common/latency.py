@@ -51,8 +51,9 @@ class LatencyModel:
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
-"""Counters of computing work for the decision that is being computed; `counted` sets them, and
-`count` increases them."""
+"""Counters (searches, time steps, configurations) of the innermost `counted` block, which installs
+new counters at its begin; `count` increases them, so that the simulated latency of a decision of a
+planner can be computed from its work."""
 
 
 @contextmanager

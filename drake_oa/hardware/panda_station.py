@@ -245,8 +245,10 @@ class PandaStation:
 
     @property
     def is_finished(self) -> bool:
-        """Whether a station that waits for a first command (`waits`) has ended its run: no valid
-        command is received, and all bodies are at rest.
+        """Whether a station that waits for its first command (`waits`) has ended its run.
+
+        It has after that command, when valid commands have ceased and all bodies have been at rest
+        for a while. Always False for other stations, which run until they are stopped.
         """
         root = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(root)
