@@ -287,9 +287,9 @@ def installed_package(name: str) -> Path | None:
     return Path(places[0]) if places else None
 
 
-_TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)', re.MULTILINE)
+_TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)|("""(?s:.*?)""")', re.MULTILINE)
 """Regular expression of the parts of a Python file that `source_digest` ignores: comment lines and
-docstrings, with blank lines before them."""
+docstrings, with blank lines before them. The group matches other strings, which are not ignored."""
 
 
 @cache
@@ -308,7 +308,7 @@ def source_digest() -> str:
             relative = path.relative_to(folder)
             if relative.parts[0] not in _NOT_IN_DIGEST:
                 content = path.read_bytes()
-                code = _TEXT.sub(b"", content) if path.suffix == ".py" else content
+                code = _TEXT.sub(rb"\1", content) if path.suffix == ".py" else content
                 digest.update(str(relative).encode())
                 digest.update(hashlib.sha256(code).digest())
     return digest.hexdigest()

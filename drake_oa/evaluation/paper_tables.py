@@ -179,9 +179,11 @@ def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str
     }
     # Goal errors may differ by a factor, hence their logarithms are compared.
     return {
-        key: abs(metrics[key] - value) <= tolerances[key]
-        if key in tolerances
-        else abs(np.log(metrics[key] / value)) <= np.log(_ERROR_FACTOR)
+        key: bool(
+            abs(metrics[key] - value) <= tolerances[key]
+            if key in tolerances
+            else abs(np.log(metrics[key] / value)) <= np.log(_ERROR_FACTOR)
+        )
         for key, value in published.items()
     }
 

@@ -396,7 +396,7 @@ def _points_above(
     """
     X_WC, depth = frame.X_WC, frame.depth
     if X_WC is None:
-        raise ValueError("X_WC: must be given if `table` is false, since no table defines the pose")
+        raise ValueError("X_WC: must be given, since no table in the image defines the camera pose")
     if table is None:
         normal, offset, low, high = np.zeros(3), 0.0, -1.0, 1.0
     else:

@@ -22,7 +22,7 @@ _COLORS = {"avoiding": "#00798c", "nominal": "#111111"}
 _OBSTACLE, _DESIRED, _ENDS = "#d1495b", "#edae49", "#0072b2"
 """Colors of the observed obstacles, of the desired path, and of start and goal in the figure of a
 run."""
-_PANELS = ("clearance [m]", "phase, speed scale [1]", "torque / limit [1]")
+_PANELS = ("clearance [m]", "phase, speed scale [-]", "torque / limit [-]")
 """Labels of the vertical axes of the three plots over time, from top to bottom."""
 _OBSERVATIONS = 6
 """Number of observations, evenly spaced in the log, whose obstacles are drawn in the path views."""

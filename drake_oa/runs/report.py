@@ -81,41 +81,44 @@ def motion_report(
     end of the motion. On hardware the true obstacles are unknown: `collisions` without contacts,
     `achievable_clearance` and `clearance_shortfall` are None.
 
-    Keys of the result:
-        collisions: number of pairs of a robot link and an object in contact.
-        contacts, initial_contacts, new_contacts: names of these pairs: of all, of those in contact
-            at the first instant, and of those whose contact begins later.
-        self_contacts: names of the pairs of robot links in contact.
-        contact_depth: maximum penetration of each pair.
-        tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
-            robot to obstacles; None: no obstacle.
-        requested_clearance: clearance that the task requests.
-        achievable_clearance: requested clearance, or less if start or goal is nearer to an
-            obstacle.
-        resting_clearance_min: minimum clearance of the tool to resting obstacles; None: no such
-            obstacle.
-        clearance_shortfall: achievable clearance minus `resting_clearance_min`, at least 0.
-        goal_error: distance to the goal at the end of the motion or at rest, whichever is larger.
-        orientation_error: angle to the goal's orientation at rest; only if the tool turns.
-        torque_saturation: fraction of logged instants with a joint at its effort limit.
-        duration: time from start to termination of the motion.
-        path_length: length of the path of the tool point.
-        out_of_range: fraction of observations beyond the training range of the regressor chain.
-        inference: "Verified" or "Paper"; None for the nominal motion.
-        predicted_shortfall, clearance_reduction: maxima of the attributes `shortfall` and
-            `clearance_reduction` of the log; None unless `inference` is "Verified".
-        sources, guard_actions, guard_claims: fractions of the duration, by source of the motion, by
-            action of the motion guard, and by claim of passive motion safety that limits the speed.
-        decision_latency, guard_latency: `latency_statistics` of the layers verification and guard;
-            None: no decision with latency.
-        stop_reason, ended, settled: termination, with the values in `MotionLog`.
-        events: times at which the policy began or ended a hold, with reasons and notes.
-        supervision: times at which the action of the motion guard changed, with reasons.
-
     Args:
         scenario: configuration of the run.
         log: log of the motion.
         achievable_clearance: achievable clearance of the scenario [m]; None: it is computed.
+
+    Returns:
+        Metrics by key:
+
+        - collisions: number of pairs of a robot link and an object in contact.
+        - contacts, initial_contacts, new_contacts: names of these pairs: of all, of those in
+          contact at the first instant, and of those whose contact begins later.
+        - self_contacts: names of the pairs of robot links in contact.
+        - contact_depth: maximum penetration of each pair.
+        - tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
+          robot to obstacles; None: no obstacle.
+        - requested_clearance: clearance that the task requests.
+        - achievable_clearance: requested clearance, or less if start or goal is nearer to an
+          obstacle.
+        - resting_clearance_min: minimum clearance of the tool to resting obstacles; None: no such
+          obstacle.
+        - clearance_shortfall: achievable clearance minus `resting_clearance_min`, at least 0.
+        - goal_error: distance to the goal at the end of the motion or at rest, whichever is larger.
+        - orientation_error: angle to the goal's orientation at rest; only if the tool turns.
+        - torque_saturation: fraction of logged instants with a joint at its effort limit.
+        - duration: time from start to termination of the motion.
+        - path_length: length of the path of the tool point.
+        - out_of_range: fraction of observations beyond the training range of the regressor chain.
+        - inference: "Verified" or "Paper"; None for the nominal motion.
+        - predicted_shortfall, clearance_reduction: maxima of the attributes `shortfall` and
+          `clearance_reduction` of the log; None unless `inference` is "Verified".
+        - sources, guard_actions, guard_claims: fractions of the duration, by source of the motion,
+          by action of the motion guard, and by claim of passive motion safety that limits the
+          speed.
+        - decision_latency, guard_latency: `latency_statistics` of the layers verification and
+          guard; None: no decision with latency.
+        - stop_reason, ended, settled: termination, with the values in `MotionLog`.
+        - events: times at which the policy began or ended a hold, with reasons and notes.
+        - supervision: times at which the action of the motion guard changed, with reasons.
     """
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if achievable_clearance is None:

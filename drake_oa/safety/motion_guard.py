@@ -47,6 +47,7 @@ from drake_oa.safety.maneuvers import (
     GuardSearch,
 )
 from drake_oa.safety.supervision import (
+    SpeedLimit,
     Supervision,
     monitor_guard,
     monitor_observation,
@@ -514,6 +515,8 @@ class MotionGuard(LeafSystem):
             monitor_observation(scene, time, self._max_fresh_age, self._config.max_observation_age),
             monitor_guard(state.decision, time, is_late=is_late, has_moving=scene.moves),
         ]
+        if time < state.slow_until:
+            limits.append(SpeedLimit(0.0, "contact", "the arm was in contact"))
         if state.decision.follows:
             limits.append(monitor_path(float(np.abs(state.path - state.x)[: self._n].max())))
         if self._saturation.HasValue(context):

@@ -152,7 +152,7 @@ def test_without_a_table_free_space_is_usable_and_missing_depth_is_not():
         result = segment_depth(np.full(SIZE, value, dtype=np.float32), K, X_WC, NO_TABLE_CONFIG)
         assert not result.usable
         assert result.note == "hardly any depth is measured"
-    with pytest.raises(ValueError, match="X_WC: must be given if `table` is false"):
+    with pytest.raises(ValueError, match="X_WC: must be given, since no table"):
         segment_depth(far, K, None, NO_TABLE_CONFIG)
 
 
