@@ -776,7 +776,7 @@ def measure_positions(
 
         (sigma^2 + (_SIDE_GRAIN delta)^2) (1 + _OCCLUSION_FACTOR rho)^2 / m
 
-    and `_GROWTH_FACTOR`^2 times as large for an obstacle that is entering the image.
+    For an obstacle that is entering the image, it is larger by the square of `_GROWTH_FACTOR`.
 
     Args:
         sides: sides in this frame.
