@@ -61,7 +61,7 @@ of spheres would be required [-]."""
 _DIGITS = 9
 """Number of decimals of lengths [m] in the cache key of a cover, so that rounding errors do not
 change the key."""
-_VERSION = 2
+_VERSION = 3
 """Version of the covering algorithm, a part of the cache key of a cover; to be incremented when
 covers change."""
 SHIPPED = package_file("package://drake_oa/panda/spheres.npz")
@@ -255,7 +255,7 @@ def _surface_samples(geometry: CollisionGeometry) -> FloatArray:
     return geometry.placed(surface_points(geometry, _N_SURFACE_POINTS))
 
 
-def _below_surface(geometry: CollisionGeometry, depth: float) -> FloatArray:
+def _below_surface(geometry: CollisionGeometry, depth: float, count: int) -> FloatArray:
     """Computes candidate sphere centers (K, 3) below the surface of a shape: surface points, moved
     by a depth toward their mean [m].
 
@@ -265,10 +265,11 @@ def _below_surface(geometry: CollisionGeometry, depth: float) -> FloatArray:
     Args:
         geometry: shape.
         depth: distance by which the points are moved [m].
+        count: approximate number of points.
     """
     if geometry.kind == PRIMITIVE and not geometry.size[4]:
         return np.zeros((0, 3))
-    surface = _surface_samples(geometry)
+    surface = geometry.placed(surface_points(geometry, count))
     direction = surface.mean(axis=0) - surface
     distance = np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(surface + direction * np.minimum(1.0, depth / np.maximum(distance, 1e-9)))
@@ -299,10 +300,12 @@ def _select_balls(
     # Balls of radius 2 p at depth p below the edge of a box cover the edge if their spacing along
     # it is at most 2 sqrt(2) p.
     step = max(_EDGE_SPACING * protrusion, refinement * _lattice_step(geometries, _MAX_CENTERS))
+    # At most half of the centers are below the surfaces of the shapes.
+    count = min(_N_SURFACE_POINTS, max(30, _MAX_CENTERS // (2 * len(geometries))))
+    below = [_below_surface(geometry, protrusion, count) for geometry in geometries]
     while True:
         centers = np.concatenate(
-            [_lattice(geometry, protrusion, step, refinement) for geometry in geometries]
-            + [_below_surface(geometry, protrusion) for geometry in geometries]
+            [_lattice(geometry, protrusion, step, refinement) for geometry in geometries] + below
         )
         if len(centers) <= _MAX_CENTERS:
             break
