@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from drake_oa.evaluation.scenes.scenes import DURATION, Motions, Scenes, Setting
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import load_scenario, scenario_text
+from tests.builders import cubes_on_table
 
 # Torch for CUDA imports triton at its first differentiation. Triton and Mesa both contain LLVM, and
 # together crash a process that renders. No test requires triton, so its import is made to fail.
@@ -59,14 +59,7 @@ def panda() -> RobotPlant:
 def recording_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with one recorded cloud of a box on a table, in the world frame."""
     folder = tmp_path_factory.mktemp("recording")
-    grid = np.arange(-0.5, 0.5, 0.004)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
-    table = np.column_stack([x, y, np.zeros_like(x)])
-    side = np.arange(-0.05, 0.05, 0.003)
-    u, v = (axis.ravel() for axis in np.meshgrid(side, side))
-    top = np.column_stack([u, v, np.full_like(u, 0.1)])
-    front = np.column_stack([np.full_like(u, 0.05), u, v + 0.05])
-    points = np.concatenate([table, top, front]) + [0.45, 0.0, 0.0]
+    points = cubes_on_table((0.0, 0.0)) + [0.45, 0.0, 0.0]
     np.savez(folder / "cloud_0.000.npz", points=points, X_WC=np.eye(4), stamp=0.0)
     return folder
 
@@ -111,23 +104,3 @@ def straight_log() -> Callable[..., MotionLog]:
         return replace(log, **changes)
 
     return make
-
-
-_STEPS = 100
-"""Number of time steps of a straight motion."""
-
-
-def straight_motions(scenes: Scenes, setting: Setting) -> Motions:
-    """Computes the minimum-jerk motions of scenes along the baseline, without avoidance."""
-    s = np.linspace(0.0, 1.0, _STEPS + 1)
-    path = np.zeros((len(scenes), _STEPS + 1, 3))
-    velocity = np.zeros_like(path)
-    path[..., 0] = scenes.baseline[:, None] * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-    velocity[..., 0] = scenes.baseline[:, None] * 30.0 * (s * (1.0 - s)) ** 2 / DURATION
-    return Motions(path, velocity, np.full(len(scenes), DURATION))
-
-
-@pytest.fixture
-def straight() -> Callable[[Scenes, Setting], Motions]:
-    """Method of the evaluation that avoids nothing, see `straight_motions`."""
-    return straight_motions

@@ -1,10 +1,10 @@
 """Tests of decisions with compute latency: when they become active, and when they are discarded."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.latency import LatencyModel, count, counted
@@ -12,6 +12,7 @@ from drake_oa.common.messages import DECIDING, CouplingParameters, PolicyState
 from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.planning.motion_search import PlanningInputs, SelectedMotion
 from drake_oa.planning.motion_verifier import MotionVerifier
+from tests.builders import fix
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 ELSEWHERE = np.array([0.5, 0.0, 0.3])
@@ -52,13 +53,9 @@ class Bench:
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.policy = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL, speed=0.2)
-        self.system.GetInputPort("goal").FixValue(self.context, GOAL)
-        self.system.GetInputPort("robot_state").FixValue(self.context, np.zeros(2))
+        self.fix = partial(fix, self.system, self.context)
+        self.fix(goal=GOAL, robot_state=np.zeros(2))
         self.fix(collision_scene_W=CollisionScene(), policy_state=self.policy)
-
-    def fix(self, **inputs: object) -> None:
-        for name, value in inputs.items():
-            self.system.GetInputPort(name).FixValue(self.context, Value(value))
 
     def at(self, time: float) -> CouplingParameters:
         self.simulator.AdvanceTo(time)
@@ -69,12 +66,8 @@ class Bench:
         return self.system.GetOutputPort("decision").Eval(self.context).tolist()
 
 
-def choice(tau: float) -> SelectedMotion:
-    return SelectedMotion().with_changes(command={"tau": tau})
-
-
 def choices(*taus: float) -> list[SelectedMotion]:
-    return [choice(tau) for tau in taus]
+    return [SelectedMotion().with_changes(command={"tau": tau}) for tau in taus]
 
 
 def test_work_is_added_to_all_enclosing_counters() -> None:
@@ -120,7 +113,7 @@ def test_a_pending_decision_is_discarded_after_a_change(change: str) -> None:
     bench = Bench(search)
     bench.at(0.12)
     if change == "goal":
-        bench.system.GetInputPort("goal").FixValue(bench.context, ELSEWHERE)
+        bench.fix(goal=ELSEWHERE)
     elif change == "start":
         bench.fix(policy_state=replace(bench.policy, p_WS=ELSEWHERE))
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain, PassThrough
+from pydrake.systems.primitives import Adder, ConstantVectorSource, Demultiplexer, Gain, PassThrough
 
 from drake_oa.common.signal_builder import SignalBuilder, connections
 
@@ -89,15 +89,7 @@ def test_errors_name_system_and_signal(signals: SignalBuilder) -> None:
     with pytest.raises(ValueError, match=r"no system 'absent'; there are in$"):
         signals.replace("absent", source(4.0))
     with pytest.raises(ValueError, match=r"'bad' cannot be interposed on 'x': .* are y0, y1;"):
-        signals.interpose("x", "bad", _two_outputs())
+        signals.interpose("x", "bad", Demultiplexer(2, 1))
     signals.interpose("nowhere", "lost", Gain(2.0, 1))
     with pytest.raises(ValueError, match="'lost' is interposed on 'nowhere', which has no source"):
         signals.connect()
-
-
-def _two_outputs() -> Diagram:
-    """Returns a diagram with output ports y0 and y1."""
-    builder = DiagramBuilder()
-    for number in range(2):
-        builder.ExportOutput(builder.AddSystem(source(1.0)).get_output_port(), f"y{number}")
-    return builder.Build()

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw, RotationMatrix
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
@@ -17,8 +14,9 @@ from pydrake.systems.primitives import Demultiplexer, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
-from drake_oa.robot.config import Gains
-from drake_oa.robot.plant import RobotPlant
+from drake_oa.robot.config import Gains, Robot
+from drake_oa.robot.plant import RobotPlant, add_robot
+from tests.builders import fix, read
 
 START, GOAL = np.array([0.45, -0.4, 0.3]), np.array([0.45, 0.4, 0.3])
 Q_START = np.array([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608, 0.04, 0.04])
@@ -30,11 +28,7 @@ TILTED = RollPitchYaw(2.9, 0.1, 0.3).ToRotationMatrix()
 def bare_plant(gravity: float = 9.81) -> MultibodyPlant:
     """Returns the plant of the robot without a scene graph."""
     plant = MultibodyPlant(0.001)
-    parser = Parser(plant)
-    models = Path(str(resources.files("drake_oa.models")))
-    parser.package_map().AddPackageXml(str(models / "package.xml"))
-    parser.AddModels(url="package://drake_oa/panda/panda_arm_hand.urdf")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("panda_link0"))
+    add_robot(plant, Robot())
     plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -gravity])
     plant.Finalize()
     return plant
@@ -54,13 +48,8 @@ def fixed(system: CartesianInverseDynamics, **ports: np.ndarray) -> Context:
     context = system.CreateDefaultContext()
     rest = {"robot_state": X_START, "desired_position": START}
     rest |= {f"desired_{name}": np.zeros(3) for name in ("velocity", "acceleration")}
-    for name, value in (rest | ports).items():
-        system.GetInputPort(name).FixValue(context, value)
+    fix(system, context, **(rest | ports))
     return context
-
-
-def read(system: CartesianInverseDynamics, name: str, context: Context) -> np.ndarray:
-    return np.array(system.GetOutputPort(name).Eval(context))
 
 
 def test_the_torque_causes_the_commanded_acceleration(panda: RobotPlant, make: Callable) -> None:
@@ -78,7 +67,7 @@ def test_the_torque_causes_the_commanded_acceleration(panda: RobotPlant, make: C
     frame, model = plant.GetFrameByName("panda_hand_tcp"), plant.CreateDefaultContext()
     plant.SetPositionsAndVelocities(model, x)
     V, X = frame.CalcSpatialVelocityInWorld(model), frame.CalcPoseInWorld(model)
-    plant.get_actuation_input_port().FixValue(model, read(system, "actuation", context))
+    plant.get_actuation_input_port().FixValue(model, read(system, context, "actuation"))
     plant.get_applied_generalized_force_input_port().FixValue(model, np.zeros(9))
     A = frame.CalcSpatialAccelerationInWorld(model)
     turn = (DOWN @ X.rotation().inverse()).ToAngleAxis()
@@ -88,7 +77,7 @@ def test_the_torque_causes_the_commanded_acceleration(panda: RobotPlant, make: C
     # The control law ignores that the fingers, of 15 g each, move: hence one per cent.
     assert np.linalg.norm(A.translational() - expected) < 0.01 * np.linalg.norm(expected)
     assert np.linalg.norm(A.rotational() - expected_alpha) < 0.01 * np.linalg.norm(expected_alpha)
-    np.testing.assert_allclose(read(system, "orientation_error", context), e, atol=1e-12)
+    np.testing.assert_allclose(read(system, context, "orientation_error"), e, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -111,10 +100,10 @@ def test_an_input_that_is_not_finite_brakes_the_arm(
     gravity = panda.plant.CalcGravityGeneralizedForces(model)[:7]
     # Without a finite state the torque is 0.
     expected = 0.0 * gravity if name == "robot_state" else -gravity
-    np.testing.assert_allclose(read(system, "actuation", context)[:7], expected, atol=1e-9)
-    assert read(system, "stopping", context) == 1.0
+    np.testing.assert_allclose(read(system, context, "actuation")[:7], expected, atol=1e-9)
+    assert read(system, context, "stopping") == 1.0
     for error in ("tracking_error", "orientation_error"):
-        assert np.isinf(read(system, error, context)).all()
+        assert np.isinf(read(system, context, error)).all()
 
 
 def test_errors_of_wrong_arguments_name_valid_values(make: Callable) -> None:
@@ -130,8 +119,8 @@ def test_sign_and_length_of_the_desired_quaternion_have_no_effect(
 ) -> None:
     system, reference = make(), make(TILTED)
     context = fixed(system, desired_orientation=factor * TILTED.ToQuaternion().wxyz())
-    expected = read(reference, "actuation", fixed(reference))
-    np.testing.assert_allclose(read(system, "actuation", context), expected, atol=1e-9)
+    expected = read(reference, fixed(reference), "actuation")
+    np.testing.assert_allclose(read(system, context, "actuation"), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -173,9 +162,9 @@ def test_tracking_errors_of_a_simulated_arm_are_bounded(
     errors, saturated = [], []
     for time in np.arange(0.0, 3.0, 0.05):
         simulator.AdvanceTo(time)
-        errors.append(np.linalg.norm(read(system, "tracking_error", context)))
-        saturated.append(read(system, "torque_saturation", context)[0])
-        assert (np.abs(read(system, "actuation", context)) <= panda.limits.effort_limit).all()
+        errors.append(np.linalg.norm(read(system, context, "tracking_error")))
+        saturated.append(read(system, context, "torque_saturation")[0])
+        assert (np.abs(read(system, context, "actuation")) <= panda.limits.effort_limit).all()
     assert max(errors) < largest
     assert errors[-1] < last
     assert any(saturated) == (largest == 1.0)

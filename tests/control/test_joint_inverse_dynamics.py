@@ -10,37 +10,19 @@ from pydrake.systems.controllers import InverseDynamicsController
 from drake_oa.control.joint_inverse_dynamics import JointInverseDynamics, limit_torque
 from drake_oa.robot.config import Gains, Robot
 from drake_oa.robot.plant import RobotPlant, home_positions
+from tests.builders import fix, read
 
 GAINS = Gains(kp_position=100.0, kd_position=20.0, ki_position=0.0)
 
 
-def torques(panda: RobotPlant, x: np.ndarray, desired: np.ndarray, a: np.ndarray) -> tuple:
-    """Computes the outputs: actuation (9,), torque_saturation (1,) and stopping (1,)."""
-    system = JointInverseDynamics(
-        panda.plant, tool_frame=panda.tool_frame.name(), gains=GAINS, finger_opening=0.02
-    )
-    context = system.CreateDefaultContext()
-    for name, value in (
-        ("robot_state", x),
-        ("desired_joint_state", desired),
-        ("desired_joint_acceleration", a),
-    ):
-        system.GetInputPort(name).FixValue(context, value)
-    names = ("actuation", "torque_saturation", "stopping")
-    return tuple(np.array(system.GetOutputPort(name).Eval(context)) for name in names)
-
-
-def state(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draws a robot state (18,), a desired joint state (14,) and acceleration (7,)."""
-    rng, q = np.random.default_rng(seed), home_positions(Robot())
+def test_torques_equal_those_of_drakes_controller(panda: RobotPlant) -> None:
+    rng, q = np.random.default_rng(1), home_positions(Robot())
     x = np.concatenate([q + 0.1 * rng.normal(size=9), 0.2 * rng.normal(size=9)])
     desired = np.append(x[:7] + 0.01 * rng.normal(size=7), x[9:16] + 0.01 * rng.normal(size=7))
-    return x, desired, rng.normal(size=7)
-
-
-def test_torques_equal_those_of_drakes_controller(panda: RobotPlant) -> None:
-    x, desired, a = state(1)
-    tau, saturated, stopping = torques(panda, x, desired, a)
+    a, tool = rng.normal(size=7), panda.tool_frame.name()
+    system = JointInverseDynamics(panda.plant, tool_frame=tool, gains=GAINS, finger_opening=0.02)
+    own = system.CreateDefaultContext()
+    fix(system, own, robot_state=x, desired_joint_state=desired, desired_joint_acceleration=a)
     gains = (np.full(9, GAINS.kp_position), np.zeros(9), np.full(9, GAINS.kd_position))
     drake = InverseDynamicsController(panda.plant, *gains, True)
     context = drake.CreateDefaultContext()
@@ -50,25 +32,24 @@ def test_torques_equal_those_of_drakes_controller(panda: RobotPlant) -> None:
     drake.get_input_port_desired_state().FixValue(context, np.append(q_d, v_d))
     drake.get_input_port_desired_acceleration().FixValue(context, np.append(a, np.zeros(2)))
     expected = drake.get_output_port_control().Eval(context)
-    np.testing.assert_allclose(tau[:7], expected[:7], atol=1e-9)
-    assert saturated[0] == stopping[0] == 0.0
+    np.testing.assert_allclose(read(system, own, "actuation")[:7], expected[:7], atol=1e-9)
+    assert read(system, own, "torque_saturation") == read(system, own, "stopping") == 0.0
 
 
 def test_the_integral_ignores_a_joint_with_a_large_error(panda: RobotPlant) -> None:
     system = JointInverseDynamics(panda.plant, tool_frame=panda.tool_frame.name(), period=0.01)
-    simulator = Simulator(system)
-    context = simulator.get_mutable_context()
     x = np.append(home_positions(Robot()), np.zeros(9))
     desired = np.append(x[:7] + [0.01, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0], np.zeros(7))
-    system.GetInputPort("robot_state").FixValue(context, x)
-    system.GetInputPort("desired_joint_state").FixValue(context, desired)
-    system.GetInputPort("desired_joint_acceleration").FixValue(context, np.zeros(7))
-    before = np.array(system.GetOutputPort("actuation").Eval(context))
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    fix(system, context, robot_state=x, desired_joint_state=desired)
+    fix(system, context, desired_joint_acceleration=np.zeros(7))
+    before = read(system, context, "actuation")
     simulator.AdvanceTo(0.055)
     integral = context.get_discrete_state_vector().value()
     assert integral[0] == pytest.approx(Gains().ki_position * 0.05 * 0.01)
     np.testing.assert_array_equal(integral[1:], 0.0)
-    assert np.abs(system.GetOutputPort("actuation").Eval(context) - before).max() > 0.1
+    assert np.abs(read(system, context, "actuation") - before).max() > 0.1
 
 
 @given(st.integers(0, 2**31 - 1))

@@ -1,8 +1,14 @@
 """Robot arm with six joints and without fingers, independent of the Panda."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
-from drake_oa.robot.config import Robot
+from drake_oa.scenario.loading import parse_scenario
+from drake_oa.scenario.scenario import Scenario
+
+SIX_HOME = [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
+"""Home positions of the six joints [rad]."""
 
 _LINKS = [
     ("pan", "0 0 0.1625", "0 0 0", "0.12 0.12 0.12", "0 0 0"),
@@ -15,20 +21,20 @@ _LINKS = [
 """Joints with the dimensions of a UR5e: name, xyz and rpy in the parent link, and size and center
 of the link's box."""
 
-SIX_ARM = """
-task: {start: [0.5, -0.3, 0.35], goal: [0.5, 0.3, 0.35], duration: 2.0, clearance: 0.08}
+_SCENARIO = f"""
+task: {{start: [0.5, -0.3, 0.35], goal: [0.5, 0.3, 0.35], duration: 2.0, clearance: 0.08}}
 compute_latency: null
 robot:
   model: six.urdf
   base_link: foot
   # Its x axis points back, as a UR5e's does.
-  X_WB: {rpy: [0, 0, 3.1415927]}
+  X_WB: {{rpy: [0, 0, 3.1415927]}}
   hand_link: wrist3
   p_HE: [0, 0, 0.1]
   tool_links: [wrist3]
-  q_seed: [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
+  q_seed: {SIX_HOME}
+perception: !GroundTruth {{}}
 """
-"""Scenario with task and robot; its model file `six.urdf` has the text `arm_text()`."""
 
 
 def _body(name: str, size: str, at: str) -> str:
@@ -44,26 +50,10 @@ def _body(name: str, size: str, at: str) -> str:
   </link>"""
 
 
-SIX_HOME = [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
-"""Home positions of the six joints [rad]."""
-
-
-def six_robot(folder: Path) -> Robot:
-    """Writes the arm's model to a folder and returns its robot configuration."""
-    file = folder / "six.urdf"
-    file.write_text(arm_text())
-    return Robot(
-        model=str(file),
-        base_link="foot",
-        hand_link="wrist3",
-        p_HE=[0.0, 0.0, 0.1],
-        tool_links=["wrist3"],
-        q_seed=SIX_HOME,
-    )
-
-
-def arm_text() -> str:
-    """Returns the URDF of the arm."""
+def six_scenario(
+    folder: Path, old: str = "", new: str | Callable[[re.Match], str] = ""
+) -> Scenario:
+    """Writes the arm's URDF to a folder, with `old` replaced by `new`; returns its scenario."""
     parts, parent = [_body("foot", "0.15 0.15 0.08", "0 0 0.04")], "foot"
     for name, xyz, rpy, size, at in _LINKS:
         parts.append(_body(name, size, at))
@@ -78,4 +68,6 @@ def arm_text() -> str:
     <joint name="{name}_joint"/><actuator name="{name}_motor"/>
   </transmission>""")
         parent = name
-    return f'<?xml version="1.0"?>\n<robot name="six">{"".join(parts)}\n</robot>\n'
+    text = f'<?xml version="1.0"?>\n<robot name="six">{"".join(parts)}\n</robot>\n'
+    (folder / "six.urdf").write_text(re.sub(old, new, text, flags=re.DOTALL))
+    return parse_scenario(_SCENARIO, folder=folder)

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from drake_oa.diagrams.motion import make_dmp
-from drake_oa.geometry.shapes import Sphere
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import AT_GOAL, REST_TIME, simulate
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.task import goal_at
+from tests.builders import ball_scene
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 FRAME = 1.0 / 30.0
@@ -65,15 +64,8 @@ def test_hard_push_holds_the_motion_and_is_logged() -> None:
 
 @pytest.mark.slow
 def test_obstacle_that_arrives_at_the_goal_later_ends_the_success() -> None:
-    scenario = load_scenario("tabletop_box", [GROUND_TRUTH])
-    scenario.obstacles = [
-        Obstacle(
-            name="late",
-            shapes=[Sphere(radius=0.08)],
-            translation=[0.45, 1.2, 0.3],
-            waypoints=[[8.0, 0.0, 0.0, 0.0], [8.8, 0.0, -0.75, 0.0]],
-        )
-    ]
+    waypoints = [[8.0, 0.0, 0.0, 0.0], [8.8, 0.0, -0.75, 0.0]]
+    scenario = ball_scene([0.45, 1.2, 0.3], radius=0.08, waypoints=waypoints)
     log = simulate(scenario)
     assert log.motion_end < 8.0
     assert log.simulated_time >= 8.8 + REST_TIME

@@ -48,18 +48,11 @@ def pushed(scenario: Scenario, link: str, speed: float) -> Scenario:
     p_WL = robot.plant.GetBodyByName(link).EvalPoseInWorld(context).translation()
     distance = 0.3
     begin, end = PUSH - distance / speed, PUSH + REACH / speed
-    scenario.obstacles = [
-        Obstacle(
-            name="box",
-            shapes=[Box(size=[0.1, 0.1, 0.1])],
-            translation=(p_WL + [0.0, distance, 0.0]).tolist(),
-            waypoints=[
-                [max(begin, 0.0), 0.0, 0.0, 0.0],
-                [end, 0.0, -distance - REACH, 0.0],
-                [end + RETREAT, 0.0, 0.0, 0.0],
-            ],
-        )
-    ]
+    box = Obstacle(name="box", shapes=[Box(size=[0.1, 0.1, 0.1])])
+    box.translation = (p_WL + [0.0, distance, 0.0]).tolist()
+    offsets = (max(begin, 0.0), 0.0), (end, -distance - REACH), (end + RETREAT, 0.0)
+    box.waypoints = [[time, 0.0, y, 0.0] for time, y in offsets]
+    scenario.obstacles = [box]
     return scenario
 
 

@@ -14,7 +14,7 @@ from drake_oa.runs.simulation import MAX_NORMALIZED_TIME, simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
-from tests.diagrams.six_arm import SIX_ARM, arm_text
+from tests.diagrams.six_arm import six_scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 WHOLE_ARM = ["inference=!Verified {}"]
@@ -54,22 +54,15 @@ def test_collision_scene_contains_models_of_any_name(caplog):
     assert not caplog.text
 
 
-def with_six_arm(tmp_path, old="", new="") -> Scenario:
-    """Returns a scenario with the arm of six joints, `old` replaced by `new` in its model."""
-    (tmp_path / "six.urdf").write_text(re.sub(old, new, arm_text(), flags=re.DOTALL))
-    return parse_scenario(SIX_ARM, [GROUND_TRUTH], folder=tmp_path)
-
-
 def test_link_without_geometry_is_logged_and_joints_without_limits_move(tmp_path, caplog):
     def changed(match: re.Match) -> str:
         return {"t": 'type="continuous"', "l": "", "<": match[1] or ""}[match[0][0]]
 
     elbow = '(<link name="elbow">.*?)<collision>.*?</collision>'
     limits = f'{elbow}|type="revolute"|lower="-6.28" upper="6.28"'
-    log = simulate(with_six_arm(tmp_path, limits, changed), duration=0.5)
-    assert (
-        "robot.model: no collision geometry of elbow: its clearance is not checked" in caplog.text
-    )
+    log = simulate(six_scenario(tmp_path, limits, changed), duration=0.5)
+    unchecked = "robot.model: no collision geometry of elbow: its clearance is not checked"
+    assert unchecked in caplog.text
     assert np.isfinite(log.q).all()
     assert np.linalg.norm(log.p_WE[-1] - log.p_WE[0]) > 0.01
 
@@ -109,8 +102,7 @@ def test_motion_ends_on_arrival_or_at_the_latest_end() -> None:
     slow = simulate(load_scenario("free_space", ["policy.n_basis=4", "policy.alpha_k=2.0", empty]))
     end = -math.log(slow.phase[slow.moving][-1]) / 2.0
     assert end == pytest.approx(MAX_NORMALIZED_TIME, abs=0.02)
-    offset = slow.desired_position[slow.moving][-1] - [1.0, 0.0, 0.0]
-    error = 1e3 * float(np.linalg.norm(offset))
+    error = 1e3 * math.dist(slow.desired_position[slow.moving][-1], [1.0, 0.0, 0.0])
     assert error > 1.0
     reason = re.fullmatch(r"goal missed by (\d+\.\d) mm at s = 2\.2", slow.stop_reason)
     assert reason

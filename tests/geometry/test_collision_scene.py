@@ -57,8 +57,10 @@ SHAPES = {
 def test_distances_equal_those_of_drake(name):
     shape = drake.Box(*np.ptp(CUBE, axis=0)) if name == "cube" else SHAPES[name]
     reference = World([shape])
-    (one,) = World([SHAPES[name]]).geometries() if name != "half-space" else [half_space_at(X_WG)]
-    scene = geometries_of([one])
+    half_space = [replace(geom.geometry_of(drake.HalfSpace()), X_WO=X_WG)]
+    scene = geometries_of(
+        half_space if name == "half-space" else World([SHAPES[name]]).geometries()
+    )
     # Distances to ellipsoids in Drake are iterative, with errors up to 0.6 mm.
     tolerance = 1e-3 if name == "ellipsoid" else 1e-9
     for p in POINTS:
@@ -68,11 +70,6 @@ def test_distances_equal_those_of_drake(name):
             (near,) = reference.query.ComputeSignedDistanceToPoint(p)
             expected = near.distance
         assert geom.geometry_distance(scene, 0, *p, 0.0) == pytest.approx(expected, abs=tolerance)
-
-
-def half_space_at(X):
-    """Returns a half-space at a pose (4, 4)."""
-    return replace(geom.geometry_of(drake.HalfSpace()), X_WO=X)
 
 
 def test_the_distance_to_a_hull_is_that_to_its_nearest_point():

@@ -23,11 +23,6 @@ def surface(size, center, spacing=0.005):
     return np.concatenate(points) + center, np.concatenate(normals)
 
 
-def visible_points(points, normals, viewpoint):
-    """Returns the points of a convex object that are visible from a viewpoint [m]."""
-    return points[np.einsum("ij,ij->i", viewpoint - points, normals) > 0.0]
-
-
 def distances(field, points):
     """Computes the distances of points to a field, as in a collision scene [m]."""
     scene = geometries_of([cloud_geometry(field)])
@@ -73,7 +68,8 @@ def test_the_self_occluded_space_of_a_box_is_filled_and_little_more(viewpoint, s
     away = (center - viewpoint)[:2] / np.linalg.norm((center - viewpoint)[:2])
     # Depth of the box along the view.
     deep = 2.0 * float(np.abs(away) @ half[:2])
-    cloud = visible_points(*surface(size, center, spacing), viewpoint)
+    cloud, normals = surface(size, center, spacing)
+    cloud = cloud[np.einsum("ij,ij->i", viewpoint - cloud, normals) > 0.0]
     field = field_of(cloud, viewpoints_W=[viewpoint], table=table, deepest=deep)
     inside = center + RNG.uniform(-1.0, 1.0, (800, 3)) * half
     assert distances(field, inside).max() <= field.voxel

@@ -1,5 +1,6 @@
 """CommandStreamer with a simulated station: motion, pauses, and failures that stop it."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,4 @@ def test_motion_does_not_start_away_from_its_start_or_beyond_limits() -> None:
     low = limits.position_lower.copy()
     low[3] = -1.0
     with pytest.raises(HardwareError, match=r"joint4 at .* outside"):
-        lockstep.link.ready_arm(
-            joints(lockstep.station), type(limits)(**{**vars(limits), "position_lower": low})
-        )
+        lockstep.link.ready_arm(joints(lockstep.station), replace(limits, position_lower=low))

@@ -1,13 +1,12 @@
 """Tests of the system `RegressorChain`."""
 
 import numpy as np
-from pydrake.common.value import Value
 
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import PolicyState
 from drake_oa.inference.regressor import load_chain, section_extents
 from drake_oa.inference.regressor_chain import RegressorChain
-from tests.builders import balls
+from tests.builders import balls, fix
 
 WEIGHTS = load_chain(package_file("package://drake_oa/weights/paper_chain_running.safetensors"))
 OBSTACLES = balls((0.5, 0.0, 0.1), (0.55, 0.05, 0.15), radius=[0.1, 0.15, 0.2])
@@ -16,8 +15,7 @@ OBSTACLES = balls((0.5, 0.0, 0.1), (0.55, 0.05, 0.15), radius=[0.1, 0.15, 0.2])
 def evaluate(policy: PolicyState):
     system = RegressorChain(WEIGHTS, 0.1)
     context = system.CreateDefaultContext()
-    system.GetInputPort("ellipsoids_W").FixValue(context, Value(OBSTACLES))
-    system.GetInputPort("policy_state").FixValue(context, Value(policy))
+    fix(system, context, ellipsoids_W=OBSTACLES, policy_state=policy)
     return system.GetOutputPort("coupling_parameters").Eval(context)
 
 

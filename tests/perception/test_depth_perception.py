@@ -7,14 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pydrake.geometry as drake
 import pytest
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.collision_scene import geometries_of, geometry_of
 from drake_oa.perception.depth_perception import DepthPerception, backdate_obstacles
-from tests.builders import depth_image
+from tests.builders import depth_image, fix
 from tests.reference.depth_images import box, look_at, ray_cast
 
 CAMERA = CameraInfo(320, 240, 260.0, 260.0, 159.5, 119.5)
@@ -27,10 +26,9 @@ def set_image(system, context, camera="", stamp=0.0, image=None) -> None:
     """Sets the stamp [s] of a camera's image, and an image of (H, W) depths [m]."""
     suffix = f"_{camera}" if camera else ""
     if image is not None:
-        value = depth_image(image)
-        system.GetInputPort(f"depth_image{suffix}").FixValue(context, Value(value))
+        fix(system, context, **{f"depth_image{suffix}": depth_image(image)})
     if camera:
-        system.GetInputPort(f"image_stamp{suffix}").FixValue(context, [stamp])
+        fix(system, context, **{f"image_stamp{suffix}": [stamp]})
 
 
 def one_camera(image: np.ndarray, **options) -> tuple[DepthPerception, object]:
@@ -38,7 +36,7 @@ def one_camera(image: np.ndarray, **options) -> tuple[DepthPerception, object]:
     system = DepthPerception(CAMERA, **options)
     context = system.CreateDefaultContext()
     set_image(system, context, image=image)
-    system.GetInputPort("camera_pose").FixValue(context, Value(X_WC))
+    fix(system, context, camera_pose=X_WC)
     return system, context
 
 
@@ -99,7 +97,7 @@ def two_cameras(**options) -> tuple[DepthPerception, object]:
     system = DepthPerception({"left": CAMERA, "right": CAMERA}, **options)
     context = system.CreateDefaultContext()
     for name in ("left", "right"):
-        system.GetInputPort(f"camera_pose_{name}").FixValue(context, Value(X_WC))
+        fix(system, context, **{f"camera_pose_{name}": X_WC})
         set_image(system, context, name, 0.0, table_with_block())
     return system, context
 
@@ -199,7 +197,7 @@ def test_the_self_filter_removes_the_robot_at_its_state_of_each_image():
     )
     for name, y, stamp in (("left", -0.3, 0.10), ("right", 0.3, 0.13)):
         set_image(system, context, name, stamp, table_with(box(0.1, y, ARM), box(0.0, 0.0)))
-        system.GetInputPort(f"robot_state_{name}").FixValue(context, [y])
+        fix(system, context, **{f"robot_state_{name}": [y]})
     seen = update(system, context)
     assert seen.note == ""
     (cloud,) = seen.clouds_W

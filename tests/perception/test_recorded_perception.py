@@ -1,46 +1,23 @@
 """Tests of RecordedPerception on recorded point clouds."""
 
 import numpy as np
-import open3d
 import pytest
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.perception.recorded_perception import RecordedPerception
+from tests.builders import cubes_on_table, write_cloud
 
 PERIOD = 0.1
 """Period of the updates [s]."""
 
 
-def scene(*centers: tuple[float, float], size: float = 0.1) -> np.ndarray:
-    """Returns points in the world [m]: a table, and the top and two sides of cubes on it."""
-    grid = np.arange(-0.4, 0.4, 0.008)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
-    free = np.ones(len(x), dtype=bool)
-    parts = []
-    side = np.arange(0.0, size, 0.004)
-    a, b = (axis.ravel() for axis in np.meshgrid(side, side))
-    for cx, cy in centers:
-        low = np.array([cx, cy, 0.0]) - [size / 2, size / 2, 0.0]
-        free &= (np.abs(x - cx) > size / 2) | (np.abs(y - cy) > size / 2)
-        end = np.full(len(a), size)
-        parts += [low + np.stack(face, axis=1) for face in ((a, b, end), (end, a, b), (a, end, b))]
-    table = np.stack([x[free], y[free], np.zeros(free.sum())], axis=1)
-    return np.concatenate([table, *parts])
-
-
-def write_cloud(path, points: np.ndarray) -> None:
-    """Writes a point cloud to a .pcd or .ply file."""
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    open3d.io.write_point_cloud(str(path), cloud)
-
-
 @pytest.fixture
 def folder(tmp_path):
     """Returns a recording: no cube at 0 s (.npz), one at 0.1 s (.pcd), two at 0.3 s (.ply)."""
-    np.savez(tmp_path / "start.npz", points=scene(), X_WC=np.eye(4), stamp=0.0)
-    write_cloud(tmp_path / "cloud_000.100.pcd", scene((0.1, 0.0)))
-    write_cloud(tmp_path / "cloud_000.300.ply", scene((0.12, 0.0), (-0.2, 0.1)))
+    np.savez(tmp_path / "start.npz", points=cubes_on_table(), X_WC=np.eye(4), stamp=0.0)
+    write_cloud(tmp_path / "cloud_000.100.pcd", cubes_on_table((0.1, 0.0)))
+    write_cloud(tmp_path / "cloud_000.300.ply", cubes_on_table((0.12, 0.0), (-0.2, 0.1)))
     return tmp_path
 
 

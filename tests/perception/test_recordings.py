@@ -9,6 +9,7 @@ import open3d
 import pytest
 
 from drake_oa.perception.recordings import read_frame, read_recording
+from tests.builders import write_cloud
 
 K = np.array([100.0, 101.0, 4.5, 3.5])
 MATRIX = [100.0, 0.0, 4.5, 0.0, 101.0, 3.5, 0.0, 0.0, 1.0]
@@ -25,12 +26,6 @@ CLOUDS = {
 """Options of Open3D for writing a cloud, by file name."""
 
 
-def write_cloud(path: Path, points: np.ndarray = POINTS, **options: bool) -> None:
-    """Writes a point cloud to a .pcd or .ply file."""
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    open3d.io.write_point_cloud(str(path), cloud, **options)
-
-
 def write_image(path: Path, values: np.ndarray) -> None:
     """Writes integers (H, W) to a .png file."""
     open3d.io.write_image(str(path), open3d.geometry.Image(values))
@@ -45,8 +40,8 @@ def image(tmp_path: Path) -> Path:
 
 
 def test_all_formats_of_a_folder_are_read_in_order_of_stamp(tmp_path):
-    write_cloud(tmp_path / "cloud_000.066.pcd")
-    write_cloud(tmp_path / "cloud_000.033.ply")
+    write_cloud(tmp_path / "cloud_000.066.pcd", POINTS)
+    write_cloud(tmp_path / "cloud_000.033.ply", POINTS)
     np.savez(tmp_path / "depth.npz", depth=DEPTH, K=K, X_WC=np.eye(4), stamp=0.1)
     np.savez(tmp_path / "points_0.05.npz", points=POINTS, robot_state=np.arange(3))
     write_image(tmp_path / "image_0.2.png", np.full((4, 5), 1000, dtype=np.uint16))
@@ -109,7 +104,7 @@ def test_an_image_without_intrinsics_or_scale_is_rejected(image):
 @pytest.mark.parametrize("name", CLOUDS)
 def test_a_truncated_cloud_or_a_wrong_header_is_rejected(name, tmp_path, capfd):
     path = tmp_path / name
-    write_cloud(path, **CLOUDS[name])
+    write_cloud(path, POINTS, **CLOUDS[name])
     np.testing.assert_allclose(read_frame(path).points, POINTS, atol=1e-5)
     data = path.read_bytes()
     changed = [data[: int(share * len(data))] for share in (0.1, 0.35, 0.6, 0.97)]
@@ -138,8 +133,8 @@ def test_the_message_names_a_missing_or_empty_folder(tmp_path):
 
 
 def test_the_message_names_two_files_with_the_same_stamp(tmp_path):
-    write_cloud(tmp_path / "a_1.50.ply")
-    write_cloud(tmp_path / "b_1.5.ply")
+    write_cloud(tmp_path / "a_1.50.ply", POINTS)
+    write_cloud(tmp_path / "b_1.5.ply", POINTS)
     with pytest.raises(ValueError, match=r"a_1\.50\.ply.*b_1\.5\.ply.*same stamp 1\.5 s"):
         read_recording(tmp_path)
 

@@ -12,7 +12,7 @@ from drake_oa.geometry.collision_scene import geometries_of, geometry_of
 from drake_oa.geometry.pinhole import View
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
-from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
+from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast, rays_of
 
 X_WC = camera_pose()
 NO_TABLE_EXTENT = (50.0, 50.0, 0.1, 0.1)
@@ -120,7 +120,7 @@ def test_without_a_table_every_visible_object_is_an_obstacle():
     depth = ray_cast(X_WC, hung, NO_TABLE_EXTENT)
     # With a table expected, their tops count as the table.
     assert segment_depth(depth, K, X_WC).clouds_W == ()
-    cloud = back_project(depth)
+    cloud = (rays_of(np.eye(4), K, SIZE) * depth[..., None])[np.isfinite(depth)]
     for result in (
         segment_depth(depth, K, X_WC, NO_TABLE_CONFIG),
         segment_points(cloud, X_WC, NO_TABLE_CONFIG),
@@ -134,13 +134,6 @@ def test_without_a_table_every_visible_object_is_an_obstacle():
             assert (seen < high + 2e-3).all()
     # A table is an obstacle if none is expected.
     assert len(segment_depth(ray_cast(X_WC, ()), K, X_WC, NO_TABLE_CONFIG).clouds_W) == 1
-
-
-def back_project(depth: np.ndarray) -> np.ndarray:
-    """Computes the points (N, 3) of an image in the camera frame [m]."""
-    v, u = np.nonzero(np.isfinite(depth))
-    z = depth[v, u].astype(float)
-    return np.column_stack([z * (u - K[2]) / K[0], z * (v - K[3]) / K[1], z])
 
 
 def test_without_a_table_free_space_is_usable_and_missing_depth_is_not():

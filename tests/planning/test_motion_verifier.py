@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
@@ -37,7 +36,7 @@ from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimu
 from drake_oa.robot.arm import tool_poses
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import Ring
-from tests.builders import balls
+from tests.builders import balls, fix
 from tests.planning.arms import ArmAlone, box_at
 
 CLEARANCE = 0.1
@@ -90,20 +89,13 @@ class Bench:
             self.layers["coupling_parameters"] = RegressorChain(weights, CLEARANCE)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
-        for name, value in (
-            ("goal", GOAL),
-            ("robot_state", np.concatenate([arm.q_full, np.zeros(m)])),
-        ):
-            self.system.GetInputPort(name).FixValue(self.context, value)
         self.policy = PolicyState(
             p_WE=self.start, p_WS=self.start, p_WG=GOAL, R_WL=local_frame(self.start, GOAL)
         )
+        self.fix = partial(fix, self.system, self.context)
+        self.fix(goal=GOAL, robot_state=np.concatenate([arm.q_full, np.zeros(m)]))
         self.fix(policy_state=self.policy, ellipsoids_W=EllipsoidSet())
         self.see(*geometries)
-
-    def fix(self, **inputs: object) -> None:
-        for name, value in inputs.items():
-            self.system.GetInputPort(name).FixValue(self.context, Value(value))
 
     def see(self, *geometries: CollisionGeometry, stamp: float = 0.0) -> None:
         labels = tuple(geometry.label for geometry in geometries)
@@ -116,9 +108,7 @@ class Bench:
             context = system.CreateDefaultContext()
             for name in ("policy_state", "ellipsoids_W", "goal"):
                 port = self.system.GetInputPort(name)
-                if system.HasInputPort(name) and port.HasValue(self.context):
-                    value = GOAL if name == "goal" else Value(port.Eval(self.context))
-                    system.GetInputPort(name).FixValue(context, value)
+                fix(system, context, **{name: port.Eval(self.context)})
             Simulator(system, context).Initialize()
             name = "route" if output == "decision" else output
             self.fix(**{name: system.GetOutputPort(output).Eval(context)})

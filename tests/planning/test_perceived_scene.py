@@ -117,13 +117,6 @@ def test_late_observations_are_ignored_and_the_table_remains():
     assert after.scene.labels == ("obstacle 0", "the table")
 
 
-def updated(made, context, obstacles, time):
-    context.SetTime(time)
-    made.GetInputPort("obstacles_W").FixValue(context, AbstractValue.Make(obstacles))
-    made.ExecuteInitializationEvents(context)
-    return made.GetOutputPort("collision_scene_W").Eval(context)
-
-
 def post(height):
     """Samples points (N, 3) on the front of a post of 4 cm width and the given height [m]."""
     y, z = np.meshgrid(np.arange(-0.02, 0.021, 0.005), np.arange(0.0, height, 0.005))
@@ -188,5 +181,9 @@ def test_the_system_reads_images_of_the_same_observation():
     made.GetInputPort("free_space_W").FixValue(context, space)
     # Images of another time are ignored, since obstacles may have moved.
     for stamp, is_free in ((1.2, False), (1.3, True)):
-        scene = updated(made, context, clouds(box(THIN), stamp=stamp), stamp)
+        context.SetTime(stamp)
+        obstacles = AbstractValue.Make(clouds(box(THIN), stamp=stamp))
+        made.GetInputPort("obstacles_W").FixValue(context, obstacles)
+        made.ExecuteInitializationEvents(context)
+        scene = made.GetOutputPort("collision_scene_W").Eval(context)
         assert (distance(scene.geometries, 0, BEHIND) > 0.0) == is_free

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.common.messages import EllipsoidSet, FloatArray
+from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.inference.config import Verified
 from drake_oa.planning.point_search import PointSearch
@@ -15,6 +15,7 @@ from drake_oa.planning.search import ALPHA, Ranking
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
+from tests.builders import balls
 
 DURATION = 3.0
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
@@ -28,15 +29,8 @@ def scene_of(
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Scene:
     """Returns a motion of 1 m along x with axis-aligned ellipsoids, and a clearance of 0.1 m."""
-    count = len(center)
-    ellipsoids = EllipsoidSet(
-        p_WO=np.array(center),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.array(np.broadcast_to(semi_axes, (count, 3))),
-        v_WO=np.tile(velocity, (count, 1)),
-        ids=np.arange(count),
-    )
-    return Scene(START, np.zeros(3), GOAL, np.eye(3), 1.0, ellipsoids, np.full(count, 0.1))
+    ellipsoids = balls(*center, radius=semi_axes, v_WO=velocity)
+    return Scene(START, np.zeros(3), GOAL, np.eye(3), 1.0, ellipsoids, np.full(len(center), 0.1))
 
 
 def search_motion(scene: Scene) -> tuple[Ranking, FloatArray, FloatArray]:

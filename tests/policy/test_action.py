@@ -108,12 +108,6 @@ def random_state(some: Scene, seed: int) -> PolicyState:
     return replace(state, p_WE=p_WE, z_W=z_W, phase=rng.uniform(0.01, 1.0))
 
 
-def step_of(state: PolicyState, *values: object) -> PolicyState:
-    """Returns the state after one step, with the arguments of `CouplingInputs.of`."""
-    inputs = CouplingInputs.of(*values)
-    return STEPPED(make_segment(state), state.p_WG, inputs, 0.0, STEP).end
-
-
 # Holds.
 
 
@@ -168,7 +162,7 @@ def test_the_compiled_step_equals_the_reference(seed: int) -> None:
     some = scene(seed, 10.0)
     _, goal, ellipsoids, coupling, route = some
     state, inputs = random_state(some, seed), CouplingInputs.of(ellipsoids, coupling, route)
-    after = step_of(state, ellipsoids, coupling, route)
+    after = STEPPED(make_segment(state), goal, inputs, 0.0, STEP).end
     rows, places = inputs.obstacles.terms.copy(), np.array([state.p_WE, state.z_W, goal])
     spread = state.R_WL * state.baseline
     guide(*(triple(places, i) for i in range(3)), tuple(spread[:, 0]), inputs.obstacles, rows)

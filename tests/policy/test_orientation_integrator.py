@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -23,7 +22,7 @@ from drake_oa.policy.dmp import (
 )
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
-from tests.builders import read
+from tests.builders import fix, read
 
 START, GOAL = np.array([0.3, -0.4, 0.3]), np.array([0.3, 0.4, 0.3])
 R_WS = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix().matrix()
@@ -52,11 +51,7 @@ class Bench:
     def fix(self, **inputs: object) -> None:
         root = self.simulator.get_mutable_context()
         for system in (self.policy, self.turning):
-            for name, value in inputs.items():
-                if system.HasInputPort(name):
-                    abstract = value if isinstance(value, np.ndarray) else Value(value)
-                    context = system.GetMyMutableContextFromRoot(root)
-                    system.GetInputPort(name).FixValue(context, abstract)
+            fix(system, system.GetMyMutableContextFromRoot(root), **inputs)
 
     def advance(self, end: float) -> tuple[FloatArray, ...]:
         """Returns samples until a time [s].

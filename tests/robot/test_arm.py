@@ -22,7 +22,7 @@ from drake_oa.robot.arm import (
 )
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from tests.diagrams.six_arm import SIX_HOME, six_robot
+from tests.diagrams.six_arm import SIX_HOME, six_scenario
 
 SEEDS = st.integers(0, 2**32 - 1)
 HOME = np.array(Robot().q_seed)
@@ -37,7 +37,7 @@ def panda_chain(panda: RobotPlant) -> Chain:
 @pytest.fixture(scope="module")
 def six_chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
     """Returns the chain of an arm of six joints."""
-    robot = make_robot_plant(six_robot(tmp_path_factory.mktemp("six")))
+    robot = make_robot_plant(six_scenario(tmp_path_factory.mktemp("six")).robot)
     return make_chain(robot.plant, robot.tool_frame, np.array(SIX_HOME))
 
 

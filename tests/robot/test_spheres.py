@@ -21,6 +21,7 @@ from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.sphere_cover import SHIPPED, compute_cover, cover_key, load_cover
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres, sphere_centers
+from tests.diagrams.six_arm import six_scenario
 
 COARSE = SphereParameters(protrusion=0.015, max_tool_protrusion=0.012, max_fixed_protrusion=0.03)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
@@ -108,41 +109,10 @@ def test_the_shipped_covers_enclose_the_panda(panda: RobotPlant) -> None:
     assert not shipped
 
 
-def arm_of_links(
-    path: Path, joints: str = "rrrrrr", *, collision: bool = True, folded: bool = False
-) -> RobotPlant:
-    """Builds a chain of links, each a box and a cylinder, on a tilted base.
-
-    With `folded`, joints 1 and 2 almost coincide.
-    """
-    shape = (
-        '<collision><origin xyz="0 0 0.1"/><geometry><box size="0.05 0.06 0.16"/></geometry>'
-        '</collision><collision><geometry><cylinder radius="0.04" length="0.09"/></geometry>'
-        "</collision>"
-    )
-    text = ['<robot name="links">']
-    for k in range(len(joints) + 1):
-        text.append(f'<link name="link{k}">{shape if collision else ""}</link>')
-    for k, kind in enumerate(joints):
-        name = {"r": "revolute", "p": "prismatic", "f": "fixed"}[kind]
-        text.append(
-            f'<joint name="joint{k}" type="{name}"><parent link="link{k}"/>'
-            f'<child link="link{k + 1}"/><origin rpy="0 0 {0.5 * k}" '
-            f'xyz="0 0 {0.01 if folded and k in (1, 2) else 0.22}"/>'
-            f'<axis xyz="{1 - k % 2} {k % 2} 0"/>'
-            '<limit lower="-2.2" upper="2.2" velocity="1" effort="10"/></joint>'
-        )
-    path.write_text("".join(text) + "</robot>")
-    hand = f"link{len(joints)}"
-    config = Robot(
-        model=str(path),
-        base_link="link0",
-        hand_link=hand,
-        tool_links=[hand],
-        p_HE=[0.0, 0.0, 0.2],
-        X_WB=BasePose(translation=[0.5, -1.0, 0.7], rpy=[0.3, -0.2, 1.0]),
-        q_seed=[0.0] * (len(joints) - joints.count("f")),
-    )
+def six_plant(folder: Path, old: str = "", new: str = "") -> RobotPlant:
+    """Builds an arm of six joints on a tilted base, with `old` replaced by `new` in its model."""
+    config = six_scenario(folder, old, new).robot
+    config.X_WB = BasePose(translation=[0.5, -1.0, 0.7], rpy=[0.3, -0.2, 1.0])
     return make_robot_plant(config)
 
 
@@ -226,30 +196,34 @@ def test_a_grasped_object_belongs_to_the_tool() -> None:
 
 
 def test_six_joints_and_a_tilted_base(tmp_path: Path) -> None:
-    robot = arm_of_links(tmp_path / "arm.urdf")
-    found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
+    robot = six_plant(tmp_path)
+    found = make_arm_spheres(robot, np.zeros(6), ["wrist3"], COARSE)
     check_against_scene_graph(robot, np.zeros(6), found, 5, 15)
     assert [0, 6] in found.arrays.pairs.tolist()
     # With coarse spheres, links separated by one other link overlap.
     coarse = SphereParameters(protrusion=0.05, max_tool_protrusion=0.05)
-    found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
+    found = make_arm_spheres(robot, np.zeros(6), ["wrist3"], coarse)
     assert (found.arrays.allowance > 0.0).any()
     # The allowance also holds in configurations that were not sampled.
     check_against_scene_graph(robot, np.zeros(6), found, 7, 10)
 
 
 def test_pairs_always_in_contact_are_excluded(tmp_path: Path) -> None:
-    # Links 1 and 3 overlap in every configuration.
-    robot = arm_of_links(tmp_path / "arm.urdf", folded=True)
-    found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
+    # The elbow joint is in the middle of the box of the first link.
+    robot = six_plant(tmp_path, "-0.425 0 0", "0 0 0")
+    found = make_arm_spheres(robot, np.zeros(6), ["wrist3"], COARSE)
     names = {tuple(found.bodies[g] for g in pair) for pair in found.arrays.pairs}
-    assert ("link1", "link3") not in names
+    assert ("pan", "elbow") not in names
+    assert ("pan", "wrist1") in names
 
 
-def test_unsupported_robots_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"'joint2'.*prismatic.*must be revolute"):
-        make_arm_spheres(arm_of_links(tmp_path / "p.urdf", "rrprrr"), np.zeros(6), [], COARSE)
-    with pytest.raises(ValueError, match=r"link1.*has collision geometry"):
-        make_arm_spheres(
-            arm_of_links(tmp_path / "b.urdf", collision=False), np.zeros(6), [], COARSE
-        )
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('elbow_joint" type="revolute', 'elbow_joint" type="prismatic', "prismatic.*must be rev"),
+        ("<collision>.*?</collision>", "", "pan.*has collision geometry"),
+    ],
+)
+def test_unsupported_robots_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_arm_spheres(six_plant(tmp_path, old, new), np.zeros(6), [], COARSE)

@@ -4,29 +4,22 @@ import logging
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import RingScene
-from tests.builders import balls
+from tests.builders import balls, fix
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 POLICY = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
 
 
-def fix(system: CostRingSelector, context: Context, **inputs: object) -> None:
-    for name, value in inputs.items():
-        system.GetInputPort(name).FixValue(context, Value(value))
-
-
 def prepared(system: CostRingSelector, ellipsoids: EllipsoidSet, **inputs: object) -> Simulator:
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
-    system.GetInputPort("goal").FixValue(context, GOAL)
-    fix(system, context, ellipsoids_W=ellipsoids, policy_state=POLICY, **inputs)
+    fix(system, context, goal=GOAL, ellipsoids_W=ellipsoids, policy_state=POLICY, **inputs)
     simulator.Initialize()
     return simulator
 
@@ -117,11 +110,8 @@ def test_a_new_obstacle_triggers_a_decision_at_once() -> None:
     system = CostRingSelector(0.15, period=10.0)
     simulator = prepared(system, balls((0.3, 0.05, 0.3)))
     simulator.AdvanceTo(0.01)
-    fix(
-        system,
-        simulator.get_mutable_context(),
-        ellipsoids_W=balls((0.3, 0.05, 0.3), (0.7, -0.05, 0.3), ids=[0, 4]),
-    )
+    two = balls((0.3, 0.05, 0.3), (0.7, -0.05, 0.3), ids=[0, 4])
+    fix(system, simulator.get_mutable_context(), ellipsoids_W=two)
     route = route_of(system, simulator.get_context())
     assert route.ids.tolist() == [0, 4]
     assert len(route.direction_W) == len(route.remaining_clearance) == 2

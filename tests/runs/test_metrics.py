@@ -5,15 +5,13 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.geometry.shapes import Sphere
 from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.metrics import free_point_metrics, robot_metrics
 from drake_oa.runs.report import achievable_clearance_of
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.obstacles import Obstacle
-from tests.builders import balls
+from tests.builders import ball_scene, balls
 
 
 @pytest.mark.parametrize(
@@ -40,21 +38,11 @@ def test_initial_contacts_are_separate_from_new_contacts(
 def poses() -> dict[str, FloatArray]:
     """Positions of the robot with the tool beside the box, in the box, and in the table."""
     robot = Robot()
-    plant = make_robot_plant(robot)
-    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
-    places = {
-        "start": [0.45, -0.45, 0.3],
-        "inside": [0.45, 0.0, 0.15],
-        "table": [0.45, -0.45, -0.02],
-    }
+    arm, seed, down = make_robot_plant(robot), home_positions(robot), RollPitchYaw(robot.rpy_WE)
+    places = {"start": [-0.45, 0.3], "inside": [0.0, 0.15], "table": [-0.45, -0.02]}
     return {
-        name: solve_tool_pose(
-            plant.plant,
-            plant.tool_frame.name(),
-            RigidTransform(R_WE, place),
-            home_positions(robot),
-        )
-        for name, place in places.items()
+        name: solve_tool_pose(arm.plant, arm.tool_frame.name(), RigidTransform(down, p_WE), seed)
+        for name, p_WE in ((name, [0.45, *yz]) for name, yz in places.items())
     }
 
 
@@ -77,21 +65,10 @@ def test_self_contacts_are_separate_from_contacts(poses: dict[str, FloatArray]) 
     assert found.contacts == ()
 
 
-def test_resting_clearance_excludes_moving_obstacles(
-    poses: dict[str, FloatArray],
-) -> None:
-    start = np.array([0.45, -0.45, 0.3])
-    scenario = load_scenario("tabletop_box")
-    alone = robot_metrics(scenario, poses["start"][None])
+def test_resting_clearance_excludes_moving_obstacles(poses: dict[str, FloatArray]) -> None:
+    alone = robot_metrics(load_scenario("tabletop_box"), poses["start"][None])
     assert alone.resting_clearance[0] == alone.tool_clearance[0]
-    scenario.obstacles = [
-        Obstacle(
-            name="ball",
-            shapes=[Sphere(radius=0.02)],
-            translation=(start - [0.0, 0.2, 0.0]).tolist(),
-            waypoints=[[1.0, 0.0, 0.0, 0.0]],
-        )
-    ]
+    scenario = ball_scene([0.45, -0.65, 0.3], radius=0.02, waypoints=[[1.0, 0.0, 0.0, 0.0]])
     both = robot_metrics(scenario, poses["start"][None])
     assert both.resting_clearance[0] == alone.tool_clearance[0]
     assert both.tool_clearance[0] < alone.tool_clearance[0]

@@ -15,21 +15,15 @@ from drake_oa.runs.motion_log import (
     pack_ellipsoids,
     save_logs,
 )
+from tests.builders import balls
 
 LogOf = Callable[..., MotionLog]
 
 
 def ellipsoids(count: int, stamp: float = 0.0) -> EllipsoidSet:
-    """Returns random spherical-axes ellipsoids with a stamp [s]."""
-    rng = np.random.default_rng(count)
-    return EllipsoidSet(
-        stamp=stamp,
-        p_WO=rng.normal(size=(count, 3)),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=rng.uniform(0.1, 0.2, (count, 3)),
-        v_WO=rng.normal(size=(count, 3)),
-        ids=10 + np.arange(count),
-    )
+    """Returns random ellipsoids with a stamp [s]."""
+    p_WO, radius, v_WO = np.random.default_rng(count).uniform(0.1, 0.2, (3, count, 3))
+    return balls(*p_WO, radius=radius, v_WO=v_WO, stamp=stamp, ids=10 + np.arange(count))
 
 
 @pytest.fixture

@@ -98,14 +98,7 @@ def test_latency_statistics_exclude_decisions_after_the_motion(log_of: LogOf) ->
         AROUND,
         decision_time=np.array([0.0, 0.1, 0.1, 0.4, 1.0, 5.5]),
         decision_latency=latencies,
-        decision_layer=(
-            "verification",
-            "verification",
-            "guard",
-            "verification",
-            "guard",
-            "verification",
-        ),
+        decision_layer=tuple(("verification", "guard")[k] for k in (0, 0, 1, 0, 1, 0)),
     )
     found = motion_report(FREE, log)
     assert found["decision_latency"] == {

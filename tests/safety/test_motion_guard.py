@@ -1,11 +1,11 @@
 """Tests of the motion guard alone: following, evasion, return, and contact reaction."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pydrake.geometry as drake
 import pytest
-from pydrake.common.value import Value
 from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 
@@ -21,6 +21,7 @@ from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.motion_guard import MotionGuard
+from tests.builders import fix, read
 from tests.planning.arms import ArmAlone
 
 STEP, FRAME, RADIUS = 0.008, 0.04, 0.05
@@ -54,18 +55,12 @@ class Bench:
         p_WE = self.X_WE[9:]
         policy = PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE, speed=0.0, phase=0.2)
         motion = PlannedMotion(np.array([3.0, 4.0]), np.tile(p_WE, (2, 1)), np.tile(self.q, (2, 1)))
-        for name, value in (
-            ("robot_state", self.x),
-            ("desired_position", p_WE),
-            ("desired_velocity", np.zeros(3)),
-            ("desired_orientation", quaternion),
-            ("desired_angular_velocity", np.zeros(3)),
-            ("desired_posture", np.append(self.q, np.zeros(7))),
-            ("policy_state", Value(policy)),
-            ("motion", Value(motion)),
-            ("collision_scene_W", Value(CollisionScene.of(0.0, []))),
-        ):
-            self.system.GetInputPort(name).FixValue(self.context, value)
+        self.fix = partial(fix, self.system, self.context)
+        self.fix(robot_state=self.x, policy_state=policy, motion=motion)
+        self.fix(desired_position=p_WE, desired_velocity=np.zeros(3))
+        self.fix(desired_orientation=quaternion, desired_angular_velocity=np.zeros(3))
+        self.fix(desired_posture=np.append(self.q, np.zeros(7)))
+        self.fix(collision_scene_W=CollisionScene.of(0.0, []))
 
     def run(self, duration: float, *balls: CollisionGeometry) -> dict[str, np.ndarray]:
         """Simulates with balls at their poses at the start, and returns recorded outputs."""
@@ -73,23 +68,20 @@ class Bench:
         begin = self.context.get_time()
         geometries = [replace(ball, stamp=begin) for ball in balls]
         for k in range(round(duration / STEP)):
-            self.fix("collision_scene_W", Value(CollisionScene.of(begin + k * STEP, geometries)))
+            self.fix(collision_scene_W=CollisionScene.of(begin + k * STEP, geometries))
             self.simulator.AdvanceTo(begin + (k + 1) * STEP)
             x = self.read("desired_joint_state")
             self.x[self.index], self.x[self.size + self.index] = np.split(x, 2)
-            self.fix("robot_state", self.x)
+            self.fix(robot_state=self.x)
             self.p_WE = self.p_WE + STEP * self.read("evasion_velocity")
-            self.fix("desired_position", self.p_WE)
+            self.fix(desired_position=self.p_WE)
             found["x"].append(x)
             found["scale"].append(self.read("speed_scale")[0])
             found["action"].append(self.read("guard_action")[0])
         return {name: np.array(values) for name, values in found.items()}
 
-    def fix(self, name: str, value: object) -> None:
-        self.system.GetInputPort(name).FixValue(self.context, value)
-
     def read(self, name: str) -> np.ndarray:
-        return np.array(self.system.GetOutputPort(name).Eval(self.context))
+        return read(self.system, self.context, name)
 
     def arriving(self, after: float, *v_WO: float) -> CollisionGeometry:
         """Returns a ball that reaches the hand after a time [s] with a velocity [m/s]."""
@@ -101,18 +93,10 @@ class Bench:
 
     def gap(self, x: np.ndarray, ball: CollisionGeometry) -> float:
         """Computes the minimum distance of moving links to a ball along x (T, 2n) [m]."""
-        chain, spheres, q = (
-            self.arm.chain,
-            self.arm.arm_spheres.arrays,
-            np.ascontiguousarray(x[:, :7]),
-        )
-        geometries, moves = geometries_of([ball]), spheres.group_joint >= 0
-        return min(
-            group_distances(chain, spheres, geometries, q[k : k + 1], STEP * (k + 1), np.inf)[
-                moves
-            ].min()
-            for k in range(len(q))
-        )
+        spheres, q = self.arm.arm_spheres.arrays, np.ascontiguousarray(x[:, :7])
+        at = partial(group_distances, self.arm.chain, spheres, geometries_of([ball]))
+        apart = [at(q[k : k + 1], STEP * (k + 1), np.inf) for k in range(len(q))]
+        return np.min(apart, axis=0)[spheres.group_joint >= 0].min()
 
 
 @pytest.mark.parametrize("v_WO", [(-0.5, 0.0, 0.0), (0.0, -0.5, 0.0)])
@@ -162,7 +146,7 @@ def test_the_command_restarts_at_a_pushed_arm(panda: ArmAlone) -> None:
     bench = Bench(panda)
     bench.run(0.2)
     bench.x[bench.index[3]] += 0.1
-    bench.fix("robot_state", bench.x)
+    bench.fix(robot_state=bench.x)
     found = bench.run(0.48)
     assert found["x"][0][3] == pytest.approx(bench.q[3] + 0.1, abs=1e-3)
     # The speed is limited after the contact.
@@ -173,7 +157,7 @@ def test_the_command_restarts_at_a_pushed_arm(panda: ArmAlone) -> None:
 def test_a_robot_state_that_is_not_finite_is_a_fault(panda: ArmAlone) -> None:
     bench = Bench(panda)
     bench.run(0.2)
-    bench.fix("robot_state", np.full(2 * bench.size, np.nan))
+    bench.fix(robot_state=np.full(2 * bench.size, np.nan))
     bench.simulator.AdvanceTo(bench.context.get_time() + 2 * STEP)
     supervision = bench.system.GetOutputPort("supervision").Eval(bench.context)
     assert (supervision.action, supervision.reason) == ("stop", "the robot state is not finite")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -19,6 +17,7 @@ from drake_oa.scenario.demonstration import (
 )
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
+from tests.builders import load_module
 
 S = np.linspace(0.0, 1.0, 11)
 PATH = np.column_stack([0.1 * np.sin(np.pi * S), S, 0.0 * S])
@@ -148,19 +147,8 @@ def test_too_many_samples_are_rejected(kind: str, tmp_path: Path) -> None:
 # Shipped demonstrations ---------------------------------------------------------------
 
 
-def generator() -> ModuleType:
-    """Imports the script that generates the shipped demonstrations."""
-    file = SHIPPED / "generate_demonstrations.py"
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_script_reproduces_the_shipped_demonstrations(tmp_path: Path) -> None:
-    module = generator()
+    module = load_module(SHIPPED / "generate_demonstrations.py")
     module.FOLDER = tmp_path
     module.main()
     names = sorted(path.name for path in tmp_path.iterdir())

@@ -10,13 +10,13 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import PointCloud
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 
 from drake_oa.common.messages import PolicyState, Route
 from drake_oa.viewing.meshcat_overlay import LAYERS, PERIOD, MeshcatOverlay
 from drake_oa.viewing.viewer import set_scene_style
-from tests.builders import balls
+from tests.builders import TimeFunctionSource, balls
 
 ROOT = "/drake_oa"
 
@@ -51,18 +51,6 @@ def sides(*ids, cost=0.0):
         costs={"table": np.full((count, 8), cost), "length": np.zeros((count, 8))},
         ids=np.array(ids, dtype=np.int64),
     )
-
-
-class TimeFunctionSource(LeafSystem):
-    """System that outputs `value(time)` as an abstract value."""
-
-    def __init__(self, value):
-        super().__init__()
-        self.DeclareAbstractOutputPort(
-            "value",
-            lambda: Value(value(0.0)),
-            lambda context, output: output.set_value(value(context.get_time())),
-        )
 
 
 def moving_policy(time):

@@ -12,7 +12,6 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import add_camera
 from drake_oa.world.delayed_camera import BackgroundCamera, DelayedCamera
 from drake_oa.world.depth_noise import add_depth_noise
@@ -21,26 +20,22 @@ PERIOD, DELAY = 0.1, 0.08
 READY = np.array([-0.74, 0.19, 0.01, -1.9, 0.0, 2.09, 0.06, 0.005, 0.005])
 
 
-@pytest.fixture(scope="module")
-def scenario() -> Scenario:
-    """Returns a scenario whose camera has small images."""
-    scenario = load_scenario("tabletop_box")
-    scenario.cameras[0].width, scenario.cameras[0].height = 64, 48
-    return scenario
+SCENARIO = load_scenario("tabletop_box")
+"""Scenario whose camera has small images."""
+(CAMERA,) = SCENARIO.cameras
+CAMERA.width, CAMERA.height = 64, 48
 
 
 @pytest.fixture(scope="module")
-def camera(scenario: Scenario) -> BackgroundCamera:
+def camera() -> BackgroundCamera:
     """Returns the scenario's camera without noise."""
-    return BackgroundCamera(scenario, scenario.cameras[0])
+    return BackgroundCamera(SCENARIO, CAMERA)
 
 
-def camera_diagram(
-    scenario: Scenario, camera: BackgroundCamera, delay: float, *dropouts: CameraDropout
-) -> Diagram:
+def camera_diagram(camera: BackgroundCamera, delay: float, *dropouts: CameraDropout) -> Diagram:
     """Builds a diagram of a delayed camera, with the first joint at 1 rad/s."""
     builder = DiagramBuilder()
-    _, depth = scenario.cameras[0].MakeCameras()
+    _, depth = CAMERA.MakeCameras()
     camera_system = DelayedCamera(
         camera,
         depth.core().intrinsics(),
@@ -81,9 +76,9 @@ def outputs(diagram: Diagram, root: Context) -> tuple[float, np.ndarray, np.ndar
     ],
 )
 def test_image_is_output_after_the_delay_and_the_first_without_delay(
-    scenario: Scenario, camera: BackgroundCamera, time: float, taken: float, delay: float
+    camera: BackgroundCamera, time: float, taken: float, delay: float
 ) -> None:
-    diagram = camera_diagram(scenario, camera, delay)
+    diagram = camera_diagram(camera, delay)
     simulator = Simulator(diagram)
     simulator.Initialize()
     simulator.AdvanceTo(time)
@@ -97,10 +92,10 @@ def test_image_is_output_after_the_delay_and_the_first_without_delay(
     ("delay", "times"), [(0.0, [0.15, 0.2, 0.2, 0.2, 0.55]), (0.05, [0.1, 0.2, 0.2, 0.2, 0.5])]
 )
 def test_dropout_keeps_the_previous_image(
-    scenario: Scenario, camera: BackgroundCamera, delay: float, times: list[float]
+    camera: BackgroundCamera, delay: float, times: list[float]
 ) -> None:
     dropouts = CameraDropout(0.25, 0.15), CameraDropout(0.4, 0.05)
-    diagram = camera_diagram(scenario, camera, delay, *dropouts)
+    diagram = camera_diagram(camera, delay, *dropouts)
     simulator = Simulator(diagram)
     for time, taken in zip((0.15, 0.25, 0.35, 0.44, 0.55), times, strict=True):
         simulator.AdvanceTo(time)
@@ -108,10 +103,8 @@ def test_dropout_keeps_the_previous_image(
         assert (stamp, state[0] - READY[0]) == (pytest.approx(taken), pytest.approx(taken))
 
 
-def test_dropout_from_the_start_gives_no_depths(
-    scenario: Scenario, camera: BackgroundCamera
-) -> None:
-    diagram = camera_diagram(scenario, camera, DELAY, CameraDropout(0.0, 0.25))
+def test_dropout_from_the_start_gives_no_depths(camera: BackgroundCamera) -> None:
+    diagram = camera_diagram(camera, DELAY, CameraDropout(0.0, 0.25))
     simulator = Simulator(diagram)
     for time, is_out in ((0.2, True), (0.35, False)):
         simulator.AdvanceTo(time)
@@ -119,11 +112,9 @@ def test_dropout_from_the_start_gives_no_depths(
         assert (stamp == -np.inf) == is_out == np.isnan(image).all()
 
 
-def test_rendered_image_equals_that_of_a_drake_sensor(
-    scenario: Scenario, camera: BackgroundCamera
-) -> None:
+def test_rendered_image_equals_that_of_a_drake_sensor(camera: BackgroundCamera) -> None:
     builder = DiagramBuilder()
-    sensor = add_camera(builder, scenario, scenario.cameras[0])
+    sensor = add_camera(builder, SCENARIO, CAMERA)
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     state = np.concatenate([READY, np.zeros(9)])
@@ -153,12 +144,10 @@ def test_delay_must_be_shorter_than_the_period(camera: BackgroundCamera) -> None
         DelayedCamera(camera, CameraInfo(8, 6, 1.0), num_states=18, period=0.1, delay=0.1)
 
 
-def test_noise_depends_on_the_capture_time(scenario: Scenario, camera: BackgroundCamera) -> None:
+def test_noise_depends_on_the_capture_time(camera: BackgroundCamera) -> None:
     noise = partial(add_depth_noise, K=[60.0, 60.0, 31.5, 23.5], seed=3)
     state = np.concatenate([READY, np.zeros(9)])
     ideal = camera.request(state, 0.0).result().depth
-    noisy = (
-        BackgroundCamera(scenario, scenario.cameras[0], noise).request(state, 0.1).result().depth
-    )
+    noisy = BackgroundCamera(SCENARIO, CAMERA, noise).request(state, 0.1).result().depth
     np.testing.assert_array_equal(noisy, noise(ideal, 0.1))
     assert not np.array_equal(noisy, noise(ideal, 0.2), equal_nan=True)

@@ -9,25 +9,18 @@ from drake_oa.evaluation.panda.scenes import draw_panda_scene
 from drake_oa.evaluation.panda.true_world import make_true_world
 from drake_oa.perception.coverage import ViewVolume
 from drake_oa.robot.spheres import sphere_centers
-from drake_oa.scenario.loading import load_scenario
+from tests.builders import ball_scene
 
 _Q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 _DT = 0.004
 
 
-_RISING = "[[0, 0, 0, 0], [5, 0, 0, 0.15]]"
+_RISING = [[0, 0, 0, 0], [5, 0, 0, 0.15]]
 
 
 def _world(at, waypoints=_RISING):
     """Returns the ground-truth model of a scene with a ball at a position [m]."""
-    ball = "{name: ball, shapes: [!Sphere {radius: 0.05}], translation: "
-    ball += f"{[round(float(value), 4) for value in at]}"
-    ball += f", waypoints: {waypoints}}}" if waypoints else "}"
-    return make_true_world(
-        load_scenario(
-            "tabletop_box", ["cameras=[]", "perception=!GroundTruth {}", f"obstacles=[{ball}]"]
-        )
-    )
+    return make_true_world(ball_scene(at, radius=0.05, waypoints=waypoints))
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +63,11 @@ def test_claim_a_forbids_approach_within_reach(ahead, side, gap, age, violated):
     [
         (1.0, _RISING, True),
         (0.0, _RISING, False),
-        (1.0, "", False),
+        (1.0, [], False),
         # The stamps are from 0.5 to 0.62 s.
-        (1.0, "[[0, 0, 0, 0], [0.3, 0, 0, 0.1]]", False),
-        (1.0, "[[0.7, 0, 0, 0], [3, 0, 0, 1.0]]", False),
-        (1.0, "[[0, 0, 0, 0], [3, 0, 0, 0.04]]", False),
+        (1.0, [[0, 0, 0, 0], [0.3, 0, 0, 0.1]], False),
+        (1.0, [[0.7, 0, 0, 0], [3, 0, 0, 1.0]], False),
+        (1.0, [[0, 0, 0, 0], [3, 0, 0, 0.04]], False),
     ],
     ids=["moves", "resting arm", "never moves", "at rest by then", "moves later", "too slow"],
 )

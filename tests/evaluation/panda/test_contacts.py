@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_oa.common.messages import EllipsoidSet
 from drake_oa.evaluation.panda.contacts import contact_events, observation_times
 from drake_oa.evaluation.panda.evaluation import Criteria, run_and_evaluate
 from drake_oa.evaluation.panda.scenes import draw_panda_scene
 from drake_oa.evaluation.panda.true_world import make_true_world
+from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import pack_ellipsoids
 from drake_oa.runs.simulation import make_log
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
+from tests.builders import ball_scene, balls
 
 KEYS = (
     "time link obstacle closing_speed closing_speed_max arm_at_rest receding energy "
@@ -23,23 +24,8 @@ KEYS = (
 """Keys of a contact event."""
 
 
-def _scenario(waypoints, radius=0.1, at=(0.5, -1.5, 0.5)):
-    """Returns a scenario with ground-truth perception and one moving ball."""
-    ball = f"{{name: ball, shapes: [!Sphere {{radius: {radius}}}], translation: {list(at)}"
-    return load_scenario(
-        "tabletop_box",
-        [
-            "cameras=[]",
-            "perception=!GroundTruth {}",
-            f"obstacles=[{ball}, waypoints: {waypoints}}}]",
-        ],
-    )
-
-
 def _log(scenario, q, v, frames=()):
     """Returns the log of a robot at q (T, nq) and v (T, nq), an instant every 4 ms."""
-    from drake_oa.runs.metrics import clearance_evaluator
-
     evaluator, t = clearance_evaluator(scenario), 0.004 * np.arange(len(q))
     world = np.array([evaluator.positions_at(time) for time in t])
     observed = {"observation_time": np.array([frame.stamp + 0.05 for frame in frames])}
@@ -63,7 +49,7 @@ def struck():
     """Scenario and positions of an arm at rest that a ball touches at 1 m/s and then leaves."""
     p_WE = load_scenario("tabletop_box").task.start
     waypoints = [[0, 0, 0, 0], [0.75, 0, 0.75, 0], [1.5, 0, 0, 0]]
-    scenario = _scenario(waypoints, at=[p_WE[0], p_WE[1] - 0.8, p_WE[2]])
+    scenario = ball_scene(np.subtract(p_WE, [0.0, 0.8, 0.0]), waypoints=waypoints)
     q = np.tile(end_positions(scenario)[0], (500, 1))
     return scenario, q
 
@@ -125,14 +111,7 @@ def test_contact_is_avoidable_by_view_if_the_velocity_is_correct_at_the_deadline
 def _observation(obstacle, stamp, velocity):
     """Returns an observation of an obstacle at its true position with a velocity [m/s]."""
     center = np.array(obstacle.translation) + obstacle.offset_at(stamp)
-    return EllipsoidSet(
-        stamp=stamp,
-        p_WO=center[None],
-        R_WO=np.eye(3)[None],
-        semi_axes=np.full((1, 3), 0.1),
-        v_WO=np.array([velocity]),
-        ids=np.zeros(1, dtype=np.int64),
-    )
+    return balls(center, stamp=stamp, v_WO=velocity)
 
 
 @pytest.mark.parametrize(

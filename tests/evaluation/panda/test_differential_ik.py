@@ -8,6 +8,7 @@ from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from tests.builders import ball_scene
 
 _BARE = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
 _ACROSS = [
@@ -39,16 +40,9 @@ def test_follows_the_nominal_motion_without_obstacles_and_repeats_exactly() -> N
     np.testing.assert_array_equal(log.torque, repeated.torque)
 
 
-@pytest.mark.parametrize(
-    "trajectory",
-    [
-        "translation: [0.62, 0.0, 0.3]",
-        "translation: [0.62, 0.3, 0.3], waypoints: [[0, 0, 0, 0], [0.5, 0, -0.3, 0]]",
-    ],
-)
-def test_avoids_a_ball_beside_the_line(trajectory: str) -> None:
-    ball = f"{{name: ball, shapes: [!Sphere {{radius: 0.05}}], {trajectory}}}"
-    scenario = scene(*_ACROSS, f"obstacles=[{ball}]")
+@pytest.mark.parametrize(("y", "waypoints"), [(0.0, []), (0.3, [[0, 0, 0, 0], [0.5, 0, -0.3, 0]])])
+def test_avoids_a_ball_beside_the_line(y: float, waypoints: list[list[float]]) -> None:
+    scenario = ball_scene([0.62, y, 0.3], *_BARE, *_ACROSS, radius=0.05, waypoints=waypoints)
     log = simulate_differential_ik(scenario)
     assert robot_metrics(scenario, log.q[::10], log.q_world[::10]).contacts == ()
     assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() > 0.01

@@ -20,6 +20,7 @@ from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from tests.builders import ball_scene
 
 needs_ompl = pytest.mark.skipif(find_spec("ompl") is None, reason="ompl is not installed")
 
@@ -59,13 +60,6 @@ def test_number_of_states_is_limited():
     assert result["states"] < 600
 
 
-def _moving_scene(at, waypoints):
-    """Returns a scenario with one moving ball."""
-    ball = f"shapes: [!Sphere {{radius: 0.1}}], translation: {at}, waypoints: {waypoints}"
-    bare = ["cameras=[]", "perception=!GroundTruth {}"]
-    return load_scenario("tabletop_box", [*bare, f"obstacles=[{{name: ball, {ball}}}]"])
-
-
 def _search(scenario, seed=0):
     """Returns the result of `find_motion`, joint indices, and goal configurations."""
     world, (q_start, q_goal) = make_true_world(scenario, MOVING_CLEARANCE), end_positions(scenario)
@@ -99,7 +93,7 @@ def test_motion_in_a_random_scene_is_collision_free():
 def test_arm_leaves_a_start_that_an_obstacle_will_occupy():
     p_WE = load_scenario("tabletop_box").task.start
     waypoints = [[0, 0, 0, 0], [1.5, 0, 1.2, 0], [2.0, 0, 1.2, 0], [3.5, 0, 0, 0]]
-    scenario = _moving_scene([p_WE[0], p_WE[1] - 1.2, p_WE[2]], waypoints)
+    scenario = ball_scene(np.subtract(p_WE, [0.0, 1.2, 0.0]), waypoints=waypoints)
     (motion, states), index, goals = _search(scenario, 1)
     assert np.abs(motion.q - motion.q[0]).max() > 0.1
     _check(scenario, motion, index, goals)
@@ -111,6 +105,6 @@ def test_arm_leaves_a_start_that_an_obstacle_will_occupy():
 def test_goal_occupied_by_an_obstacle_has_no_motion():
     goal = load_scenario("tabletop_box").task.goal
     waypoints = [[0, 0, 0, 0], [1, 0, 1, 0]]
-    scenario = _moving_scene([goal[0], goal[1] - 1.0, goal[2]], waypoints)
+    scenario = ball_scene(np.subtract(goal, [0.0, 1.0, 0.0]), waypoints=waypoints)
     result = run_and_evaluate(scenario, "planner", "truth")
     assert (result["outcome"], result["reason"]) == ("stopped", "no motion found")

@@ -8,17 +8,12 @@ from hypothesis import strategies as st
 from drake_oa.evaluation.panda.true_world import STEP, bang_motions, clear_steps, make_true_world
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.scenario.end_poses import end_positions
-from drake_oa.scenario.loading import load_scenario
-
-_MOVER = (
-    "obstacles=[{name: ball, shapes: [!Sphere {radius: 0.1}], translation: [0.5, -1.5, 0.5], "
-    "waypoints: [[0, 0, 0, 0], [2, 0, 3, 0]]}]"
-)
+from tests.builders import ball_scene
 
 
 @pytest.fixture(scope="module")
 def scenario():
-    return load_scenario("tabletop_box", ["cameras=[]", "perception=!GroundTruth {}", _MOVER])
+    return ball_scene([0.5, -1.5, 0.5], waypoints=[[0, 0, 0, 0], [2, 0, 3, 0]])
 
 
 @pytest.fixture(scope="module")

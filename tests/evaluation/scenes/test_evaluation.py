@@ -1,6 +1,4 @@
-"""Tests of metrics and tables of an evaluation, on a method with a known result."""
-
-from collections.abc import Callable
+"""Tests of metrics and tables of an evaluation."""
 
 import numpy as np
 import pytest
@@ -16,22 +14,18 @@ from drake_oa.evaluation.scenes.evaluation import (
     term_table,
 )
 from drake_oa.evaluation.scenes.ground_truth import GroundTruthResult
-from drake_oa.evaluation.scenes.paper_method import BETA
-from drake_oa.evaluation.scenes.scenes import Motions, Scenes, Setting
+from drake_oa.evaluation.scenes.paper_method import BETA, run_original
 from drake_oa.evaluation.scenes.suites import SUITES, draw_scenes
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
 
-Method = Callable[[Scenes, Setting], Motions]
 NOVEL = SUITES["novel"].settings
 
 
-def test_metrics_and_tables_are_of_each_baseline(
-    straight: Method, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_metrics_and_tables_are_of_each_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation, "BATCH", 15)
-    outcome = evaluate("straight", straight, draw_scenes("novel", 40), NOVEL)
-    metrics = evaluation_metrics("novel", 0, NOVEL, {"straight": outcome})
-    statistics = metrics["methods"]["straight"]
+    outcome = evaluate("original", run_original, draw_scenes("novel", 40), NOVEL)
+    metrics = evaluation_metrics("novel", 0, NOVEL, {"original": outcome})
+    statistics = metrics["methods"]["original"]
     assert statistics["scenes"] == 40
     assert [row["scenes"] for row in statistics["by_baseline"]] == [10, 10, 10, 10]
     lines = "\n".join(map(str, evaluation_tables(metrics))).splitlines()

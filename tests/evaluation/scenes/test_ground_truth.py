@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from drake_oa.evaluation.scenes.ground_truth import evaluate_motions
 from drake_oa.evaluation.scenes.methods import Motions
 from drake_oa.evaluation.scenes.scenes import Scenes, make_scenes
 from drake_oa.evaluation.scenes.suites import random_rotations
-
-Array = NDArray[np.float64]
 
 
 def test_clearance_and_length_equal_those_of_dense_sampling() -> None:
@@ -34,16 +31,11 @@ def test_clearance_and_length_equal_those_of_dense_sampling() -> None:
         assert results.path_ratio[n] == pytest.approx(length, rel=1e-2)
 
 
-def uniform_motion(steps: int, start: Array, end: Array, duration: float = 2.0) -> Motions:
-    """Returns a straight motion at constant velocity."""
-    s = np.linspace(0.0, 1.0, steps + 1)[:, None]
-    velocity = np.tile((end - start) / duration, (1, steps + 1, 1))
-    return Motions((start + s * (end - start))[None], velocity, np.array([duration]))
-
-
 def test_achievable_clearance_is_limited_by_the_ends() -> None:
     scenes = make_scenes(1.0, np.array([[1.0, 0.15, 0.0]]), np.full((1, 3), 0.1))
-    results = evaluate_motions(scenes, uniform_motion(50, np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    x = np.array([[[1.0, 0.0, 0.0]]])
+    straight = Motions(np.linspace(0.0, 1.0, 51)[:, None] * x, np.repeat(0.5 * x, 51, 1), [2.0])
+    results = evaluate_motions(scenes, straight)
     assert results.achievable_clearance[0] == pytest.approx(0.05)
     assert results.min_clearance[0] == pytest.approx(0.05)
     assert not results.is_short[0]
