@@ -40,7 +40,11 @@ OVERRIDES = {
         "perception=!GivenEllipsoids {ellipsoids: [{center: [0.5, 0.0, 0.2]}]}",
     ],
     "paper": ["tabletop_box", "inference=!Paper {}"],
-    "turned": ["tabletop_box", "task.rpy_goal=[3.0, 0.0, 1.0]"],
+    "turned": [
+        "tabletop_box",
+        "task.rpy_goal=[3.0, 0.0, 1.0]",
+        "task.goal_moves=[[0.1, 0.45, 0.45, 0.5]]",
+    ],
     "moving": ["moving_obstacle", "perception=!GroundTruth {}"],
     "faults": ["tabletop_box", "faults=[!Push {}, !TorqueSaturation {}, !CameraDropout {}]"],
 }
@@ -189,7 +193,8 @@ def test_the_diagrams_have_every_system(diagrams: dict[str, Diagram]) -> None:
     others = {"CommandStream", "CommandedJoints", "MeasuredState", "ProgramInputs"}
     others |= {"TimedCamera", "InverseDynamics"}
     assert checked == set(system_classes()) - others
-    assert set(drake_oa.__all__) <= checked
+    assert set(drake_oa.__all__) <= checked & set(dir(drake_oa))
+    assert all(getattr(drake_oa, name) is system_classes()[name] for name in drake_oa.__all__)
 
 
 @pytest.fixture(params=[*OVERRIDES, "replay"])

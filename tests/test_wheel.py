@@ -15,22 +15,13 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {"drake_oa": "drake_oa", "diagrams": "drake_oa/diagrams", "models": "drake_oa/models"}
 
 
-def data_files() -> set[str]:
-    """Returns the paths in the wheel of all data files of the packages."""
+def package_files() -> set[str]:
+    """Returns the paths in the wheel of all files of the packages."""
     return {
         f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, inside in SOURCES.items()
         for path in (ROOT / folder).rglob("*")
-        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
-    }
-
-
-def modules() -> set[str]:
-    """Returns the paths in the wheel of all Python files of the packages."""
-    return {
-        f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
-        for folder, inside in SOURCES.items()
-        for path in (ROOT / folder).rglob("*.py")
+        if path.is_file() and "__pycache__" not in path.parts
     }
 
 
@@ -81,7 +72,7 @@ def installed(site: Path, folder: Path, *arguments: str, **environment: str) -> 
 
 
 def test_wheel_contains_exactly_the_package(names: set[str]) -> None:
-    assert {name for name in names if ".dist-info/" not in name} == modules() | data_files()
+    assert {name for name in names if ".dist-info/" not in name} == package_files()
     assert len({name.partition("/")[0] for name in names}) == 2
 
 

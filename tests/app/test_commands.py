@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from cyclopts import App
 
 from drake_oa.app.main import _app
 from tests.builders import command
-from tests.reference.depth_images import K, camera_pose, ray_cast
+from tests.reference.depth_images import K, box, camera_pose, ray_cast
 
 SNAPSHOT = Path(__file__).with_name("commands.json")
 
@@ -150,8 +149,7 @@ def observed() -> dict[str, Any]:
         "commands": options of all commands; "invocations": exit status, number of error messages
         and keys of the written JSON of each invocation; "files": all written files.
     """
-    box = (np.array([0.75, -0.2, 0.0]), np.array([0.85, -0.1, 0.15]))
-    depth = ray_cast(camera_pose(0.8, 0.8), (box,), (-90.0, 0.0, 99.0, 99.0))
+    depth = ray_cast(camera_pose(), [box(0.8, -0.15)], (-90.0, 0.0, 99.0, 99.0))
     np.savez("frame.npz", depth=depth.astype(np.float32), K=K)
     Path("blocked.yaml").write_text(BLOCKED)
     app, results = _app(), {}
@@ -168,10 +166,7 @@ def observed() -> dict[str, Any]:
     return {"commands": options(app, app), "invocations": results, "files": files}
 
 
-def test_commands_and_results_are_those_of_the_snapshot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_commands_and_results_are_those_of_the_snapshot() -> None:
     assert observed() == json.loads(SNAPSHOT.read_text())
 
 

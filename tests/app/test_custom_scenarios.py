@@ -21,11 +21,6 @@ obstacles: [{name: a, shapes: [!Sphere {radius: 0.1}], translation: [0.45, 0.45,
 """
 
 
-@pytest.fixture(autouse=True)
-def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
 def test_new_scenario_has_no_errors_and_can_be_simulated(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

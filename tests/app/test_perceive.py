@@ -10,14 +10,11 @@ from drake_oa.app.main import main
 from drake_oa.app.perceive import perceive_frame
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.recordings import RecordedFrame
-from tests.reference.depth_images import SIZE, K, camera_pose, ray_cast
+from tests.reference.depth_images import SIZE, K, box, camera_pose, ray_cast, rays_of
 
 TOOL = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in (-0.06, 0.06)])
 X_WC = camera_pose(0.8, 0.8)
-BOXES = (
-    (np.array([0.75, -0.2, 0.0]), np.array([0.85, -0.1, 0.15])),
-    (np.array([0.85, 0.15, 0.0]), np.array([0.95, 0.27, 0.06])),
-)
+BOXES = (box(0.8, -0.15), box(0.9, 0.21, (0.1, 0.12, 0.06)))
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +27,7 @@ def depth() -> np.ndarray:
 @pytest.fixture
 def points(depth: np.ndarray) -> np.ndarray:
     """Cloud (N, 3) of the depth image in the camera frame C [m]."""
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
-    return (rays * depth[..., None].astype(float)).reshape(-1, 3)
+    return (rays_of(np.eye(4), K, SIZE) * depth[..., None]).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("pose", [X_WC, None])

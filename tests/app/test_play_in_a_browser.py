@@ -5,17 +5,11 @@ import time
 
 import pytest
 
-from drake_oa.runs.play import TICK, PlaySession
+from drake_oa.runs.play import PlaySession
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.viewing.viewer import open_page, start_viewer
 from tests.browser import PROGRAM, Browser
-
-SCENARIO = """
-task: {start: [0.45, -0.3, 0.3], goal: [0.45, 0.3, 0.3], duration: 1.5, clearance: 0.05}
-compute_latency: null
-obstacles:
-- {name: post, shapes: [!Cylinder {radius: 0.03, length: 0.4}], translation: [0.7, 0.0, 0.2]}
-"""
+from tests.runs.test_play import SCENARIO, ticks
 
 
 @pytest.mark.slow
@@ -25,10 +19,6 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
     session = PlaySession(
         parse_scenario(SCENARIO), meshcat, open_page(meshcat, "played", "A post.")
     )
-
-    def ticks(seconds: float) -> None:
-        for _ in range(round(seconds / TICK)):
-            session.tick()
 
     def move(name: str) -> None:
         """Moves a slider, and waits for the message of the page, which another thread receives."""
@@ -40,10 +30,10 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         while not page.evaluate("'post: y [m]' in viewer.gui_controllers"):
             assert time.monotonic() < deadline
             time.sleep(0.2)
-        ticks(0.3)
+        ticks(session, 0.3)
         move("'post: y [m]'].setValue(0.4)")
         assert meshcat.GetSliderValue("post: y [m]") == pytest.approx(0.4)
-        ticks(0.6)
+        ticks(session, 0.6)
         assert list(session.logs) == ["leg_1"]
         move("'goal z [m]'].setValue(0.45)")
         while not session.is_returning:
@@ -53,7 +43,7 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         controls = page.evaluate("Object.keys(viewer.gui_controllers)")
         assert controls.index("stop") < controls.index("speed") < controls.index("post: x [m]")
         # The motion back starts without an executed path.
-        ticks(0.5)
+        ticks(session, 0.5)
         deadline, text = time.monotonic() + 60.0, ""
         while "executed path" not in text:
             assert time.monotonic() < deadline, text

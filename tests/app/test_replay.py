@@ -18,11 +18,6 @@ from tests.builders import command as run
 BOX = ("tabletop_box", "--set", "perception=!GroundTruth {}", "--duration", "0.25")
 
 
-@pytest.fixture(autouse=True)
-def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def box_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Log of a robot among obstacles, until its time limit of 0.25 s."""
