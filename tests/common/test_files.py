@@ -10,7 +10,6 @@ from drake_oa.common.files import (
     check_outputs,
     replace_file,
     replace_text,
-    reserve_file,
     source_digest,
 )
 
@@ -65,12 +64,6 @@ def test_a_pipe_is_written_directly(tmp_path: Path) -> None:
     finally:
         os.close(reader)
     assert pipe.is_fifo()
-
-
-def test_reserved_files_have_unique_names(tmp_path: Path) -> None:
-    files = [reserve_file(tmp_path / "runs", "box", ".npz") for _ in range(3)]
-    assert len(set(files)) == 3
-    assert all(file.is_file() and file.name.startswith("box-") for file in files)
 
 
 def test_a_failed_write_leaves_only_the_old_file(tmp_path: Path) -> None:

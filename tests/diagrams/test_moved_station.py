@@ -39,12 +39,6 @@ _GIVEN = """
 perception: !GivenEllipsoids
   ellipsoids: [{center: [0.52, 0.03, 0.28], semi_axes: [0.2, 0.18, 0.3], rpy: [0.1, 0.2, 0.3]}]
 """
-_TRUTH = """
-perception: !GroundTruth {}
-obstacles:
-- {name: ball, shapes: [!Sphere {radius: 0.1}], translation: [0.52, 0.03, 0.25]}
-"""
-
 _THOROUGH = """
 inference: !Verified
   candidates: 256
@@ -110,7 +104,6 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
     [
         (_SEEN + _THOROUGH, 0.6, 1.5e-2, 3e-2),
         (_GIVEN + "inference: !Paper {guided: true}", 1.0, 1e-6, 1e-6),
-        (_TRUTH + _THOROUGH, 0.6, 5e-3, 1e-2),
     ],
 )
 def test_displaced_station_has_the_same_motion(

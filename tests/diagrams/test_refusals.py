@@ -68,3 +68,4 @@ def test_recording_requires_the_pose_of_its_camera(recording_folder: Path, tmp_p
     pose = ", X_WC: {translation: [0.05, 0, 0]}"
     log = simulate(load_scenario("tabletop_box", overrides(pose)), duration=0.1)
     np.testing.assert_allclose(log.p_WO[0, 0, :2], [0.5, 0.0], atol=0.03)
+    assert np.isfinite(log.torque).all()

@@ -26,7 +26,7 @@ def test_stored_result_is_reused_only_for_an_equal_call(tmp_path):
 def cluster():
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as dask:
         yield dask.scheduler_address
 
@@ -40,9 +40,8 @@ def test_calls_return_index_and_result_in_any_order(workers, request):
         list(carry_out(_FAILING, workers))
 
 
-@pytest.mark.parametrize("address", ["nothing://localhost:1"])
-def test_unreachable_scheduler_is_an_error(address, monkeypatch):
+def test_unreachable_scheduler_is_an_error(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("drake_oa.evaluation.results.CONNECT_TIMEOUT", 0.2)
-    with pytest.raises(ValueError, match=f"cannot reach a Dask scheduler at {address}: "):
-        list(carry_out(_POWERS, address))
+    with pytest.raises(ValueError, match="cannot reach a Dask scheduler at nothing://x:1: "):
+        list(carry_out(_POWERS, "nothing://x:1"))

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, Route
@@ -15,7 +14,7 @@ from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.rollout import Scene, roll_out_tool
-from tests.builders import balls, read
+from tests.builders import balls, fix, read
 
 START, GOAL, T = np.zeros(3), np.array([0.8, 0.3, 0.1]), 2.0
 DMP = imitate(*minimum_jerk(START, GOAL, duration=T))
@@ -62,12 +61,8 @@ def test_the_integrator_executes_the_roll_out(seed: int, guided: bool) -> None:
     system = DmpIntegrator(DMP, START, config=POLICY)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
-    system.GetInputPort("goal").FixValue(context, GOAL)
-    empty = EllipsoidSet(stamp=math.inf)
-    inputs = {"ellipsoids_W": empty, "coupling_parameters": coupling, "route": route}
-    for name, value in inputs.items():
-        if value is not None:
-            system.GetInputPort(name).FixValue(context, Value(value))
+    fix(system, context, goal=GOAL, ellipsoids_W=EllipsoidSet(stamp=math.inf))
+    fix(system, context, coupling_parameters=coupling, **({"route": route} if guided else {}))
     for step in range(round(1.2 * T / POLICY.period) + 1):
         simulator.AdvanceTo(step * POLICY.period)
         for name, rows, scale in (("position", rolled.path, 1.0), ("velocity", rolled.velocity, T)):
@@ -75,6 +70,14 @@ def test_the_integrator_executes_the_roll_out(seed: int, guided: bool) -> None:
             np.testing.assert_allclose(rows[0, step], value, rtol=0.0, atol=1e-11)
     unguided = roll_out_tool(SCENE, terms[None], **HOW)
     assert np.array_equal(unguided.path[0, :200], rolled.path[0, :200]) != guided
+    # A changed input acts from the next step, and a motion of zero length is refused.
+    fix(system, context, coupling_parameters=replace(coupling, alpha=-coupling.alpha))
+    with pytest.raises(ValueError, match="alpha, psi, kappa must be"):
+        simulator.AdvanceTo(2.0 * T)
+    simulator = Simulator(system)
+    fix(system, simulator.get_mutable_context(), goal=START)
+    with pytest.raises(ValueError, match="start and goal must be finite and apart"):
+        simulator.Initialize()
 
 
 def test_candidates_end_at_the_goal_or_when_their_path_is_too_long() -> None:

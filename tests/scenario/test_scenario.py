@@ -23,14 +23,9 @@ def test_a_shipped_scenario_has_a_description_and_reads_back_from_its_text(name:
         assert scenario.perception.noise == CameraNoise()
 
 
-def test_defaults_are_a_valid_scenario() -> None:
-    scenario = parse_scenario("{}")
-    assert scenario.task.clearance == 0.15
-    assert isinstance(scenario.perception, GroundTruth)
-
-
 def test_inference_is_verified_unless_paper_is_selected() -> None:
     assert isinstance(parse_scenario("{}").inference, Verified)
+    assert isinstance(parse_scenario("{}").perception, GroundTruth)
     # A block without a tag is the default one.
     assert parse_scenario("inference: {generations: 7}").inference == Verified(generations=7)
     assert parse_scenario("inference: !Verified {slack: 0.001}").inference == Verified(slack=1e-3)

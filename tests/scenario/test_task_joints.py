@@ -8,24 +8,18 @@ import pytest
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.simulation import simulate
-from drake_oa.scenario.end_poses import posture_guide, start_positions
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.loading import parse_scenario, scenario_text
-from drake_oa.scenario.scenario import Scenario
 
 Q_START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 Q_GOAL = [0.4, -0.5, 0.3, -2.1, 0.2, 1.8, 0.6]
 JOINTS = f"task: {{q_start: {Q_START}, q_goal: {Q_GOAL}"
 
 
-def start(scenario: Scenario) -> np.ndarray:
-    """Returns the configuration (nq,) at the start [rad, m]."""
-    return start_positions(scenario)
-
-
 def test_start_goal_and_orientations_follow_from_configurations() -> None:
     scenario = parse_scenario(JOINTS + "}")
     robot = make_robot_plant(scenario.robot)
-    q = start(scenario)
+    q = start_positions(scenario)
     np.testing.assert_array_equal(q[:7], Q_START)
     np.testing.assert_allclose(robot.tool_path(q[None])[0], scenario.task.start)
     q[:7] = Q_GOAL
@@ -34,14 +28,14 @@ def test_start_goal_and_orientations_follow_from_configurations() -> None:
     np.testing.assert_allclose(X_WG.rotation().ToRollPitchYaw().vector(), scenario.task.rpy_goal)
     again = parse_scenario(scenario_text(scenario))
     assert again == scenario
-    start(again)
+    start_positions(again)
 
 
 def test_poses_that_contradict_the_configurations_are_rejected() -> None:
     with pytest.raises(ScenarioError, match=r"task\.goal, .*: task\.q_goal has the tool at"):
-        start(parse_scenario(JOINTS + ", goal: [0.5, 0.1, 0.4]}"))
+        start_positions(parse_scenario(JOINTS + ", goal: [0.5, 0.1, 0.4]}"))
     with pytest.raises(ScenarioError, match=r"task\.rpy_start: task\.q_start has the tool at"):
-        start(parse_scenario(JOINTS + ", rpy_start: [3.1, 0.0, 0.5]}"))
+        start_positions(parse_scenario(JOINTS + ", rpy_start: [3.1, 0.0, 0.5]}"))
 
 
 @pytest.mark.parametrize(
@@ -54,19 +48,13 @@ def test_poses_that_contradict_the_configurations_are_rejected() -> None:
 )
 def test_error_of_invalid_joints_names_the_field(text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
-        start(parse_scenario(text))
+        start_positions(parse_scenario(text))
 
 
 def test_configurations_require_a_robot() -> None:
     text = "robot: null\nperception: !GivenEllipsoids {}\ntask: {q_goal: [0.0]}"
     with pytest.raises(ScenarioError, match="requires a robot"):
         parse_scenario(text)
-
-
-def test_nominal_posture_changes_from_start_to_goal() -> None:
-    q = posture_guide(np.array([-0.1, 0.0, 0.5, 1.0, 1.3]), np.zeros(2), np.array([1.0, -2.0]))
-    np.testing.assert_allclose(q[:, 0], [0.0, 0.0, 0.5, 1.0, 1.0])
-    np.testing.assert_allclose(q[:, 1], -2.0 * q[:, 0])
 
 
 def test_arm_moves_from_the_start_configuration_to_the_goal_configuration() -> None:

@@ -1,8 +1,5 @@
 """Tests of evaluations on the Panda: outcomes, metrics, parallel runs, stored results."""
 
-import json
-from dataclasses import replace
-
 import pytest
 
 from drake_oa.evaluation.panda.evaluation import (
@@ -24,24 +21,14 @@ def stored(tmp_path_factory):
     return evaluate_panda(_SUITE, folder=folder), folder
 
 
-def _assert_equal(one, other, methods=_SUITE.methods):
+def _assert_equal(one, other):
     """Checks that results are equal except for wall times."""
     assert one.scenarios == other.scenarios
-    for method in methods:
+    for method in _SUITE.methods:
         assert list(one.runs[method]) == list(other.runs[method]) == [0, 1]
         for scene in (0, 1):
             clock = dict.fromkeys(("wall_time", "real_time_factor"))
             assert one.runs[method][scene] | clock == other.runs[method][scene] | clock
-
-
-def test_each_result_is_stored(stored):
-    results, folder = stored
-    for scene in (0, 1):
-        assert (folder / f"{_SUITE.scene_name(scene)}.json").is_file()
-        for method in _SUITE.methods:
-            name = _SUITE.run_name(scene, method)
-            on_disk = json.loads((folder / f"{name}.json").read_text())
-            assert on_disk["content"] == results.runs[method][scene]
 
 
 def test_evaluation_resumes_and_repeats_unreadable_results(stored, caplog):
@@ -55,19 +42,8 @@ def test_evaluation_resumes_and_repeats_unreadable_results(stored, caplog):
 
 
 @pytest.mark.slow
-def test_worker_processes_and_dask_cluster_give_equal_results(stored, tmp_path):
+def test_worker_processes_give_equal_results(stored):
     _assert_equal(stored[0], evaluate_panda(_SUITE, workers=2))
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        spread = evaluate_panda(
-            replace(_SUITE, methods=("verified",)),
-            workers=cluster.scheduler_address,
-            folder=tmp_path,
-        )
-    _assert_equal(stored[0], spread, ("verified",))
-    assert len(list(tmp_path.glob("*.json"))) == 4
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from drake_oa.evaluation.scenes.paper_method import (
     paper_chain,
     released_motions,
     run,
-    run_original,
     time_scale,
 )
 from drake_oa.evaluation.scenes.scenes import make_scenes
@@ -70,11 +69,3 @@ def test_paper_method_ends_on_arrival_or_at_the_time_limit(constrained):
     has_arrived = error[:, -1] <= ARRIVED
     assert has_arrived.mean() > 0.4
     assert (error[~has_arrived, number:] > ARRIVED).all()
-
-
-def test_original_term_does_not_avoid_a_head_on_obstacle():
-    scenes = make_scenes(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
-    motions = run_original(scenes, Setting())
-    # After the duration the motion may reverse, with the obstacle ahead again.
-    assert np.abs(motions.path[0, : STEPS.number, 1:]).max() < 1e-9
-    assert evaluate_motions(scenes, motions).collided[0]
