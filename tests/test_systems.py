@@ -40,11 +40,7 @@ OVERRIDES = {
         "perception=!GivenEllipsoids {ellipsoids: [{center: [0.5, 0.0, 0.2]}]}",
     ],
     "paper": ["tabletop_box", "inference=!Paper {}"],
-    "turned": [
-        "tabletop_box",
-        "task.rpy_goal=[3.0, 0.0, 1.0]",
-        "task.goal_moves=[[0.1, 0.45, 0.45, 0.5]]",
-    ],
+    "turned": ["tabletop_box", "task.rpy_goal=[3.0, 0.0, 1.0]"],
     "moving": ["moving_obstacle", "perception=!GroundTruth {}"],
     "faults": ["tabletop_box", "faults=[!Push {}, !TorqueSaturation {}, !CameraDropout {}]"],
 }

@@ -1,19 +1,18 @@
 """Tests of DepthPerception on ray-cast images of one or two cameras."""
 
 import logging
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pydrake.geometry as drake
 import pytest
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.collision_scene import geometries_of, geometry_of
+from drake_oa.geometry.collision_scene import geometries_of
 from drake_oa.perception.depth_perception import DepthPerception, backdate_obstacles
 from tests.builders import depth_image, fix
+from tests.planning.arms import box_at
 from tests.reference.depth_images import box, look_at, ray_cast
 
 CAMERA = CameraInfo(320, 240, 260.0, 260.0, 159.5, 119.5)
@@ -189,8 +188,7 @@ def test_moving_obstacles_are_output_at_their_position_of_the_older_stamp():
 
 def test_the_self_filter_removes_the_robot_at_its_state_of_each_image():
     def posed(states):
-        poses = [RigidTransform([0.1, y, 0.2]).GetAsMatrix4() for y in np.ravel(states)]
-        return geometries_of([replace(geometry_of(drake.Box(*ARM)), X_WO=X_WB) for X_WB in poses])
+        return geometries_of([box_at(ARM, [0.1, y, 0.2]) for y in np.ravel(states)])
 
     system, context = two_cameras(
         sync_tolerance=0.05, robot=SimpleNamespace(num_states=1, posed=posed)

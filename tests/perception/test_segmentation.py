@@ -1,17 +1,15 @@
 """Tests of segmentation on ray-cast depth images."""
 
-from dataclasses import replace
-
 import numpy as np
-import pydrake.geometry as drake
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.geometry.collision_scene import geometries_of, geometry_of
+from drake_oa.geometry.collision_scene import geometries_of
 from drake_oa.geometry.pinhole import View
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
+from tests.planning.arms import box_at
 from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast, rays_of
 
 X_WC = camera_pose()
@@ -77,9 +75,7 @@ def test_an_object_beside_the_table_is_no_obstacle():
 
 @pytest.mark.parametrize("has_table", [True, False])
 def test_the_self_filter_removes_the_robot(has_table):
-    X_WB = np.eye(4)
-    X_WB[:3, 3] = [0.8, -0.15, 0.08]
-    robot = geometries_of([replace(geometry_of(drake.Box(0.1, 0.1, 0.16)), X_WO=X_WB)])
+    robot = geometries_of([box_at([0.1, 0.1, 0.16], [0.8, -0.15, 0.08])])
     depth = ray_cast(X_WC, BOXES) if has_table else ray_cast(X_WC, BOXES, NO_TABLE_EXTENT)
     config = SegmentationConfig(table=has_table)
     result = segment_depth(depth, K, X_WC, config, robot)

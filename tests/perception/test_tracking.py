@@ -1,17 +1,15 @@
 """Tests of multi-object tracking, on ray-cast depth images with the noise of a depth camera."""
 
-from dataclasses import replace
-
 import numpy as np
-import pydrake.geometry as drake
 import pytest
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.collision_scene import CollisionGeometries, geometries_of, geometry_of
+from drake_oa.geometry.collision_scene import CollisionGeometries, geometries_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import Segmentation, segment_views
 from drake_oa.perception.tracking import TrackerState, update_tracks
 from drake_oa.world.depth_noise import add_depth_noise
+from tests.planning.arms import box_at
 from tests.reference.depth_images import look_at, ray_cast
 
 K = np.array([400.0, 400.0, 159.5, 119.5])
@@ -35,9 +33,7 @@ LEFT, RIGHT = box([-0.1, -0.35, 0.05], [0.1] * 3), box([-0.2, 0.3, 0.08], [0.1, 
 
 def arm(center, size) -> tuple[tuple, CollisionGeometries]:
     """Returns an upright box that is the robot: its corners, and its collision geometry."""
-    X_WB = np.eye(4)
-    X_WB[:3, 3] = center
-    return box(center, size), geometries_of([replace(geometry_of(drake.Box(*size)), X_WO=X_WB)])
+    return box(center, size), geometries_of([box_at(size, center)])
 
 
 OCCLUDER = arm([0.6, 0.05, 0.35], [0.05, 0.16, 0.5])
