@@ -1,18 +1,17 @@
-"""Faults of cameras and observations, inserted into a diagram by its argument `customize`."""
+"""Faults of observations, inserted into a diagram by its argument `customize`."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import Context, LeafSystem, State
-from pydrake.systems.sensors import ImageDepth32F
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import DiscreteTimeDelay
 
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene
-from tests.builders import depth_image
 
 Customize = Callable[[SignalBuilder], None]
 """Function that changes a diagram before it is built."""
@@ -31,31 +30,6 @@ class ChangedMessages(LeafSystem):
         )
 
 
-class DelayedMessages(LeafSystem):
-    """System that outputs each message of a signal at a delay [s] after its stamp."""
-
-    PERIOD = 1.0 / 60.0
-
-    def __init__(self, signal: str, model: object, delay: float) -> None:
-        super().__init__()
-        self._delay, self._model = delay, model
-        self._port = self.DeclareAbstractInputPort(signal, Value(model))
-        self._messages = self.DeclareAbstractState(Value(()))
-        self.DeclareAbstractOutputPort(signal, lambda: Value(model), self._calc)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self.PERIOD, 0.0, self._store)
-
-    def _store(self, context: Context, state: State) -> None:
-        new = self._port.Eval(context)
-        messages = context.get_abstract_state(self._messages).get_value()
-        if not messages or new.stamp > messages[-1].stamp:
-            state.get_mutable_abstract_state(self._messages).set_value((*messages, new))
-
-    def _calc(self, context: Context, output: AbstractValue) -> None:
-        messages = context.get_abstract_state(self._messages).get_value()
-        arrived = [one for one in messages if one.stamp <= context.get_time() - self._delay]
-        output.set_value(arrived[-1] if arrived else self._model)
-
-
 def delayed_observations(delay: float) -> Customize:
     """Delays obstacles and collision scene by a time [s]."""
 
@@ -64,7 +38,8 @@ def delayed_observations(delay: float) -> Customize:
             ("obstacles_W", ObstacleClouds()),
             ("collision_scene_W", CollisionScene()),
         ):
-            signals.interpose(signal, f"delayed_{signal}", DelayedMessages(signal, model, delay))
+            system = DiscreteTimeDelay(1.0 / 60.0, round(60.0 * delay), Value(model))
+            signals.interpose(signal, f"delayed_{signal}", system)
 
     return customize
 
@@ -74,16 +49,6 @@ def changed(signal: str, model: object, change: Callable[[Any], object], *when: 
     first, last = when
     system = ChangedMessages(signal, model, lambda t, m: change(m) if first <= t < last else m)
     return lambda signals: signals.interpose(signal, f"changed_{signal}", system)
-
-
-def nan_frames(*when: float) -> Customize:
-    """Replaces all depths of images by NaN within a time span [s]."""
-    return changed(
-        "depth_image",
-        ImageDepth32F(),
-        lambda image: depth_image(np.full_like(image.data[:, :, 0], np.nan)),
-        *when,
-    )
 
 
 def raised_table(start: float, height: float) -> Customize:
