@@ -85,9 +85,8 @@ def test_installed_command_uses_the_wheel(site: Path, tmp_path: Path) -> None:
 def test_installed_command_runs_without_writable_folders(site: Path, tmp_path: Path) -> None:
     frozen = tmp_path / "site"
     shutil.copytree(site, frozen, ignore=shutil.ignore_patterns("__pycache__"))
-    (
-        frozen / "drake_oa" / "__pycache__"
-    ).touch()  # A file, so that not even root can write into it.
+    # A file, so that not even root can write into it.
+    (frozen / "drake_oa" / "__pycache__").touch()
     nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "NUMBA_CACHE_DIR": ""}
     assert "tabletop_box" in installed(frozen, tmp_path, "scenarios", **nowhere)
 

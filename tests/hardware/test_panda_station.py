@@ -60,10 +60,7 @@ class CommandSource:
 
 def test_arm_follows_drakes_command_source_and_holds_during_its_outage() -> None:
     lcm, clock = DrakeLcm("memq://"), Clock()
-    arm, source = (
-        PandaStation(load_scenario("tabletop_box", NO_CAMERAS), lcm, clock=clock),
-        CommandSource(lcm),
-    )
+    arm, source = PandaStation(BOX, lcm, clock=clock), CommandSource(lcm)
     start = joints(arm)
     goal = start + np.linspace(-0.2, 0.2, 7)
     for k in range(500):

@@ -151,9 +151,7 @@ def test_images_within_the_sync_tolerance_form_one_frame():
     set_image(system, context, "right", 0.08)
     obstacles = update(system, context)
     assert (obstacles.stamp, obstacles.note) == (0.1, "")
-    assert all(
-        view is not None for view in system.GetOutputPort("free_space_W").Eval(context).views
-    )
+    assert None not in system.GetOutputPort("free_space_W").Eval(context).views
     # An image older than the previous frame is not processed before the next frame.
     set_image(system, context, "right", 0.09)
     obstacles = update(system, context)
@@ -190,9 +188,8 @@ def test_the_self_filter_removes_the_robot_at_its_state_of_each_image():
     def posed(states):
         return geometries_of([box_at(ARM, [0.1, y, 0.2]) for y in np.ravel(states)])
 
-    system, context = two_cameras(
-        sync_tolerance=0.05, robot=SimpleNamespace(num_states=1, posed=posed)
-    )
+    robot = SimpleNamespace(num_states=1, posed=posed)
+    system, context = two_cameras(sync_tolerance=0.05, robot=robot)
     for name, y, stamp in (("left", -0.3, 0.10), ("right", 0.3, 0.13)):
         set_image(system, context, name, stamp, table_with(box(0.1, y, ARM), box(0.0, 0.0)))
         fix(system, context, **{f"robot_state_{name}": [y]})

@@ -42,15 +42,8 @@ def test_margins_are_the_minima_over_all_pairs(panda_arm: ArmAlone, seed: int) -
     q, t = panda_arm.random_q(random), random.uniform(0.0, 2.0)
     world = random_model(panda_arm, random)
     spheres, required, p = world.spheres, world.required, panda_arm.centers(q)
-    d = np.array(
-        [
-            [
-                geometry_distance(world.geometries, k, *c, t)
-                for k in range(len(world.geometries.ball))
-            ]
-            for c in p
-        ]
-    )
+    rows = range(len(world.geometries.ball))
+    d = np.array([[geometry_distance(world.geometries, k, *c, t) for k in rows] for c in p])
     d = np.minimum.reduceat(d - spheres.radius[:, None], spheres.first[:-1])
     found = group_distances(world.chain, spheres, world.geometries, q[None], t, np.inf)
     np.testing.assert_allclose(found, d, atol=1e-12)
@@ -77,11 +70,8 @@ def test_margins_are_the_minima_over_all_pairs(panda_arm: ArmAlone, seed: int) -
 @given(seed=SEEDS)
 def test_a_configuration_beyond_a_joint_limit_is_not_free(panda_arm: ArmAlone, seed: int) -> None:
     random = np.random.default_rng(seed)
-    world, q, joint = (
-        panda_arm.model([], self_clearance=-5.0),
-        panda_arm.random_q(random),
-        random.integers(7),
-    )
+    world = panda_arm.model([], self_clearance=-5.0)
+    q, joint = panda_arm.random_q(random), random.integers(7)
     for limit, sign in ((panda_arm.chain.lower, -1.0), (panda_arm.chain.upper, 1.0)):
         q[joint] = limit[joint]
         assert is_collision_free(world, q)

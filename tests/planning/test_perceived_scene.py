@@ -79,11 +79,8 @@ def test_a_moving_obstacle_reuses_its_field_and_is_deeper():
     assert now.scene.moves
     for time, noise in ((1.1, 0.0), (1.2, 0.001), (1.3, 0.0)):
         way = (time - 1.0) * v_WO
-        now = update_scene(
-            now,
-            clouds(box(broad, CENTER + way, noise=noise), stamp=time, v_WO=[v_WO]),
-            CAMERA[None],
-        )
+        seen = clouds(box(broad, CENTER + way, noise=noise), stamp=time, v_WO=[v_WO])
+        now = update_scene(now, seen, CAMERA[None])
         assert now.fields[0].grid is first.fields[0].grid
         assert distance(now.scene.geometries, 0, behind + way, time) < 0.0
     # The obstacle rests again: its depth remains that of a moving obstacle.
@@ -109,10 +106,8 @@ def test_an_observation_that_is_not_finite_is_ignored(bad):
 
 def test_late_observations_are_ignored_and_the_table_remains():
     first = update_scene(PerceivedSceneState(), clouds(box()), CAMERA[None])
-    assert (
-        update_scene(first, clouds(stamp=0.5), CAMERA[None]).scene.geometries
-        is first.scene.geometries
-    )
+    late = update_scene(first, clouds(stamp=0.5), CAMERA[None])
+    assert late.scene.geometries is first.scene.geometries
     after = update_scene(first, clouds(box(), stamp=2.0, table=None), CAMERA[None])
     assert after.scene.labels == ("obstacle 0", "the table")
 

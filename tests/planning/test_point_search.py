@@ -44,18 +44,9 @@ def search_motion(scene: Scene) -> tuple[Ranking, FloatArray, FloatArray]:
 
 
 def min_distance(scene: Scene, path: FloatArray, stamps: FloatArray) -> float:
-    ellipsoids = scene.ellipsoids
-    return min(
-        float(
-            signed_distance(
-                path - stamps[:, None] * ellipsoids.v_WO[j],
-                ellipsoids.p_WO[j],
-                ellipsoids.R_WO[j],
-                ellipsoids.semi_axes[j],
-            ).min()
-        )
-        for j in range(len(ellipsoids))
-    )
+    some = scene.ellipsoids
+    then = path[:, None] - stamps[:, None, None] * some.v_WO
+    return float(signed_distance(then, some.p_WO, some.R_WO, some.semi_axes).min())
 
 
 @settings(max_examples=12)

@@ -57,10 +57,8 @@ def test_candidates_are_independent_and_aborted_below_a_margin(
     panda_arm: ArmAlone, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
-    world, paths = (
-        free_model(panda_arm, random_boxes(random, 3)),
-        smooth_motions(panda_arm, random, 9),
-    )
+    world = free_model(panda_arm, random_boxes(random, 3))
+    paths = smooth_motions(panda_arm, random, 9)
     p_WE = paths.p_WE.copy()
     p_WE[0, 20:] = np.nan
     paths = paths._replace(p_WE=p_WE)

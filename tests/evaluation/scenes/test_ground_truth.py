@@ -16,10 +16,8 @@ def test_clearance_and_length_equal_those_of_dense_sampling() -> None:
     radius, R = rng.uniform(0.02, 0.2, 6), random_rotations(rng, 6)
     axes = np.repeat(radius[:, None], 3, axis=1)
     scenes = Scenes(np.ones(6), center, axes, R, np.full(6, 0.1))
-    path, duration = (
-        np.cumsum(rng.uniform(-0.05, 0.1, (6, 26, 3)), axis=1),
-        rng.uniform(2.0, 4.0, 6),
-    )
+    path = np.cumsum(rng.uniform(-0.05, 0.1, (6, 26, 3)), axis=1)
+    duration = rng.uniform(2.0, 4.0, 6)
     speed = 25.0 / duration[:, None, None] * np.gradient(path, axis=1)
     results = evaluate_motions(scenes, Motions(path, speed, duration))
     for n in range(6):

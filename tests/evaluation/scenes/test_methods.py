@@ -30,10 +30,8 @@ def test_verified_has_the_achievable_clearance_and_arrives(suite: str) -> None:
 
 def test_duration_is_scaled_by_the_path_length_if_set() -> None:
     scenes = draw_scenes("hit", 4, 0)
-    scaled, unscaled = (
-        run_verified(scenes, Setting()),
-        run_verified(scenes, Setting(scale_time=False)),
-    )
+    scaled = run_verified(scenes, Setting())
+    unscaled = run_verified(scenes, Setting(scale_time=False))
     np.testing.assert_allclose(scaled.path, unscaled.path, atol=1e-9)
     ratio = scaled.duration / unscaled.duration
     np.testing.assert_allclose(ratio, evaluate_motions(scenes, scaled).path_ratio, rtol=1e-3)

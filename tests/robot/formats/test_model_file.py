@@ -144,11 +144,8 @@ def test_a_dae_is_read_with_its_unit_and_its_nodes(tmp_path: Path) -> None:
 
 def test_mesh_is_split_if_one_hull_would_add_much_volume(tmp_path: Path) -> None:
     size = [0.1] * 3
-    one, beside, between = (
-        ([0.0] * 3, size),
-        ([0.3, 0.0, 0.0], size),
-        ([0.1, 0.0, 0.0], [0.2, *size[:2]]),
-    )
+    one, beside = ([0.0] * 3, size), ([0.3, 0.0, 0.0], size)
+    between = [0.1, 0.0, 0.0], [0.2, *size[:2]]
     assert len(convert_to_objs(stl(tmp_path / "a.stl", one, beside), hulls=True)) == 2
     assert len(convert_to_objs(stl(tmp_path / "b.stl", one, between, beside), hulls=True)) == 1
     assert len(convert_to_objs(stl(tmp_path / "c.stl", one, beside, missing=1), hulls=True)) == 1
