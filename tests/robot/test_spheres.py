@@ -72,6 +72,17 @@ def test_a_cover_encloses_its_shape_with_the_stated_protrusion(
         assert found.protrusion <= 0.012 * 1.3
 
 
+def test_a_cover_of_many_meshes_needs_few_spheres() -> None:
+    along = [RigidTransform([0.08 * i, 0.0, 0.0]).GetAsMatrix4() for i in range(6)]
+    shapes = [replace(geometry_of_kind("hull", (0.1, 0.1, 0.1)), X_WO=X) for X in along]
+    cover = compute_cover(shapes, 0.012)
+    spheres = np.column_stack([cover.centers, cover.radii])
+    for shape in shapes:
+        check_enclosed(shape, spheres)
+    assert cover.protrusion <= 0.015
+    assert len(spheres) <= 150
+
+
 def test_covers_are_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     geometries = [geometry.geometry_of(drake.Box(0.05, 0.1, 0.06))]
     expected = compute_cover(geometries, 0.01)
