@@ -39,7 +39,10 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         while not session.is_returning:
             session.tick()
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)
-        assert page.evaluate("'post' in viewer.gui.__folders")
+        deadline = time.monotonic() + 60.0
+        while not page.evaluate("'post' in viewer.gui.__folders"):
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
         controls = page.evaluate("Object.keys(viewer.gui_controllers)")
         assert controls.index("stop") < controls.index("speed") < controls.index("post: x [m]")
         # The motion back starts without an executed path.
