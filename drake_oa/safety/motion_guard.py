@@ -47,8 +47,8 @@ from drake_oa.safety.maneuvers import (
     GuardSearch,
 )
 from drake_oa.safety.supervision import (
-    SpeedLimit,
     Supervision,
+    monitor_contact,
     monitor_guard,
     monitor_observation,
     monitor_path,
@@ -115,7 +115,8 @@ class GuardState(Frozen):
             it makes progress, or is on this motion.
         min_deviation: minimum joint deviation from the verified motion since `stuck_since` [rad].
         expiry: time at which the active decision becomes too old [s].
-        slow_until: time until which maneuvers are slow after a contact [s].
+        slow_until: time until which, after a contact, maneuvers are slow and the verified motion is
+            held [s].
         decision_count: number of decisions so far.
         supervision: state of the supervisor, which scales the speed of the motion.
     """
@@ -514,9 +515,8 @@ class MotionGuard(LeafSystem):
         limits = [
             monitor_observation(scene, time, self._max_fresh_age, self._config.max_observation_age),
             monitor_guard(state.decision, time, is_late=is_late, has_moving=scene.moves),
+            monitor_contact(time < state.slow_until),
         ]
-        if time < state.slow_until:
-            limits.append(SpeedLimit(0.0, "contact", "the arm was in contact"))
         if state.decision.follows:
             limits.append(monitor_path(float(np.abs(state.path - state.x)[: self._n].max())))
         if self._saturation.HasValue(context):

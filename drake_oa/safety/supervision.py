@@ -14,6 +14,8 @@ monitor_observation  observation older than a fresh age     observation older th
 monitor_guard        the guard slows the verified motion    wait or maneuver (lasting if no
                                                             obstacle moves); late decision
                                                             (lasting)
+monitor_contact      never                                  contact of the arm less than
+                                                            `contact_time` ago
 monitor_path         command 0.02 rad from verified motion  command 0.1 rad from verified motion
 monitor_torque       torque saturated for 0.1 s             never
 ===================  =====================================  ====================================
@@ -244,6 +246,15 @@ def monitor_guard(
     reason = f"{verbs[decision.action]} {obstacle}{contact}{claim}"
     scale = decision.scale if decision.follows else 0.0
     return SpeedLimit(scale, f"guard: {decision.action}", reason, is_lasting=not has_moving)
+
+
+def monitor_contact(is_recent: bool) -> SpeedLimit:
+    """Holds the verified motion (checked by simulation) for a while after a contact of the arm.
+
+    Args:
+        is_recent: whether a contact was detected less than `contact_time` ago.
+    """
+    return SpeedLimit(0.0, "contact", "the arm was in contact") if is_recent else NO_LIMIT
 
 
 _SLOW_DEVIATION = 0.02
