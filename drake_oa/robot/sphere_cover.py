@@ -300,6 +300,8 @@ def _select_balls(
     # Balls of radius 2 p at depth p below the edge of a box cover the edge if their spacing along
     # it is at most 2 sqrt(2) p.
     step = max(_EDGE_SPACING * protrusion, refinement * _lattice_step(geometries, _MAX_CENTERS))
+    # A lattice of this spacing has the corners of the bounding boxes only.
+    coarsest = 2.0 * max(float(geometry.half_extents.max()) for geometry in geometries)
     # At most half of the centers are below the surfaces of the shapes.
     count = min(_N_SURFACE_POINTS, max(30, _MAX_CENTERS // (2 * len(geometries))))
     below = [_below_surface(geometry, protrusion, count) for geometry in geometries]
@@ -307,7 +309,7 @@ def _select_balls(
         centers = np.concatenate(
             [_lattice(geometry, protrusion, step, refinement) for geometry in geometries] + below
         )
-        if len(centers) <= _MAX_CENTERS:
+        if len(centers) <= _MAX_CENTERS or step >= coarsest:
             break
         step *= 1.2
     depth = np.maximum(-_distances(scene, centers), 0.0)
