@@ -38,11 +38,7 @@ def record(name: str, folder: Path) -> None:
     with Browser(page.as_uri()) as browser:
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         browser.call("Emulation.setDeviceMetricsOverride", **metrics)
-        deadline = time.monotonic() + TIMEOUT
-        while not browser.evaluate("window.viewer && viewer.animator.actions.length > 0"):
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"{page} shows no recording")
-            time.sleep(0.5)
+        browser.wait_for("window.viewer && viewer.animator.actions.length > 0", TIMEOUT)
         browser.evaluate("document.querySelector('#drake-oa span').hidden = true")
         images = [frame(browser, end * i / (FRAMES - 1)) for i in range(FRAMES)]
     FOLDER.mkdir(parents=True, exist_ok=True)

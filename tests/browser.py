@@ -67,6 +67,14 @@ class Browser:
         result = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         return result["result"].get("value")
 
+    def wait_for(self, condition: str, timeout: float = 60.0) -> None:
+        """Waits until a JavaScript expression is true; raises TimeoutError after a timeout [s]."""
+        deadline = time.monotonic() + timeout
+        while not self.evaluate(condition):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"not true after {timeout:.0f} s: {condition}")
+            time.sleep(0.2)
+
     def __enter__(self) -> "Browser":
         return self
 

@@ -26,10 +26,7 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         time.sleep(0.5)
 
     with Browser(session.page.url) as page:
-        deadline = time.monotonic() + 60.0
-        while not page.evaluate("'post: y [m]' in viewer.gui_controllers"):
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
+        page.wait_for("'post: y [m]' in viewer.gui_controllers")
         ticks(session, 0.3)
         move("'post: y [m]'].setValue(0.4)")
         assert meshcat.GetSliderValue("post: y [m]") == pytest.approx(0.4)
@@ -39,10 +36,7 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         while not session.is_returning:
             session.tick()
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)
-        deadline = time.monotonic() + 60.0
-        while not page.evaluate("'post' in viewer.gui.__folders"):
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
+        page.wait_for("'post' in viewer.gui.__folders")
         controls = page.evaluate("Object.keys(viewer.gui_controllers)")
         assert controls.index("stop") < controls.index("speed") < controls.index("post: x [m]")
         # The motion back starts without an executed path.
