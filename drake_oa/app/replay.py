@@ -21,8 +21,8 @@ def replay(
 ) -> None:
     """Replay a logged motion in a browser, or write the replay as a page.
 
-    The replay shows the logged positions of robot and world, the observed ellipsoids, the planned
-    path (of the nominal motion) and the executed path. It simulates nothing. A log has neither
+    The replay shows the logged positions of robot and world, the observed ellipsoids, the nominal
+    path and the executed path. It simulates nothing. A log has neither
     point clouds nor cost rings; `drake-oa run --meshcat` and `--html` show these.
 
     For example:

@@ -38,7 +38,7 @@ from drake_oa.world.world_model import add_world
 _TIME_TOLERANCE = 1e-9
 """Tolerance for comparing simulated time with logged times, which have rounding errors [s]."""
 _MAX_POINTS = 200
-"""Maximum number of points with which a replay displays the planned path."""
+"""Maximum number of points with which a replay displays the nominal path."""
 
 
 def logged_scenario(path: Path, log: MotionLog) -> Scenario:
@@ -135,7 +135,7 @@ def build_replay(
         scenario: scenario of the log.
         log: log of the motion.
         meshcat: viewer.
-        planned_W: (N, 3) points of the planned path in the world [m]; None: the straight line from
+        planned_W: (N, 3) points of the nominal path in the world [m]; None: the straight line from
             start to goal.
 
     Raises:

@@ -4,7 +4,7 @@ Inputs, all in the world frame: `EllipsoidSet`, `PolicyState`, `Route`, a point 
 of the bodies. Only the policy state is required. Output: objects in Meshcat under "/drake_oa".
 
 - `MeshcatOverlay` draws ellipsoids, cost rings (costs of passing an obstacle on each side),
-  selected directions, planned and executed paths at 15 Hz, and a point cloud every 0.2 s. The
+  selected directions, nominal and executed paths at 15 Hz, and a point cloud every 0.2 s. The
   drawing is visible in the live view and in a recording.
 - `drawing` computes the geometry of cost rings from arrays. `viewer` starts Meshcat, sets its
   background and camera, records the scene, and keeps Meshcat open after a command of drake-oa.

@@ -61,7 +61,7 @@ class MeshcatOverlay(LeafSystem):
       world. They give the tool point, whose path is the executed path. Not connected: the tool
       point is p_WE in `policy_state`.
 
-    Ellipsoids are rose, the planned path is blue, and the executed path is red. A cost ring
+    Ellipsoids are rose, the nominal path is blue, and the executed path is red. A cost ring
     displays the costs of passing an obstacle in each direction around the baseline, the line from
     start to goal. The rings of an obstacle are centered at the point of the baseline closest to the
     obstacle, in the order of `Route.costs` from the inside out. Green is cost 0, yellow is 0.5, red
@@ -89,7 +89,7 @@ class MeshcatOverlay(LeafSystem):
 
         Args:
             meshcat: Meshcat instance.
-            planned_W: (T, 3) points of the planned path in the world [m]; None: the straight line
+            planned_W: (T, 3) points of the nominal path in the world [m]; None: the straight line
                 from start to goal.
             body_index: index of the tool's body B in the plant; None: the tool point E is at p_WE
                 of `policy_state`.
@@ -192,7 +192,7 @@ class MeshcatOverlay(LeafSystem):
         self._show_path(path, True, time)
 
     def _draw_start(self, context: Context) -> None:
-        """Draws the objects whose shapes are constant during the run (planned path, start, goal,
+        """Draws the objects whose shapes are constant during the run (nominal path, start, goal,
         ellipsoids of unit size), and then the first frame.
         """
         meshcat = self._meshcat

@@ -71,8 +71,8 @@ def test_live_pages_and_recordings_have_the_same_panel(
     for text in (recorded, get(page, "/")):
         assert "<title>mine: avoiding motion</title>" in text
         assert "A ball &lt; a box" in text
-        assert text.index("<body>") < text.index("planned path") < text.index("</body>")
-    assert recorded.index("<p>scene</p>") < recorded.index("planned path")
+        assert text.index("<body>") < text.index("nominal path") < text.index("</body>")
+    assert recorded.index("<p>scene</p>") < recorded.index("nominal path")
     rows = readings(SCENARIO, log)
     assert [row.time for row in rows[:2]] == [0.0, 0.1]
     for text in (rows[-1].text, live):
