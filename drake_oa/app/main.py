@@ -160,7 +160,7 @@ def _run(tokens: Sequence[str]) -> int:
 
         Args:
             words: command and its arguments.
-            verbose: log messages of level INFO, and a traceback with an error.
+            verbose: write messages of level INFO as well, and the traceback of an error.
         """
         level = logging.INFO if verbose else logging.WARNING
         # This handler writes to the present sys.stderr, which a progress bar may replace.

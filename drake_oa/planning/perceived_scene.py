@@ -63,7 +63,8 @@ Missing are points of the field without a new point nearby, and inner nodes obse
 _MAX_CHECKED_POINTS = 500
 """Approximate maximum number of a distance field's points that are compared with a new cloud."""
 _MAX_VIEW_CHANGE = 0.1
-"""Maximum change of the direction from camera to obstacle for which a field is reused [rad]."""
+"""Maximum change of a component of the unit vector from camera to obstacle for which the distance
+field of the obstacle is reused."""
 _DEPTH_MARGIN = 0.01
 """Minimum distance from a point to the surface behind it, for an image to show it free [m]."""
 _MAX_INSIDE_NODES = 400

@@ -118,9 +118,8 @@ It does not depend on the block `compute_latency` of a scenario."""
 MAX_POSE_ERROR = 2e-3
 """Maximum error of the tool pose at which the arm counts as following a tool path [m, rad]."""
 MAX_GOAL_ERROR = 0.02
-"""Maximum distance from the goal at the end of a motion that is executed [-].
-
-It is a fraction of the distance from start to goal."""
+"""Maximum distance from the goal at the end of an executed motion, as a fraction of the distance
+from start to goal."""
 INFEASIBLE_PENALTY = 10.0
 """Cost w_inf that is added for an infeasible candidate motion; feasible ones thus rank first [-].
 
