@@ -115,7 +115,7 @@ _LATENCY_MODEL = LatencyModel()
 """Model of the compute latency by which a search decides whether another generation may start.
 
 It does not depend on the block `compute_latency` of a scenario."""
-MAX_POSE_ERROR = 2e-3
+MAX_POSE_ERROR = 5e-4
 """Maximum error of the tool pose at which the arm counts as following a tool path [m, rad]."""
 MAX_GOAL_ERROR = 0.02
 """Maximum distance from the goal at the end of an executed motion, as a fraction of the distance

@@ -39,6 +39,9 @@ rad for an error of 1 cm."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
 """Maximum number of corrective joint steps per tool pose of a tracked path, and pose error of the
 tool at which these steps end [m, rad]."""
+_OUT_OF_REACH = 1e-3
+"""Pose error of the tool above which a pose of a tracked path counts as out of reach if the joint
+steps do not reduce the error [m, rad]."""
 _MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
 """Maximum number of steps of the inverse kinematics from one initial configuration, and maximum
 pose error of the tool at a solution [m, rad]."""
@@ -202,6 +205,7 @@ class Scratch(NamedTuple):
             equations.
         null_step, dq: (n,) desired joint displacement l in the null space [rad]; (n,) joint
             displacement of the step [rad].
+        q_before: (n,) configuration before the steps to a tool pose [rad].
         is_fixed: (n,) whether each joint is fixed at its limit during the step.
     """
 
@@ -212,6 +216,7 @@ class Scratch(NamedTuple):
     b: FloatArray
     null_step: FloatArray
     dq: FloatArray
+    q_before: FloatArray
     is_fixed: BoolArray
 
 
@@ -221,8 +226,9 @@ def scratch(n: int) -> Scratch:
     joints.
     """
     X, J, JJ = np.empty((n + 2, 12)), np.empty((6, n)), np.empty((6, 6))
-    null_step, dq, is_fixed = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.bool_)
-    return Scratch(X, J, JJ, np.empty(6), np.empty(6), null_step, dq, is_fixed)
+    null_step, dq, q_before = np.zeros(n), np.empty(n), np.empty(n)
+    is_fixed = np.zeros(n, dtype=np.bool_)
+    return Scratch(X, J, JJ, np.empty(6), np.empty(6), null_step, dq, q_before, is_fixed)
 
 
 @leaf
@@ -375,7 +381,7 @@ def step_toward(q: FloatArray, damping: float, chain: Chain, work: Scratch) -> N
             displacement l in `null_step`.
     """
     n = len(q)
-    X, J, JJ, e, b, null_step, dq, is_fixed = work
+    X, J, JJ, e, b, null_step, dq, _, is_fixed = work
     jacobian(X, J)
     is_fixed[:] = False
     for _ in range(n + 1):
@@ -420,6 +426,8 @@ def follow(
     """Moves a configuration to the next tool pose of a path by damped least-squares steps, and
     tracks nominal postures in the null space.
 
+    If the pose is out of reach and the steps do not reduce the pose error, the configuration does
+    not change: near an extended elbow, steps would alternate between two mirrored configurations.
     The poses of the joint frames and of the tool at the new configuration are stored in `work.X`.
 
     Args:
@@ -437,7 +445,9 @@ def follow(
         to the target [rad, m].
     """
     chain_poses(q, chain.X_PJ, work.X)
-    error = pose_error(work.X, target, work.e)
+    error = error_before = pose_error(work.X, target, work.e)
+    for i in range(len(q)):
+        work.q_before[i] = q[i]
     if row > 0:
         for i in range(len(q)):
             ahead = postures[row, i] - postures[row - 1, i]
@@ -452,6 +462,11 @@ def follow(
         error = pose_error(work.X, target, work.e)
         if error < _POSE_TOLERANCE:
             break
+    if error >= max(error_before, _OUT_OF_REACH):
+        for i in range(len(q)):
+            q[i] = work.q_before[i]
+        chain_poses(q, chain.X_PJ, work.X)
+        return error_before
     return error
 
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.arm import (
     Chain,
+    chain_poses,
     follow,
     inverse_kinematics,
     joint_margins,
@@ -118,6 +119,23 @@ def test_joints_remain_within_limits_on_an_unreachable_path(
         assert (joints <= chain.upper).all()
         assert errors[-1] > 0.1
         assert np.isneginf(joint_margins(q, targets[None], 0.3, chain)[0, -1])
+
+
+@settings(max_examples=20)
+@given(elbow=st.floats(0.02, 0.1), excess=st.floats(1.1e-3, 4e-3))
+def test_arm_comes_to_rest_at_an_extended_elbow(
+    six_chain: Chain, elbow: float, excess: float
+) -> None:
+    """Steps toward a pose beyond the extended arm do not alternate between mirrored elbows."""
+    extended, q = np.array(SIX_HOME), np.array(SIX_HOME)
+    extended[2], q[2] = 0.0, elbow
+    work = scratch(6)
+    chain_poses(extended, six_chain.X_PJ, work.X)
+    out = work.X[4, 9:] - work.X[2, 9:]  # From the shoulder to the wrist.
+    target = shifted(work.X[-1], excess * out / np.linalg.norm(out), np.zeros(3))
+    joints, errors = track(six_chain, q, np.tile(target, (60, 1)), q)
+    np.testing.assert_array_equal(joints[-20:], joints[[-1]] * np.ones((20, 1)))
+    assert errors[-1] < 2.0 * excess
 
 
 @settings(max_examples=40)
