@@ -24,6 +24,9 @@ VIEWPORT, SIZE = (960, 600), (640, 400)
 """Width and height of the page and of an animation [pixel]."""
 FRAMES = 36
 """Number of frames of an animation."""
+EYES = {"bookshelf": (-0.95, -1.75, 1.35)}
+"""Name of a scenario -> position of the viewer's camera in the world [m]; for other scenarios it is
+the default, from which the shelf hides the arm."""
 TIMEOUT = 120.0
 """Maximum time until a page has loaded its recording [s]."""
 
@@ -40,6 +43,11 @@ def record(name: str, folder: Path) -> None:
         browser.call("Emulation.setDeviceMetricsOverride", **metrics)
         browser.wait_for("window.viewer && viewer.animator.actions.length > 0", TIMEOUT)
         browser.evaluate("document.querySelector('#drake-oa span').hidden = true")
+        if name in EYES:
+            x, y, z = EYES[name]
+            path = "['Cameras', 'default', 'rotated', '<object>']"
+            # The camera's frame has y up.
+            browser.evaluate(f"viewer.set_property({path}, 'position', {[x, z, -y]})")
         images = [frame(browser, end * i / (FRAMES - 1)) for i in range(FRAMES)]
     FOLDER.mkdir(parents=True, exist_ok=True)
     images[0].save(
