@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,11 +77,14 @@ def test_stopped_run_logs_the_motion_in_progress(
         # In background jobs of a shell, SIGINT is ignored by default.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "whole = simulation.simulate\n"
-        "def simulate(scenario, **options):\n"
+        "def simulate(scenario, on_step, **options):\n"
+        "    def step(monitor, root):\n"
+        "        on_step(monitor, root)\n"
+        "        if options['avoid_obstacles'] and 0.1 < root.get_time() < 0.11:\n"
+        "            print('simulating', flush=True)\n"
         "    if options['avoid_obstacles']:\n"
         "        options['duration'] = 1e4\n"
-        "        print('simulating', flush=True)\n"
-        "    return whole(scenario, **options)\n"
+        "    return whole(scenario, on_step=step, **options)\n"
         "simulation.simulate, simulation.MAX_HOLD_TIME = simulate, 1e4\n"
         "sys.exit(cli.main(['run', 'free_space', '--duration', '0.3', *sys.argv[1:]]))\n"
     )
@@ -97,7 +99,6 @@ def test_stopped_run_logs_the_motion_in_progress(
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "simulating\n"
-        time.sleep(0.5)
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     finally:
