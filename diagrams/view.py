@@ -50,14 +50,14 @@ def make_overlay(
         hand = station.plant.GetBodyByName(robot.hand_link, station.robot).index()
     return MeshcatOverlay(
         meshcat,
-        planned_W=_planned_path(scenario),
+        nominal_W=_nominal_path(scenario),
         body_index=hand,
         p_BE=[0.0] * 3 if robot is None else robot.p_HE,
         show=show,
     )
 
 
-def _planned_path(scenario: Scenario) -> FloatArray | None:
+def _nominal_path(scenario: Scenario) -> FloatArray | None:
     """Computes the path (T, 3) of the nominal motion in the world frame [m].
 
     The path is None for a task without demonstration, whose nominal motion is a straight line.

@@ -49,7 +49,7 @@ def replay(
         build_replay,
         choose_motion,
         logged_scenario,
-        planned_path,
+        nominal_path,
         show_readings,
     )
     from drake_oa.viewing.viewer import open_page, recording, start_viewer, wait_for_viewer
@@ -61,8 +61,8 @@ def replay(
     check_outputs(html, read=[log])
     viewer = start_viewer(browser=meshcat)
     with build_errors():
-        planned_W = planned_path(scenario, logs)
-        diagram = build_replay(scenario, motion_log, viewer, planned_W=planned_W)
+        nominal_W = nominal_path(scenario, logs)
+        diagram = build_replay(scenario, motion_log, viewer, nominal_W=nominal_W)
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(speed)

@@ -109,7 +109,7 @@ def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: Motio
     return world
 
 
-def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
+def nominal_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
     """Returns points (N, 3) of the demonstrated path in the world [m], taken from the log of the
     nominal motion.
 
@@ -127,7 +127,7 @@ def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray |
 
 
 def build_replay(
-    scenario: Scenario, log: MotionLog, meshcat: Meshcat, *, planned_W: FloatArray | None = None
+    scenario: Scenario, log: MotionLog, meshcat: Meshcat, *, nominal_W: FloatArray | None = None
 ) -> Diagram:
     """Builds the diagram that displays a logged motion in a viewer.
 
@@ -135,7 +135,7 @@ def build_replay(
         scenario: scenario of the log.
         log: log of the motion.
         meshcat: viewer.
-        planned_W: (N, 3) points of the nominal path in the world [m]; None: the straight line from
+        nominal_W: (N, 3) points of the nominal path in the world [m]; None: the straight line from
             start to goal.
 
     Raises:
@@ -158,7 +158,7 @@ def build_replay(
     player = builder.AddNamedSystem("log_player", LogPlayer(scenario, log, positions))
     if poses is not None:
         builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())
-    overlay = builder.AddNamedSystem("overlay", MeshcatOverlay(meshcat, planned_W=planned_W))
+    overlay = builder.AddNamedSystem("overlay", MeshcatOverlay(meshcat, nominal_W=nominal_W))
     for name in ("ellipsoids_W", "policy_state"):
         builder.Connect(player.GetOutputPort(name), overlay.GetInputPort(name))
     diagram = builder.Build()

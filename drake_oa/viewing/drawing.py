@@ -17,7 +17,7 @@ from drake_oa.common.messages import FloatArray
 Color = tuple[float, float, float]
 """Type of a color in the viewer: red, green and blue, each in [0, 1]."""
 
-PLANNED: Color = (0.0, 128 / 255, 1.0)
+NOMINAL: Color = (0.0, 128 / 255, 1.0)
 """Color of the nominal path in the viewer: blue."""
 EXECUTED: Color = (0.90, 0.07, 0.09)
 """Color of the executed path in the viewer: red."""

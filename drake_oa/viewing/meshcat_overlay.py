@@ -79,7 +79,7 @@ class MeshcatOverlay(LeafSystem):
         self,
         meshcat: Meshcat,
         *,
-        planned_W: FloatArray | None = None,
+        nominal_W: FloatArray | None = None,
         body_index: BodyIndex | None = None,
         p_BE: Sequence[float] = (0.0, 0.0, 0.0),
         show: Sequence[str] = LAYERS,
@@ -89,7 +89,7 @@ class MeshcatOverlay(LeafSystem):
 
         Args:
             meshcat: Meshcat instance.
-            planned_W: (T, 3) points of the nominal path in the world [m]; None: the straight line
+            nominal_W: (T, 3) points of the nominal path in the world [m]; None: the straight line
                 from start to goal.
             body_index: index of the tool's body B in the plant; None: the tool point E is at p_WE
                 of `policy_state`.
@@ -100,7 +100,7 @@ class MeshcatOverlay(LeafSystem):
         super().__init__()
         self._show = tuple(show)
         self._meshcat = meshcat
-        self._planned_W = planned_W
+        self._nominal_W = nominal_W
         self._body_index = body_index
         self._p_BE = np.array(p_BE, dtype=float)
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
@@ -208,14 +208,14 @@ class MeshcatOverlay(LeafSystem):
             line = f"{_ROOT}/decision/{slot}/direction/line"
             self._segment(line, np.zeros(3), np.array([length, 0.0, 0.0]), 0.0055, drawing.SELECTED)
         policy = self._policy.read(context)
-        path = np.stack([policy.p_WS, policy.p_WG]) if self._planned_W is None else self._planned_W
+        path = np.stack([policy.p_WS, policy.p_WG]) if self._nominal_W is None else self._nominal_W
         for row, (p_from, p_to) in enumerate(pairwise(path)):
             if (p_to != p_from).any():
-                name = f"{_ROOT}/motion/planned/path/{row}"
-                self._segment(name, p_from, p_to, 0.005, drawing.PLANNED)
+                name = f"{_ROOT}/motion/nominal/path/{row}"
+                self._segment(name, p_from, p_to, 0.005, drawing.NOMINAL)
         for name, p_WQ in (("start", policy.p_WS), ("goal", policy.p_WG)):
-            ball = f"{_ROOT}/motion/planned/{name}"
-            meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.PLANNED))
+            ball = f"{_ROOT}/motion/nominal/{name}"
+            meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.NOMINAL))
             meshcat.SetTransform(ball, RigidTransform(p_WQ))
         meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         self._draw_frame(context)

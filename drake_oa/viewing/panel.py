@@ -49,7 +49,7 @@ def _css(color: drawing.Color) -> str:
 
 
 _LEGEND = (
-    (_css(drawing.PLANNED), "nominal path", "motion/planned/path"),
+    (_css(drawing.NOMINAL), "nominal path", "motion/nominal/path"),
     (_css(drawing.EXECUTED), "executed path", "motion/executed"),
     (_css(drawing.SELECTED), "selected side", "decision/.*/direction"),
     (

@@ -53,5 +53,5 @@ def test_replay_of_a_point_has_only_the_overlay(
     diagram = build_replay(load_scenario("free_space"), straight_log(), meshcat)
     assert [s.get_name() for s in diagram.GetSystems()] == ["log_player", "overlay"]
     Simulator(diagram).AdvanceTo(0.2)
-    assert meshcat.HasPath("/drake_oa/motion/planned/goal")
+    assert meshcat.HasPath("/drake_oa/motion/nominal/goal")
     assert meshcat.HasPath("/drake_oa/motion/executed")

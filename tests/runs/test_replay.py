@@ -16,7 +16,7 @@ from drake_oa.runs.replay import (
     LogPlayer,
     choose_motion,
     logged_scenario,
-    planned_path,
+    nominal_path,
     world_positions,
 )
 from drake_oa.scenario.loading import load_scenario, scenario_text
@@ -76,14 +76,14 @@ def test_avoiding_motion_is_the_default(straight_log: LogOf) -> None:
         choose_motion(FILE, {"avoiding": straight_log(0, stop_reason="interrupted")}, None)
 
 
-def test_planned_path_is_that_of_the_nominal_motion(straight_log: LogOf) -> None:
+def test_nominal_path_is_that_of_the_nominal_motion(straight_log: LogOf) -> None:
     scenario = load_scenario("free_space")
-    assert planned_path(scenario, {"nominal": straight_log()}) is None
+    assert nominal_path(scenario, {"nominal": straight_log()}) is None
     scenario.task.demonstration = ["path.npz"]
-    path = planned_path(scenario, {"nominal": straight_log(450)})
+    path = nominal_path(scenario, {"nominal": straight_log(450)})
     assert path is not None
     assert 100 < len(path) <= 200
-    assert planned_path(scenario, {"nominal": straight_log(ended="interrupted")}) is None
+    assert nominal_path(scenario, {"nominal": straight_log(ended="interrupted")}) is None
 
 
 def test_world_positions_are_those_of_the_log(straight_log: LogOf) -> None:

@@ -92,7 +92,7 @@ def is_visible(meshcat, path):
 def test_objects_of_constant_shape_are_drawn_at_the_start(meshcat):
     simulator(meshcat, show=["motion"]).Initialize()
     places = ("descriptor/7/ellipsoid/shape", "decision/7/direction/line")
-    for path in (*places, "motion/planned/start", "motion/planned/goal", "motion/planned/path"):
+    for path in (*places, "motion/nominal/start", "motion/nominal/goal", "motion/nominal/path"):
         assert meshcat.HasPath(f"{ROOT}/{path}")
     assert [layer for layer in LAYERS if is_visible(meshcat, layer)] == ["motion"]
 
