@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from pydrake.math import RigidTransform
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.primitives import MatrixGain
 
+from drake_oa.common.bags import BagWriter
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.descriptor.descriptor import merged_parts
@@ -21,6 +21,7 @@ from drake_oa.perception.config import (
     DepthCamera,
     GroundTruth,
     LcmCamera,
+    RecordedBag,
     RecordedClouds,
     SegmentationConfig,
 )
@@ -36,14 +37,13 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, allow_perception
 from drake_oa.scenario.sources import (
     camera_configs,
+    fixed_transform,
     given_ellipsoids,
     perception_period,
     table_plane,
 )
-
-PIXEL_CENTER = 0.5
-"""Image coordinate of the center of the first pixel in images of Drake's VTK renderer [pixel]."""
-
+from drake_oa.world.bag_images import ImageRecorder
+from drake_oa.world.cameras import PIXEL_CENTER
 
 AddSource = Callable[..., None]
 """Function (signals, block, scenario, station) that adds a source of obstacles to the signals.
@@ -132,7 +132,7 @@ def _add_ground_truth(
 def _add_recorded_clouds(
     signals: SignalBuilder, source: RecordedClouds, scenario: Scenario, station: StationModel
 ) -> None:
-    X_WC = _camera_pose(source)
+    X_WC = fixed_transform(source.X_WC, "perception.X_WC")
     with field_errors("perception.folder", OSError, ValueError):
         perception = RecordedPerception(
             source.folder,
@@ -184,7 +184,7 @@ def _add_depth_camera(
         period=perception_period(scenario),
         delay=first.delay,
         sync_tolerance=live.sync_tolerance if live else 0.0,
-        missing_image_timeout=live.max_age if live else 0.0,
+        missing_image_timeout=getattr(source, "max_age", 0.0),
         depth_range=(
             max(config.z_near for config in configs),
             min(config.z_far for config in configs),
@@ -196,6 +196,7 @@ def _add_depth_camera(
 SOURCES |= {
     DepthCamera: _add_depth_camera,
     LcmCamera: _add_depth_camera,
+    RecordedBag: _add_depth_camera,
     GroundTruth: _add_ground_truth,
     RecordedClouds: _add_recorded_clouds,
     GivenEllipsoids: _add_given,
@@ -242,17 +243,24 @@ def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> 
     return replace(source.segmentation, table_height=scenario.table_height)
 
 
-def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
-    if source.X_WC is None:
-        return None
-    if source.X_WC.base_frame not in (None, "", "world"):
-        raise ScenarioError(
-            f"perception.X_WC.base_frame: must be 'world', not '{source.X_WC.base_frame}'; "
-            "leave it out"
-        )
-    if not source.X_WC.IsDeterministic():
-        raise ScenarioError("perception.X_WC: must be one fixed pose, not a random one")
-    return source.X_WC.GetDeterministicValue()
+def record_images(bag: BagWriter, scenario: Scenario, signals: SignalBuilder) -> None:
+    """Adds the systems recorder_<camera>, which write the images of perception's cameras to a bag.
+
+    Without cameras that are simulated or real, nothing is added.
+
+    Args:
+        bag: open bag.
+        scenario: configuration of the cameras.
+        signals: signals with a plant and the cameras.
+    """
+    source = scenario.perception
+    if not isinstance(source, DepthCamera | LcmCamera):
+        return
+    for config in camera_configs(scenario, source):
+        recorder = ImageRecorder(bag, config, signals.builder.GetSubsystemByName("plant"))
+        ports = ("depth_image", "camera_pose", "image_stamp", "plant_state_at_image")
+        inputs = {port: source.signal(port, config.name) for port in ports}
+        signals.add(f"recorder_{config.name}", recorder, inputs=inputs)
 
 
 def add_descriptor(

@@ -30,6 +30,7 @@ For example:
     drake-oa run my.scenario.yaml --meshcat
     drake-oa replay drake_oa_runs/tabletop_box-20250131T120000Z.npz --meshcat
     drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
+    drake-oa export drake_oa_runs/tabletop_box-20250131T120000Z.npz box.mcap
     drake-oa graph tabletop_box > layers.svg
 """
 """Help text of the command line `drake-oa`, with examples of its commands."""
@@ -41,6 +42,7 @@ _COMMANDS = {
     "station": "run",
     "replay": "replay",
     "plot": "replay",
+    "export": "replay",
     "scenarios": "scenarios",
     "new": "scenarios",
     "check": "scenarios",

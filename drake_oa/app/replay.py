@@ -1,4 +1,4 @@
-"""Commands `drake-oa replay` and `drake-oa plot`: replay and plot of a logged run."""
+"""Commands `drake-oa replay`, `plot` and `export`: replay, plot and ROS 2 bag of a logged run."""
 
 from __future__ import annotations
 
@@ -108,3 +108,31 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
     with build_errors():
         plot_run(out, title, scenario, logs)
     print(f"plot: {out}")
+
+
+def export(log: Path, bag: Path, /) -> None:
+    """Write the avoiding motion of a log as a bag of ROS 2 messages, without images.
+
+    The bag has the topics of `drake-oa run --write-bag`, except those of the cameras; see
+    docs/guides/perception.md.
+
+    For example:
+
+        drake-oa export box.npz box.mcap
+
+    Args:
+        log: log of `drake-oa run`, or of `drake-oa play` with its first motion.
+        bag: MCAP file of the bag, which is replaced if it exists.
+    """
+    from drake_oa.common.bags import new_bag
+    from drake_oa.runs.bag_log import write_log
+    from drake_oa.runs.motion_log import load_logs
+    from drake_oa.runs.replay import choose_motion, logged_scenario
+
+    logs = load_logs(log)
+    motion_log = logs[choose_motion(log, logs, None)]
+    scenario = logged_scenario(log, motion_log)
+    check_outputs(bag, read=[log])
+    with build_errors(), new_bag(bag) as writer:
+        write_log(writer, scenario, motion_log)
+    print(f"bag: {bag}")

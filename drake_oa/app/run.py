@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from pydrake.lcm import DrakeLcm
     from pydrake.systems.framework import Context
 
+    from drake_oa.common.bags import BagWriter
     from drake_oa.runs.motion_log import MotionLog
     from drake_oa.runs.page import LivePanel
     from drake_oa.runs.simulation import MotionMonitor
@@ -64,6 +65,7 @@ class _Run:
         html: file to which the recording of the avoiding motion is written, or None.
         duration: simulated time after which each motion is stopped [s]; None: no such limit.
         raise_if_requested: function that raises KeyboardInterrupt after a request to stop.
+        bag: bag to which the avoiding motion is written, or None.
         logs: logs of the finished motions "nominal" and "avoiding", by name.
         failure: exception that interrupted the last motion; None: no interruption.
     """
@@ -75,6 +77,7 @@ class _Run:
     html: Path | None
     duration: float | None
     raise_if_requested: Callable[[], None]
+    bag: BagWriter | None = None
     logs: dict[str, MotionLog] = field(default_factory=dict)
     failure: BaseException | None = None
 
@@ -89,6 +92,7 @@ def run(
     json: Path | None = None,
     log: Path | None = None,
     no_log: bool = False,
+    write_bag: Path | None = None,
     duration: Positive | None = None,
     hardware: bool = False,
     lcm_url: str = LCM_URL,
@@ -124,6 +128,10 @@ def run(
     Both motions are written to one log for `drake-oa replay` and `drake-oa plot`:
     drake_oa_runs/SCENARIO-TIME.npz, or the file of --log.
 
+    With --write-bag the depth images, intrinsics and poses of the cameras, the joint states, and
+    the contents of the log are written as ROS 2 messages, for viewers and for `!RecordedBag`; see
+    docs/guides/perception.md.
+
     With --hardware only the avoiding motion is executed, by the arm and the cameras whose messages
     are on --lcm-url: the driver of a real Panda, or `drake-oa station`; see docs/hardware.md. True
     obstacles are unknown then, and the clearances are "-".
@@ -140,6 +148,7 @@ def run(
       --set 'task.goal=[0.5, 0.4, 0.35]'
       --set 'perception=!GroundTruth {}'
       --set 'perception=!RecordedClouds {folder: /data/clouds}'
+      --set 'perception=!RecordedBag {path: /data/bag}'
 
     Args:
         scenario: name of a shipped scenario (see `drake-oa scenarios`), or a file.
@@ -149,13 +158,18 @@ def run(
         json: write the report to this file.
         log: write the log to this file, which is replaced if it exists.
         no_log: write no log.
+        write_bag: write the avoiding motion to this file, an MCAP bag of ROS 2; 37 MB a second.
         duration: stop each motion at this simulated time [s].
         hardware: execute the avoiding motion on a real arm instead of simulating it.
         lcm_url: with --hardware, URL of the LCM bus.
         rate: with --hardware, simulated time over wall time, at most 1.
     """
-    loaded_scenario = open_scenario(scenario, overrides, html, json, log)
+    from drake_oa.common.bags import new_bag
+
+    loaded_scenario = open_scenario(scenario, overrides, html, json, log, write_bag)
     if hardware:
+        if write_bag:
+            raise ValueError("--write-bag and --hardware exclude each other")
         _open_bus(lcm_url)
     elif rate != 1.0 or lcm_url != LCM_URL:
         raise ValueError("--lcm-url and --rate require --hardware")
@@ -167,9 +181,10 @@ def run(
     name = scenario_name(scenario)
     with (
         reserved_log(log, no_log, name) as log_file,
+        new_bag(write_bag) if write_bag else contextlib.nullcontext() as bag,
         stop_between_steps() as raise_if_requested,
     ):
-        this = _Run(name, loaded_scenario, viewer, meshcat, html, duration, raise_if_requested)
+        this = _Run(name, loaded_scenario, viewer, meshcat, html, duration, raise_if_requested, bag)
         if hardware:
             from drake_oa.hardware.robot_link import HardwareError
 
@@ -318,6 +333,7 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
         log_file: file to which the log of the nominal motion is already written, or None.
     """
     from drake_oa.diagrams.avoidance import build_avoidance
+    from drake_oa.diagrams.perception import record_images
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
@@ -326,7 +342,11 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
         if contacts := end_contacts(this.scenario):
             raise ValueError(contacts)
         # Errors of the avoiding motion are reported before the first one is simulated.
-        built = build_avoidance(this.scenario, meshcat=this.meshcat)
+        built = build_avoidance(
+            this.scenario,
+            meshcat=this.meshcat,
+            customize=this.bag and partial(record_images, this.bag, this.scenario),
+        )
     panel = _open_panel(this)
     run_motion = partial(simulate, this.scenario, duration=this.duration)
     _add_motion(this, "nominal", partial(run_motion, avoid_obstacles=False))
@@ -411,12 +431,14 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
     Returns:
         0, or `FAILED` if the avoiding motion missed the goal or was in contact.
     """
+    from drake_oa.runs.bag_log import write_log
     from drake_oa.runs.motion_log import MotionEnd, save_logs
     from drake_oa.runs.page import label_page
     from drake_oa.runs.report import contact_error, report_table, run_report
 
     logs, report = this.logs, run_report(this.name, this.scenario, this.logs)
     contact = contact_error(report)
+    last = logs.get("avoiding") or next(iter(logs.values()))
     # The callbacks run in reverse order, the others also after an exception in one of them.
     with contextlib.ExitStack() as outputs:
         if contact:
@@ -425,12 +447,13 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
             page = label_page(this.meshcat.StaticHtml(), this.name, this.scenario, logs["avoiding"])
             outputs.callback(replace_text, this.html, page)
         outputs.callback(replace_json, json, report)
+        if this.bag is not None:
+            outputs.callback(write_log, this.bag, this.scenario, last)
         if log_file is not None:
             outputs.callback(print, f"log: {log_file}", file=sys.stderr)
             outputs.callback(save_logs, log_file, logs)
         outputs.callback(show, report_table(report))
     # The nominal motion may be in contact.
-    last = logs.get("avoiding") or next(iter(logs.values()))
     successes = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
     return 0 if not contact and last.ended in successes else FAILED
 

@@ -14,7 +14,13 @@ from drake_oa.common.signal_builder import SignalBuilder
 from drake_oa.diagrams.station import StationModel, add_station
 from drake_oa.hardware.command_streamer import ARM_JOINTS
 from drake_oa.hardware.robot_link import CommandStream, MeasuredState, RobotLink
-from drake_oa.perception.config import DepthCamera, GroundTruth, LcmCamera, RecordedClouds
+from drake_oa.perception.config import (
+    DepthCamera,
+    GroundTruth,
+    LcmCamera,
+    RecordedBag,
+    RecordedClouds,
+)
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.plant import RobotLimits, make_robot_plant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
@@ -66,7 +72,7 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0
     if scenario.faults:
         raise ScenarioError("faults: require a simulated world; remove them (--set 'faults=[]')")
     source = scenario.perception
-    if isinstance(source, GroundTruth | RecordedClouds | GivenEllipsoids):
+    if isinstance(source, GroundTruth | RecordedClouds | RecordedBag | GivenEllipsoids):
         raise ScenarioError(
             f"perception: !{type(source).__name__} does not perceive the real world; valid: "
             "!LcmCamera, !DepthCamera"

@@ -128,6 +128,31 @@ class LcmCamera(CameraSource):
     (`drake-oa station`), 0 for a real camera. The principal point is reduced by this value."""
 
 
+@dataclass(config=BLOCK, kw_only=True)
+class RecordedBag(CameraSource):
+    """Depth camera whose images are in a bag of ROS 2 (rosbag2): an MCAP or sqlite3 file.
+
+    Size and intrinsics are those of the bag. Frame rate, delay and range are those of the camera
+    in the scenario's field `cameras`, which must be fixed.
+    """
+
+    path: str = Field(min_length=1)
+    """Folder of the bag, or its .mcap or .db3 file; relative to the scenario file."""
+    depth_topic: str = "/camera/depth/image_rect_raw"
+    """Topic of the depth images: sensor_msgs/Image, 16UC1 [mm] or 32FC1 [m]."""
+    info_topic: str = "/camera/depth/camera_info"
+    """Topic of the images' intrinsics: sensor_msgs/CameraInfo; distortion is ignored."""
+    joint_topic: str | None = "/joint_states"
+    """Topic of the robot's state for the self filter: sensor_msgs/JointState; null, and for joints
+    that the messages lack: the state of the simulated robot."""
+    camera_pose: Annotated[Transform, DrakeStruct()] | None = None
+    """Pose of the camera in the world (x right, y down, z forward); null: from the transforms on
+    /tf and /tf_static, from the frame "world" to that of the images."""
+    max_age: float = Field(default=0.2, ge=0.0)
+    """Age of the last image above which a warning is logged [s]. Raising it tolerates longer gaps
+    between images."""
+
+
 @dataclass(config=BLOCK)
 class GroundTruth:
     """Perception of the exact obstacles of the simulated world, whose poses are read from

@@ -261,7 +261,7 @@ class DepthPerception(LeafSystem):
         self.DeclareStateOutputPort("free_space_W", self._free_space)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         # The initialization event processes the first frame.
-        offset = period + delay + _UPDATE_DELAY if delay else period
+        offset = first_update(period, delay)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
 
     def _declare_camera(self, suffix: str) -> _Ports:
@@ -379,6 +379,16 @@ class DepthPerception(LeafSystem):
         robot_ports = (port.robot for port in ports if port.robot is not None)
         states = {tuple(port.Eval(context)) for port in robot_ports if port.HasValue(context)}
         return self._robot.posed([np.array(state) for state in sorted(states)])
+
+
+def first_update(period: float, delay: float) -> float:
+    """Returns the time of the first periodic update of `DepthPerception` [s].
+
+    Args:
+        period: time between frames [s].
+        delay: time from the begin of a period to the arrival of its images [s].
+    """
+    return period + delay + _UPDATE_DELAY if delay else period
 
 
 def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: float) -> BoolArray:

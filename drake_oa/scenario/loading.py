@@ -170,6 +170,7 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
     """
     for name, field in (
         ("perception", "folder"),
+        ("perception", "path"),
         ("task", "demonstration"),
         ("inference", "weights"),
         ("inference", "chain"),

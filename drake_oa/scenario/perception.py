@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.config import BLOCK, Angles, Vector3, length
-from drake_oa.perception.config import CameraSource, LcmCamera
+from drake_oa.perception.config import CameraSource, DepthCamera, RecordedBag
 
 _MAX_PIXELS = 4096
 """Maximum width and height of a simulated image [pixel]."""
@@ -60,8 +60,10 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
                 yield f"cameras[{row}].{field}: {pixels} is outside [1, {_MAX_PIXELS}] [pixel]"
     if isinstance(perception, CameraSource):
         yield from _camera_problems(perception, cameras)
-    if isinstance(perception, LcmCamera) and perception.noise is not None:
-        yield "perception.noise: images of !LcmCamera have real noise; remove it, or set null"
+        if type(perception) is not DepthCamera and perception.noise is not None:
+            yield "perception.noise: only images of !DepthCamera have it; remove it, or set null"
+    if isinstance(perception, RecordedBag) and perception.cameras:
+        yield "perception.cameras: !RecordedBag replays one camera; set perception.camera"
 
 
 def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:

@@ -21,6 +21,7 @@ from drake_oa.perception.config import (
     DepthCamera,
     GroundTruth,
     LcmCamera,
+    RecordedBag,
     RecordedClouds,
 )
 from drake_oa.policy.config import Policy
@@ -84,7 +85,7 @@ class Scenario:
     cameras: list[Annotated[CameraConfig, DrakeStruct()]] = Field(default_factory=list)
     """Drake's configurations of the depth cameras, with unique names."""
     perception: Annotated[
-        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera,
+        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera | RecordedBag,
         Tagged(),
     ] = Field(default_factory=GroundTruth)
     """Source from which the obstacles are observed, for example !DepthCamera or !GroundTruth."""

@@ -7,11 +7,13 @@ from __future__ import annotations
 import dataclasses as dc
 
 import numpy as np
-from pydrake.math import RollPitchYaw
+from pydrake.common.schema import Transform
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import EllipsoidSet, TablePlane
-from drake_oa.perception.config import CameraSource, DepthCamera, LcmCamera, RecordedClouds
+from drake_oa.perception.config import CameraSource, DepthCamera, RecordedClouds
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
@@ -46,16 +48,33 @@ def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfi
 
 
 def with_simulated_cameras(scenario: Scenario) -> Scenario:
-    """Returns a copy of a scenario in which `!DepthCamera` replaces `!LcmCamera`, so that its
-    cameras are simulated.
+    """Returns a copy of a scenario in which `!DepthCamera` replaces `!LcmCamera` and
+    `!RecordedBag`, so that its cameras are simulated.
 
-    A scenario without `!LcmCamera` is returned unchanged.
+    A scenario without these blocks is returned unchanged.
     """
     source = scenario.perception
-    if not isinstance(source, LcmCamera):
+    if not isinstance(source, CameraSource):
         return scenario
     shared = {item.name: getattr(source, item.name) for item in dc.fields(DepthCamera)}
     return dc.replace(scenario, perception=DepthCamera(**shared))
+
+
+def fixed_transform(transform: Transform | None, field: str) -> RigidTransform | None:
+    """Returns the pose in the world that a field of a perception block sets; None: null.
+
+    Raises:
+        ScenarioError: for a pose that is random or relative to another frame; names the field.
+    """
+    if transform is None:
+        return None
+    if transform.base_frame not in (None, "", "world"):
+        raise ScenarioError(
+            f"{field}.base_frame: must be 'world', not '{transform.base_frame}'; leave it out"
+        )
+    if not transform.IsDeterministic():
+        raise ScenarioError(f"{field}: must be one fixed pose, not a random one")
+    return transform.GetDeterministicValue()
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:

@@ -40,6 +40,9 @@ from drake_oa.robot.formats.meshes import convert_to_objs
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.world_model import add_world
 
+PIXEL_CENTER = 0.5
+"""Image coordinate of the center of the first pixel in images of Drake's VTK renderer [pixel]."""
+
 
 @dataclass(frozen=True)
 class Camera:

@@ -102,12 +102,20 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
             f"depth image cannot be unpacked; it must have {image.width} x {image.height} pixels "
             f"of 16U or 32F, zlib or uncompressed: {error}"
         ) from None
+    return Frame(metric_depth(values), image.header.utime * _MICROSECOND)
+
+
+def metric_depth(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Converts the depths of a message, 16-bit integers [mm] or 32-bit floats [m], to meters.
+
+    0 becomes NaN (missing), the largest 16-bit depth inf (too far).
+    """
     depth = values.astype(np.float32)
-    if values.dtype == np.uint16:
+    if values.dtype.kind == "u":
         depth *= _MILLIMETER
         depth[values == _FAR] = np.inf
     depth[values == 0] = np.nan
-    return Frame(depth, image.header.utime * _MICROSECOND)
+    return depth
 
 
 _buses: weakref.WeakValueDictionary[str, DrakeLcm] = weakref.WeakValueDictionary()

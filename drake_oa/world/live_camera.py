@@ -346,8 +346,9 @@ def fixed_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
         )
     if not config.X_PB.IsDeterministic():
         raise ScenarioError(f"{where}: is random; it must be the fixed pose of the camera")
-    X_WP = frame.CalcPoseInWorld(plant.CreateDefaultContext())
+    # Products in the order of RgbdSensor, so that the pose has the bits of a simulated camera's.
+    X_WF = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), frame.body())
+    X_FB = frame.GetFixedPoseInBodyFrame() @ config.X_PB.GetDeterministicValue()
     _, depth = config.MakeCameras()
-    X_PB: RigidTransform = config.X_PB.GetDeterministicValue()
-    X_WC: RigidTransform = X_WP @ X_PB @ depth.core().sensor_pose_in_camera_body()
+    X_WC: RigidTransform = (X_WF @ X_FB) @ depth.core().sensor_pose_in_camera_body()
     return X_WC

@@ -22,12 +22,13 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.perception.config import DepthCamera, LcmCamera
+from drake_oa.perception.config import DepthCamera, LcmCamera, RecordedBag
 from drake_oa.robot.grasped_object import exclude_grasp_contacts
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs, noise_seed
+from drake_oa.world.bag_images import BagCamera
 from drake_oa.world.cameras import (
     Camera,
     TimedCamera,
@@ -52,7 +53,8 @@ def add_cameras(
     Args:
         builder: builder to which the systems are added. The system of a simulated camera is named
             delayed_<name>. With the perception block `!LcmCamera`, images are received by LCM, and
-            the system is named live_<name>.
+            the system is named live_<name>; with `!RecordedBag`, they are read from a bag, and the
+            system is named bag_<name>.
         scenario: scenario with cameras.
         plant: finalized simulated plant, which is a system of the builder.
         external: plant state and clocks of cameras outside the simulation; None: state of the
@@ -61,10 +63,10 @@ def add_cameras(
     Raises:
         ScenarioError: naming the camera whose configuration is invalid.
     """
-    if isinstance(scenario.perception, LcmCamera):
-        source, external = scenario.perception, external or ExternalInputs()
+    source, external = scenario.perception, external or ExternalInputs()
+    if isinstance(source, LcmCamera | RecordedBag):
         return {
-            config.name: _live_camera(builder, source, plant, config, external)
+            config.name: _outside_camera(builder, source, plant, config, external)
             for config in camera_configs(scenario, source)
         }
     return {
@@ -111,41 +113,45 @@ def _simulated_camera(
     return system.camera(config.output_delay)
 
 
-def _live_camera(
+def _outside_camera(
     builder: DiagramBuilder,
-    source: LcmCamera,
+    source: LcmCamera | RecordedBag,
     plant: MultibodyPlant,
     config: CameraConfig,
     external: ExternalInputs,
 ) -> Camera:
-    """Adds a camera outside the simulation, whose images are received by LCM, to a builder, and
-    returns its ports.
+    """Adds a camera outside the simulation, whose images are received by LCM or read from a bag, to
+    a builder, and returns its ports.
 
     Args:
         builder: builder to which the camera is added.
-        source: perception block with the URL of the LCM bus and the time limits.
+        source: perception block with the URL of the LCM bus and the time limits, or with the bag.
         plant: finalized plant, which contains the camera's base frame.
         config: configuration of the camera: name, intrinsics and pose.
         external: plant state and clocks.
 
     Raises:
-        ScenarioError: if the camera's pose is not fixed, or the LCM bus cannot be opened.
+        ScenarioError: if the pose of a camera of `!LcmCamera` is not fixed, if the LCM bus cannot
+            be opened, or if the bag is unusable.
     """
-    X_WC = fixed_pose(plant, config)
-    intrinsics = depth_intrinsics(config)
-    system = LiveCamera(
-        LcmFrames(source.lcm_url, config.name),
-        intrinsics,
-        X_WC,
-        num_states=plant.num_multibody_states(),
-        wait=source.wait,
-        max_age=source.max_age,
-        external=external,
-    )
-    builder.AddNamedSystem(f"live_{config.name}", system)
+    system: TimedCamera
+    if isinstance(source, RecordedBag):
+        system, name, delay = BagCamera(source, config, plant), "bag", config.output_delay
+    else:
+        name, delay = "live", 0.0
+        system = LiveCamera(
+            LcmFrames(source.lcm_url, config.name),
+            depth_intrinsics(config),
+            fixed_pose(plant, config),
+            num_states=plant.num_multibody_states(),
+            wait=source.wait,
+            max_age=source.max_age,
+            external=external,
+        )
+    builder.AddNamedSystem(f"{name}_{config.name}", system)
     state = external.plant_state or plant.get_state_output_port()
     builder.Connect(state, system.GetInputPort("plant_state"))
-    return system.camera()
+    return system.camera(delay)
 
 
 def release_cameras(diagram: Diagram) -> None:

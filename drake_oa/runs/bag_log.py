@@ -1,0 +1,98 @@
+"""Log of one motion as ROS 2 messages in a bag.
+
+==================  ==============================  ==============================================
+topic               type                            content
+==================  ==============================  ==============================================
+/obstacles          visualization_msgs/MarkerArray  observed obstacles, dilated by the tool
+/tool_clearance     std_msgs/Float64                true distance of the tool to obstacles [m]
+/robot_clearance    std_msgs/Float64                true distance of the robot to obstacles [m]
+/rosout             rcl_interfaces/Log              layers that decide, holds, supervision
+/log/<key>          std_msgs/Float64                keys of the log with one value an instant
+/log/<key>          std_msgs/Float64MultiArray      keys of the log with several values an instant
+/log/constants      std_msgs/String                 all other keys of the log as JSON
+==================  ==============================  ==============================================
+
+`drake_oa.runs.motion_log` has the keys. Points and markers are in the frame "world". Times are
+simulated times.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from pydrake.math import RotationMatrix
+
+from drake_oa.common.bags import BagWriter, header, vector
+from drake_oa.common.messages import EllipsoidSet
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_metrics
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.bag_images import quaternion
+
+_INFO = 20
+"""Level of messages on /rosout."""
+_SPHERE, _DELETE_ALL = 2, 3
+"""Type of a marker, and the action that removes all markers."""
+_COLOR = {"r": 0.82, "g": 0.29, "b": 0.36, "a": 0.4}
+"""Color and opacity of the markers of obstacles."""
+
+
+def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
+    """Writes the log of a motion to a bag, see the table of the module.
+
+    Args:
+        bag: open bag.
+        scenario: scenario of the log.
+        log: log of the motion.
+    """
+    metrics = motion_metrics(scenario, log)
+    series = {
+        "/tool_clearance": metrics.tool_clearance,
+        "/robot_clearance": metrics.robot_clearance,
+    }
+    constants = {}
+    for key, values in log.arrays().items():
+        if values.dtype.kind == "f" and values.ndim in (1, 2) and len(values) == len(log.t):
+            series[f"/log/{key}"] = values
+        else:
+            constants[key] = values.tolist()
+    for topic, values in series.items():
+        kind = f"std_msgs/msg/Float64{'MultiArray' * (values.ndim - 1)}"
+        for time, value in zip(log.t if values.size else (), values, strict=False):
+            bag.write(topic, kind, time, data=value)
+    for row, time in enumerate(log.observation_time):
+        markers = list(_markers(log.observation(row), header(time)))
+        bag.write("/obstacles", "visualization_msgs/msg/MarkerArray", time, markers=markers)
+    notes = {
+        "decision": log.decision_layer,
+        "event": log.event,
+        "supervision": log.supervision_reason,
+    }
+    for name, texts in notes.items():
+        for time, text in zip(getattr(log, f"{name}_time"), texts, strict=True):
+            note = {"level": _INFO, "name": name, "msg": text}
+            bag.write("/rosout", "rcl_interfaces/msg/Log", time, **note)
+    bag.write("/log/constants", "std_msgs/msg/String", 0.0, data=json.dumps(constants))
+
+
+def _markers(obstacles: EllipsoidSet, head: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yields fields of the markers of ellipsoids, which replace all earlier markers.
+
+    Args:
+        obstacles: ellipsoids in the world.
+        head: header of the markers.
+    """
+    yield {"header": head, "action": _DELETE_ALL}
+    shapes = (obstacles.ids, obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes)
+    for track, p_WO, R_WO, semi_axes in zip(*shapes, strict=True):
+        orientation = quaternion(RotationMatrix(R_WO))
+        yield {
+            "header": head,
+            "id": track,
+            "type": _SPHERE,
+            "pose": {"position": vector(p_WO), "orientation": orientation},
+            "scale": vector(2.0 * semi_axes),
+            "color": _COLOR,
+        }

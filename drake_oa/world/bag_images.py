@@ -1,0 +1,411 @@
+"""Depth images in bags of ROS 2 messages (rosbag2): recorder, reader, and camera that replays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import chain, islice, zip_longest
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
+
+from drake_oa.common.bags import SECOND, WORLD, BagWriter, header, typestore, vector
+from drake_oa.common.config import ScenarioError, field_errors
+from drake_oa.common.files import import_extra
+from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.ports import AbstractInput
+from drake_oa.perception.config import RecordedBag
+from drake_oa.perception.depth_perception import first_update
+from drake_oa.perception.recordings import checked_intrinsics
+from drake_oa.robot.plant import TOOL_FRAME
+from drake_oa.scenario.sources import fixed_transform
+from drake_oa.world.cameras import PIXEL_CENTER, TimedCamera, depth_intrinsics
+from drake_oa.world.depth_messages import metric_depth
+from drake_oa.world.live_camera import fixed_pose
+
+_ENCODINGS = {"16UC1": "u2", "32FC1": "f4"}
+"""NumPy types of the depths by encoding of an image: 16 bit [mm], 32 bit [m]."""
+_ROUNDING = 1e-9
+"""Maximum difference of equal times [s], and of equal poses, of which one has been rounded."""
+
+
+class ImageRecorder(LeafSystem):
+    """Recorder of the depth images of a camera, with intrinsics, pose and joint states.
+
+    .. pydrake_system::
+
+      name: ImageRecorder
+      input_ports:
+      - depth_image
+      - camera_pose
+      - image_stamp
+      - plant_state_at_image
+
+    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf is too far, NaN is
+      missing. Written as 32FC1 on /<camera>/depth/image_rect_raw, where -inf is too near.
+    - camera_pose: RigidTransform X_WC of the camera. Written on /tf when it has changed.
+    - image_stamp: (1,) time of the image [s], the stamp of the messages.
+    - plant_state_at_image: (n,) state [q, v] of the plant at that time. The state of the robot is
+      written on /joint_states.
+
+    The intrinsics are written on /<camera>/depth/camera_info. The messages are written at
+    initialization, and at each update of `DepthPerception`; before the first image nothing is
+    written.
+    """
+
+    def __init__(self, bag: BagWriter, config: CameraConfig, plant: MultibodyPlant) -> None:
+        """Declares the ports and events.
+
+        Args:
+            bag: bag to which the messages are written.
+            config: configuration of the camera. Its name is that of the frame, and the begin of
+                the topics.
+            plant: finalized plant with the robot.
+        """
+        super().__init__()
+        self._bag, self._name = bag, config.name
+        self._joints, self._rows = robot_rows(plant)
+        K = depth_intrinsics(config).intrinsic_matrix()
+        # In ROS the center of the first pixel is at 0.
+        K[:2, 2] -= PIXEL_CENTER
+        P = K @ np.eye(3, 4)
+        # Like the position in the file, the last pose belongs to the bag, not to the Context.
+        self._last_pose = RigidTransform()
+        self._matrices = {"k": K.ravel(), "r": np.eye(3).ravel(), "p": P.ravel()}
+        self._image = AbstractInput(self, "depth_image", ImageDepth32F)
+        self._pose = AbstractInput(self, "camera_pose", RigidTransform)
+        self._stamp = self.DeclareVectorInputPort("image_stamp", 1)
+        states = plant.num_multibody_states()
+        self._state = self.DeclareVectorInputPort("plant_state_at_image", states)
+        self.DeclareInitializationPublishEvent(self._write)
+        period = 1.0 / config.fps
+        offset = first_update(period, config.output_delay)
+        self.DeclarePeriodicPublishEvent(period, offset, self._write)
+
+    def _write(self, context: Context) -> None:
+        """Writes the present image with its pose, intrinsics and joint states."""
+        (stamp,) = self._stamp.Eval(context)
+        if not np.isfinite(stamp):
+            return
+        write, topic = self._bag.write, f"/{self._name}/depth"
+        q, v = np.split(self._state.Eval(context)[self._rows], 2)
+        states = {"name": self._joints, "position": q, "velocity": v}
+        write("/joint_states", "sensor_msgs/msg/JointState", stamp, **states)
+        X_WC = self._pose.read(context)
+        if not X_WC.IsExactlyEqualTo(self._last_pose):
+            self._last_pose = X_WC
+            rotation = quaternion(X_WC.rotation())
+            pose = {"translation": vector(X_WC.translation()), "rotation": rotation}
+            item = {"header": header(stamp), "child_frame_id": self._name, "transform": pose}
+            write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
+        image: Any = self._image.read(context)
+        depth = np.where(image.data == 0.0, -np.inf, image.data).astype(np.float32)
+        size = {"height": len(depth), "width": depth.shape[1]}
+        kind = "sensor_msgs/msg/CameraInfo"
+        write(f"{topic}/camera_info", kind, stamp, self._name, **size, **self._matrices)
+        pixels = {
+            "encoding": "32FC1",
+            "step": depth.strides[0],
+            "data": depth.view(np.uint8).ravel(),
+        }
+        kind = "sensor_msgs/msg/Image"
+        write(f"{topic}/image_rect_raw", kind, stamp, self._name, **size, **pixels)
+
+
+def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
+    """Returns the names of the robot's n joints, and their rows in the state of its plant.
+
+    The joints have one degree of freedom.
+
+    Args:
+        plant: finalized plant with the tool frame of the robot.
+
+    Returns:
+        n names, and (2 n,) rows of the positions and then of the velocities.
+    """
+    robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
+    q, v = np.split(np.arange(plant.num_multibody_states()), [plant.num_positions()])
+    rows = [*plant.GetPositionsFromArray(robot, q), *plant.GetVelocitiesFromArray(robot, v)]
+    return plant.GetPositionNames(robot, always_add_suffix=False), np.array(rows, int)
+
+
+def quaternion(R: RotationMatrix) -> dict[str, float]:
+    """Returns the fields of the quaternion message of a rotation."""
+    return vector(np.roll(R.ToQuaternion().wxyz(), -1))
+
+
+class BagFrame(NamedTuple):
+    """Depth image of a bag, with the state of the robot and the pose of the camera.
+
+    Attributes:
+        time: stamp of the image since that of the first image [s].
+        depth: (H, W) depths [m]; 0 is too near, inf is too far, NaN is missing.
+        intrinsics: intrinsics of the image, with the center of the first pixel at `PIXEL_CENTER`.
+        X_WC: pose of the camera in the world.
+        state: (2 n,) positions and velocities of n joints at the stamp; NaN: unknown.
+    """
+
+    time: float
+    depth: NDArray[np.float32]
+    intrinsics: CameraInfo
+    X_WC: RigidTransform
+    state: FloatArray
+
+
+def read_frames(source: RecordedBag, joints: Sequence[str], period: float) -> Iterator[BagFrame]:
+    """Reads the depth images of a bag in the order of time, one at a time.
+
+    Transforms and the state of the joints are the latest ones before the image in the bag. The
+    positions of the joints are extrapolated to the stamp of the image with their velocities.
+
+    Args:
+        source: bag and topics.
+        joints: names of n joints.
+        period: period of a simulated camera [s]. A stamp within a nanosecond of one of its images
+            is the exact time of this image.
+
+    Raises:
+        ScenarioError: for a bag that cannot be read, a topic that is missing or has another type,
+            an image that contradicts the camera info, a stamp that goes backward, or an image
+            without a pose.
+    """
+    with field_errors("perception", ValueError):
+        rosbag2 = import_extra("rosbags.rosbag2", "bags")
+    try:
+        with rosbag2.Reader(Path(source.path)) as reader:
+            _check_topics(reader, source)
+            yield from _frames(reader, source, joints, period)
+    except ScenarioError:
+        raise
+    except Exception as error:  # Damaged data raise exceptions of several types.
+        raise ScenarioError(
+            f"perception.path: '{source.path}' cannot be read: {error}; valid is a complete bag of "
+            "ROS 2, a folder with metadata.yaml, a .mcap or a .db3 file"
+        ) from error
+
+
+def _check_topics(reader: Any, source: RecordedBag) -> None:
+    """Checks that an open bag has messages of the required types; names all wrong topics."""
+    kinds = {one.topic: one.msgtype for one in reader.connections if one.msgcount}
+    required = {"depth_topic": "Image", "info_topic": "CameraInfo", "joint_topic": "JointState"}
+    problems = [
+        f"perception.{field}: the bag has no sensor_msgs/msg/{kind} on {topic}; it has {kinds}"
+        for field, kind in required.items()
+        if (topic := getattr(source, field)) and kinds.get(topic) != f"sensor_msgs/msg/{kind}"
+    ]
+    if problems:
+        raise ScenarioError(*problems)
+
+
+def _frames(
+    reader: Any, source: RecordedBag, joints: Sequence[str], period: float
+) -> Iterator[BagFrame]:
+    """Yields the frames of an open bag, see `read_frames`."""
+
+    def messages(*topics: str | None) -> Iterator[tuple[str, Any]]:
+        """Yields topic and message of all messages on some topics, in the order of the bag."""
+        connections = [one for one in reader.connections if one.topic in topics]
+        for connection, _, data in reader.messages(connections) if connections else ():
+            yield connection.topic, typestore().deserialize_cdr(data, connection.msgtype)
+
+    _, info = next(messages(source.info_topic))
+    K = checked_intrinsics(info.k, source.info_topic) + [0.0, 0.0, PIXEL_CENTER, PIXEL_CENTER]
+    intrinsics = CameraInfo(info.width, info.height, *K)
+    given = fixed_transform(source.camera_pose, "perception.camera_pose")
+    transforms: dict[str, Any] = {}
+    last: dict[str, int] = {}
+    known: dict[str, Any] = {}
+    first, latest, unknown = -1, 0, (np.nan, np.nan)
+    for topic, message in chain(
+        messages("/tf_static"),
+        # The first image may precede all states.
+        islice(messages(source.joint_topic), 1),
+        messages(source.depth_topic, source.joint_topic, None if given else "/tf"),
+    ):
+        if topic.startswith("/tf"):
+            for item in message.transforms:
+                p, q = item.transform.translation, item.transform.rotation
+                wxyz = np.array([q.w, q.x, q.y, q.z])
+                R_PC = Quaternion(wxyz / np.linalg.norm(wxyz))
+                X_PC = RigidTransform(R_PC, [p.x, p.y, p.z])
+                transforms[item.child_frame_id] = (item.header.frame_id, X_PC)
+            continue
+        stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        if stamp < last.setdefault(topic, stamp):
+            raise ScenarioError(
+                f"perception.path: stamps on {topic} go backward, from {last[topic]} to {stamp} "
+                "ns; record one publisher without restarting it"
+            )
+        last[topic] = stamp
+        if topic == source.joint_topic:
+            # A message may name only some joints; velocities are optional.
+            values = zip_longest(message.position, message.velocity, fillvalue=0.0)
+            known |= zip(message.name, values, strict=True)
+            latest = stamp
+            continue
+        first = stamp if first < 0 else first
+        time = _exact_time((stamp - first) / SECOND, period)
+        depth = _depth(message, source, intrinsics)
+        X_WC = given or _pose(transforms, message.header.frame_id)
+        state = np.transpose([known.get(joint, unknown) for joint in joints])
+        state[0] += (stamp - latest) / SECOND * state[1]
+        yield BagFrame(time, depth, intrinsics, X_WC, state.ravel())
+
+
+def _exact_time(time: float, period: float) -> float:
+    """Returns the time of a periodic event if it differs from a time [s] by rounding only."""
+    count = round(time / period)
+    # The k-th event of a periodic system is at this sum, which is rounded otherwise than k T.
+    exact = period + (count - 1) * period if count else 0.0
+    return exact if abs(exact - time) < _ROUNDING else time
+
+
+def _depth(message: Any, source: RecordedBag, intrinsics: CameraInfo) -> NDArray[np.float32]:
+    """Returns the depths (H, W) of an image message [m]; 0: too near, inf: too far, NaN: missing.
+
+    Args:
+        message: image of encoding 16UC1 or 32FC1; -inf is too near, 0 is missing.
+        source: bag and topics, for an error.
+        intrinsics: intrinsics of the image.
+
+    Raises:
+        ScenarioError: for another encoding or size.
+    """
+    height, width, encoding = message.height, message.width, message.encoding
+    size = intrinsics.width(), intrinsics.height()
+    if encoding not in _ENCODINGS or (width, height) != size:
+        raise ScenarioError(
+            f"perception.depth_topic: images on {source.depth_topic} are {width} x {height} "
+            f"{encoding}; valid are {' and '.join(_ENCODINGS)} of {size[0]} x {size[1]} pixels, "
+            f"the size on {source.info_topic}"
+        )
+    kind = np.dtype(_ENCODINGS[encoding]).newbyteorder("<>"[message.is_bigendian])
+    rows = message.data.reshape(height, message.step)
+    depth = metric_depth(rows[:, : width * kind.itemsize].view(kind))
+    depth[depth < 0.0] = 0.0
+    return depth
+
+
+def _pose(transforms: Mapping[str, Any], frame: str) -> RigidTransform:
+    """Returns the pose of a frame in the world.
+
+    Args:
+        transforms: parent frame, and the pose in it, by the name of a frame.
+        frame: name of the frame.
+
+    Raises:
+        ScenarioError: if the transforms do not connect it to the world.
+    """
+    X, child, remaining = RigidTransform(), frame, dict(transforms)
+    while child in remaining:
+        child, X_PC = remaining.pop(child)
+        X = X_PC @ X
+    if child != WORLD:
+        raise ScenarioError(
+            f"perception.camera_pose: must be set, because the bag has no transform from '{WORLD}' "
+            f"to '{frame}', the frame of the images: 'camera_pose: {{translation: [x, y, z], "
+            "rotation: !Rpy {deg: [r, p, y]}}'"
+        )
+    return X
+
+
+class BagCamera(TimedCamera):
+    """System that replays the images of a depth camera from a bag at their own stamps.
+
+    .. pydrake_system::
+
+      name: BagCamera
+      input_ports:
+      - plant_state
+      output_ports:
+      - depth_image
+      - camera_pose
+      - image_time
+      - plant_state
+
+    - plant_state (in): (n,) present state [q, v] of the simulated plant.
+    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf is too far, NaN is
+      missing.
+    - camera_pose: RigidTransform X_WC of the camera at the image: `camera_pose` of the block, else
+      that of the bag.
+    - image_time: (1,) stamp of the image since the first one [s].
+    - plant_state (out): (n,) present state, in which joints of the robot that the bag has are in
+      their recorded state at the stamp.
+
+    The outputs depend only on time. The first image is output at time 0, the others with the delay
+    of the camera's configuration after their stamps; after the last one the outputs are constant.
+
+    Times in a bag are whole nanoseconds, and rotations are quaternions. A stamp at a multiple of
+    the camera's period, and the pose of the scenario's camera, are recognized and restored without
+    rounding: the images of a simulated camera give equal observations to the last bit.
+    """
+
+    def __init__(self, source: RecordedBag, config: CameraConfig, plant: MultibodyPlant) -> None:
+        """Reads the first image, and declares the ports.
+
+        Args:
+            source: bag and topics.
+            config: camera of the scenario with its frame rate, delay and pose.
+            plant: finalized plant with the robot.
+
+        Raises:
+            ScenarioError: as `read_frames`, if the bag has no joint of the robot, or if the camera
+                of the scenario can move.
+        """
+        joints, self._rows = robot_rows(plant)
+        period = 1.0 / config.fps
+        self._open = partial(read_frames, source, joints, period)
+        self._restart()
+        if source.joint_topic and np.isnan(self._frame.state).all():
+            raise ScenarioError(
+                f"perception.joint_topic: {source.joint_topic} has no joint of the robot before "
+                f"the first image: {', '.join(joints)}; null: the robot is in its simulated state"
+            )
+        super().__init__(self._frame.intrinsics, plant.num_multibody_states(), None)
+        self._delay, self._exact = config.output_delay, fixed_pose(plant, config)
+        # Steps of the simulation end at the times of images, as with a simulated camera, so that
+        # monitors are evaluated at the same times.
+        self.DeclarePeriodicPublishEvent(period, period, lambda context: None)
+
+    def _restart(self) -> None:
+        """Opens the bag and reads its first two images."""
+        self._frames = self._open()
+        self._frame, self._next = next(self._frames), next(self._frames, None)
+
+    def release(self) -> None:
+        """Closes the bag; the next image opens it again."""
+        self._frames.close()
+        self._frame = self._frame._replace(time=np.inf)
+
+    def _read(self, context: Context) -> BagFrame:
+        """Returns the frame that the camera outputs at the time of a Context."""
+        latest = context.get_time() - self._delay + _ROUNDING
+        if self._frame.time > max(latest, 0.0):
+            self._restart()
+        while self._next is not None and self._next.time <= latest:
+            self._frame, self._next = self._next, next(self._frames, None)
+        return self._frame
+
+    def image(self, context: Context) -> NDArray[np.float32] | float:
+        """Returns the depths (H, W) of the present image [m]."""
+        return self._read(context).depth
+
+    def pose(self, context: Context) -> RigidTransform:
+        """Returns the pose X_WC of the camera at the present image."""
+        X_WC = self._read(context).X_WC
+        is_same = X_WC.IsNearlyEqualTo(self._exact, _ROUNDING)
+        return self._exact if is_same else X_WC
+
+    def capture_state(self, context: Context) -> tuple[float, FloatArray]:
+        """Returns the stamp of the present image [s], and the plant state (n,) at the stamp."""
+        frame, state = self._read(context), np.array(self._state_port.Eval(context))
+        present = state[self._rows]
+        state[self._rows] = np.where(np.isnan(frame.state), present, frame.state)
+        return frame.time, state
