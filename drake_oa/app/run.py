@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from drake_oa.app.scenarios import (
     Overrides,
@@ -33,7 +33,7 @@ from drake_oa.common.console import (
     progress_bar,
     show,
 )
-from drake_oa.common.files import replace_json, replace_text, reserve_file
+from drake_oa.common.files import import_extra, replace_json, replace_text, reserve_file
 
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -94,7 +94,8 @@ def run(
     no_log: bool = False,
     write_bag: Path | None = None,
     duration: Positive | None = None,
-    hardware: bool = False,
+    hardware: Literal["lcm", "franka"] | None = None,
+    host: str | None = None,
     lcm_url: str = LCM_URL,
     rate: Rate = 1.0,
 ) -> int:
@@ -132,9 +133,10 @@ def run(
     the contents of the log are written as ROS 2 messages, for viewers and for `!RecordedBag`; see
     docs/guides/perception.md.
 
-    With --hardware only the avoiding motion is executed, by the arm and the cameras whose messages
-    are on --lcm-url: the driver of a real Panda, or `drake-oa station`; see docs/hardware.md. True
-    obstacles are unknown then, and the clearances are "-".
+    With --hardware only the avoiding motion is executed, by a real arm and the cameras whose images
+    are on --lcm-url; see docs/hardware.md. The arm is on the same bus (lcm: the driver of a Panda,
+    or `drake-oa station`), or at --host (franka: a Franka Research 3). True obstacles are unknown
+    then, and the clearances are "-".
 
     Exit status: 0 if the tool of the avoiding motion reached the goal, or the motion reached
     --duration; 1 if it did not, if the robot was in contact, or if an output could not be written;
@@ -160,7 +162,9 @@ def run(
         no_log: write no log.
         write_bag: write the avoiding motion to this file, an MCAP bag of ROS 2; 37 MB a second.
         duration: stop each motion at this simulated time [s].
-        hardware: execute the avoiding motion on a real arm instead of simulating it.
+        hardware: execute the avoiding motion on a real arm instead of simulating it: on one behind
+            Drake's LCM messages, or on a Franka Research 3 (pip install 'drake_oa[franka]').
+        host: with --hardware franka, address of the robot.
         lcm_url: with --hardware, URL of the LCM bus.
         rate: with --hardware, simulated time over wall time, at most 1.
     """
@@ -173,6 +177,8 @@ def run(
         _open_bus(lcm_url)
     elif rate != 1.0 or lcm_url != LCM_URL:
         raise ValueError("--lcm-url and --rate require --hardware")
+    if (hardware == "franka") != bool(host):
+        raise ValueError("--hardware franka requires --host ADDRESS, and only it uses --host")
     viewer = None
     if meshcat or html:
         from drake_oa.viewing.viewer import start_viewer
@@ -189,7 +195,7 @@ def run(
             from drake_oa.hardware.robot_link import HardwareError
 
             try:
-                _drive(this, lcm_url, rate)
+                _drive(this, lcm_url, rate, host)
             except HardwareError as error:
                 complain(str(error))
                 return FAILED
@@ -361,21 +367,36 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
         )
 
 
-def _drive(this: _Run, lcm_url: str, rate: float) -> None:
+def _drive(this: _Run, lcm_url: str, rate: float, host: str | None) -> None:
     """Executes the avoiding motion of a run on a real arm, and adds its log to the run.
 
     Args:
         this: settings of the run.
         lcm_url: URL of the LCM bus.
         rate: maximum ratio of simulated time to wall time.
+        host: address of a Franka Research 3; None: the arm communicates on the LCM bus.
     """
+    from drake_oa.hardware.hardware_station import arm_of
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, prepare_hardware
 
-    link = RobotLink(lcm_url, rate=rate, raise_if_requested=this.raise_if_requested)
+    connect = None
+    if host:
+        import_extra("pylibfranka", "franka")
+        from drake_oa.hardware.franka_arm import FrankaArm
+
+        _, limits = arm_of(this.scenario)
+        connect = partial(FrankaArm, host, limits.velocity_limit.tolist())
+    link = RobotLink(
+        lcm_url,
+        connect=connect,
+        address=host or lcm_url,
+        rate=rate,
+        raise_if_requested=this.raise_if_requested,
+    )
     link.start()
     with contextlib.closing(link):
-        print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)
+        print(f"waiting for the arm on {host or lcm_url} ...", file=sys.stderr)
         with build_errors():
             driven = prepare_hardware(this.scenario, link, this.meshcat)
         print("arm is ready", file=sys.stderr)

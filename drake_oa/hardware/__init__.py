@@ -1,4 +1,5 @@
-"""Interface to hardware: a Panda arm and depth cameras that are connected by LCM messages.
+"""Interface to hardware: a Panda by LCM messages or a Franka Research 3 by its vendor's library, and
+depth cameras by LCM messages.
 
 The message types are those of Drake: `lcmt_panda_command` on channel PANDA_COMMAND,
 `lcmt_panda_status` on PANDA_STATUS, and `lcmt_image_array` on DRAKE_RGBD_CAMERA_IMAGES_<camera>.
@@ -12,7 +13,8 @@ Modules that compute and send the motion (`drake-oa run --hardware`):
   checks the arm before it moves.
 - `command_streamer.CommandStreamer` runs in a separate process. The diagram writes planned
   positions into a `SharedTrajectory`, a little ahead of time; the streamer sends them to the arm,
-  and stops the arm after a failure.
+  and stops the arm after a failure. Its connections to an arm are `lcm_arm.LcmArm` and
+  `franka_arm.FrankaArm`.
 
 Modules that simulate the arm behind the messages (`drake-oa station`):
 

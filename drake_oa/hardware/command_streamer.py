@@ -17,11 +17,12 @@ import os
 import signal
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from drake import lcmt_panda_command, lcmt_panda_status
-from pydrake.lcm import DrakeLcm
+from drake import lcmt_panda_command
 from pydrake.manipulation import PandaControlMode
 
 from drake_oa.common.messages import FloatArray
@@ -42,15 +43,6 @@ _logger = logging.getLogger("drake_oa")
 """Logger of the package drake_oa, used for failures of the arm and for events of received
 commands."""
 
-_BLOCKED_MODES = {
-    lcmt_panda_status.kGuiding: "being guided by hand",
-    lcmt_panda_status.kReflex: "stopped by a reflex",
-    lcmt_panda_status.kUserStopped: "stopped by its user",
-    lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
-}
-"""Robot modes of a Panda in which the arm does not follow commands: number of the mode in a status
-message -> description for messages."""
-
 _ROWS = 4096
 """Number of rows in each of the two buffers of a `SharedTrajectory`, which store planned and
 measured joint positions."""
@@ -58,8 +50,8 @@ _NOTE_SIZE = 400
 """Maximum size of the text `SharedTrajectory.note`, which states why the arm is stopped or holds
 its position [byte]."""
 _SENT_COUNT = 400
-"""Number of recently sent commands that a `CommandStreamer` stores, to compare them with received
-commands and statuses."""
+"""Number of recently sent commands that a `CommandStreamer` stores, to compare them with statuses.
+"""
 
 
 COMMAND_PERIOD = 0.004
@@ -196,10 +188,57 @@ def shared_trajectory() -> SharedTrajectory:
     return multiprocessing.get_context("spawn").RawValue(SharedTrajectory)
 
 
-class _StoppedError(Exception):
+class ArmStoppedError(Exception):
     """Failure after which the arm must stop permanently; the text of the exception states the
     reason.
     """
+
+
+class ArmStatus(NamedTuple):
+    """Measured motion of an arm.
+
+    Attributes:
+        stamp: time of the measurement by the wall clock [s].
+        q: (7,) joint positions [rad].
+        v: (7,) joint velocities, by the wall clock [rad/s].
+    """
+
+    stamp: float
+    q: FloatArray
+    v: FloatArray
+
+
+class Arm(Protocol):
+    """Connection to an arm that follows joint positions.
+
+    Attributes:
+        name: name of the source of statuses, for messages to the user.
+        period: wall time between two commands [s].
+    """
+
+    name: str
+    period: float
+
+    def receive(self, now: float) -> ArmStatus | None:
+        """Returns the newest status of the arm; None if none was received since the last call.
+
+        Args:
+            now: time of the wall clock [s].
+
+        Raises:
+            ValueError: for an invalid status.
+            ArmStoppedError: if the arm does not follow the commands of this connection.
+        """
+
+    def send(self, now: float, q: FloatArray) -> None:
+        """Commands the joint positions q (7,) [rad] at a time of the wall clock [s].
+
+        Raises:
+            ArmStoppedError: if the arm rejects the command.
+        """
+
+    def close(self) -> None:
+        """Ends the connection; the arm is at rest, or stops."""
 
 
 class CommandStreamer:
@@ -215,24 +254,19 @@ class CommandStreamer:
         or a mode in which no command is followed
     """
 
-    def __init__(self, trajectory: SharedTrajectory, lcm: DrakeLcm, rate: float) -> None:
-        """Subscribes to the statuses of the arm, and to all commands on the LCM bus, so that a
-        second command source is detected.
+    def __init__(self, trajectory: SharedTrajectory, arm: Arm, rate: float) -> None:
+        """Initializes the sender, which sends no command before positions are planned.
 
         Args:
             trajectory: trajectory shared with the diagram.
-            lcm: LCM bus of the messages.
+            arm: connection to the arm.
             rate: maximum ratio of simulated time to wall time [-].
         """
-        self._trajectory, self._lcm, self._rate = trajectory, lcm, rate
+        self._trajectory, self._arm, self._rate = trajectory, arm, rate
         # Present rate of simulated time, and monotonic times of the last valid status and step.
         self._pace, self._status_tick, self._step_tick = 0.0, -math.inf, -math.inf
-        self._status_problem = f"no status received on {STATUS_CHANNEL}"
-        self._sent: deque[tuple[float, int, FloatArray]] = deque(maxlen=_SENT_COUNT)
-        self._statuses: list[bytes] = []
-        self._commands: list[bytes] = []
-        lcm.Subscribe(STATUS_CHANNEL, self._statuses.append)
-        lcm.Subscribe(COMMAND_CHANNEL, self._commands.append)
+        self._status_problem = f"no status received on {arm.name}"
+        self._sent: deque[tuple[float, FloatArray]] = deque(maxlen=_SENT_COUNT)
 
     @property
     def is_finished(self) -> bool:
@@ -255,7 +289,7 @@ class CommandStreamer:
         """
         try:
             self._step(now, now if tick is None else tick)
-        except _StoppedError as error:
+        except ArmStoppedError as error:
             self._trajectory.note, self._trajectory.is_stopped = str(error), 1.0
             _logger.warning("stopped: %s", error)
 
@@ -268,19 +302,16 @@ class CommandStreamer:
             tick: time of a monotonic clock [s].
 
         Raises:
-            _StoppedError: if the arm must stop permanently.
+            ArmStoppedError: if the arm must stop permanently.
         """
         trajectory = self._trajectory
-        while self._lcm.HandleSubscriptions(0):
-            pass
         if trajectory.is_stopped:
             return
         self._check_status(now, tick)
-        self._check_commands()
         silence = tick - self._status_tick
         problem = self._status_problem if silence > STATUS_TIMEOUT else ""
         if STATUS_TIMEOUT + _STOP_TIMEOUT < silence < math.inf:
-            raise _StoppedError(problem)
+            raise ArmStoppedError(problem)
         if problem != trajectory.note:
             trajectory.note = problem
             if self._sent:
@@ -295,11 +326,11 @@ class CommandStreamer:
             q = trajectory.planned(trajectory.executed_time)
             deviation = float(np.abs(trajectory.measured[0] - q).max())
             if deviation > _RESTART_TOLERANCE:
-                raise _StoppedError(
+                raise ArmStoppedError(
                     f"a joint at rest is {deviation:.3g} rad from its planned position, at most "
                     f"{_RESTART_TOLERANCE:g} allowed: the arm was moved"
                 )
-        elapsed = min(elapsed, 3.0 * COMMAND_PERIOD)
+        elapsed = min(elapsed, 3.0 * self._arm.period)
         lead = trajectory.planned_until - trajectory.executed_time
         change = self._rate * elapsed / _RAMP
         is_slowing = problem or trajectory.end_requested > 0.0
@@ -309,12 +340,8 @@ class CommandStreamer:
             trajectory.executed_time + self._pace * elapsed, trajectory.planned_until
         )
         q = trajectory.planned(trajectory.executed_time)
-        message = lcmt_panda_command()
-        message.utime = round(now / MICROSECOND)
-        message.control_mode_expected = POSITION_MODE
-        message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
-        self._sent.append((now, message.utime, q))
-        self._lcm.Publish(COMMAND_CHANNEL, message.encode())
+        self._sent.append((now, q))
+        self._arm.send(now, q)
 
     def _check_status(self, now: float, tick: float) -> None:
         """Checks the last received status of the arm, and stores its measurements in the shared
@@ -325,64 +352,40 @@ class CommandStreamer:
             tick: time of a monotonic clock [s].
 
         Raises:
-            _StoppedError: if the arm does not follow commands, or is too far from its recent
+            ArmStoppedError: if the arm does not follow commands, or is too far from its recent
                 commands.
         """
-        # LCM handlers must not raise: messages are decoded here. Earlier statuses are ignored.
-        data, self._statuses[:] = self._statuses[-1:], []
-        if not data:
-            return
         try:
-            status = lcmt_panda_status.decode(data[0])
-            q, v = np.array([status.joint_position, status.joint_velocity])
-            age = now - MICROSECOND * status.utime
-            if q.shape != (ARM_JOINTS,) or not np.isfinite([q, v]).all():
-                raise ValueError(f"statuses must hold {ARM_JOINTS} finite positions and velocities")
-            if abs(age) > STATUS_TIMEOUT:
-                raise ValueError(
-                    f"statuses are {age:.3f} s old, at most {STATUS_TIMEOUT:g} allowed: "
-                    "synchronize the clocks of both computers"
-                )
-        except Exception as error:
-            self._status_problem = f"{STATUS_CHANNEL}: {error}"
+            status = self._arm.receive(now)
+        except ValueError as error:
+            self._status_problem = str(error)
+            return
+        if status is None:
             return
         self._status_tick = tick
-        self._status_problem = f"no status on {STATUS_CHANNEL} for {STATUS_TIMEOUT:g} s"
-        if status.robot_mode in _BLOCKED_MODES:
-            name = _BLOCKED_MODES[status.robot_mode]
-            raise _StoppedError(f"arm is {name}: enable motion before the run")
-        # Zero is the control mode of a driver that does not report it.
-        if status.control_mode not in (0, POSITION_MODE):
-            raise _StoppedError("arm does not follow positions: start its driver in position mode")
+        self._status_problem = f"no status on {self._arm.name} for {STATUS_TIMEOUT:g} s"
+        stamp, q, v = status
         self._trajectory.write_measured(q, v)
-        stamp = now - age
-        recent = [at for when, _, at in self._sent if stamp - _TRACKING_WINDOW <= when <= stamp]
+        recent = [at for when, at in self._sent if stamp - _TRACKING_WINDOW <= when <= stamp]
         if not recent:
             return
         deviation = float(np.abs(np.array(recent) - q).max(axis=1).min())
         self._trajectory.max_tracking_error = max(self._trajectory.max_tracking_error, deviation)
         if deviation > _MAX_TRACKING_ERROR:
-            raise _StoppedError(
+            raise ArmStoppedError(
                 f"a joint is {deviation:.3g} rad from its commands of the last "
                 f"{_TRACKING_WINDOW:g} s, at most {_MAX_TRACKING_ERROR:g} allowed"
             )
 
-    def _check_commands(self) -> None:
-        """Checks that all received commands were sent by this streamer.
 
-        Raises:
-            _StoppedError: if another command source has sent a command.
-        """
-        sent_stamps = {utime for _, utime, _ in self._sent}
-        received, self._commands[:] = self._commands[:], []
-        for data in received:
-            with suppress(Exception):
-                if lcmt_panda_command.decode(data).utime in sent_stamps:
-                    continue
-            raise _StoppedError(f"another command source sends on {COMMAND_CHANNEL}: end it")
+Connect = Callable[[SharedTrajectory], Arm]
+"""Type of a function that connects to an arm; it raises `ArmStoppedError` if it fails. The function
+may write into the trajectory why it waits."""
 
 
-def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, parent: int) -> None:
+def stream_commands(
+    trajectory: SharedTrajectory, connect: Connect, rate: float, parent: int
+) -> None:
     """Sends the positions of a shared trajectory to the arm as commands, until the end is requested
     or the parent process has ended.
 
@@ -390,7 +393,7 @@ def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, par
 
     Args:
         trajectory: trajectory shared with the parent process.
-        lcm_url: URL of the LCM bus.
+        connect: function that connects to the arm.
         rate: maximum ratio of simulated time to wall time [-].
         parent: process ID of the process that computes the motion.
     """
@@ -401,15 +404,21 @@ def stream_commands(trajectory: SharedTrajectory, lcm_url: str, rate: float, par
     gc.disable()
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
-    streamer = CommandStreamer(trajectory, DrakeLcm(lcm_url), rate)
+    try:
+        arm = connect(trajectory)
+    except ArmStoppedError as error:
+        trajectory.note, trajectory.is_stopped = str(error), 1.0
+        return
+    streamer = CommandStreamer(trajectory, arm, rate)
     due = time.monotonic()
     while not streamer.is_finished:
         if os.getppid() != parent and not trajectory.end_requested:
             _logger.warning("parent process ended: stopping the arm")
             trajectory.end_requested = 1.0
         streamer.step(time.time(), time.monotonic())
-        due = max(due + COMMAND_PERIOD, time.monotonic())
+        due = max(due + arm.period, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))
+    arm.close()
 
 
 class CommandValidator:

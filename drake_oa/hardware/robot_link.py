@@ -1,5 +1,5 @@
-"""Link between a diagram and an arm that is commanded by LCM messages, and the systems that connect
-this link to the diagram.
+"""Link between a diagram and an arm that follows joint positions, and the systems that connect this
+link to the diagram.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -22,10 +23,12 @@ from drake_oa.hardware.command_streamer import (
     COMMAND_PERIOD,
     LEAD,
     STATUS_TIMEOUT,
+    Connect,
     beyond_limits,
     shared_trajectory,
     stream_commands,
 )
+from drake_oa.hardware.lcm_arm import connect_lcm
 from drake_oa.robot.plant import RobotLimits
 
 _POLL_PERIOD = 5e-4
@@ -49,8 +52,7 @@ class HardwareError(Exception):
 
 
 class RobotLink:
-    """Link between a diagram, which plans joint positions, and an arm that is commanded by LCM
-    messages.
+    """Link between a diagram, which plans joint positions, and an arm that follows them.
 
     The diagram writes planned positions into shared memory. A `CommandStreamer` in a separate
     process, which `start` starts, sends them to the arm, so that long computations of the diagram
@@ -60,7 +62,7 @@ class RobotLink:
         trajectory: planned and measured positions, in memory that is shared with the command
             streamer.
         rate: maximum ratio of simulated time to wall time [-].
-        url: URL of the LCM bus.
+        url: URL of the LCM bus of the images.
         clock: function that returns the time of the wall clock [s].
         wait: function that is called repeatedly while the link waits.
         events: changes of the arm's state (stopped, holds, resumed), each as simulated time [s] and
@@ -71,6 +73,8 @@ class RobotLink:
         self,
         lcm_url: str,
         *,
+        connect: Connect | None = None,
+        address: str | None = None,
         rate: float = 1.0,
         wait: Callable[[], None] = lambda: time.sleep(_POLL_PERIOD),
         raise_if_requested: Callable[[], None] = lambda: None,
@@ -79,7 +83,10 @@ class RobotLink:
         """Allocates the shared memory of the trajectory, without starting the command streamer.
 
         Args:
-            lcm_url: URL of the LCM bus.
+            lcm_url: URL of the LCM bus of the images.
+            connect: function that connects to the arm, in the process of the command streamer;
+                None: the arm communicates on the same LCM bus.
+            address: address of the arm for messages to the user; None: `lcm_url`.
             rate: maximum ratio of simulated time to wall time [-].
             wait: function that is called repeatedly while the diagram waits, for example because it
                 is too far ahead of the arm.
@@ -89,6 +96,7 @@ class RobotLink:
         """
         self.trajectory, self.rate = shared_trajectory(), rate
         self.url, self.wait, self.clock = lcm_url, wait, clock
+        self._connect, self._address = connect or partial(connect_lcm, lcm_url), address or lcm_url
         self._raise_if_requested = raise_if_requested
         self.events: list[tuple[float, str]] = []
         self._warmed_up_since = math.nan
@@ -100,7 +108,7 @@ class RobotLink:
         """
         self._process = multiprocessing.get_context("spawn").Process(
             target=stream_commands,
-            args=(self.trajectory, self.url, self.rate, os.getpid()),
+            args=(self.trajectory, self._connect, self.rate, os.getpid()),
             name="command streamer",
             # The streamer must outlive this process, to bring the arm to rest.
             daemon=False,
@@ -169,7 +177,7 @@ class RobotLink:
         q, v = self.trajectory.measured
         if self.trajectory.note or np.isnan(q).any():
             note = self.trajectory.note or "no status of the arm received"
-            raise HardwareError(f"{note} ({self.url})")
+            raise HardwareError(f"{note} ({self._address})")
         if problem := beyond_limits(q, limits):
             raise HardwareError(problem)
         name, deviation = limits.position_name, np.abs(q - q_start)

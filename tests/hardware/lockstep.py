@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 
 from drake_oa.hardware.command_streamer import CommandStreamer
+from drake_oa.hardware.lcm_arm import LcmArm
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario
@@ -78,7 +79,7 @@ class Lockstep:
             log=log,
         )
         self.link = RobotLink(self.url, wait=self.step, clock=self.clock)
-        self.streamer = CommandStreamer(self.link.trajectory, self.lcm, self.link.rate)
+        self.streamer = CommandStreamer(self.link.trajectory, LcmArm(self.lcm), self.link.rate)
         self.station_runs, self.ended = True, False
         self.before_step: Callable[[], object] = lambda: None
 

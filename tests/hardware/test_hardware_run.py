@@ -109,7 +109,17 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
     url = f"udpm://239.255.76.99:{7680 + kind}?ttl=0&recv_buf_size=4000000"
     truth, sent = tmp_path / "truth.npz", tmp_path / "sent.npz"
     arm = popen("station", "tabletop_box", "--lcm-url", url, *RATE, "--wait", "--log", str(truth))
-    words = ["run", "tabletop_box", "--lcm-url", url, *RATE, "--hardware", "--log", str(sent)]
+    words = [
+        "run",
+        "tabletop_box",
+        "--lcm-url",
+        url,
+        *RATE,
+        "--hardware",
+        "lcm",
+        "--log",
+        str(sent),
+    ]
     driver = popen(*words)
     lcm, received = DrakeLcm(url), list[bytes]()
     lcm.Subscribe(STATUS_CHANNEL, received.append)
@@ -153,7 +163,7 @@ def test_missing_arm_gives_a_one_line_error(
 ) -> None:
     monkeypatch.setattr("drake_oa.hardware.robot_link.STARTUP_TIMEOUT", 0.5)
     url = "udpm://239.255.76.99:7674?ttl=0"
-    assert main(["run", "tabletop_box", "--hardware", "--lcm-url", url, "--no-log"]) == 1
+    assert main(["run", "tabletop_box", "--hardware", "lcm", "--lcm-url", url, "--no-log"]) == 1
     error_text = capsys.readouterr().err
     assert "no status" in error_text
     assert f"({url})" in error_text

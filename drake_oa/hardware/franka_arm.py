@@ -1,0 +1,248 @@
+"""Connection to a Franka Research 3 by pylibfranka, the client library of its vendor.
+
+The controller of the robot generates the motion between targets within its own limits of
+acceleration and jerk, so that this computer needs no control loop at 1 kHz.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from drake_oa.common.files import import_extra
+from drake_oa.common.messages import FloatArray
+from drake_oa.hardware.command_streamer import (
+    LEAD,
+    ArmStatus,
+    ArmStoppedError,
+    SharedTrajectory,
+)
+
+TARGET_PERIOD = 0.008
+"""Wall time between two targets, equal to the period of MotionGuard [s]."""
+_GOAL_TOLERANCE = 1e-3
+"""Distance from a target at which the controller reports that it is reached [rad]."""
+_LAG_GAIN = 0.1
+"""Fraction of the measured lag by which the lookahead changes with each target."""
+_MIN_SPEED = 0.05
+"""Minimum planned speed, as the norm of all joints' speeds, at which the lag is measured [rad/s].
+"""
+_REST_SPEED, _REST_STATES = 0.01, 1000
+"""Maximum speed of each joint of an arm at rest [rad/s], and maximum number of states in which the
+arm must come to rest, or recover from an error."""
+
+_logger = logging.getLogger("drake_oa")
+"""Logger of the package drake_oa, for warnings about the arm."""
+
+_MODES = {
+    "Other": "not ready: unlock its joints, and activate FCI",
+    "Idle": "idle: its controller has ended the motion",
+    "Move": "moved by another client: end it",
+    "Guiding": "being guided by hand: release the button",
+    "UserStopped": "stopped by its user: release the stop",
+    "AutomaticErrorRecovery": "recovering from an error: wait",
+}
+"""Descriptions of the robot modes in which the arm does not follow targets, by name of the mode."""
+
+_JUMP = "positions were too far apart: the computer or the network is too slow"
+_INTERNAL = "a motion of another client or of Desk: end it"
+_BASE = "restart the robot on a base at rest"
+ERRORS = {
+    "joint_position_limits_violation": "a joint passed its limit: move it back by hand",
+    "cartesian_position_limits_violation": "the arm passed a virtual wall: move it back by hand",
+    "self_collision_avoidance_violation": "two links were too close: move them apart by hand",
+    "joint_velocity_violation": "a joint was too fast: reduce --rate",
+    "cartesian_velocity_violation": "the tool was too fast: reduce --rate",
+    "force_control_safety_violation": _INTERNAL,
+    "joint_reflex": "contact, or a wrong load in Desk: remove the obstacle, or correct the load",
+    "cartesian_reflex": "contact of the tool, or a wrong load in Desk: remove the obstacle",
+    "max_goal_pose_deviation_violation": "the arm stopped away from its target: check the load",
+    "max_path_pose_deviation_violation": "the arm left its path: check for contact and the load",
+    "cartesian_velocity_profile_safety_violation": _INTERNAL,
+    "joint_position_motion_generator_start_pose_invalid": "the first target was too far: restart",
+    "joint_motion_generator_position_limits_violation": "a target was beyond a joint's limits",
+    "joint_motion_generator_velocity_limits_violation": "a target was too fast: reduce --rate",
+    "joint_motion_generator_velocity_discontinuity": _JUMP,
+    "joint_motion_generator_acceleration_discontinuity": _JUMP,
+    "cartesian_position_motion_generator_start_pose_invalid": _INTERNAL,
+    "cartesian_motion_generator_elbow_limit_violation": _INTERNAL,
+    "cartesian_motion_generator_velocity_limits_violation": _INTERNAL,
+    "cartesian_motion_generator_velocity_discontinuity": _INTERNAL,
+    "cartesian_motion_generator_acceleration_discontinuity": _INTERNAL,
+    "cartesian_motion_generator_elbow_sign_inconsistent": _INTERNAL,
+    "cartesian_motion_generator_start_elbow_invalid": _INTERNAL,
+    "cartesian_motion_generator_joint_position_limits_violation": _INTERNAL,
+    "cartesian_motion_generator_joint_velocity_limits_violation": _INTERNAL,
+    "cartesian_motion_generator_joint_velocity_discontinuity": _INTERNAL,
+    "cartesian_motion_generator_joint_acceleration_discontinuity": _INTERNAL,
+    "cartesian_position_motion_generator_invalid_frame": _INTERNAL,
+    "force_controller_desired_force_tolerance_violation": _INTERNAL,
+    "controller_torque_discontinuity": _INTERNAL,
+    "start_elbow_sign_inconsistent": _INTERNAL,
+    "communication_constraints_violation": "too many packets were lost: check the network",
+    "power_limit_violation": "the motion required too much power: reduce --rate or the load",
+    "joint_p2p_insufficient_torque_for_planning": "the load is too heavy: reduce it",
+    "tau_j_range_violation": "a torque sensor was out of range: reduce the load",
+    "instability_detected": "the controller was unstable: check the load and the mounting",
+    "joint_move_in_wrong_direction": "a joint was guided beyond its limit: move it back",
+    "cartesian_spline_motion_generator_violation": _INTERNAL,
+    "joint_via_motion_generator_planning_joint_limit_violation": _INTERNAL,
+    "base_acceleration_initialization_timeout": _BASE,
+    "base_acceleration_invalid_reading": _BASE,
+}
+"""Causes and remedies of the errors of the robot's controller, by name of the error."""
+
+
+class FrankaArm:
+    """Connection to a Franka Research 3 that follows targets of its joint positions.
+
+    The targets are positions on the planned motion, ahead of the executed time by a lookahead. The
+    controller's motion to a target lags, because it could stop there. The lookahead is the integral
+    of this lag, measured by the controller's desired positions, and at most `LEAD`. Without new
+    targets the arm stops on the planned motion.
+
+    Attributes:
+        name: address of the robot.
+        period: wall time between two targets [s].
+        is_commanded: whether the controller follows targets.
+    """
+
+    period = TARGET_PERIOD
+
+    def __init__(self, host: str, speeds: list[float], trajectory: SharedTrajectory) -> None:
+        """Connects to the robot, and recovers it from a reflex.
+
+        Args:
+            host: address of the robot.
+            speeds: (7,) maximum speeds of the joints [rad/s].
+            trajectory: trajectory shared with the diagram. While the robot does not answer, its
+                note states possible reasons.
+
+        Raises:
+            ValueError: if pylibfranka is not installed.
+            ArmStoppedError: if the robot is not reachable or not ready.
+        """
+        self._franka = import_extra("pylibfranka", "franka")
+        self.name, self._speeds, self._trajectory = host, speeds, trajectory
+        self._handler: Any = None
+        self._lookahead = 0.0
+        trajectory.note = f"{host} does not answer: activate FCI, and end its other clients"
+        try:
+            self._robot = self._franka.Robot(host, self._franka.RealtimeConfig.kIgnore)
+        except Exception as error:
+            raise ArmStoppedError(f"no connection to {host}: {error}") from None
+        trajectory.note = ""
+        self._recover()
+
+    @property
+    def is_commanded(self) -> bool:
+        """Whether the controller follows targets."""
+        return self._handler is not None
+
+    def receive(self, now: float) -> ArmStatus:
+        """Returns the newest state of the robot; waits for one if there is none.
+
+        Args:
+            now: time of the wall clock [s].
+
+        Raises:
+            ArmStoppedError: if the connection is lost, or the robot does not follow targets.
+        """
+        state = self._read()
+        if reasons := _reasons(state):
+            raise ArmStoppedError(f"arm stopped by {reasons}")
+        if state.robot_mode.name != ("Move" if self.is_commanded else "Idle"):
+            raise ArmStoppedError(f"arm is {_MODES[state.robot_mode.name]}")
+        return ArmStatus(now, np.array(state.q), np.array(state.dq))
+
+    def send(self, now: float, q: FloatArray) -> None:
+        """Sends the target for the planned joint positions q (7,) [rad] at the executed time.
+
+        The first call starts the motion generator of the robot.
+
+        Raises:
+            ArmStoppedError: if the robot rejects the motion, or the connection is lost.
+        """
+        handler = self._franka.AsyncPositionControlHandler
+        if self._handler is None:
+            limits = handler.Configuration(self._speeds, _GOAL_TOLERANCE)
+            started = handler.configure(self._robot, limits)
+            if started.error_message:
+                raise ArmStoppedError(f"motion rejected by {self.name}: {started.error_message}")
+            self._handler = started.handler
+        target = handler.JointPositionTarget(self._target(q).tolist())
+        result = self._handler.set_joint_position_target(target)
+        if not result.was_successful:
+            raise ArmStoppedError(f"connection to {self.name} lost: {result.error_message}")
+
+    def close(self) -> None:
+        """Waits until the arm is at rest, and ends the motion generator of the robot."""
+        try:
+            if self._handler is not None:
+                self._wait(lambda state: np.abs(state.dq_d).max() < _REST_SPEED)
+                self._handler.stop_control()
+        except ArmStoppedError as error:
+            _logger.warning("%s", error)
+
+    def _target(self, q: FloatArray) -> FloatArray:
+        """Returns the next target (7,) [rad], for the planned positions q (7,) [rad] at the
+        executed time t. With the planned velocity v and the controller's desired positions q_d::
+
+            lag = (q - q_d) . v / (v . v),    lookahead += _LAG_GAIN * lag,
+            target = planned(t + lookahead)
+        """
+        trajectory, t = self._trajectory, self._trajectory.executed_time
+        v = (q - trajectory.planned(t - TARGET_PERIOD)) / TARGET_PERIOD
+        if v @ v > _MIN_SPEED**2:
+            lag = (q - np.array(self._state.q_d)) @ v / (v @ v)
+            self._lookahead = float(np.clip(self._lookahead + _LAG_GAIN * lag, 0.0, LEAD))
+        return trajectory.planned(t + self._lookahead)
+
+    def _recover(self) -> None:
+        """Recovers the robot from a reflex, and warns about its cause.
+
+        Raises:
+            ArmStoppedError: if the robot does not recover.
+        """
+        if not (reasons := _reasons(self._read())):
+            return
+        try:
+            self._robot.automatic_error_recovery()
+        except Exception as error:
+            raise ArmStoppedError(f"no recovery from {reasons}: {error}") from None
+        self._wait(lambda state: not _reasons(state))
+        _logger.warning("recovered from %s", reasons)
+
+    def _wait(self, is_reached: Callable[[Any], bool]) -> None:
+        """Reads states of the robot until a condition is reached, at most `_REST_STATES`.
+
+        Raises:
+            ArmStoppedError: if the connection is lost.
+        """
+        for _ in range(_REST_STATES):
+            if is_reached(self._read()):
+                break
+
+    def _read(self) -> Any:
+        """Reads and stores the newest state of the robot.
+
+        Raises:
+            ArmStoppedError: if the connection is lost.
+        """
+        try:
+            self._state = self._robot.read_once()
+        except Exception as error:
+            raise ArmStoppedError(f"connection to {self.name} lost: {error}") from None
+        return self._state
+
+
+def _reasons(state: Any) -> str:
+    """Returns the errors of a robot's state with causes and remedies; "" if there is none."""
+    is_reflex = state.robot_mode.name == "Reflex"
+    use_last = is_reflex and not state.current_errors
+    errors = state.last_motion_errors if use_last else state.current_errors
+    names = [name for name in ERRORS if getattr(errors, name)]
+    return "; ".join(f"{name}: {ERRORS[name]}" for name in names) or "a reflex" * is_reflex
