@@ -351,7 +351,7 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
         built = build_avoidance(
             this.scenario,
             meshcat=this.meshcat,
-            customize=this.bag and partial(record_images, this.bag, this.scenario),
+            customize=partial(record_images, this.bag, this.scenario) if this.bag else None,
         )
     panel = _open_panel(this)
     run_motion = partial(simulate, this.scenario, duration=this.duration)

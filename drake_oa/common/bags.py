@@ -47,7 +47,8 @@ def make_message(kind: str, values: Mapping[str, Any]) -> Any:
             sequence of texts must have one.
     """
     store = typestore()
-    fields = (_field(*of, values.get(name)) for name, of in store.fielddefs[kind][1])
+    definitions = store.fielddefs[kind][1]
+    fields = (_field(form, of, values.get(name)) for name, (form, of) in definitions)
     return store.types[kind](*fields)
 
 

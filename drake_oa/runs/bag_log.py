@@ -72,8 +72,8 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
     }
     for name, texts in notes.items():
         for time, text in zip(getattr(log, f"{name}_time"), texts, strict=True):
-            note = {"level": _INFO, "name": name, "msg": text}
-            bag.write("/rosout", "rcl_interfaces/msg/Log", time, **note)
+            kind = "rcl_interfaces/msg/Log"
+            bag.write("/rosout", kind, time, level=_INFO, name=name, msg=text)
     bag.write("/log/constants", "std_msgs/msg/String", 0.0, data=json.dumps(constants))
 
 

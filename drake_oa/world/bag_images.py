@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, islice, zip_longest
 from pathlib import Path
@@ -96,8 +96,8 @@ class ImageRecorder(LeafSystem):
             return
         write, topic = self._bag.write, f"/{self._name}/depth"
         q, v = np.split(self._state.Eval(context)[self._rows], 2)
-        states = {"name": self._joints, "position": q, "velocity": v}
-        write("/joint_states", "sensor_msgs/msg/JointState", stamp, **states)
+        kind = "sensor_msgs/msg/JointState"
+        write("/joint_states", kind, stamp, name=self._joints, position=q, velocity=v)
         X_WC = self._pose.read(context)
         if not X_WC.IsExactlyEqualTo(self._last_pose):
             self._last_pose = X_WC
@@ -159,7 +159,9 @@ class BagFrame(NamedTuple):
     state: FloatArray
 
 
-def read_frames(source: RecordedBag, joints: Sequence[str], period: float) -> Iterator[BagFrame]:
+def read_frames(
+    source: RecordedBag, joints: Sequence[str], period: float
+) -> Generator[BagFrame, None, None]:
     """Reads the depth images of a bag in the order of time, one at a time.
 
     Transforms and the state of the joints are the latest ones before the image in the bag. The
@@ -286,7 +288,7 @@ def _depth(message: Any, source: RecordedBag, intrinsics: CameraInfo) -> NDArray
             f"{encoding}; valid are {' and '.join(_ENCODINGS)} of {size[0]} x {size[1]} pixels, "
             f"the size on {source.info_topic}"
         )
-    kind = np.dtype(_ENCODINGS[encoding]).newbyteorder("<>"[message.is_bigendian])
+    kind = np.dtype(_ENCODINGS[encoding]).newbyteorder(">" if message.is_bigendian else "<")
     rows = message.data.reshape(height, message.step)
     depth = metric_depth(rows[:, : width * kind.itemsize].view(kind))
     depth[depth < 0.0] = 0.0
