@@ -82,7 +82,7 @@ class _Run:
     failure: BaseException | None = None
 
 
-def run(
+def run(  # noqa: PLR0913
     scenario: ScenarioName,
     /,
     *,

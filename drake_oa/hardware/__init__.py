@@ -1,5 +1,5 @@
-"""Interface to hardware: a Panda by LCM messages or a Franka Research 3 by its vendor's library, and
-depth cameras by LCM messages.
+"""Interface to hardware: a Panda by LCM messages, or a Franka Research 3 by the library of its
+vendor, and depth cameras by LCM messages.
 
 The message types are those of Drake: `lcmt_panda_command` on channel PANDA_COMMAND,
 `lcmt_panda_status` on PANDA_STATUS, and `lcmt_image_array` on DRAKE_RGBD_CAMERA_IMAGES_<camera>.

@@ -48,7 +48,7 @@ _MODES = {
 """Descriptions of the robot modes in which the arm does not follow targets, by name of the mode."""
 
 _JUMP = "positions were too far apart: the computer or the network is too slow"
-_INTERNAL = "a motion of another client or of Desk: end it"
+_OTHER = "a motion of another client or of Desk: end it"
 _BASE = "restart the robot on a base at rest"
 ERRORS = {
     "joint_position_limits_violation": "a joint passed its limit: move it back by hand",
@@ -56,44 +56,26 @@ ERRORS = {
     "self_collision_avoidance_violation": "two links were too close: move them apart by hand",
     "joint_velocity_violation": "a joint was too fast: reduce --rate",
     "cartesian_velocity_violation": "the tool was too fast: reduce --rate",
-    "force_control_safety_violation": _INTERNAL,
     "joint_reflex": "contact, or a wrong load in Desk: remove the obstacle, or correct the load",
     "cartesian_reflex": "contact of the tool, or a wrong load in Desk: remove the obstacle",
     "max_goal_pose_deviation_violation": "the arm stopped away from its target: check the load",
     "max_path_pose_deviation_violation": "the arm left its path: check for contact and the load",
-    "cartesian_velocity_profile_safety_violation": _INTERNAL,
     "joint_position_motion_generator_start_pose_invalid": "the first target was too far: restart",
     "joint_motion_generator_position_limits_violation": "a target was beyond a joint's limits",
     "joint_motion_generator_velocity_limits_violation": "a target was too fast: reduce --rate",
     "joint_motion_generator_velocity_discontinuity": _JUMP,
     "joint_motion_generator_acceleration_discontinuity": _JUMP,
-    "cartesian_position_motion_generator_start_pose_invalid": _INTERNAL,
-    "cartesian_motion_generator_elbow_limit_violation": _INTERNAL,
-    "cartesian_motion_generator_velocity_limits_violation": _INTERNAL,
-    "cartesian_motion_generator_velocity_discontinuity": _INTERNAL,
-    "cartesian_motion_generator_acceleration_discontinuity": _INTERNAL,
-    "cartesian_motion_generator_elbow_sign_inconsistent": _INTERNAL,
-    "cartesian_motion_generator_start_elbow_invalid": _INTERNAL,
-    "cartesian_motion_generator_joint_position_limits_violation": _INTERNAL,
-    "cartesian_motion_generator_joint_velocity_limits_violation": _INTERNAL,
-    "cartesian_motion_generator_joint_velocity_discontinuity": _INTERNAL,
-    "cartesian_motion_generator_joint_acceleration_discontinuity": _INTERNAL,
-    "cartesian_position_motion_generator_invalid_frame": _INTERNAL,
-    "force_controller_desired_force_tolerance_violation": _INTERNAL,
-    "controller_torque_discontinuity": _INTERNAL,
-    "start_elbow_sign_inconsistent": _INTERNAL,
     "communication_constraints_violation": "too many packets were lost: check the network",
     "power_limit_violation": "the motion required too much power: reduce --rate or the load",
     "joint_p2p_insufficient_torque_for_planning": "the load is too heavy: reduce it",
     "tau_j_range_violation": "a torque sensor was out of range: reduce the load",
     "instability_detected": "the controller was unstable: check the load and the mounting",
     "joint_move_in_wrong_direction": "a joint was guided beyond its limit: move it back",
-    "cartesian_spline_motion_generator_violation": _INTERNAL,
-    "joint_via_motion_generator_planning_joint_limit_violation": _INTERNAL,
     "base_acceleration_initialization_timeout": _BASE,
     "base_acceleration_invalid_reading": _BASE,
 }
-"""Causes and remedies of the errors of the robot's controller, by name of the error."""
+"""Causes and remedies of the errors of the robot's controller, by name of the error. Other errors are
+those of Cartesian motions, forces and torques, which are not commanded here."""
 
 
 class FrankaArm:
@@ -153,7 +135,7 @@ class FrankaArm:
         """
         state = self._read()
         if reasons := _reasons(state):
-            raise ArmStoppedError(f"arm stopped by {reasons}")
+            raise ArmStoppedError(reasons)
         if state.robot_mode.name != ("Move" if self.is_commanded else "Idle"):
             raise ArmStoppedError(f"arm is {_MODES[state.robot_mode.name]}")
         return ArmStatus(now, np.array(state.q), np.array(state.dq))
@@ -244,5 +226,6 @@ def _reasons(state: Any) -> str:
     is_reflex = state.robot_mode.name == "Reflex"
     use_last = is_reflex and not state.current_errors
     errors = state.last_motion_errors if use_last else state.current_errors
-    names = [name for name in ERRORS if getattr(errors, name)]
-    return "; ".join(f"{name}: {ERRORS[name]}" for name in names) or "a reflex" * is_reflex
+    names = [name for name in dir(errors) if name[0] != "_" and getattr(errors, name)]
+    causes = [f"{name}: {ERRORS.get(name, _OTHER)}" for name in names]
+    return "; ".join(causes) or "a reflex" * is_reflex

@@ -6,23 +6,21 @@ Specification and Robot Limits", section "Limits for Franka Research 3", of the 
 documentation. The vendor's generator is not published; Ruckig's is time-optimal within the same
 limits.
 
-    python -m tests.hardware.franka_simulator fr3_box --rate 0.25
+    python -m tests.hardware.franka_simulator fr3_box 0.25      # scenario, rate
 """
 
 import struct
 import sys
 import time
-from argparse import ArgumentParser
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
+import ruckig
 from franky_sim import franka_robot_protocol as protocol
 from franky_sim import simulation_server
 from franky_sim.base_simulator import BaseRobot, BaseSimulator, InnerRobotState
 from franky_sim.franka_robot_server import FrankaRobotServer
 from pydrake.lcm import DrakeLcm
-from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, Synchronization
 
 from drake_oa.app.run import LCM_URL
 from drake_oa.hardware.panda_station import PandaStation
@@ -31,9 +29,8 @@ from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
 from tests.hardware.lockstep import EPOCH, STEP
 
-TICK = 1e-3
+TICK, FREE_PERIOD = 1e-3, 0.01
 TICKS = round(STEP / TICK)
-FREE_PERIOD = 0.01
 Q_MAX = np.array([2.9007, 1.8361, 2.9007, -0.1169, 2.8763, 4.6216, 3.0508])
 Q_MIN = np.array([-2.9007, -1.8361, -2.9007, -3.0770, -2.8763, 0.4398, -3.0508])
 V_MAX = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
@@ -68,23 +65,26 @@ class Arm(BaseRobot):
     """Arm of a station, in place of the station's validator.
 
     Attributes:
-        motion: "async" and "direct" motions follow a client, "" brakes.
+        motion: "async": targets of a client; "direct": commands of each tick, from and to rest;
+            "": brakes.
         errors: errors of the last command.
         events: all errors.
     """
 
+    motion = ""
+
     def __init__(self, station: PandaStation, rate: float) -> None:
         super().__init__(has_gripper=False)
-        self._station, self._rate, self.motion = station, rate, ""
+        self._station, self._rate, station.validator = station, rate, self
         self.errors, self.events = list[str](), list[str]()
         self.update()
         self._commands = np.tile(self._state.q, (4, 1))
-        self._generator, self._out = Ruckig(7, TICK), OutputParameter(7)
-        self._in = InputParameter(7)
-        self._in.current_position, self._in.synchronization = self._state.q, Synchronization.No
-        self._in.max_acceleration, self._in.max_jerk = [A_MAX] * 7, [J_MAX] * 7
-        self.start(None)
-        self.motion, station.validator = "", self
+        self._generator, self._out = ruckig.Ruckig(7, TICK), ruckig.OutputParameter(7)
+        self.input = ruckig.InputParameter(7)
+        self.input.current_position = self._state.q
+        self.input.synchronization = ruckig.Synchronization.No
+        self.input.max_velocity = list(V_MAX)
+        self.input.max_acceleration, self.input.max_jerk = [A_MAX] * 7, [J_MAX] * 7
 
     def update(self) -> None:
         """Reads the state of the station's arm."""
@@ -92,27 +92,21 @@ class Arm(BaseRobot):
         state = status.joint_position, status.joint_velocity, status.joint_torque
         self._state = InnerRobotState(*map(tuple, state))
 
-    def start(self, speeds: list[float] | None) -> None:
-        """Starts an asynchronous motion with given maximum speeds, or a direct motion."""
-        self.motion = "async" if speeds else "direct"
-        self._in.max_velocity = speeds or list(V_MAX)
-
     def joint_position_control(self, target: Any, has_new_command: bool = True) -> None:
         """Generates, checks and executes the motion of one tick."""
-        target, q = np.asarray(target), self._commands[-1]
+        q = target if has_new_command else self._commands[-1]
         if self.motion != "direct":
-            kind = ControlInterface.Position if self.motion else ControlInterface.Velocity
-            self._in.control_interface, self._in.target_position = kind, list(target)
-            self._generator.update(self._in, self._out)
+            kinds = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
+            self.input.control_interface = kinds[self.motion == "async"]
+            self.input.target_position = list(target)
+            self._generator.update(self.input, self._out)
             q = np.array(self._out.new_position)
-        elif has_new_command:
-            q = target
         commands = np.vstack([self._commands[1:], q])
         self.errors = violations(target if self.motion else q, commands)
         self.events += self.errors
-        if not self.errors or not self.motion:
+        if not self.errors:
             self._commands = commands
-            self._out.pass_to_input(self._in) if self.motion != "direct" else None
+            self._out.pass_to_input(self.input) if self.motion != "direct" else None
         super().joint_position_control(self._commands[-1], has_new_command)
 
     def desired(self, now: float) -> tuple[np.ndarray, np.ndarray]:
@@ -136,17 +130,17 @@ class Move(protocol.MoveCommand):
     @classmethod
     def from_bytes(cls, data: bytes, *words: Any) -> Any:
         command: Any = super().from_bytes(data, *words)
-        is_async, *speeds = struct.unpack_from("<?7d", data, cls.STRUCT.size)
-        command.speeds = speeds if is_async else None
+        command.is_async, *command.speeds = struct.unpack_from("<?7d", data, cls.STRUCT.size)
         return command
 
     def handle(self, server: Any) -> None:
         if server.robot_state.robot_mode != protocol.RobotMode.kIdle:
             self.reply(protocol.MoveStatus.kCommandNotPossibleRejected)
-        elif self.speeds and (np.array(self.speeds) > V_MAX).any():
+        elif (np.array(self.speeds) > V_MAX).any():
             self.reply(protocol.MoveStatus.kInvalidArgumentRejected)
         else:
-            server.robot.start(self.speeds)
+            server.robot.motion = "async" if self.is_async else "direct"
+            server.robot.input.max_velocity = self.speeds if self.is_async else list(V_MAX)
             super().handle(server)
 
 
@@ -219,8 +213,8 @@ class FrankaSimulator(BaseSimulator):
 
     def __init__(self, name: str, overrides: list[str], url: str, **station: Any) -> None:
         super().__init__()
-        self.scenario, self._ticks = load_scenario(name, overrides), 0
-        self.station = PandaStation(self.scenario, DrakeLcm(url), waits=True, log=True, **station)
+        self._scenario, self._ticks = load_scenario(name, overrides), 0
+        self.station = PandaStation(self._scenario, DrakeLcm(url), waits=True, log=True, **station)
         self.arm = Arm(self.station, station.get("rate", 1.0))
 
     def _get_robots(self) -> list[BaseRobot]:
@@ -233,11 +227,12 @@ class FrankaSimulator(BaseSimulator):
             self.arm.update()
 
     def report(self) -> dict[str, Any]:
-        """Returns the report of the motion by true geometry."""
-        return motion_report(self.scenario, station_log(self.scenario, self.station))
+        """Returns the report of the motion by true geometry, errors, and the maximum delay [ms]."""
+        report = motion_report(self._scenario, station_log(self._scenario, self.station))
+        return report | {"errors": self.arm.events, "delay": max(self.arm.server.delays)}
 
 
-def serve(pipe: Connection, *words: Any) -> None:
+def serve(pipe: Any, *words: Any) -> None:
     """Simulates a robot, as the messages of a pipe demand: a word with values.
 
     After "run" robot time stands still between messages. After other messages it continues by
@@ -246,8 +241,7 @@ def serve(pipe: Connection, *words: Any) -> None:
     now, is_free = EPOCH, True
     simulator = FrankaSimulator(*words, clock=lambda: now)
     with simulator, simulation_server.SimulationServer(simulator) as server:
-        (controller,) = server.robot_servers
-        pipe.send(controller.hostname)
+        pipe.send(simulator.arm.hostname)
         while True:
             if is_free and not pipe.poll(FREE_PERIOD):
                 server.run_once(False)
@@ -258,32 +252,20 @@ def serve(pipe: Connection, *words: Any) -> None:
                 (now,) = values
                 for _ in range(TICKS):
                     server.run_once(False)
-                state, finished = simulator.arm.inner_state, simulator.station.is_finished
-                answer = (np.array(state.q), np.array(state.dq), finished)
+                state, is_finished = simulator.arm.inner_state, simulator.station.is_finished
+                answer = np.array(state.q), np.array(state.dq), simulator.arm.events, is_finished
             elif word == "mode":
-                (controller.mode,) = values
-            elif word == "report":
-                (reports,) = values
-                answer = simulator.arm.events, controller.delays, reports and simulator.report()
+                (simulator.arm.server.mode,) = values
             else:
-                getattr(controller, word)(*values)
+                owner = simulator if word == "report" else simulator.arm.server
+                answer = getattr(owner, word)(*values)
             pipe.send(answer)
 
 
-def main() -> None:
-    """Simulates a robot by the wall clock until it is at rest after a motion."""
-    parser = ArgumentParser()
-    parser.add_argument("scenario")
-    parser.add_argument("--rate", type=float, default=1.0)
-    words = parser.parse_args()
-    simulator = FrankaSimulator(words.scenario, [], LCM_URL, rate=words.rate, clock=time.time)
-    with simulator, simulation_server.SimulationServer(simulator) as server:
-        (controller,) = server.robot_servers
-        print(f"robot at {controller.hostname}", file=sys.stderr)
-        while not simulator.station.is_finished:
-            server.run_once(1.0 / words.rate)
-    print(simulator.arm.events, f"delay at most {max(controller.delays)} ms", simulator.report())
-
-
 if __name__ == "__main__":
-    main()
+    wall = FrankaSimulator(sys.argv[1], [], LCM_URL, rate=float(sys.argv[2]), clock=time.time)
+    with wall, simulation_server.SimulationServer(wall) as wall_server:
+        print(f"robot at {wall.arm.hostname}", file=sys.stderr)
+        while not wall.station.is_finished:
+            wall_server.run_once(1.0 / float(sys.argv[2]))
+    print(wall.report())
