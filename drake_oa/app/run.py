@@ -376,11 +376,12 @@ def _drive(this: _Run, lcm_url: str, rate: float, host: str | None) -> None:
         rate: maximum ratio of simulated time to wall time.
         host: address of a Franka Research 3; None: the arm communicates on the LCM bus.
     """
+    from drake_oa.hardware.command_streamer import Connect
     from drake_oa.hardware.hardware_station import arm_of
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, prepare_hardware
 
-    connect = None
+    connect: Connect | None = None
     if host:
         import_extra("pylibfranka", "franka")
         from drake_oa.hardware.franka_arm import FrankaArm

@@ -74,8 +74,8 @@ ERRORS = {
     "base_acceleration_initialization_timeout": _BASE,
     "base_acceleration_invalid_reading": _BASE,
 }
-"""Causes and remedies of the errors of the robot's controller, by name of the error. Other errors are
-those of Cartesian motions, forces and torques, which are not commanded here."""
+"""Causes and remedies of the errors of the robot's controller, by name of the error. Other errors
+are those of Cartesian motions, forces and torques, which are not commanded here."""
 
 
 class FrankaArm:
