@@ -14,6 +14,7 @@ These modules do not import any layer.
 - `compiled`: decorators of numba kernels, and the folder that caches the machine code of the
   kernels; `numba_tools`: the processor for which this code is generated.
 - `files`: atomic replacement of files, software versions and source digest of a result.
+- `bags`: ROS 2 messages, and the files to which they are written.
 - `console`: exit statuses, errors, tables and progress of the commands.
 
 Units are SI. Frames follow Drake's monogram notation. p_WE is the position of the tool point E in

@@ -75,15 +75,10 @@ def nanoseconds(time: float) -> int:
     return round(time * SECOND)
 
 
-def stamp(time: float) -> dict[str, int]:
-    """Returns the fields of a time message for a time [s]."""
-    second, rest = divmod(nanoseconds(time), SECOND)
-    return {"sec": second, "nanosec": rest}
-
-
 def header(time: float, frame: str = WORLD) -> dict[str, Any]:
     """Returns the fields of a message header with a stamp [s] and the name of a frame."""
-    return {"stamp": stamp(time), "frame_id": frame}
+    second, rest = divmod(nanoseconds(time), SECOND)
+    return {"stamp": {"sec": second, "nanosec": rest}, "frame_id": frame}
 
 
 def vector(values: Iterable[float]) -> dict[str, float]:

@@ -7,7 +7,8 @@ a velocity [m/s] and a constant track ID; the support plane; a stamp [s].
 
 Perception sources; the block `perception` of a scenario selects one of them:
 
-- `DepthPerception` (`!DepthCamera`, `!LcmCamera`): depth cameras, at the camera's rate;
+- `DepthPerception` (`!DepthCamera`, `!LcmCamera`, `!RecordedBag`): depth cameras, at the camera's
+  rate;
 - `GroundTruthPerception` (`!GroundTruth`): exact obstacles from SceneGraph, at 15 Hz;
 - `RecordedPerception` (`!RecordedClouds`): recorded files (`recordings`), at 15 Hz.
 

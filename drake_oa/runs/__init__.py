@@ -8,6 +8,7 @@ replay in Meshcat.
 - `simulation`: builds and simulates the diagram of a scenario until the motion has terminated and
   the world is at rest, and collects the log (`simulate`).
 - `motion_log`: the class `MotionLog`, and functions that write and read log files.
+- `bag_log`: the log as ROS 2 messages in a bag.
 - `metrics`: contacts, clearances and path length, computed from the true geometry.
 - `report`: the metrics of a run as JSON and as a table.
 - `plots`: plots of a logged run.

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from pydrake.math import RotationMatrix
@@ -31,6 +32,8 @@ from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.bag_images import quaternion
 
+_STEP = 8
+"""Number of instants from one clearance to the next, since their computation is slow."""
 _INFO = 20
 """Level of messages on /rosout."""
 _SPHERE, _DELETE_ALL = 2, 3
@@ -47,20 +50,19 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
         scenario: scenario of the log.
         log: log of the motion.
     """
-    metrics = motion_metrics(scenario, log)
     series = {
-        "/tool_clearance": metrics.tool_clearance,
-        "/robot_clearance": metrics.robot_clearance,
+        key: values
+        for key, values in log.arrays().items()
+        if values.dtype.kind == "f" and values.ndim in (1, 2) and len(values) == len(log.t)
     }
-    constants = {}
-    for key, values in log.arrays().items():
-        if values.dtype.kind == "f" and values.ndim in (1, 2) and len(values) == len(log.t):
-            series[f"/log/{key}"] = values
-        else:
-            constants[key] = values.tolist()
-    for topic, values in series.items():
+    sparse = replace(log, **{key: values[::_STEP] for key, values in series.items()})
+    metrics = motion_metrics(scenario, sparse)
+    rows = [(f"/log/{key}", log.t, values) for key, values in series.items()]
+    for key in ("tool_clearance", "robot_clearance"):
+        rows.append((f"/{key}", sparse.t, getattr(metrics, key)))
+    for topic, times, values in rows:
         kind = f"std_msgs/msg/Float64{'MultiArray' * (values.ndim - 1)}"
-        for time, value in zip(log.t if values.size else (), values, strict=False):
+        for time, value in zip(times if values.size else (), values, strict=False):
             bag.write(topic, kind, time, data=value)
     for row, time in enumerate(log.observation_time):
         markers = list(_markers(log.observation(row), header(time)))
@@ -74,6 +76,7 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
         for time, text in zip(getattr(log, f"{name}_time"), texts, strict=True):
             kind = "rcl_interfaces/msg/Log"
             bag.write("/rosout", kind, time, level=_INFO, name=name, msg=text)
+    constants = {k: v.tolist() for k, v in log.arrays().items() if k not in series}
     bag.write("/log/constants", "std_msgs/msg/String", 0.0, data=json.dumps(constants))
 
 

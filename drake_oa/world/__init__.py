@@ -13,6 +13,8 @@ is the camera (x right, y down, z forward).
 - `LiveCamera` outputs the images of a camera outside the simulation (`!LcmCamera`), with the
   capture time of each image and the plant state at that time. `depth_messages` packs, unpacks and
   receives depth images as LCM messages.
+- `BagCamera` replays the images of a bag of ROS 2 messages (`!RecordedBag`), and `ImageRecorder`
+  writes them; both are in `bag_images`.
 - `depth_noise` converts a true depth image to the image that a structured-light camera would
   measure (Nguyen, Izadi and Lovell 2012; Khoshelham and Oude Elberink 2012). It simulates steps of
   disparity, axial noise that is smooth over a few pixels, pixels without projected light, flying

@@ -75,15 +75,15 @@ class ImageRecorder(LeafSystem):
         K = depth_intrinsics(config).intrinsic_matrix()
         # In ROS the center of the first pixel is at 0.
         K[:2, 2] -= PIXEL_CENTER
-        P = K @ np.eye(3, 4)
         # Like the position in the file, the last pose belongs to the bag, not to the Context.
-        self._last_pose = RigidTransform()
-        self._matrices = {"k": K.ravel(), "r": np.eye(3).ravel(), "p": P.ravel()}
+        self._last_pose: RigidTransform | None = None
+        self._matrices = {"k": K.ravel(), "r": np.eye(3).ravel(), "p": (K @ np.eye(3, 4)).ravel()}
         self._image = AbstractInput(self, "depth_image", ImageDepth32F)
         self._pose = AbstractInput(self, "camera_pose", RigidTransform)
         self._stamp = self.DeclareVectorInputPort("image_stamp", 1)
-        states = plant.num_multibody_states()
-        self._state = self.DeclareVectorInputPort("plant_state_at_image", states)
+        self._state = self.DeclareVectorInputPort(
+            "plant_state_at_image", plant.num_multibody_states()
+        )
         self.DeclareInitializationPublishEvent(self._write)
         period = 1.0 / config.fps
         offset = first_update(period, config.output_delay)
@@ -99,24 +99,28 @@ class ImageRecorder(LeafSystem):
         kind = "sensor_msgs/msg/JointState"
         write("/joint_states", kind, stamp, name=self._joints, position=q, velocity=v)
         X_WC = self._pose.read(context)
-        if not X_WC.IsExactlyEqualTo(self._last_pose):
+        if self._last_pose is None or not X_WC.IsExactlyEqualTo(self._last_pose):
             self._last_pose = X_WC
             rotation = quaternion(X_WC.rotation())
             pose = {"translation": vector(X_WC.translation()), "rotation": rotation}
             item = {"header": header(stamp), "child_frame_id": self._name, "transform": pose}
             write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
         image: Any = self._image.read(context)
-        depth = np.where(image.data == 0.0, -np.inf, image.data).astype(np.float32)
+        depth = np.array(image.data)
+        depth[depth == 0.0] = -np.inf
         size = {"height": len(depth), "width": depth.shape[1]}
         kind = "sensor_msgs/msg/CameraInfo"
         write(f"{topic}/camera_info", kind, stamp, self._name, **size, **self._matrices)
-        pixels = {
-            "encoding": "32FC1",
-            "step": depth.strides[0],
-            "data": depth.view(np.uint8).ravel(),
-        }
-        kind = "sensor_msgs/msg/Image"
-        write(f"{topic}/image_rect_raw", kind, stamp, self._name, **size, **pixels)
+        write(
+            f"{topic}/image_rect_raw",
+            "sensor_msgs/msg/Image",
+            stamp,
+            self._name,
+            encoding="32FC1",
+            step=depth.strides[0],
+            data=depth.view(np.uint8).ravel(),
+            **size,
+        )
 
 
 def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
@@ -198,7 +202,8 @@ def _check_topics(reader: Any, source: RecordedBag) -> None:
     kinds = {one.topic: one.msgtype for one in reader.connections if one.msgcount}
     required = {"depth_topic": "Image", "info_topic": "CameraInfo", "joint_topic": "JointState"}
     problems = [
-        f"perception.{field}: the bag has no sensor_msgs/msg/{kind} on {topic}; it has {kinds}"
+        f"perception.{field}: {topic} has {kinds.get(topic, 'no messages')}, not "
+        f"sensor_msgs/msg/{kind}; the bag has {', '.join(sorted(kinds)) or 'no topics'}"
         for field, kind in required.items()
         if (topic := getattr(source, field)) and kinds.get(topic) != f"sensor_msgs/msg/{kind}"
     ]
@@ -224,7 +229,7 @@ def _frames(
     transforms: dict[str, Any] = {}
     last: dict[str, int] = {}
     known: dict[str, Any] = {}
-    first, latest, unknown = -1, 0, (np.nan, np.nan)
+    first, latest = -1, 0
     for topic, message in chain(
         messages("/tf_static"),
         # The first image may precede all states.
@@ -253,11 +258,11 @@ def _frames(
             latest = stamp
             continue
         first = stamp if first < 0 else first
-        time = _exact_time((stamp - first) / SECOND, period)
-        depth = _depth(message, source, intrinsics)
         X_WC = given or _pose(transforms, message.header.frame_id)
-        state = np.transpose([known.get(joint, unknown) for joint in joints])
+        state = np.transpose([known.get(joint, [np.nan] * 2) for joint in joints])
         state[0] += (stamp - latest) / SECOND * state[1]
+        depth = _depth(message, source, intrinsics)
+        time = _exact_time((stamp - first) / SECOND, period)
         yield BagFrame(time, depth, intrinsics, X_WC, state.ravel())
 
 
@@ -402,12 +407,11 @@ class BagCamera(TimedCamera):
     def pose(self, context: Context) -> RigidTransform:
         """Returns the pose X_WC of the camera at the present image."""
         X_WC = self._read(context).X_WC
-        is_same = X_WC.IsNearlyEqualTo(self._exact, _ROUNDING)
-        return self._exact if is_same else X_WC
+        return self._exact if X_WC.IsNearlyEqualTo(self._exact, _ROUNDING) else X_WC
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
         """Returns the stamp of the present image [s], and the plant state (n,) at the stamp."""
         frame, state = self._read(context), np.array(self._state_port.Eval(context))
-        present = state[self._rows]
-        state[self._rows] = np.where(np.isnan(frame.state), present, frame.state)
+        is_known = np.isfinite(frame.state)
+        state[self._rows[is_known]] = frame.state[is_known]
         return frame.time, state
