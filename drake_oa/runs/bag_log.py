@@ -38,7 +38,7 @@ _INFO = 20
 """Level of messages on /rosout."""
 _SPHERE, _DELETE_ALL = 2, 3
 """Type of a marker, and the action that removes all markers."""
-_COLOR = {"r": 0.82, "g": 0.29, "b": 0.36, "a": 0.4}
+_COLOR = {"r": 0.8, "a": 0.4}
 """Color and opacity of the markers of obstacles."""
 
 
@@ -55,7 +55,7 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
         for key, values in log.arrays().items()
         if values.dtype.kind == "f" and values.ndim in (1, 2) and len(values) == len(log.t)
     }
-    sparse = replace(log, **{key: values[::_STEP] for key, values in series.items()})
+    sparse = replace(log, **{key: getattr(log, key)[::_STEP] for key in series})
     metrics = motion_metrics(scenario, sparse)
     rows = [(f"/log/{key}", log.t, values) for key, values in series.items()]
     for key in ("tool_clearance", "robot_clearance"):

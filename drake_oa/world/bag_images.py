@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, islice, zip_longest
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,8 +104,7 @@ class ImageRecorder(LeafSystem):
             pose = {"translation": vector(X_WC.translation()), "rotation": rotation}
             item = {"header": header(stamp), "child_frame_id": self._name, "transform": pose}
             write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
-        image: Any = self._image.read(context)
-        depth = np.array(image.data)
+        depth = np.array(self._image.read(context).data)
         depth[depth == 0.0] = -np.inf
         size = {"height": len(depth), "width": depth.shape[1]}
         kind = "sensor_msgs/msg/CameraInfo"
@@ -185,7 +183,7 @@ def read_frames(
     with field_errors("perception", ValueError):
         rosbag2 = import_extra("rosbags.rosbag2", "bags")
     try:
-        with rosbag2.Reader(Path(source.path)) as reader:
+        with rosbag2.Reader(source.path) as reader:
             _check_topics(reader, source)
             yield from _frames(reader, source, joints, period)
     except ScenarioError:
@@ -253,8 +251,8 @@ def _frames(
         last[topic] = stamp
         if topic == source.joint_topic:
             # A message may name only some joints; velocities are optional.
-            values = zip_longest(message.position, message.velocity, fillvalue=0.0)
-            known |= zip(message.name, values, strict=True)
+            states = zip_longest(message.position, message.velocity, fillvalue=0.0)
+            known |= zip(message.name, states, strict=True)
             latest = stamp
             continue
         first = stamp if first < 0 else first
@@ -295,8 +293,11 @@ def _depth(message: Any, source: RecordedBag, intrinsics: CameraInfo) -> NDArray
         )
     kind = np.dtype(_ENCODINGS[encoding]).newbyteorder(">" if message.is_bigendian else "<")
     rows = message.data.reshape(height, message.step)
-    depth = metric_depth(rows[:, : width * kind.itemsize].view(kind))
-    depth[depth < 0.0] = 0.0
+    depth = rows[:, : width * kind.itemsize].view(kind)
+    # An image in which every pixel is measured or NaN is used without a copy.
+    if kind.kind == "u" or (depth <= 0.0).any():
+        depth = metric_depth(depth)
+        depth[depth < 0.0] = 0.0
     return depth
 
 
