@@ -75,10 +75,11 @@ class Arm(BaseRobot):
 
     def __init__(self, station: PandaStation, rate: float) -> None:
         super().__init__(has_gripper=False)
-        self._station, self._rate, station.validator = station, rate, self
+        self._station, self._rate = station, rate
         self.errors, self.events = list[str](), list[str]()
         self.update()
         self._commands = np.tile(self._state.q, (4, 1))
+        station.validator = self
         self._generator, self._out = ruckig.Ruckig(7, TICK), ruckig.OutputParameter(7)
         self.input = ruckig.InputParameter(7)
         self.input.current_position = self._state.q
