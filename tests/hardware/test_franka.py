@@ -60,7 +60,9 @@ class Simulation:
     def connect(self) -> RobotLink:
         """Ends the last connection, and returns the link of a new one."""
         self.ask("mode", "")
-        self.arm = self._streamer = None
+        if self.arm is not None:
+            # Records of the log hold exceptions, and with them the connection.
+            self.arm._handler = self.arm._robot = None
         gc.collect()
         self.link = RobotLink(self.url, wait=self.step, clock=self.clock, address=self.host)
         speeds, trajectory = self.limits.velocity_limit.tolist(), self.link.trajectory
