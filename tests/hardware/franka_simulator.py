@@ -12,6 +12,7 @@ limits.
 import struct
 import sys
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -241,7 +242,7 @@ def serve(pipe: Any, *words: Any) -> None:
     """
     now, is_free = EPOCH, True
     simulator = FrankaSimulator(*words, clock=lambda: now)
-    with simulator, simulation_server.SimulationServer(simulator) as server:
+    with simulator, simulation_server.SimulationServer(simulator) as server, suppress(EOFError):
         pipe.send(simulator.arm.hostname)
         while True:
             if is_free and not pipe.poll(FREE_PERIOD):
