@@ -58,9 +58,8 @@ def play(
 
     loaded_scenario = open_scenario(scenario, overrides, log)
     with build_errors():
-        contacts = end_contacts(loaded_scenario)
-    if contacts:
-        raise ValueError(contacts)
+        if contacts := end_contacts(loaded_scenario):
+            raise ValueError(contacts)
     with (
         build_errors(),
         reserved_log(log, no_log, f"{scenario_name(scenario)}_played") as file,

@@ -348,11 +348,8 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
         if contacts := end_contacts(this.scenario):
             raise ValueError(contacts)
         # Errors of the avoiding motion are reported before the first one is simulated.
-        built = build_avoidance(
-            this.scenario,
-            meshcat=this.meshcat,
-            customize=partial(record_images, this.bag, this.scenario) if this.bag else None,
-        )
+        customize = partial(record_images, this.bag, this.scenario) if this.bag else None
+        built = build_avoidance(this.scenario, meshcat=this.meshcat, customize=customize)
     panel = _open_panel(this)
     run_motion = partial(simulate, this.scenario, duration=this.duration)
     _add_motion(this, "nominal", partial(run_motion, avoid_obstacles=False))
@@ -404,10 +401,8 @@ def _drive(this: _Run, lcm_url: str, rate: float, host: str | None) -> None:
         this.scenario = driven.known_scenario
         panel = _open_panel(this)
         _add_motion(this, "avoiding", partial(drive, driven, link, duration=this.duration), panel)
-        print(
-            f"maximum tracking error of the arm: {link.trajectory.max_tracking_error:.3f} rad",
-            file=sys.stderr,
-        )
+        error = link.trajectory.max_tracking_error
+        print(f"maximum tracking error of the arm: {error:.3f} rad", file=sys.stderr)
 
 
 def _add_motion(
@@ -498,9 +493,6 @@ def _open_panel(this: _Run) -> LivePanel | None:
 class Terminated(KeyboardInterrupt):
     """Exception for the signals SIGTERM and SIGHUP, which commands handle like Ctrl-C."""
 
-    def __str__(self) -> str:
-        return "terminated"
-
 
 @contextlib.contextmanager
 def stop_between_steps() -> Iterator[Callable[[], None]]:
@@ -513,28 +505,24 @@ def stop_between_steps() -> Iterator[Callable[[], None]]:
     Yields:
         Function to call between two steps: it raises the exception of a signal that has arrived.
     """
-    requested: list[type[KeyboardInterrupt]] = []
+    requested: list[KeyboardInterrupt] = []
 
     def request_stop(number: int, _: FrameType | None) -> None:
-        kind = KeyboardInterrupt if number == signal.SIGINT else Terminated
+        stop = KeyboardInterrupt() if number == signal.SIGINT else Terminated("terminated")
         if requested:
-            raise kind
-        requested.append(kind)
-        hint = "Ctrl-C again stops at once" if kind is KeyboardInterrupt else "terminated"
+            raise stop
+        requested.append(stop)
+        hint = str(stop) or "Ctrl-C again stops at once"
         print(f"\nstopping after this step ({hint}) ...", file=sys.stderr)
 
     def raise_if_requested() -> None:
         if requested:
             raise requested[0]
 
-    before = {
-        number: signal.getsignal(number)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    for number, handler in before.items():
-        # nohup ignores SIGHUP.
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, request_stop)
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    # nohup ignores SIGHUP.
+    handled = [number for number in signals if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, request_stop) for number in handled}
     try:
         yield raise_if_requested
     finally:

@@ -96,12 +96,8 @@ def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetr
         p_WE: (T, 3) positions of the point in the world [m].
         ellipsoids: obstacles; those with zero velocity are the resting ones.
     """
-    if len(ellipsoids) == 0:
-        clearance = np.full((len(p_WE), 0), np.inf)
-    else:
-        clearance = signed_distance(
-            p_WE[:, None, :], ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
-        )
+    shapes = ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
+    clearance = signed_distance(p_WE[:, None], *shapes)
     nearest = clearance.min(axis=1, initial=np.inf)
     resting = clearance[:, ~ellipsoids.v_WO.any(axis=1)].min(axis=1, initial=np.inf)
     names = np.array([f"tool point - ellipsoid {i}" for i in ellipsoids.ids], dtype=str)
@@ -174,10 +170,10 @@ class ClearanceEvaluator:
             ScenarioError: if the station cannot be built.
         """
         builder = DiagramBuilder()
-        self._station = make_station(builder, scenario, render=False)
+        self._station = station = make_station(builder, scenario, render=False)
         self._diagram = builder.Build()  # Owns plant and scene graph.
         self._trajectories = deepcopy(scenario.obstacles)
-        self._plant, graph = self._station.plant, self._station.scene_graph
+        self._plant, graph = station.plant, station.scene_graph
         self._root = self._diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._root)
         self._q_world = self._plant.GetPositions(self._plant_context)
@@ -190,11 +186,7 @@ class ClearanceEvaluator:
             for geometry_id in self._plant.GetCollisionGeometriesForBody(body)
         }
         robot = {g: body for g, body in self._body.items() if self._is_robot(g)}
-        obstacles = {
-            g: body
-            for g, body in self._body.items()
-            if body.model_instance() in self._station.obstacles
-        }
+        obstacles = {g: b for g, b in self._body.items() if b.model_instance() in station.obstacles}
         inspector = graph.model_inspector()
         self._robot_balls = _Balls(inspector, robot)
         self._obstacle_balls = _Balls(inspector, obstacles)
@@ -237,10 +229,9 @@ class ClearanceEvaluator:
         clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
         for row, positions in enumerate(q):
             query = self._query_at(positions, q_world[row])
-            for series, hits in zip(
-                (contacts, self_contacts), self._deepest_hits(query), strict=True
-            ):
-                series.append({pair: hit.depth for pair, hit in hits.items()})
+            hits, self_hits = self._deepest_hits(query)
+            contacts.append({pair: hit.depth for pair, hit in hits.items()})
+            self_contacts.append({pair: hit.depth for pair, hit in self_hits.items()})
             clearance[:, row] = self._clearances(query)
             p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
         return _metrics(contacts, self_contacts, clearance, p_WE)

@@ -270,12 +270,8 @@ class PlaySession:
             return
         self._end_leg()
         self._refusal = ""
-        self._active_settings, self._active_scenario, self._evaluator = (
-            settings,
-            scenario,
-            evaluator,
-        )
-        self._simulator, self._monitor = simulator, monitor
+        self._active_settings, self._active_scenario = settings, scenario
+        self._evaluator, self._simulator, self._monitor = evaluator, simulator, monitor
         self._panel = LivePanel(self.page, scenario, avoid_obstacles)
         simulator.Initialize()
         simulator.set_monitor(monitor)

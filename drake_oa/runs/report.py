@@ -29,9 +29,6 @@ TOLERANCE = 1e-3
 _CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
 """Keys in the report for the lists of contacts, with the names of the attributes of
 `MotionMetrics`."""
-_LATENCY_KEYS = {"verification": "decision_latency", "guard": "guard_latency"}
-"""Keys in the report for statistics of decision latencies, by the name of the layer that decides.
-"""
 
 
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
@@ -127,6 +124,7 @@ def motion_report(
     nearest = min_clearance(metrics.robot_clearance)
     shortfall = 0.0 if resting is None else max(achievable_clearance - resting, 0.0)
     is_verified = log.inference == "Verified"
+    reduction = float(log.clearance_reduction.max(initial=0.0))
     is_measured = nearest is not None or not isinstance(scenario.perception, LcmCamera)
     return {
         "collisions": len(metrics.contacts) if is_measured or metrics.contacts else None,
@@ -146,16 +144,12 @@ def motion_report(
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
         "inference": log.inference or None,
         "predicted_shortfall": float(log.shortfall.max(initial=0.0)) if is_verified else None,
-        "clearance_reduction": float(log.clearance_reduction.max(initial=0.0))
-        if is_verified
-        else None,
+        "clearance_reduction": reduction if is_verified else None,
         "sources": time_fractions(log, log.motion_source, SOURCES) if is_verified else None,
         "guard_actions": time_fractions(log, log.guard_action, ACTIONS),
         "guard_claims": time_fractions(log, log.guard_claim, CLAIMS),
-        **{
-            key: latency_statistics(layer_latencies(log, layer), period)
-            for layer, key in _LATENCY_KEYS.items()
-        },
+        "decision_latency": latency_statistics(layer_latencies(log), period),
+        "guard_latency": latency_statistics(layer_latencies(log, "guard"), period),
         "stop_reason": log.stop_reason,
         "ended": log.ended,
         "settled": log.settled,
@@ -355,13 +349,11 @@ def _notes(motion: str, metrics: dict[str, Any]) -> list[str]:
         metrics: result of `motion_report` for this motion.
     """
     notes = []
-    requested = metrics["requested_clearance"]
-    achievable_clearance = (
-        requested if metrics["achievable_clearance"] is None else metrics["achievable_clearance"]
-    )
-    if requested - achievable_clearance > TOLERANCE:
+    requested, achievable = metrics["requested_clearance"], metrics["achievable_clearance"]
+    reduction = 0.0 if achievable is None else requested - achievable
+    if reduction > TOLERANCE:
         notes.append(
-            f"note: at start or goal {achievable_clearance:.3f} m of the requested "
+            f"note: at start or goal {achievable:.3f} m of the requested "
             f"{requested:g} m are achievable"
         )
     if metrics["self_contacts"]:
@@ -378,9 +370,7 @@ def _notes(motion: str, metrics: dict[str, Any]) -> list[str]:
             f"warning: {motion}: minimum clearance {metrics['resting_clearance_min']:.3f} m to "
             f"resting obstacles, shortfall {1e3 * metrics['clearance_shortfall']:.1f} mm"
         )
-    if (metrics["clearance_reduction"] or 0.0) > max(
-        TOLERANCE, requested - achievable_clearance + TOLERANCE
-    ):
+    if (metrics["clearance_reduction"] or 0.0) > TOLERANCE + max(reduction, 0.0):
         notes.append(
             f"note: {motion}: requested clearance reduced by up to "
             f"{1e3 * metrics['clearance_reduction']:.1f} mm: an obstacle was perceived nearer to "

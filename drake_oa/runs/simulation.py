@@ -226,7 +226,7 @@ class MotionMonitor:
         self._end_time = time_limit if duration is None else duration
         self._goal = goal_at(scenario.task, self._last_move)
         self._latest_end = MAX_NORMALIZED_TIME
-        self._hold_start: float | None = None
+        self._hold_start = math.inf
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
@@ -336,13 +336,9 @@ class MotionMonitor:
             if error <= AT_GOAL:
                 # The coupling terms of `!Paper` act near the goal, so the motion creeps there.
                 return GOAL_OUTCOME
-            return MotionOutcome(
-                MotionEnd.MISSED, f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}"
-            )
-        if (
-            self._hold_start is not None
-            and now - max(self._hold_start, self._last_move) > MAX_HOLD_TIME
-        ):
+            reason = f"goal missed by {1e3 * error:.1f} mm at s = {s:.3g}"
+            return MotionOutcome(MotionEnd.MISSED, reason)
+        if now - max(self._hold_start, self._last_move) > MAX_HOLD_TIME:
             reason = f"held for {MAX_HOLD_TIME:g} s: {policy.note}"
             return MotionOutcome(MotionEnd.HELD, reason)
         return self._time_limit() if now >= self._end_time else None
@@ -398,9 +394,9 @@ class MotionMonitor:
             self._last_supervision = current
             self.supervision.append((now, *current))
         if policy.hold in (HoldReason.NONE, HoldReason.DECIDING):
-            self._hold_start = None
-        elif self._hold_start is None:
-            self._hold_start = now
+            self._hold_start = math.inf
+        else:
+            self._hold_start = min(self._hold_start, now)
         frame = self._ellipsoids(root)
         if frame.stamp > -math.inf and (not self.frames or frame.stamp != self.frames[-1].stamp):
             self.frames.append(frame)

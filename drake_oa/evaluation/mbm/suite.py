@@ -202,16 +202,11 @@ def mbm_metrics(
         metrics: `panda_metrics` of each set's suite.
     """
     first = results[0].suite
-    joint_metrics = methods_metrics(
-        {
-            method: {
-                (of.suite.kind, scene): run
-                for of in results
-                for scene, run in of.runs[method].items()
-            }
-            for method in first.methods
-        }
-    )
+    runs = {
+        method: {(of.suite.kind, n): run for of in results for n, run in of.runs[method].items()}
+        for method in first.methods
+    }
+    joint_metrics = methods_metrics(runs)
     for method, entry in joint_metrics["methods"].items():
         entry["perception"] = first.perception_of(method)
     shared = ("perception", "duration", "jobs", "versions")

@@ -191,12 +191,9 @@ def is_unobserved(
     remaining = np.flatnonzero(unseen)
     # Compute distances in parts, since all at once would require gigabytes of memory.
     for rows in np.array_split(remaining, len(remaining) // 10_000 + 1):
-        in_solid = (
-            least_distances(geometries, places[rows], 0.0, _SURFACE_MARGIN, -np.inf)
-            < _SURFACE_MARGIN
-        )
+        distance = least_distances(geometries, places[rows], 0.0, _SURFACE_MARGIN, -np.inf)
         in_arm = (cdist(places[rows], arm[0]) < arm[1] + _SURFACE_MARGIN).any(axis=1)
-        unseen[rows] = ~(in_solid | in_arm)
+        unseen[rows] = (distance >= _SURFACE_MARGIN) & ~in_arm
     return unseen
 
 

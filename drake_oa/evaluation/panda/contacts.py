@@ -251,8 +251,7 @@ def observation_times(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatA
         is_own = np.linalg.norm(observed.p_WO - center - offset, axis=1) <= radius
         error = np.linalg.norm(observed.v_WO[is_own] - velocity, axis=1)
         seen = min(seen, time) if is_own.any() else seen
-        if error.min(initial=np.inf) <= max(
-            VELOCITY_TOLERANCE * float(np.linalg.norm(velocity)), AT_REST
-        ):
+        max_error = max(VELOCITY_TOLERANCE * float(np.linalg.norm(velocity)), AT_REST)
+        if error.min(initial=np.inf) <= max_error:
             known.append(time)
     return seen, np.array(known)

@@ -105,8 +105,8 @@ def make_collision_checker(
     *,
     tool_padding: float,
     link_padding: float,
-    world_padding: float,
-    self_padding: float,
+    world_padding: float = 0.0,
+    self_padding: float = 0.0,
 ) -> SceneGraphCollisionChecker:
     """Makes Drake's collision checker of a scenario's world, with one padding for each kind of
     pairs.

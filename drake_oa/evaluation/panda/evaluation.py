@@ -469,9 +469,7 @@ def evaluate_panda(
         for method in suite.methods
     }
     results, stored_count = resumed(tasks, folder, workers)
-    runs: dict[str, dict[int, dict[str, Any]]] = {method: {} for method in suite.methods}
-    for (method, scene), result in results.items():
-        runs[method][scene] = result
+    runs = {of: {scene: results[of, scene] for scene in scenarios} for of in suite.methods}
     return PandaResults(suite, scenarios, runs, stored_count)
 
 

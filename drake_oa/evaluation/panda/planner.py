@@ -162,13 +162,7 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
     )
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(1 + scenario.seed)
-    checker = make_collision_checker(
-        scenario,
-        tool_padding=clearance,
-        link_padding=clearance,
-        world_padding=0.0,
-        self_padding=0.0,
-    )
+    checker = make_collision_checker(scenario, tool_padding=clearance, link_padding=clearance)
     of_robot, n = make_robot_plant(robot_of(scenario)).limits, len(robot_of(scenario).q_seed)
     lower, upper, checked_count = of_robot.position_lower[:n], of_robot.position_upper[:n], 0
 
@@ -309,9 +303,8 @@ def find_motion(
         legs = np.clip(np.stack([q, q + way], axis=1), chain.lower, chain.upper)
         switch = random.integers(0, _MAX_WAIT + 1, _BATCH)
         motions = bang_motions(world, q, np.zeros_like(q), legs, switch, _MOTION_STEPS)
-        counts = clear_steps(
-            world, motions, np.array([len(motion) - 1 for motion in longest_motions])
-        )
+        first = np.array([len(motion) - 1 for motion in longest_motions])
+        counts = clear_steps(world, motions, first)
         n_configurations += _BATCH + int(counts.sum())
         grown = zip(longest_motions, motions, counts, strict=True)
         new = [

@@ -181,19 +181,12 @@ class SceneArm:
             t: (T,) times [s], or one time for all joint positions.
         """
         placed = [obstacle_geometries(obstacles, time) for time in np.atleast_1d(t)]
-        return np.stack(
-            [
-                group_distances(
-                    self._chain,
-                    self._spheres,
-                    placed[row % len(placed)],
-                    q[None, row % len(q)],
-                    0.0,
-                    np.inf,
-                )
-                for row in range(max(len(q), len(placed)))
-            ]
-        )
+        count, arm = max(len(q), len(placed)), (self._chain, self._spheres)
+        at_times = [
+            group_distances(*arm, placed[row % len(placed)], q[None, row % len(q)], 0.0, np.inf)
+            for row in range(count)
+        ]
+        return np.stack(at_times)
 
     def centers(self, q: FloatArray, joints: range) -> FloatArray:
         """Computes centers of the spheres on some of the arm's links along a joint motion.

@@ -23,6 +23,7 @@ from drake_oa.evaluation.panda.scene_arm import (
     base_scenario,
     scene_arm,
 )
+from drake_oa.geometry.collision_scene import CORNERS
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
 from drake_oa.scenario.obstacles import Obstacle
 
@@ -142,8 +143,7 @@ def extent(shape: Shape) -> tuple[float, float]:
     if isinstance(shape, Cylinder) and not any(shape.rpy):
         return shape.radius, 0.5 * shape.length
     size = shape.size if isinstance(shape, Box) else [2 * shape.radius] * 2 + [shape.length]
-    corners = 0.5 * np.array(size) * np.array(np.meshgrid(*[[-1, 1]] * 3)).T.reshape(-1, 3)
-    x, y, z = pose(shape).rotation() @ corners.T
+    x, y, z = pose(shape).rotation() @ (0.5 * np.array(size) * CORNERS).T
     return np.hypot(x, y).max(), z.max()
 
 

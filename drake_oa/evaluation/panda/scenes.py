@@ -226,11 +226,8 @@ def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Ob
         number: number of the obstacle, which determines its name and color.
     """
     point, away = random.choice(places)
-    x, y, z = (
-        point
-        + random.uniform(*_AWAY_DISTANCES) * away
-        + random.uniform(-_MAX_OFFSET, _MAX_OFFSET, 3)
-    )
+    point = point + random.uniform(*_AWAY_DISTANCES) * away
+    x, y, z = point + random.uniform(-_MAX_OFFSET, _MAX_OFFSET, 3)
     z = np.clip(z, *_HEIGHTS)
     edges = random.uniform(0.05, 0.12, 3).tolist()
     kind = ("post", "board", "stand")[random.integers(3)]
@@ -348,25 +345,17 @@ def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(kinds))
 
 
-def draw_panda_scene(
-    seed: int,
-    index: int,
-    *,
-    kind: str = "tabletop",
-    perception: str = "depth",
-) -> Scenario:
+def draw_panda_scene(seed: int, index: int, *, kind: str = "tabletop") -> Scenario:
     """Draws a random scene of the Panda and returns it as a scenario, the configuration of a
     simulation.
 
-    The same arguments give the same scene.
+    The same arguments give the same scene. One depth camera observes it: that of the shipped
+    scenario if obstacles rest, or `cameras.ONE_CAMERA` if they move.
 
     Args:
         seed: seed of the evaluation, >= 0.
         index: index of the scene, >= 0.
         kind: kind of scenes, from `KINDS`.
-        perception: "depth": one depth camera, that of the shipped scenario if obstacles rest, or
-            `cameras.ONE_CAMERA` if they move. "depth2": the pair `cameras.TWO_CAMERAS`. "truth":
-            exact obstacles.
 
     Raises:
         RuntimeError: if no scene is found within the maximum number of motions.
@@ -390,7 +379,7 @@ def draw_panda_scene(
     scenario.task.start, scenario.task.goal = motion.start.tolist(), motion.goal.tolist()
     scenario.task.rpy_start = scenario.task.rpy_goal = motion.rpy_WE
     scenario.description = f"random {kind} scene {index} of seed {seed}"
-    return with_perception(scenario, perception)
+    return scenario
 
 
 def with_perception(scenario: Scenario, perception: str) -> Scenario:
@@ -398,7 +387,7 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
     ground truth.
 
     Args:
-        scenario: scene, drawn with the perception "depth".
+        scenario: scene, drawn by `draw_panda_scene`.
         perception: name of the source, from `PERCEPTIONS`.
     """
     if perception == "depth2":

@@ -151,6 +151,7 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         for run in runs
         for pair in {*run["self_contacts"], *(of.rstrip("0123456789") for of in run["contacts"])}
     )
+    latencies = [cost for run in runs for cost in run.get("decision_latencies", ())]
     sources = Counter(source for run in runs for source in run["sources"] or ())
 
     def of(statistic: Callable[..., Any], key: str) -> float | None:
@@ -166,18 +167,14 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "sources": dict(sources.most_common()),
         "contact_pairs": dict(sorted(pairs.items(), key=lambda item: (-item[1], item[0]))),
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
-        **{
-            key: sum(event[key] for event in events)
-            for key in ("avoidable_by_physics", "avoidable_by_view")
-        },
+        "avoidable_by_physics": sum(event["avoidable_by_physics"] for event in events),
+        "avoidable_by_view": sum(event["avoidable_by_view"] for event in events),
         "claim_A": over(sum, (counts["A"] for counts in claims)),
         "claim_B": over(sum, (counts["B"] for counts in claims)),
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
         "shortfall_count": sum((run["clearance_shortfall"] or 0.0) > TOLERANCE for run in runs),
         "duration_median": of(np.median, "duration"),
-        "decision_latency": latency_statistics(
-            [cost for run in runs for cost in run.get("decision_latencies", ())], np.inf
-        ),
+        "decision_latency": latency_statistics(latencies, np.inf),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
         "robot_clearance_min": of(min, "robot_clearance_min"),

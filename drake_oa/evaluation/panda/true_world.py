@@ -81,13 +81,12 @@ def make_true_world(scenario: Scenario, clearance: float = 0.0) -> TrueWorld:
     of_geometries = np.full((len(spheres.group_joint), len(samples[-1].ball)), clearance)
     of_geometries[spheres.group_joint < 0] = -math.inf
     required = ClearanceRequirements(of_geometries, clearance, spheres.of_tool[spheres.first[:-1]])
+    acceleration = plant.GetAccelerationUpperLimits()[chain.q_index]
     return TrueWorld(
         ArmCollisionModel(chain, spheres, samples[-1], required, 0.0),
         np.array([sample.ball for sample in samples]),
         np.array([sample.X_WO for sample in samples]),
-        np.nan_to_num(
-            plant.GetAccelerationUpperLimits()[chain.q_index], posinf=_DEFAULT_ACCELERATION
-        ),
+        np.nan_to_num(acceleration, posinf=_DEFAULT_ACCELERATION),
     )
 
 

@@ -243,12 +243,9 @@ def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
     rows = []
     for gamma in GAMMAS:
         row = {"gamma": gamma}
-        for name, parameters in (
-            ("original", (gamma, BETA, 0.0)),
-            ("dead_zone_free", (*matched_term(gamma), 0.0)),
-        ):
-            is_original = name == "original"
-            motions = released_motions(scenes, setting, np.array(parameters), original=is_original)
+        for name, term in (("original", (gamma, BETA)), ("dead_zone_free", matched_term(gamma))):
+            parameters, original = np.array((*term, 0.0)), name == "original"
+            motions = released_motions(scenes, setting, parameters, original=original)
             clearance = evaluate_motions(scenes, motions).min_clearance
             row[f"{name}_head_on"] = float(clearance[0])
             row[f"{name}_collisions"] = int((clearance <= 0.0).sum())

@@ -8,7 +8,7 @@ import pytest
 
 from drake_oa.evaluation.panda.contacts import contact_events, observation_times
 from drake_oa.evaluation.panda.evaluation import Criteria, run_and_evaluate
-from drake_oa.evaluation.panda.scenes import draw_panda_scene
+from drake_oa.evaluation.panda.scenes import draw_panda_scene, with_perception
 from drake_oa.evaluation.panda.true_world import make_true_world
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import pack_ellipsoids
@@ -129,7 +129,7 @@ def test_velocity_is_correct_within_20_percent(struck, error, aside, is_known):
 
 
 def test_contacts_of_a_nominal_run_are_evaluated_end_to_end():
-    scenario = draw_panda_scene(0, 0, kind="moving_hard", perception="truth")
+    scenario = with_perception(draw_panda_scene(0, 0, kind="moving_hard"), "truth")
     touched = run_and_evaluate(scenario, "nominal", "truth", criteria=Criteria(has_drp_rules=True))
     # Also by the rules of DRPBench.
     assert touched["outcome"] == touched["drp_outcome"] == "contact"

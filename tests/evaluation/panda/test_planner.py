@@ -14,7 +14,7 @@ from drake_oa.evaluation.panda.planner import (
     goal_positions,
     run_planner,
 )
-from drake_oa.evaluation.panda.scenes import draw_panda_scene
+from drake_oa.evaluation.panda.scenes import draw_panda_scene, with_perception
 from drake_oa.evaluation.panda.true_world import STEP, make_true_world
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.scenario.end_poses import end_positions
@@ -84,7 +84,7 @@ def _check(scenario, motion, index, goals):
 
 
 def test_motion_in_a_random_scene_is_collision_free():
-    scenario = draw_panda_scene(0, 3, kind="moving_hard", perception="truth")
+    scenario = with_perception(draw_panda_scene(0, 3, kind="moving_hard"), "truth")
     (motion, states), index, goals = _search(scenario)
     assert states < 100_000
     _check(scenario, motion, index, goals)

@@ -9,7 +9,7 @@ import pytest
 
 from drake_oa.evaluation.panda.scene_arm import scene_arm
 from drake_oa.evaluation.panda.scene_parts import MIN_END_CLEARANCE, footprint_radius
-from drake_oa.evaluation.panda.scenes import KINDS, draw_panda_scene
+from drake_oa.evaluation.panda.scenes import KINDS, draw_panda_scene, with_perception
 from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
@@ -47,7 +47,7 @@ def test_scenes_have_the_stored_digests(scenes):
     "kind", ["moving", "moving_hard", "drp_sudden3", "drp_floating1", "drp_moving_goal_blocked4"]
 )
 def test_cameras_of_moving_scenes_observe_most_space_near_the_arm(scenes, kind):
-    two = draw_panda_scene(0, 0, kind=kind, perception="depth2")
+    two = with_perception(scenes[kind], "depth2")
     # At the goals of DRPBench's levels, more space is occluded from one camera.
     by_one = 0.2 if kind.startswith("drp") else 0.15
     for scene, max_share in ((scenes[kind], by_one), (two, 0.01)):
@@ -57,7 +57,8 @@ def test_cameras_of_moving_scenes_observe_most_space_near_the_arm(scenes, kind):
 
 
 def test_perception_does_not_change_the_scene():
-    one, two, truth = (draw_panda_scene(1, 0, perception=p) for p in ("depth", "depth2", "truth"))
+    one = draw_panda_scene(1, 0)
+    two, truth = (with_perception(one, perception) for perception in ("depth2", "truth"))
     assert isinstance(truth.perception, GroundTruth)
     assert two.perception.names == ("left", "right")
     assert two.perception.noise == one.perception.noise
