@@ -38,6 +38,15 @@ class OutputError(OSError):
     """Error for a file that cannot be written, with a message that names the file."""
 
 
+@contextlib.contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Converts an OSError of a block that writes a file to an `OutputError` that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
 def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
     """Creates the folders of output files and checks that the files can be written.
 
@@ -104,7 +113,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
     Raises:
         OutputError: if the file cannot be written.
     """
-    try:
+    with output_errors(path):
         # Checked before the link is resolved: that of /dev/stdout may not be a valid path.
         if path.exists() and not path.is_file():
             write(path)
@@ -119,8 +128,6 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def replace_text(path: Path, text: str) -> None:

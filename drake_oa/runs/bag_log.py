@@ -3,7 +3,7 @@
 ==================  ==============================  ==============================================
 topic               type                            content
 ==================  ==============================  ==============================================
-/obstacles          visualization_msgs/MarkerArray  observed obstacles, dilated by the tool
+/obstacles          visualization_msgs/Marker       observed obstacles, dilated by the tool
 /tool_clearance     std_msgs/Float64                true distance of the tool to obstacles [m]
 /robot_clearance    std_msgs/Float64                true distance of the robot to obstacles [m]
 /rosout             rcl_interfaces/Log              layers that decide, holds, supervision
@@ -19,18 +19,16 @@ simulated times.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 from pydrake.math import RotationMatrix
 
-from drake_oa.common.bags import BagWriter, header, vector
+from drake_oa.common.bags import BagWriter, quaternion, vector
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.bag_images import quaternion
 
 _STEP = 8
 """Number of instants from one clearance to the next, since their computation is slow."""
@@ -50,52 +48,47 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
         scenario: scenario of the log.
         log: log of the motion.
     """
+    arrays = log.arrays()
     series = {
         key: values
-        for key, values in log.arrays().items()
+        for key, values in arrays.items()
         if values.dtype.kind == "f" and values.ndim in (1, 2) and len(values) == len(log.t)
     }
-    sparse = replace(log, **{key: getattr(log, key)[::_STEP] for key in series})
+    sparse = replace(log, **{key: values[::_STEP] for key, values in series.items()})
     metrics = motion_metrics(scenario, sparse)
     rows = [(f"/log/{key}", log.t, values) for key, values in series.items()]
-    for key in ("tool_clearance", "robot_clearance"):
-        rows.append((f"/{key}", sparse.t, getattr(metrics, key)))
-    for topic, times, values in rows:
+    rows.append(("/tool_clearance", sparse.t, metrics.tool_clearance))
+    rows.append(("/robot_clearance", sparse.t, metrics.robot_clearance))
+    for topic, instants, values in rows:
         kind = f"std_msgs/msg/Float64{'MultiArray' * (values.ndim - 1)}"
-        for time, value in zip(times if values.size else (), values, strict=False):
+        for time, value in zip(instants, values.tolist(), strict=True):
             bag.write(topic, kind, time, data=value)
     for row, time in enumerate(log.observation_time):
-        markers = list(_markers(log.observation(row), header(time)))
-        bag.write("/obstacles", "visualization_msgs/msg/MarkerArray", time, markers=markers)
+        _write_obstacles(bag, time, log.observation(row))
     notes = {
         "decision": log.decision_layer,
         "event": log.event,
         "supervision": log.supervision_reason,
     }
     for name, texts in notes.items():
-        for time, text in zip(getattr(log, f"{name}_time"), texts, strict=True):
-            kind = "rcl_interfaces/msg/Log"
-            bag.write("/rosout", kind, time, level=_INFO, name=name, msg=text)
-    constants = {k: v.tolist() for k, v in log.arrays().items() if k not in series}
+        for time, text in zip(arrays[f"{name}_time"], texts, strict=True):
+            bag.write("/rosout", "rcl_interfaces/msg/Log", time, level=_INFO, name=name, msg=text)
+    constants = {key: values.tolist() for key, values in arrays.items() if key not in series}
     bag.write("/log/constants", "std_msgs/msg/String", 0.0, data=json.dumps(constants))
 
 
-def _markers(obstacles: EllipsoidSet, head: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yields fields of the markers of ellipsoids, which replace all earlier markers.
+def _write_obstacles(bag: BagWriter, time: float, obstacles: EllipsoidSet) -> None:
+    """Writes the markers of observed ellipsoids, which replace all earlier markers.
 
     Args:
+        bag: open bag.
+        time: time of the observation [s].
         obstacles: ellipsoids in the world.
-        head: header of the markers.
     """
-    yield {"header": head, "action": _DELETE_ALL}
+    write = partial(bag.write, "/obstacles", "visualization_msgs/msg/Marker", time)
+    write(action=_DELETE_ALL)
     shapes = (obstacles.ids, obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes)
     for track, p_WO, R_WO, semi_axes in zip(*shapes, strict=True):
-        orientation = quaternion(RotationMatrix(R_WO))
-        yield {
-            "header": head,
-            "id": track,
-            "type": _SPHERE,
-            "pose": {"position": vector(p_WO), "orientation": orientation},
-            "scale": vector(2.0 * semi_axes),
-            "color": _COLOR,
-        }
+        pose = {"position": vector(p_WO), "orientation": quaternion(RotationMatrix(R_WO))}
+        scale = vector(2.0 * semi_axes)
+        write(id=track, type=_SPHERE, pose=pose, scale=scale, color=_COLOR)

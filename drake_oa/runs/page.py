@@ -117,12 +117,10 @@ def _logged_state(log: MotionLog, now: float) -> str:
     """Returns the state of a logged motion at a simulated time [s] in words: hold reason, guard
     action, or "running".
     """
-    row = int(np.searchsorted(log.supervision_time, now, side="right")) - 1
-    supervision = (
-        (log.supervision_action[row], log.supervision_reason[row]) if row >= 0 else ("run", "")
-    )
-    row = int(np.searchsorted(log.event_time, now, side="right")) - 1
-    return motion_state(supervision, log.event[row] if row >= 0 else "")
+    row = int(np.searchsorted(log.supervision_time, now, side="right"))
+    supervision = ("run", *log.supervision_action)[row], ("", *log.supervision_reason)[row]
+    row = int(np.searchsorted(log.event_time, now, side="right"))
+    return motion_state(supervision, ("", *log.event)[row])
 
 
 def label_page(page: str, name: str, scenario: Scenario, log: MotionLog) -> str:

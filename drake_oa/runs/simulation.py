@@ -11,7 +11,6 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 from pydrake.systems.primitives import VectorLogSink
@@ -320,13 +319,10 @@ class MotionMonitor:
         motion; None: the motion continues.
         """
         s = normalized_time(policy.phase, self._alpha_k)
+        has_arrived = s >= 1.0 - 1e-9 and _has_arrived(policy, self._goal)
         if now <= self._last_move:
             self._latest_end = MAX_NORMALIZED_TIME + max(0.0, s - 1.0)
-        elif (
-            s >= 1.0 - 1e-9
-            and _has_arrived(policy, self._goal)
-            and self._goal_error(root) <= AT_GOAL
-        ):
+        elif has_arrived and self._goal_error(root) <= AT_GOAL:
             return GOAL_OUTCOME
         if supervision.action == "stop" and policy.speed == 0.0:
             return MotionOutcome(MotionEnd.STOPPED, f"stopped: {supervision.reason}")
@@ -447,7 +443,6 @@ def simulate(
     *,
     avoid_obstacles: bool = True,
     duration: float | None = None,
-    meshcat: Meshcat | None = None,
     on_step: OnStep = lambda monitor, root: None,
     layers: Layers | None = None,
     customize: Callable[[SignalBuilder], None] | None = None,
@@ -462,7 +457,6 @@ def simulate(
         scenario: configuration of the diagram.
         avoid_obstacles: whether obstacles are avoided; False: the nominal motion.
         duration: time limit [s]; None: the default limit of `MotionMonitor`.
-        meshcat: viewer, or None.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context.
         layers: functions that add the layers of the diagram; None: the defaults of `Layers`.
@@ -479,11 +473,7 @@ def simulate(
     """
     if diagram is None:
         diagram = build_avoidance(
-            scenario,
-            avoid_obstacles=avoid_obstacles,
-            layers=layers,
-            customize=customize,
-            meshcat=meshcat,
+            scenario, avoid_obstacles=avoid_obstacles, layers=layers, customize=customize
         )
     monitor = MotionMonitor(diagram, scenario, duration, on_step)
     return run_motion(scenario, Simulator(diagram), monitor, avoid_obstacles=avoid_obstacles)

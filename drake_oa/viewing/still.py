@@ -82,11 +82,8 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         _RENDERER, CameraInfo(_WIDTH, _HEIGHT, _FOV), ClippingRange(0.05, 20.0), RigidTransform()
     )
     query = graph.get_query_output_port().Eval(graph.GetMyContextFromRoot(context))
-    picture = query.RenderColorImage(
-        ColorRenderCamera(core),
-        graph.world_frame_id(),
-        look_at_pose(base_pose(scenario.robot), _EYE_B, _AT_B),
-    )
+    X_WC = look_at_pose(base_pose(scenario.robot), _EYE_B, _AT_B)
+    picture = query.RenderColorImage(ColorRenderCamera(core), graph.world_frame_id(), X_WC)
     panels = 1 + len(station.cameras)
     with saved_figure(file, 6.4 * panels, 4.8) as figure:
         axes = figure.subplots(1, panels, squeeze=False)[0]

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
 
-from drake_oa.common.bags import SECOND, WORLD, BagWriter, header, typestore, vector
+from drake_oa.common.bags import SECOND, WORLD, BagWriter, header, quaternion, typestore, vector
 from drake_oa.common.config import ScenarioError, field_errors
 from drake_oa.common.files import import_extra
 from drake_oa.common.messages import FloatArray, IntArray
@@ -49,7 +49,7 @@ class ImageRecorder(LeafSystem):
 
     - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf is too far, NaN is
       missing. Written as 32FC1 on /<camera>/depth/image_rect_raw, where -inf is too near.
-    - camera_pose: RigidTransform X_WC of the camera. Written on /tf when it has changed.
+    - camera_pose: RigidTransform X_WC of the camera. Written on /tf.
     - image_stamp: (1,) time of the image [s], the stamp of the messages.
     - plant_state_at_image: (n,) state [q, v] of the plant at that time. The state of the robot is
       written on /joint_states.
@@ -74,15 +74,13 @@ class ImageRecorder(LeafSystem):
         K = depth_intrinsics(config).intrinsic_matrix()
         # In ROS the center of the first pixel is at 0.
         K[:2, 2] -= PIXEL_CENTER
-        # Like the position in the file, the last pose belongs to the bag, not to the Context.
-        self._last_pose: RigidTransform | None = None
-        self._matrices = {"k": K.ravel(), "r": np.eye(3).ravel(), "p": (K @ np.eye(3, 4)).ravel()}
+        matrices = {"k": K, "r": np.eye(3), "p": K @ np.eye(3, 4)}
+        self._matrices = {name: matrix.ravel().tolist() for name, matrix in matrices.items()}
         self._image = AbstractInput(self, "depth_image", ImageDepth32F)
         self._pose = AbstractInput(self, "camera_pose", RigidTransform)
         self._stamp = self.DeclareVectorInputPort("image_stamp", 1)
-        self._state = self.DeclareVectorInputPort(
-            "plant_state_at_image", plant.num_multibody_states()
-        )
+        num_states = plant.num_multibody_states()
+        self._state = self.DeclareVectorInputPort("plant_state_at_image", num_states)
         self.DeclareInitializationPublishEvent(self._write)
         period = 1.0 / config.fps
         offset = first_update(period, config.output_delay)
@@ -93,32 +91,21 @@ class ImageRecorder(LeafSystem):
         (stamp,) = self._stamp.Eval(context)
         if not np.isfinite(stamp):
             return
-        write, topic = self._bag.write, f"/{self._name}/depth"
-        q, v = np.split(self._state.Eval(context)[self._rows], 2)
+        write, topic, frame = self._bag.write, f"/{self._name}/depth", self._name
+        X_WC, depth = self._pose.read(context), np.array(self._image.read(context).data)
+        q, v = self._state.Eval(context)[self._rows].reshape(2, -1).tolist()
         kind = "sensor_msgs/msg/JointState"
         write("/joint_states", kind, stamp, name=self._joints, position=q, velocity=v)
-        X_WC = self._pose.read(context)
-        if self._last_pose is None or not X_WC.IsExactlyEqualTo(self._last_pose):
-            self._last_pose = X_WC
-            rotation = quaternion(X_WC.rotation())
-            pose = {"translation": vector(X_WC.translation()), "rotation": rotation}
-            item = {"header": header(stamp), "child_frame_id": self._name, "transform": pose}
-            write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
-        depth = np.array(self._image.read(context).data)
+        p_WC, q_WC = vector(X_WC.translation()), quaternion(X_WC.rotation())
+        pose = {"translation": p_WC, "rotation": q_WC}
+        item = {"header": header(stamp), "child_frame_id": frame, "transform": pose}
+        write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
         depth[depth == 0.0] = -np.inf
         size = {"height": len(depth), "width": depth.shape[1]}
         kind = "sensor_msgs/msg/CameraInfo"
-        write(f"{topic}/camera_info", kind, stamp, self._name, **size, **self._matrices)
-        write(
-            f"{topic}/image_rect_raw",
-            "sensor_msgs/msg/Image",
-            stamp,
-            self._name,
-            encoding="32FC1",
-            step=depth.strides[0],
-            data=depth.view(np.uint8).ravel(),
-            **size,
-        )
+        write(f"{topic}/camera_info", kind, stamp, frame, **size, **self._matrices)
+        image = {"encoding": "32FC1", "step": depth.strides[0], "data": depth.tobytes()}
+        write(f"{topic}/image_rect_raw", "sensor_msgs/msg/Image", stamp, frame, **size, **image)
 
 
 def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
@@ -136,11 +123,6 @@ def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
     q, v = np.split(np.arange(plant.num_multibody_states()), [plant.num_positions()])
     rows = [*plant.GetPositionsFromArray(robot, q), *plant.GetVelocitiesFromArray(robot, v)]
     return plant.GetPositionNames(robot, always_add_suffix=False), np.array(rows, int)
-
-
-def quaternion(R: RotationMatrix) -> dict[str, float]:
-    """Returns the fields of the quaternion message of a rotation."""
-    return vector(np.roll(R.ToQuaternion().wxyz(), -1))
 
 
 class BagFrame(NamedTuple):
