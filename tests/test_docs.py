@@ -15,7 +15,7 @@ import pytest
 from drake_oa.app.main import _app
 from drake_oa.common.messages import HoldReason
 from drake_oa.descriptor import descriptor
-from drake_oa.hardware import command_streamer, franka_arm, lcm_arm, robot_link
+from drake_oa.hardware import command_streamer, franka_arm, robot_link
 from drake_oa.perception import depth_perception, segmentation
 from drake_oa.planning import motion_search, motion_verifier, perceived_scene
 from drake_oa.policy.coupling import dead_zone_free_rate
@@ -140,7 +140,7 @@ def test_linked_files_exist() -> None:
 
 MESSAGES = (
     supervision, motion_search, motion_verifier, perceived_scene, depth_perception, segmentation,
-    descriptor, cost_ring_selector, simulation, live_camera, command_streamer, franka_arm, lcm_arm,
+    descriptor, cost_ring_selector, simulation, live_camera, command_streamer, franka_arm,
     robot_link,
 )  # fmt: skip
 

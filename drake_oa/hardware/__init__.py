@@ -13,7 +13,7 @@ Modules that compute and send the motion (`drake-oa run --hardware`):
   checks the arm before it moves.
 - `command_streamer.CommandStreamer` runs in a separate process. The diagram writes planned
   positions into a `SharedTrajectory`, a little ahead of time; the streamer sends them to the arm,
-  and stops the arm after a failure. Its connections to an arm are `lcm_arm.LcmArm` and
+  and stops the arm after a failure. Its connections to an arm are `LcmArm` and
   `franka_arm.FrankaArm`.
 
 Modules that simulate the arm behind the messages (`drake-oa station`):

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from drake_oa.common.files import import_extra
+from drake_oa.common.config import read_yaml
+from drake_oa.common.files import import_extra, package_file
 from drake_oa.common.messages import FloatArray
-from drake_oa.hardware.command_streamer import (
-    LEAD,
-    ArmStatus,
-    ArmStoppedError,
-    SharedTrajectory,
-)
+from drake_oa.hardware.command_streamer import LEAD, ArmStatus, ArmStoppedError, SharedTrajectory
 
 TARGET_PERIOD = 0.008
 """Wall time between two targets, equal to the period of MotionGuard [s]."""
@@ -47,35 +44,18 @@ _MODES = {
 }
 """Descriptions of the robot modes in which the arm does not follow targets, by name of the mode."""
 
-_JUMP = "positions were too far apart: the computer or the network is too slow"
+_ERRORS = "package://drake_oa/fr3/errors.yaml"
+"""Table of the errors of the robot's controller: name -> cause and remedy."""
 _OTHER = "a motion of another client or of Desk: end it"
-_BASE = "restart the robot on a base at rest"
-ERRORS = {
-    "joint_position_limits_violation": "a joint passed its limit: move it back by hand",
-    "cartesian_position_limits_violation": "the arm passed a virtual wall: move it back by hand",
-    "self_collision_avoidance_violation": "two links were too close: move them apart by hand",
-    "joint_velocity_violation": "a joint was too fast: reduce --rate",
-    "cartesian_velocity_violation": "the tool was too fast: reduce --rate",
-    "joint_reflex": "contact, or a wrong load in Desk: remove the obstacle, or correct the load",
-    "cartesian_reflex": "contact of the tool, or a wrong load in Desk: remove the obstacle",
-    "max_goal_pose_deviation_violation": "the arm stopped away from its target: check the load",
-    "max_path_pose_deviation_violation": "the arm left its path: check for contact and the load",
-    "joint_position_motion_generator_start_pose_invalid": "the first target was too far: restart",
-    "joint_motion_generator_position_limits_violation": "a target was beyond a joint's limits",
-    "joint_motion_generator_velocity_limits_violation": "a target was too fast: reduce --rate",
-    "joint_motion_generator_velocity_discontinuity": _JUMP,
-    "joint_motion_generator_acceleration_discontinuity": _JUMP,
-    "communication_constraints_violation": "too many packets were lost: check the network",
-    "power_limit_violation": "the motion required too much power: reduce --rate or the load",
-    "joint_p2p_insufficient_torque_for_planning": "the load is too heavy: reduce it",
-    "tau_j_range_violation": "a torque sensor was out of range: reduce the load",
-    "instability_detected": "the controller was unstable: check the load and the mounting",
-    "joint_move_in_wrong_direction": "a joint was guided beyond its limit: move it back",
-    "base_acceleration_initialization_timeout": _BASE,
-    "base_acceleration_invalid_reading": _BASE,
-}
-"""Causes and remedies of the errors of the robot's controller, by name of the error. Other errors
-are those of Cartesian motions, forces and torques, which are not commanded here."""
+"""Cause and remedy of errors that are not in the table: those of Cartesian motions, forces and
+torques, which are not commanded here."""
+
+
+@cache
+def error_texts() -> dict[str, str]:
+    """Returns cause and remedy of the errors of the robot's controller, by name of the error."""
+    texts: dict[str, str] = read_yaml(package_file(_ERRORS).read_text())
+    return texts
 
 
 class FrankaArm:
@@ -89,7 +69,7 @@ class FrankaArm:
     Attributes:
         name: address of the robot.
         period: wall time between two targets [s].
-        is_commanded: whether the controller follows targets.
+        handler: handler of the robot's motion generator; None before the first target.
     """
 
     period = TARGET_PERIOD
@@ -109,7 +89,7 @@ class FrankaArm:
         """
         self._franka = import_extra("pylibfranka", "franka")
         self.name, self._speeds, self._trajectory = host, speeds, trajectory
-        self._handler: Any = None
+        self.handler: Any = None
         self._lookahead = 0.0
         trajectory.note = f"{host} does not answer: activate FCI, and end its other clients"
         try:
@@ -118,11 +98,6 @@ class FrankaArm:
             raise ArmStoppedError(f"no connection to {host}: {error}") from None
         trajectory.note = ""
         self._recover()
-
-    @property
-    def is_commanded(self) -> bool:
-        """Whether the controller follows targets."""
-        return self._handler is not None
 
     def receive(self, now: float) -> ArmStatus:
         """Returns the newest state of the robot; waits for one if there is none.
@@ -136,7 +111,7 @@ class FrankaArm:
         state = self._read()
         if reasons := _reasons(state):
             raise ArmStoppedError(reasons)
-        if state.robot_mode.name != ("Move" if self.is_commanded else "Idle"):
+        if state.robot_mode.name != ("Move" if self.handler else "Idle"):
             raise ArmStoppedError(f"arm is {_MODES[state.robot_mode.name]}")
         return ArmStatus(now, np.array(state.q), np.array(state.dq))
 
@@ -149,23 +124,23 @@ class FrankaArm:
             ArmStoppedError: if the robot rejects the motion, or the connection is lost.
         """
         handler = self._franka.AsyncPositionControlHandler
-        if self._handler is None:
+        if not self.handler:
             limits = handler.Configuration(self._speeds, _GOAL_TOLERANCE)
             started = handler.configure(self._robot, limits)
             if started.error_message:
                 raise ArmStoppedError(f"motion rejected by {self.name}: {started.error_message}")
-            self._handler = started.handler
+            self.handler = started.handler
         target = handler.JointPositionTarget(self._target(q).tolist())
-        result = self._handler.set_joint_position_target(target)
+        result = self.handler.set_joint_position_target(target)
         if not result.was_successful:
             raise ArmStoppedError(f"connection to {self.name} lost: {result.error_message}")
 
     def close(self) -> None:
         """Waits until the arm is at rest, and ends the motion generator of the robot."""
         try:
-            if self._handler is not None:
+            if self.handler:
                 self._wait(lambda state: np.abs(state.dq_d).max() < _REST_SPEED)
-                self._handler.stop_control()
+                self.handler.stop_control()
         except ArmStoppedError as error:
             _logger.warning("%s", error)
 
@@ -227,5 +202,5 @@ def _reasons(state: Any) -> str:
     use_last = is_reflex and not state.current_errors
     errors = state.last_motion_errors if use_last else state.current_errors
     names = [name for name in dir(errors) if name[0] != "_" and getattr(errors, name)]
-    causes = [f"{name}: {ERRORS.get(name, _OTHER)}" for name in names]
+    causes = [f"{name}: {error_texts().get(name, _OTHER)}" for name in names]
     return "; ".join(causes) or "a reflex" * is_reflex

@@ -25,10 +25,10 @@ from drake_oa.hardware.command_streamer import (
     STATUS_TIMEOUT,
     Connect,
     beyond_limits,
+    connect_lcm,
     shared_trajectory,
     stream_commands,
 )
-from drake_oa.hardware.lcm_arm import connect_lcm
 from drake_oa.robot.plant import RobotLimits
 
 _POLL_PERIOD = 5e-4

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
 from urllib.request import ProxyHandler, build_opener
@@ -62,94 +63,21 @@ _LEGEND = (
 )
 """Rows of the panel's legend: CSS color, text, and path in Meshcat's scene tree, in which each part
 is a regular expression. A row is displayed while an object at a matching path is visible."""
-_STYLE = """
-<style>
-  body { overflow: hidden; }
-  #drake-oa { position: fixed; left: 12px; bottom: 12px; font: 13px/1.4 sans-serif; color: #222;
-    background: rgba(255, 255, 255, 0.85); padding: 8px 12px; border-radius: 6px;
-    pointer-events: none; max-width: min(30em, 45vw); overflow-wrap: break-word; }
-  #drake-oa i { display: inline-block; width: 22px; height: 5px; margin-right: 8px;
-    vertical-align: middle; }
-  #drake-oa-now { white-space: pre-line; }
-  #drake-oa-alert { color: #b00; font-weight: bold; white-space: pre-line; }
-  .dg.main { max-height: 100vh; overflow: hidden auto !important; }
-</style>"""
-"""HTML element with the CSS style of the panel on Meshcat's page."""
-_PANEL = Template("""
-<div id="drake-oa"><b>$title</b> <span>$description</span><div id="drake-oa-now"></div>
-<div id="drake-oa-alert"></div>$legend</div>
-<script>
-  // Name of a visible node at a path of patterns below a node; undefined if none is visible.
-  function drakeOaShown(node, path, key) {
-    if (!node || !node.object.visible) return undefined;
-    if (!path.length && "<object>" in node.children) return key;
-    for (const [name, child] of Object.entries(node.children)) {
-      if (path.length && !RegExp(`^(${path[0]})$`).test(name)) continue;
-      const found = drakeOaShown(child, path.slice(1), path.length ? name : key);
-      if (found !== undefined) return found;
-    }
-  }
-  function drakeOaShow([time, text, alert]) {
-    document.getElementById("drake-oa-now").textContent = text;
-    document.getElementById("drake-oa-alert").textContent = alert;
-    for (const row of document.querySelectorAll("#drake-oa [data-path]")) {
-      const root = viewer.scene_tree.children["drake_oa"];
-      const found = drakeOaShown(root, row.dataset.path.split("/"), "");
-      row.hidden = found === undefined;
-      row.lastChild.textContent = row.dataset.path.endsWith("/.*") ? found : "";
-    }
-  }
-  $script
-</script>
-</body>""")
-"""HTML template of the panel on Meshcat's page, with the JavaScript that updates the panel's
-readings and legend."""
-_RECORDED = Template("""
-  const drakeOa = $readings;
-  setInterval(() => {
-    const time = viewer.animator ? viewer.animator.time : 0.0;
-    let row = 0;
-    while (row + 1 < drakeOa.length && drakeOa[row + 1][0] <= time + 1e-6) row += 1;
-    drakeOaShow(drakeOa[row]);
-  }, 50);""")
-"""JavaScript template for the page of a recording, which displays the reading at the present time
-of the playback."""
-_LIVE = """
-  let drakeOaAsked = 0;
-  function drakeOaAsk(now) {
-    requestAnimationFrame(drakeOaAsk);
-    if (now < drakeOaAsked) return;
-    drakeOaAsked = now + 2000;  // Timeout of the answer.
-    const frame = viewer.scene_tree.children["drake_oa_frame"];
-    const drawn = frame ? frame.object.renderOrder : 0;
-    fetch(`${location.origin}/reading/${drawn}`).then((answer) => answer.json())
-      .then(drakeOaShow).then(() => drakeOaAsked = now + 30, () => {});
-  }
-  requestAnimationFrame(drakeOaAsk);
-  function drakeOaHidden() {
-    // A hidden or closed page draws no frames: report all as drawn, so that the server continues.
-    if (document.hidden) fetch(`${location.origin}/reading/Infinity`, {keepalive: true});
-  }
-  document.addEventListener("visibilitychange", drakeOaHidden);
-  drakeOaHidden();"""
-"""JavaScript of a live page, which requests readings from the server and reports the number of the
-last drawn frame."""
-_FOLDERS = """
-    // A control named "FOLDER: NAME" is placed in a folder; the first control opens the panel.
-    const drakeOaAdd = viewer.set_control.bind(viewer);
-    viewer.set_control = (name, ...rest) => {
-      const gui = viewer.gui, [folder, label] = name.split(": ");
-      gui.width = 320;
-      gui.open();
-      gui.__folders["Scene"].close();
-      if (label) viewer.gui = gui.__folders[folder] || gui.addFolder(folder);
-      drakeOaAdd(name, ...rest);
-      viewer.gui = gui;
-      if (label) viewer.gui_controllers[name].name(label);
-    };
-"""
-"""JavaScript of a live page, which places the sliders and buttons of Meshcat's control panel in
-folders."""
+
+
+def _resource(name: str) -> str:
+    """Returns the text of a file in the folder of this module.
+
+    - panel.html: template of the panel on Meshcat's page, with its style, and with the JavaScript
+      that updates readings and legend.
+    - panel_recorded.js: template of the JavaScript on the page of a recording, which displays the
+      reading at the present time of the playback.
+    - panel_live.js: JavaScript of a live page, which requests readings from the server and reports
+      the number of the last drawn frame.
+    - panel_folders.js: JavaScript of a live page, which places the sliders and buttons of Meshcat's
+      control panel in folders.
+    """
+    return Path(__file__).with_name(name).read_text()
 
 
 def panel_page(page: str, title: str, description: str, readings: list[Reading] | None) -> str:
@@ -168,17 +96,17 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
         "<span></span></div>"
         for color, text, path in _LEGEND
     )
-    script = _LIVE
+    script = _resource("panel_live.js")
     if readings is not None:
         # An unescaped "<" could end the script element.
         rows = json.dumps(readings).replace("<", "\\u003c")
-        script = _RECORDED.safe_substitute(readings=rows)
-    panel = _PANEL.safe_substitute(
+        script = Template(_resource("panel_recorded.js")).safe_substitute(readings=rows)
+    panel = Template(_resource("panel.html")).safe_substitute(
         title=title, description=description, legend=legend, script=script
     )
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{title}</title>", 1)
     head, _, tail = page.rpartition("</body>")
-    return head + _STYLE + panel + tail
+    return head + panel + tail
 
 
 def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
@@ -195,7 +123,7 @@ def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
     with build_opener(ProxyHandler({})).open(meshcat.web_url()) as answer:
         page: str = answer.read().decode()
     page = page.replace("<head>", f'<head><base href="{meshcat.web_url()}/">', 1)
-    address = f"{_FOLDERS}    url = {json.dumps(meshcat.ws_url())};"
+    address = f"{_resource('panel_folders.js')}    url = {json.dumps(meshcat.ws_url())};"
     page = page.replace("    url = location.toString();", address, 1)
     return panel_page(page, title, description, None)
 

@@ -207,43 +207,34 @@ def _frames(
     intrinsics = CameraInfo(info.width, info.height, *K)
     given = fixed_transform(source.camera_pose, "perception.camera_pose")
     transforms: dict[str, Any] = {}
-    last: dict[str, int] = {}
-    known: dict[str, Any] = {}
-    first, latest = -1, 0
-    for topic, message in chain(
-        messages("/tf_static"),
-        # The first image may precede all states.
-        islice(messages(source.joint_topic), 1),
-        messages(source.depth_topic, source.joint_topic, None if given else "/tf"),
-    ):
+    stamps: dict[str, int] = {}
+    states: dict[str, Any] = {}
+    start: int | None = None
+    # The first image may precede all states.
+    first = chain(messages("/tf_static"), islice(messages(source.joint_topic), 1))
+    for topic, message in chain(first, messages(source.depth_topic, source.joint_topic, "/tf")):
         if topic.startswith("/tf"):
-            for item in message.transforms:
-                p, q = item.transform.translation, item.transform.rotation
-                wxyz = np.array([q.w, q.x, q.y, q.z])
-                R_PC = Quaternion(wxyz / np.linalg.norm(wxyz))
-                X_PC = RigidTransform(R_PC, [p.x, p.y, p.z])
-                transforms[item.child_frame_id] = (item.header.frame_id, X_PC)
+            transforms |= {item.child_frame_id: item for item in message.transforms}
             continue
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
-        if stamp < last.setdefault(topic, stamp):
+        if stamp < stamps.get(topic, stamp):
             raise ScenarioError(
-                f"perception.path: stamps on {topic} go backward, from {last[topic]} to {stamp} "
+                f"perception.path: stamps on {topic} go backward, from {stamps[topic]} to {stamp} "
                 "ns; record one publisher without restarting it"
             )
-        last[topic] = stamp
+        stamps[topic] = stamp
         if topic == source.joint_topic:
             # A message may name only some joints; velocities are optional.
-            states = zip_longest(message.position, message.velocity, fillvalue=0.0)
-            known |= zip(message.name, states, strict=True)
-            latest = stamp
+            values = zip_longest(message.position, message.velocity, fillvalue=0.0)
+            states |= zip(message.name, values, strict=True)
             continue
-        first = stamp if first < 0 else first
+        start = stamp if start is None else start
+        q, v = np.transpose([states.get(joint, [np.nan, np.nan]) for joint in joints])
+        q = q + (stamp - stamps.get(source.joint_topic or "", stamp)) / SECOND * v
         X_WC = given or _pose(transforms, message.header.frame_id)
-        state = np.transpose([known.get(joint, [np.nan] * 2) for joint in joints])
-        state[0] += (stamp - latest) / SECOND * state[1]
         depth = _depth(message, source, intrinsics)
-        time = _exact_time((stamp - first) / SECOND, period)
-        yield BagFrame(time, depth, intrinsics, X_WC, state.ravel())
+        time = _exact_time((stamp - start) / SECOND, period)
+        yield BagFrame(time, depth, intrinsics, X_WC, np.concatenate([q, v]))
 
 
 def _exact_time(time: float, period: float) -> float:
@@ -287,7 +278,7 @@ def _pose(transforms: Mapping[str, Any], frame: str) -> RigidTransform:
     """Returns the pose of a frame in the world.
 
     Args:
-        transforms: parent frame, and the pose in it, by the name of a frame.
+        transforms: geometry_msgs/TransformStamped of each frame in its parent, by name.
         frame: name of the frame.
 
     Raises:
@@ -295,8 +286,11 @@ def _pose(transforms: Mapping[str, Any], frame: str) -> RigidTransform:
     """
     X, child, remaining = RigidTransform(), frame, dict(transforms)
     while child in remaining:
-        child, X_PC = remaining.pop(child)
-        X = X_PC @ X
+        item = remaining.pop(child)
+        p, q = item.transform.translation, item.transform.rotation
+        wxyz = np.array([q.w, q.x, q.y, q.z])
+        R_PC = Quaternion(wxyz / np.linalg.norm(wxyz))
+        child, X = item.header.frame_id, RigidTransform(R_PC, [p.x, p.y, p.z]) @ X
     if child != WORLD:
         raise ScenarioError(
             f"perception.camera_pose: must be set, because the bag has no transform from '{WORLD}' "

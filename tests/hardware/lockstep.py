@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
-from drake_oa.hardware.command_streamer import CommandStreamer
-from drake_oa.hardware.lcm_arm import LcmArm
+from drake_oa.hardware.command_streamer import CommandStreamer, LcmArm
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 from multiprocessing import Pipe, get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ class Simulation:
         self.ask("mode", "")
         if self.arm is not None:
             # Records of the log hold exceptions, and with them the connection.
-            self.arm._handler = self.arm._robot = None
+            self.arm.handler = self.arm._robot = None
         gc.collect()
         self.link = RobotLink(self.url, wait=self.step, clock=self.clock, address=self.host)
         speeds, trajectory = self.limits.velocity_limit.tolist(), self.link.trajectory
@@ -80,7 +81,7 @@ class Simulation:
         self.q, self.v, self.errors, self.is_finished = self.ask("run", self.clock.now)
         if round(self.clock.now / STEP) % 4 or self._streamer is None:
             return
-        if not self.arm.is_commanded:
+        if not self.arm.handler:
             # The request of a motion waits for the robot, as does its end.
             self.ask("mode", "")
         self._streamer.step(self.clock.now)
@@ -175,8 +176,11 @@ def test_franka_controller_refuses_what_exceeds_its_limits(robot: Simulation) ->
         send_far_target(robot)
 
 
-def test_franka_errors_have_names_of_the_library() -> None:
-    assert set(franka_arm.ERRORS) < set(dir(pylibfranka.Errors()))
+def test_franka_errors_have_names_of_the_library_and_rows_in_the_docs() -> None:
+    page = (Path(__file__).parents[2] / "docs/troubleshooting.md").read_text()
+    assert set(franka_arm.error_texts()) < set(dir(pylibfranka.Errors()))
+    for name, text in franka_arm.error_texts().items():
+        assert f"| `{name}` | {text} |" in page
 
 
 def test_franka_second_client_and_wrong_host_are_refused(
