@@ -373,28 +373,22 @@ def _drive(this: _Run, lcm_url: str, rate: float, host: str | None) -> None:
         rate: maximum ratio of simulated time to wall time.
         host: address of a Franka Research 3; None: the arm communicates on the LCM bus.
     """
-    from drake_oa.hardware.command_streamer import Connect
     from drake_oa.hardware.hardware_station import arm_of
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, prepare_hardware
 
-    connect: Connect | None = None
+    address, connect = host or lcm_url, None
     if host:
         import_extra("pylibfranka", "franka")
         from drake_oa.hardware.franka_arm import FrankaArm
 
         _, limits = arm_of(this.scenario)
         connect = partial(FrankaArm, host, limits.velocity_limit.tolist())
-    link = RobotLink(
-        lcm_url,
-        connect=connect,
-        address=host or lcm_url,
-        rate=rate,
-        raise_if_requested=this.raise_if_requested,
-    )
+    stop = this.raise_if_requested
+    link = RobotLink(lcm_url, connect=connect, address=address, rate=rate, raise_if_requested=stop)
     link.start()
     with contextlib.closing(link):
-        print(f"waiting for the arm on {host or lcm_url} ...", file=sys.stderr)
+        print(f"waiting for the arm on {address} ...", file=sys.stderr)
         with build_errors():
             driven = prepare_hardware(this.scenario, link, this.meshcat)
         print("arm is ready", file=sys.stderr)

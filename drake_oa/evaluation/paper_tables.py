@@ -313,19 +313,12 @@ def trial_suites(
     Raises:
         ValueError: for an unknown method.
     """
-    return [
-        PandaSuite(
-            "table3",
-            kind,
-            seed,
-            tuple(methods),
-            perception,
-            duration,
-            f"paper_{kind}-seed{seed}",
-            {trial: partial(trial_text, f"paper_{kind}", seed + trial) for trial in range(trials)},
-        )
-        for kind in TRIAL_KINDS
-    ]
+    suites, of_runs = [], (tuple(methods), perception, duration)
+    for kind in TRIAL_KINDS:
+        name = f"paper_{kind}"
+        drawings = {trial: partial(trial_text, name, seed + trial) for trial in range(trials)}
+        suites.append(PandaSuite("table3", kind, seed, *of_runs, f"{name}-seed{seed}", drawings))
+    return suites
 
 
 def trial_metrics(

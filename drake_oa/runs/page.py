@@ -77,13 +77,8 @@ class PanelReadings:
             self._contacts |= dict.fromkeys((*metrics.contacts, *metrics.self_contacts))
             clearance = np.stack([metrics.tool_clearance, metrics.robot_clearance])
             self._min_clearances = np.minimum(self._min_clearances, clearance.min(axis=1))
-            for name, present, minimum, requested in zip(
-                ("tool", "whole arm"),
-                clearance[:, -1],
-                self._min_clearances,
-                self._requested,
-                strict=True,
-            ):
+            columns = ("tool", "whole arm"), clearance[:, -1], self._min_clearances, self._requested
+            for name, present, minimum, requested in zip(*columns, strict=True):
                 is_finite = math.isfinite(present)
                 value = f"{present:.3f} m (min {minimum:.3f}{requested})" if is_finite else "-"
                 lines.append(f"{name}: clearance {value}")

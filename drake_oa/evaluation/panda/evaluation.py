@@ -411,17 +411,9 @@ def panda_suite(
         ValueError: if the kind or a method is unknown.
     """
     check_choice("kind of scenes", KINDS, kind)
-    return PandaSuite(
-        "panda",
-        kind,
-        seed,
-        tuple(methods),
-        perception,
-        duration,
-        f"{kind}-seed{seed}",
-        {scene: partial(draw_text, seed, scene, kind) for scene in range(scenes)},
-        Criteria(has_drp_rules=DRP in kind),
-    )
+    drawings = {scene: partial(draw_text, seed, scene, kind) for scene in range(scenes)}
+    of_runs, criteria = (tuple(methods), perception, duration), Criteria(has_drp_rules=DRP in kind)
+    return PandaSuite("panda", kind, seed, *of_runs, f"{kind}-seed{seed}", drawings, criteria)
 
 
 class PandaResults(NamedTuple):
