@@ -1,4 +1,18 @@
-"""Command line `drake-oa`: its commands, error messages and exit statuses."""
+"""Simulate, evaluate and execute reactive obstacle avoidance of robot arms, as Drake systems.
+
+For example:
+
+    drake-oa scenarios
+    drake-oa run tabletop_box --html box.html --json box.json
+    drake-oa run tabletop_box --set 'perception=!GroundTruth {}' --set task.clearance=0.1
+    drake-oa new my
+    drake-oa check my.scenario.yaml
+    drake-oa run my.scenario.yaml --meshcat
+    drake-oa replay drake_oa_runs/tabletop_box-20250131T120000Z.npz --meshcat
+    drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
+    drake-oa export drake_oa_runs/tabletop_box-20250131T120000Z.npz box.mcap
+    drake-oa graph tabletop_box > layers.svg
+"""
 
 from __future__ import annotations
 
@@ -16,25 +30,6 @@ from rich.console import Console
 
 from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
 from drake_oa.common.files import OutputError
-
-_HELP = """\
-Simulate, evaluate and execute reactive obstacle avoidance of robot arms, as Drake systems.
-
-For example:
-
-    drake-oa scenarios
-    drake-oa run tabletop_box --html box.html --json box.json
-    drake-oa run tabletop_box --set 'perception=!GroundTruth {}' --set task.clearance=0.1
-    drake-oa new my
-    drake-oa check my.scenario.yaml
-    drake-oa run my.scenario.yaml --meshcat
-    drake-oa replay drake_oa_runs/tabletop_box-20250131T120000Z.npz --meshcat
-    drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
-    drake-oa export drake_oa_runs/tabletop_box-20250131T120000Z.npz box.mcap
-    drake-oa graph tabletop_box > layers.svg
-"""
-"""Help text of the command line `drake-oa`, with examples of its commands."""
-
 
 _COMMANDS = {
     "run": "run",
@@ -76,7 +71,7 @@ def _app() -> App:
     """
     app = App(
         name="drake-oa",
-        help=_HELP,
+        help=__doc__,
         help_format="plaintext",
         help_formatter="default" if sys.stdout.isatty() else "plain",
         console=None if sys.stdout.isatty() else Console(width=100),
