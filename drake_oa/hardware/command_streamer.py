@@ -69,8 +69,8 @@ LEAD = 0.04
 """Time by which the diagram writes planned positions ahead of the commands sent to the arm [s].
 Pauses of the diagram that last up to half of this time do not slow down the arm."""
 _RAMP = 0.15
-"""Time in which the streamed motion accelerates from rest to full speed, and decelerates to rest if
-no valid status arrives or the end is requested [s]."""
+"""Time in which the streamed motion accelerates to full speed after a hold, and decelerates to rest
+if no valid status arrives or the end is requested [s]."""
 STATUS_TIMEOUT = 0.1
 """Time without a valid status of the arm after which the arm holds and simulated time pauses [s]. A
 status that is older than this time on arrival is invalid."""
@@ -254,8 +254,9 @@ class CommandStreamer:
     """Sender of joint position commands to an arm, which reads planned positions from a
     `SharedTrajectory`, monitors the arm, and stops it after failures.
 
-    One second of wall time executes `rate` seconds of the trajectory, or less if the diagram has
-    written less than half of `LEAD` ahead. Failures have these consequences::
+    The trajectory begins at time 0 and at rest. From the first command on, one second of wall time
+    executes `rate` seconds of the trajectory, or less if the diagram has written less than half of
+    `LEAD` ahead. Failures have these consequences::
 
         no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
         no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
@@ -326,7 +327,7 @@ class CommandStreamer:
             if self._sent:
                 _logger.warning("holding: %s" if problem else "resumed%s", problem)
         elapsed, self._step_tick = tick - self._step_tick, tick
-        if trajectory.planned_until == -math.inf or (problem and not self._sent):
+        if not self._sent and (problem or trajectory.planned_until < 0.5 * LEAD):
             return
         if elapsed > STATUS_TIMEOUT:
             # After a pause of this length the arm holds: the motion starts again from rest.
@@ -339,7 +340,11 @@ class CommandStreamer:
                     f"a joint at rest is {deviation:.3g} rad from its planned position, at most "
                     f"{_RESTART_TOLERANCE:g} allowed: the arm was moved"
                 )
-        elapsed = min(elapsed, 3.0 * self._arm.period)
+        if trajectory.executed_time == 0.0:
+            # The planned motion begins at rest. With a ramp, obstacles, which do not wait, would be
+            # ahead of simulated time by half the duration of the ramp.
+            self._pace = self._rate
+        elapsed = min(elapsed, 3.0 * self._arm.period) if self._sent else 0.0
         lead = trajectory.planned_until - trajectory.executed_time
         change = self._rate * elapsed / _RAMP
         is_slowing = problem or trajectory.end_requested > 0.0
