@@ -449,7 +449,6 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
 
     logs, report = this.logs, run_report(this.name, this.scenario, this.logs)
     contact = contact_error(report)
-    last = logs.get("avoiding") or next(iter(logs.values()))
     # The callbacks run in reverse order, the others also after an exception in one of them.
     with contextlib.ExitStack() as outputs:
         if contact:
@@ -458,13 +457,14 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
             page = label_page(this.meshcat.StaticHtml(), this.name, this.scenario, logs["avoiding"])
             outputs.callback(replace_text, this.html, page)
         outputs.callback(replace_json, json, report)
-        if this.bag is not None:
-            outputs.callback(write_log, this.bag, this.scenario, last)
+        if this.bag and "avoiding" in logs:
+            outputs.callback(write_log, this.bag, this.scenario, logs["avoiding"])
         if log_file is not None:
             outputs.callback(print, f"log: {log_file}", file=sys.stderr)
             outputs.callback(save_logs, log_file, logs)
         outputs.callback(show, report_table(report))
     # The nominal motion may be in contact.
+    last = logs.get("avoiding") or next(iter(logs.values()))
     successes = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
     return 0 if not contact and last.ended in successes else FAILED
 
