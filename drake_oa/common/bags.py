@@ -103,8 +103,8 @@ def new_bag(path: Path) -> Iterator[BagWriter]:
     """
     mcap = import_extra("mcap_ros2.writer", "bags")
     file = path.open("wb")
-    # Compressed images would need several times the time to be written and read.
-    writer = mcap.Writer(file, compression=mcap.CompressionType.NONE)
+    # Compressed images and checksums would need several times the time to be written and read.
+    writer = mcap.Writer(file, compression=mcap.CompressionType.NONE, enable_crcs=False)
     try:
         yield BagWriter(writer, path)
     finally:
