@@ -19,7 +19,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
@@ -203,18 +203,9 @@ class ArmStoppedError(Exception):
     """
 
 
-class ArmStatus(NamedTuple):
-    """Measured motion of an arm.
-
-    Attributes:
-        stamp: time of the measurement by the wall clock [s].
-        q: (7,) joint positions [rad].
-        v: (7,) joint velocities, by the wall clock [rad/s].
-    """
-
-    stamp: float
-    q: FloatArray
-    v: FloatArray
+Status = tuple[float, FloatArray, FloatArray]
+"""Measured motion of an arm: time of the measurement by the wall clock [s], (7,) joint positions
+[rad], and (7,) joint velocities by the wall clock [rad/s]."""
 
 
 class Arm(Protocol):
@@ -228,7 +219,7 @@ class Arm(Protocol):
     name: str
     period: float
 
-    def receive(self, now: float) -> ArmStatus | None:
+    def receive(self, now: float) -> Status | None:
         """Returns the newest status of the arm; None if none was received since the last call.
 
         Args:
@@ -454,7 +445,7 @@ class LcmArm:
         lcm.Subscribe(STATUS_CHANNEL, self._statuses.append)
         lcm.Subscribe(COMMAND_CHANNEL, self._commands.append)
 
-    def receive(self, now: float) -> ArmStatus | None:
+    def receive(self, now: float) -> Status | None:
         """Returns the newest status of the arm; None if none was received since the last call.
 
         Args:
@@ -492,7 +483,7 @@ class LcmArm:
             raise ArmStoppedError(
                 "arm does not follow positions: start its driver in position mode"
             )
-        return ArmStatus(stamp, q, v)
+        return stamp, q, v
 
     def send(self, now: float, q: FloatArray) -> None:
         """Commands the joint positions q (7,) [rad] at a time of the wall clock [s]."""

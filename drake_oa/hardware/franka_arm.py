@@ -16,7 +16,7 @@ import numpy as np
 from drake_oa.common.config import read_yaml
 from drake_oa.common.files import import_extra, package_file
 from drake_oa.common.messages import FloatArray
-from drake_oa.hardware.command_streamer import LEAD, ArmStatus, ArmStoppedError, SharedTrajectory
+from drake_oa.hardware.command_streamer import LEAD, ArmStoppedError, SharedTrajectory, Status
 
 TARGET_PERIOD = 0.008
 """Wall time between two targets, equal to the period of MotionGuard [s]."""
@@ -99,7 +99,7 @@ class FrankaArm:
         trajectory.note = ""
         self._recover()
 
-    def receive(self, now: float) -> ArmStatus:
+    def receive(self, now: float) -> Status:
         """Returns the newest state of the robot; waits for one if there is none.
 
         Args:
@@ -113,7 +113,7 @@ class FrankaArm:
             raise ArmStoppedError(reasons)
         if state.robot_mode.name != ("Move" if self.handler else "Idle"):
             raise ArmStoppedError(f"arm is {_MODES[state.robot_mode.name]}")
-        return ArmStatus(now, np.array(state.q), np.array(state.dq))
+        return now, np.array(state.q), np.array(state.dq)
 
     def send(self, now: float, q: FloatArray) -> None:
         """Sends the target for the planned joint positions q (7,) [rad] at the executed time.
@@ -141,8 +141,8 @@ class FrankaArm:
             if self.handler:
                 self._wait(lambda state: np.abs(state.dq_d).max() < _REST_SPEED)
                 self.handler.stop_control()
-        except ArmStoppedError as error:
-            _logger.warning("%s", error)
+        except Exception as error:  # After a reflex, the library has ended the motion itself.
+            _logger.warning("%s: %s", self.name, error)
 
     def _target(self, q: FloatArray) -> FloatArray:
         """Returns the next target (7,) [rad], for the planned positions q (7,) [rad] at the
@@ -177,11 +177,10 @@ class FrankaArm:
         """Reads states of the robot until a condition is reached, at most `_REST_STATES`.
 
         Raises:
-            ArmStoppedError: if the connection is lost.
+            ArmStoppedError: if the connection is lost, or the condition is not reached.
         """
-        for _ in range(_REST_STATES):
-            if is_reached(self._read()):
-                break
+        if not any(is_reached(self._read()) for _ in range(_REST_STATES)):
+            raise ArmStoppedError(f"arm neither at rest nor recovered after {_REST_STATES} states")
 
     def _read(self) -> Any:
         """Reads and stores the newest state of the robot.
