@@ -24,11 +24,12 @@ from franky_sim.franka_robot_server import FrankaRobotServer
 from pydrake.lcm import DrakeLcm
 
 from drake_oa.app.run import LCM_URL
+from drake_oa.hardware import panda_station
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.runs.hardware_run import station_log
 from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
-from tests.hardware.lockstep import EPOCH, STEP
+from tests.hardware.lockstep import EPOCH, STEP, LossyLcm
 
 TICK, FREE_PERIOD = 1e-3, 0.01
 TICKS = round(STEP / TICK)
@@ -70,9 +71,10 @@ class Arm(BaseRobot):
             "": brakes.
         errors: errors of the last command.
         events: all errors.
+        is_free: whether robot time continues by itself.
     """
 
-    motion = ""
+    motion, is_free = "", False
 
     def __init__(self, station: PandaStation, rate: float) -> None:
         super().__init__(has_gripper=False)
@@ -115,7 +117,7 @@ class Arm(BaseRobot):
         """Returns desired positions (7,) [rad], and velocities (7,) by the wall clock [rad/s]."""
         return self._commands[-1], self._rate * np.diff(self._commands, axis=0)[-1] / TICK
 
-    is_holding = property(lambda self: not self.motion)
+    is_holding = property(lambda self: self.is_free or not self.motion)
 
     def _get_state(self) -> InnerRobotState:
         return self._state
@@ -216,7 +218,8 @@ class FrankaSimulator(BaseSimulator):
     def __init__(self, name: str, overrides: list[str], url: str, **station: Any) -> None:
         super().__init__()
         self._scenario, self._ticks = load_scenario(name, overrides), 0
-        self.station = PandaStation(self._scenario, DrakeLcm(url), waits=True, log=True, **station)
+        self.lcm: Any = LossyLcm(DrakeLcm(url))
+        self.station = PandaStation(self._scenario, self.lcm, waits=True, log=True, **station)
         self.arm = Arm(self.station, station.get("rate", 1.0))
 
     def _get_robots(self) -> list[BaseRobot]:
@@ -238,24 +241,27 @@ def serve(pipe: Any, *words: Any) -> None:
     """Simulates a robot, as the messages of a pipe demand: a word with values.
 
     After "run" robot time stands still between messages. After other messages it continues by
-    itself, for requests of pylibfranka that wait for answers.
+    itself, for requests of pylibfranka that wait for answers, but obstacles do not start to move.
+    The station waits for each image: a busy computer has no influence.
     """
-    now, is_free = EPOCH, True
+    now, panda_station._MAX_LATENESS = EPOCH, 0.0
     simulator = FrankaSimulator(*words, clock=lambda: now)
+    simulator.arm.is_free = True
     with simulator, simulation_server.SimulationServer(simulator) as server, suppress(EOFError):
         pipe.send(simulator.arm.hostname)
         while True:
-            if is_free and not pipe.poll(FREE_PERIOD):
+            if simulator.arm.is_free and not pipe.poll(FREE_PERIOD):
                 server.run_once(False)
                 continue
             word, *values = pipe.recv()
-            answer, is_free = None, word != "run"
+            answer, simulator.arm.is_free = None, word != "run"
             if word == "run":
                 (now,) = values
                 for _ in range(TICKS):
                     server.run_once(False)
-                state, is_finished = simulator.arm.inner_state, simulator.station.is_finished
-                answer = np.array(state.q), np.array(state.dq), simulator.arm.events, is_finished
+                state, station = simulator.arm.inner_state, simulator.station
+                answer = np.array(state.q), np.array(state.dq), simulator.arm.events
+                answer += station.is_finished, simulator.lcm.images
             elif word == "mode":
                 (simulator.arm.server.mode,) = values
             else:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
-from drake_oa.hardware.command_streamer import CommandStreamer, LcmArm
+from drake_oa.hardware.command_streamer import STATUS_CHANNEL, CommandStreamer, LcmArm
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario
@@ -31,15 +31,16 @@ class Clock:
 
 
 class LossyLcm:
-    """LCM bus that discards published messages while `is_lossy` is set."""
+    """LCM bus that discards published messages while `is_lossy` is set, and counts images."""
 
     def __init__(self, lcm: DrakeLcm) -> None:
-        self._lcm, self.is_lossy = lcm, False
+        self._lcm, self.is_lossy, self.images = lcm, False, 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._lcm, name)
 
     def Publish(self, channel: str, data: bytes) -> None:
+        self.images += channel != STATUS_CHANNEL
         if not self.is_lossy:
             self._lcm.Publish(channel, data)
 

@@ -22,6 +22,7 @@ from drake_oa.hardware.robot_link import HardwareError, RobotLink
 from drake_oa.runs.hardware_run import drive, prepare_hardware
 from drake_oa.runs.simulation import MotionInterruptedError
 from drake_oa.scenario.loading import load_scenario
+from drake_oa.world.depth_messages import CHANNEL, lcm_bus
 from tests.hardware.lockstep import NO_CAMERAS, STEP, Clock
 from tests.hardware.test_command_streamer import move
 
@@ -41,12 +42,17 @@ class Simulation:
 
         self.url = f"udpm://239.255.76.99:{7700 + os.getpid() % 200}?ttl=0&recv_buf_size=4000000"
         self.scenario, self.clock = load_scenario(name, overrides), Clock()
+        self._bus, self._image_count = lcm_bus(self.url), 0
+        self._bus.Subscribe(CHANNEL.format("camera"), self._count_image)
         self._pipe, end = Pipe()
         words = end, name, list(overrides), self.url
         get_context("spawn").Process(target=serve, args=words, daemon=True).start()
         end.close()
         self.host, self.arm = self._pipe.recv(), None
         _, self.limits = arm_of(self.scenario)
+
+    def _count_image(self, data: bytes) -> None:
+        self._image_count += 1
 
     def ask(self, *words: Any) -> Any:
         """Sends a message to the simulator, and returns its answer."""
@@ -78,7 +84,10 @@ class Simulation:
     def step(self) -> None:
         self._before_step()
         self.clock.now += STEP
-        self.q, self.v, self.errors, self.is_finished = self.ask("run", self.clock.now)
+        state = self.ask("run", self.clock.now)
+        self.q, self.v, self.errors, self.is_finished, sent_count = state
+        while self._image_count < sent_count:
+            assert self._bus.HandleSubscriptions(10_000), "an image was lost"
         if round(self.clock.now / STEP) % 4 or self._streamer is None:
             return
         if not self.arm.handler:
