@@ -215,6 +215,7 @@ def run(name: str, *overrides: str) -> dict[str, Any]:
     return robot.ask("report")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CLEARANCES)
 def test_franka_run_arrives_without_contacts(name: str) -> None:
     report = run(name)
