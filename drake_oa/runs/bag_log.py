@@ -21,6 +21,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from pydrake.math import RotationMatrix
 
@@ -49,7 +50,7 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
         log: log of the motion.
     """
     arrays = log.arrays()
-    series = {
+    series: dict[str, Any] = {
         key: values
         for key, values in arrays.items()
         if values.dtype.kind == "f" and values.ndim in (1, 2) and len(values) == len(log.t)
