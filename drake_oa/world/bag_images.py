@@ -49,7 +49,7 @@ class ImageRecorder(LeafSystem):
 
     - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf is too far, NaN is
       missing. Written as 32FC1 on /<camera>/depth/image_rect_raw, where -inf is too near.
-    - camera_pose: RigidTransform X_WC of the camera. Written on /tf.
+    - camera_pose: RigidTransform X_WC of the camera. Written on /tf when it has changed.
     - image_stamp: (1,) time of the image [s], the stamp of the messages.
     - plant_state_at_image: (n,) state [q, v] of the plant at that time. The state of the robot is
       written on /joint_states.
@@ -74,6 +74,8 @@ class ImageRecorder(LeafSystem):
         K = depth_intrinsics(config).intrinsic_matrix()
         # In ROS the center of the first pixel is at 0.
         K[:2, 2] -= PIXEL_CENTER
+        # Like the position in the file, the last pose belongs to the bag, not to the Context.
+        self._last_pose: RigidTransform | None = None
         matrices = {"k": K, "r": np.eye(3), "p": K @ np.eye(3, 4)}
         self._matrices = {name: matrix.ravel().tolist() for name, matrix in matrices.items()}
         self._image = AbstractInput(self, "depth_image", ImageDepth32F)
@@ -96,10 +98,12 @@ class ImageRecorder(LeafSystem):
         q, v = self._state.Eval(context)[self._rows].reshape(2, -1).tolist()
         kind = "sensor_msgs/msg/JointState"
         write("/joint_states", kind, stamp, name=self._joints, position=q, velocity=v)
-        p_WC, q_WC = vector(X_WC.translation()), quaternion(X_WC.rotation())
-        pose = {"translation": p_WC, "rotation": q_WC}
-        item = {"header": header(stamp), "child_frame_id": frame, "transform": pose}
-        write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
+        if self._last_pose is None or not X_WC.IsExactlyEqualTo(self._last_pose):
+            self._last_pose = X_WC
+            p_WC, q_WC = vector(X_WC.translation()), quaternion(X_WC.rotation())
+            pose = {"translation": p_WC, "rotation": q_WC}
+            item = {"header": header(stamp), "child_frame_id": frame, "transform": pose}
+            write("/tf", "tf2_msgs/msg/TFMessage", stamp, transforms=[item])
         depth[depth == 0.0] = -np.inf
         size = {"height": len(depth), "width": depth.shape[1]}
         kind = "sensor_msgs/msg/CameraInfo"
