@@ -45,8 +45,8 @@ def test_arm_follows_the_written_positions_and_rests_at_their_end() -> None:
     np.testing.assert_allclose(joints(lockstep.station), goal, atol=2e-3)
     assert not any("rejected" in event for event in lockstep.station.validator.events)
     assert lockstep.link.trajectory.max_tracking_error < 5e-3
-    # The pace is full except for its ramp and the lead.
-    assert lockstep.clock.now - EPOCH < 2.0 + 0.2 + 0.5 + 2 * STATUS_TIMEOUT
+    # The pace is full from the first command on.
+    assert lockstep.clock.now - EPOCH < 2.0 + 0.2 + 2 * STATUS_TIMEOUT
 
 
 def test_arm_moved_after_the_check_is_not_commanded() -> None:
