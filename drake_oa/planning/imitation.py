@@ -72,7 +72,8 @@ def demonstration(
     s = np.linspace(0.0, 1.0, SAMPLES)
     q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_share(s)))
     X_WE = tool_poses(world.chain, q)
-    duration = min(seconds_per_meter * _path_length(X_WE[:, 9:]), max_duration)
+    length = float(np.linalg.norm(np.diff(X_WE[:, 9:], axis=0), axis=1).sum())
+    duration = min(seconds_per_meter * length, max_duration)
     rate = np.abs(np.diff(q, axis=0)) / np.diff(s)[:, None]
     duration = max(duration, float((rate / (SPEED_FRACTION * world.chain.speed)).max()))
     t, R_WE = duration * s, X_WE[:, :9].reshape(-1, 3, 3)
@@ -123,8 +124,3 @@ def _smooth(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
         if min_clearance_margin(world, smooth) >= min_margin:
             return np.asarray(smooth)
     return q
-
-
-def _path_length(p: FloatArray) -> float:
-    """Computes the length of a polyline through T points (T, 3) [m]."""
-    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())

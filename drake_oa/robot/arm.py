@@ -448,8 +448,7 @@ def follow(
     error = error_before = pose_error(work.X, target, work.e)
     for i in range(len(q)):
         work.q_before[i] = q[i]
-    if row > 0:
-        for i in range(len(q)):
+        if row > 0:
             ahead = postures[row, i] - postures[row - 1, i]
             work.null_step[i] = ahead + pull * (postures[row - 1, i] - q[i])
     step_toward(q, _TRACKING_DAMPING, chain, work)

@@ -248,13 +248,6 @@ def _lattice(
     return np.asarray(p_BQ[_distances(geometries_of([geometry]), p_BQ) <= 1e-9])
 
 
-def _surface_samples(geometry: CollisionGeometry) -> FloatArray:
-    """Computes sample points (K, 3) on the surface of a shape, in the frame of the body, which the
-    spheres of a cover must contain [m].
-    """
-    return geometry.placed(surface_points(geometry, _N_SURFACE_POINTS))
-
-
 def _below_surface(geometry: CollisionGeometry, depth: float, count: int) -> FloatArray:
     """Computes candidate sphere centers (K, 3) below the surface of a shape: surface points, moved
     by a depth toward their mean [m].
@@ -401,7 +394,7 @@ def _sample_shapes(
         if len(outer) + len(inner) <= _MAX_SAMPLES:
             break
         step *= 1.2
-    surface = np.concatenate([_surface_samples(geometry) for geometry in geometries])
+    surface = np.concatenate([g.placed(surface_points(g, _N_SURFACE_POINTS)) for g in geometries])
     surface = surface[_distances(scene, surface) > -1e-6]
     return np.concatenate([surface, outer, inner])
 

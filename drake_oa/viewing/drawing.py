@@ -71,10 +71,3 @@ def ring_mesh(
     scale = np.transpose(COST_COLORS)
     color = np.stack([np.interp(cost, (0.0, 0.5, 1.0), part) for part in scale])
     return vertices.reshape(-1, 3).T.copy(), faces.copy(), np.repeat(color**2.2, 6, 1)
-
-
-def ring_radius(n_rings: int) -> float:
-    """Returns the outer radius of an obstacle's cost rings in the viewer, for a number of rings
-    [m].
-    """
-    return INNER_RADIUS + n_rings * (BAND + GAP) - GAP

@@ -199,7 +199,8 @@ class MeshcatOverlay(LeafSystem):
         for layer in LAYERS:
             meshcat.Delete(f"{_ROOT}/{layer}")
             meshcat.SetProperty(f"{_ROOT}/{layer}", "visible", layer in self._show)
-        length = drawing.ring_radius(3) + 0.08
+        # Beyond the outermost of three rings.
+        length = drawing.INNER_RADIUS + 3 * (drawing.BAND + drawing.GAP) + 0.08
         for slot in range(_SLOT_COUNT):
             body = f"{_ROOT}/descriptor/{slot}/ellipsoid/shape"
             meshcat.SetObject(body, Sphere(1.0), Rgba(*drawing.ELLIPSOID, 0.32))
