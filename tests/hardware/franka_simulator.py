@@ -163,13 +163,14 @@ class Controller(FrankaRobotServer):
         mode: name of the mode that is reported; "": the present one.
         errors: active errors.
         delays: robot time from the last state that the client had read to its command [ms].
+        times: robot time of each command [ms].
     """
 
     mode = ""
 
     def __init__(self, *words: Any) -> None:
         super().__init__(*words)
-        self.errors, self.delays = list[str](), list[int]()
+        self.errors, self.delays, self.times = list[str](), list[int](), list[int]()
         classes = self._FrankaServer__command_class_map
         classes[protocol.RobotCommand.kMove] = Move
         classes[protocol.RobotCommand.kAutomaticErrorRecovery] = Recovery
@@ -193,7 +194,8 @@ class Controller(FrankaRobotServer):
 
     def _handle_udp_command(self, data: bytes) -> None:
         seen = protocol.UDPCommand.from_bytes(data).message_id
-        self.delays.append(self._FrankaServer__message_id - 1 - seen)
+        self.times.append(self._FrankaServer__message_id - 1)
+        self.delays.append(self.times[-1] - seen)
         super()._handle_udp_command(data)
 
     def _post_process_commands(self) -> None:
@@ -232,9 +234,12 @@ class FrankaSimulator(BaseSimulator):
             self.arm.update()
 
     def report(self) -> dict[str, Any]:
-        """Returns the report of the motion by true geometry, errors, and the maximum delay [ms]."""
+        """Returns the report of the motion by true geometry, the errors, and the maximum delay of
+        a command and pause between two commands [ms].
+        """
         report = motion_report(self._scenario, station_log(self._scenario, self.station))
-        return report | {"errors": self.arm.events, "delay": max(self.arm.server.delays)}
+        delay, pause = max(self.arm.server.delays), int(np.diff(self.arm.server.times).max())
+        return report | {"errors": self.arm.events, "delay": delay, "pause": pause}
 
 
 def serve(pipe: Any, *words: Any) -> None:
