@@ -16,6 +16,8 @@ from drake_oa.world.depth_messages import lcm_bus
 EPOCH, STEP = 1.7e9, 0.002
 NO_CAMERAS = ["cameras=[]", "perception=!GroundTruth {}"]
 """Overrides for a scenario without cameras."""
+PRINTED_METRICS = ("contacts", "robot_clearance_min", "goal_error", "duration", "delay", "pause")
+"""Keys of the report of a run that are printed."""
 _numbers = count()
 """Numbers of the LCM buses of this process."""
 
@@ -62,7 +64,7 @@ class Lockstep:
     def __init__(
         self,
         scenario: str = "tabletop_box",
-        *,
+        *overrides: str,
         images: bool = False,
         log: bool = False,
     ) -> None:
@@ -70,7 +72,7 @@ class Lockstep:
         self.url = f"memq://{next(_numbers)}"
         self.lcm, self.clock = lcm_bus(self.url), Clock()
         self.statuses: Any = LossyLcm(self.lcm)
-        self.scenario = load_scenario(scenario, [] if images else NO_CAMERAS)
+        self.scenario = load_scenario(scenario, overrides if images else NO_CAMERAS)
         self.station = PandaStation(
             self.scenario,
             self.statuses,

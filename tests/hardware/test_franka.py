@@ -6,7 +6,7 @@ python -m tests.hardware.test_franka fr3_box 20      # runs with the seeds 0 to 
 import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing import Pipe, get_context
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from drake_oa.runs.hardware_run import drive, prepare_hardware
 from drake_oa.runs.simulation import MotionInterruptedError
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_messages import CHANNEL, lcm_bus
-from tests.hardware.lockstep import NO_CAMERAS, STEP, Clock
+from tests.hardware.lockstep import NO_CAMERAS, PRINTED_METRICS, STEP, Clock
 from tests.hardware.test_command_streamer import move
 
 pylibfranka = pytest.importorskip("pylibfranka")
@@ -32,10 +32,6 @@ pytest.importorskip("ruckig")
 
 CLEARANCES = {"fr3_box": 0.160, "fr3_moving": 0.153}
 """Minimum clearances of scenarios in one process [m]."""
-
-
-_PRINTED = ("errors", "contacts", "robot_clearance_min", "goal_error", "duration", "delay", "pause")
-"""Keys of the report of a run that are printed."""
 
 
 class Simulation:
@@ -50,7 +46,8 @@ class Simulation:
         self._bus.Subscribe(CHANNEL.format("camera"), self._count_image)
         self._pipe, end = Pipe()
         words = end, name, list(overrides), self.url
-        get_context("spawn").Process(target=serve, args=words, daemon=True).start()
+        self._process = get_context("spawn").Process(target=serve, args=words, daemon=True)
+        self._process.start()
         end.close()
         self.host, self.arm = self._pipe.recv(), None
         _, self.limits = arm_of(self.scenario)
@@ -103,6 +100,11 @@ class Simulation:
             self.arm.close()
             self._streamer = None
 
+    def end(self) -> None:
+        """Ends the simulator, whose images a later run would receive too."""
+        self._pipe.close()
+        self._process.join()
+
     def finish(self) -> None:
         """Ends the commands, and continues until the arm is at rest, without errors."""
         self.link.close()
@@ -113,9 +115,11 @@ class Simulation:
 
 
 @pytest.fixture(scope="module")
-def robot() -> Simulation:
+def robot() -> Iterator[Simulation]:
     """Simulated robot without cameras; its arm stays where the last test has moved it."""
-    return Simulation("fr3_box", *NO_CAMERAS)
+    simulation = Simulation("fr3_box", *NO_CAMERAS)
+    yield simulation
+    simulation.end()
 
 
 def ready(robot: Simulation) -> np.ndarray:
@@ -200,7 +204,7 @@ def test_franka_second_client_and_wrong_host_are_refused(
     robot: Simulation, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot.connect()
-    monkeypatch.setattr(robot_link, "STARTUP_TIMEOUT", 15.0)
+    monkeypatch.setattr(robot_link, "STARTUP_TIMEOUT", 5.0)
     words = ["run", "fr3_box", "--no-log", "--hardware", "franka"]
     assert main([*words, "--host", robot.host]) == 1
     assert "does not answer: activate FCI, and end its other clients" in capsys.readouterr().err
@@ -216,7 +220,9 @@ def run(name: str, *overrides: str) -> dict[str, Any]:
     drive(setup, robot.link)
     while not robot.is_finished:
         robot.step()
-    return robot.ask("report")
+    report = robot.ask("report")
+    robot.end()
+    return report
 
 
 @pytest.mark.slow
@@ -235,10 +241,11 @@ def test_franka_run_that_is_stopped_has_a_log() -> None:
     robot.ask_after(0.5, "abort", ["joint_reflex"])
     with pytest.raises(MotionInterruptedError) as stopped:
         drive(setup, robot.link)
+    robot.end()
     assert "joint_reflex" in stopped.value.log.stop_reason
 
 
 if __name__ == "__main__":
     for seed in range(int(sys.argv[2])):
         report = run(sys.argv[1], f"seed={seed}")
-        print({key: report[key] for key in _PRINTED}, flush=True)
+        print(report["errors"], {key: report[key] for key in PRINTED_METRICS}, flush=True)

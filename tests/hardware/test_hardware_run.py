@@ -1,4 +1,7 @@
-"""Runs of scenarios with a simulated station behind LCM messages, in one and two processes."""
+"""Runs of scenarios with a simulated station behind LCM messages, in one and two processes.
+
+python -m tests.hardware.test_hardware_run fr3_box 3      # runs with the seeds 0 to 2
+"""
 
 import os
 import signal
@@ -15,14 +18,14 @@ from pydrake.lcm import DrakeLcm
 from drake_oa.app.main import main
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.hardware.command_streamer import STATUS_CHANNEL
+from drake_oa.hardware.command_streamer import COMMAND_CHANNEL, STATUS_CHANNEL
 from drake_oa.hardware.hardware_station import hardware_scenario
 from drake_oa.hardware.robot_link import HardwareError, check_table
 from drake_oa.runs.hardware_run import drive, prepare_hardware, station_log
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
 from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
-from tests.hardware.lockstep import Lockstep
+from tests.hardware.lockstep import PRINTED_METRICS, Lockstep
 from tests.test_systems import checked_systems
 
 
@@ -168,3 +171,26 @@ def test_missing_arm_gives_a_one_line_error(
     assert "no status" in error_text
     assert f"({url})" in error_text
     assert main(["run", "tabletop_box", "--rate", "0.5"]) == 2
+
+
+def print_run(name: str, seed: int) -> None:
+    """Prints metrics of a run, with delays and pauses of commands by the station's clock [ms]."""
+    lockstep = Lockstep(name, f"seed={seed}", images=True, log=True)
+    statuses, commands = [lockstep.clock()], list[tuple[float, float]]()
+
+    def command(_: bytes) -> None:
+        commands.append((lockstep.clock(), lockstep.clock() - statuses[-1]))
+
+    lockstep.lcm.Subscribe(STATUS_CHANNEL, lambda _: statuses.append(lockstep.clock()))
+    lockstep.lcm.Subscribe(COMMAND_CHANNEL, command)
+    log = run(lockstep)
+    report = motion_report(lockstep.scenario, station_log(lockstep.scenario, lockstep.station))
+    times, delays = np.transpose(commands)
+    pause = np.diff(times).max()
+    report |= {"delay": round(1e3 * delays.max()), "pause": round(1e3 * pause)}
+    print(log.ended, {key: report[key] for key in PRINTED_METRICS}, flush=True)
+
+
+if __name__ == "__main__":
+    for number in range(int(sys.argv[2])):
+        print_run(sys.argv[1], number)
