@@ -89,6 +89,8 @@ _DISTANCE_SLACK = 2e-3
 """Amount by which required distances are lowered below those of the current configuration, so that
 no trajectory starts in contact [m]. Also the tolerance of the maximum angle by which a maneuver
 turns the tool [rad]."""
+_ROUNDING = 1e-6
+"""Amount by which a required distance is below the present one, because of rounding errors [m]."""
 _VERIFIED_SLACK = 5e-3
 """Amount by which distances required from resting obstacles are below those along the verified
 motion (checked by simulation), so that it is no contact [m]."""
@@ -648,6 +650,23 @@ def _sample_motion(motion: PlannedMotion) -> FloatArray:
     return motion.q[:: max(len(motion.q) // 80, 1)]
 
 
+def achievable_distance(required: float, present: FloatArray) -> FloatArray:
+    """Computes the distances required in a maneuver, which are reduced where the arm is closer.
+
+    r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))): close to r_0, a maneuver may reduce the
+    distance by 2 mm, but no sequence of maneuvers reduces it below r_0 / 2.
+
+    Args:
+        required: distance r_0 that is required if the present one is larger [m].
+        present: present distances d [m].
+
+    Returns:
+        Required distances r(d) [m].
+    """
+    least = np.minimum(present - _ROUNDING, 0.5 * required)
+    return np.minimum(required, np.maximum(present - _DISTANCE_SLACK, least))
+
+
 class _GuardModel:
     """Collision models of one decision of the motion guard: one model for resting and one for
     moving obstacles.
@@ -656,13 +675,13 @@ class _GuardModel:
     k is d_gk(q), and protrusion_g is the distance by which the spheres extend beyond their body.
     The required clearances are
 
-        resting:  min( 4 mm, d_gk(q_now) - 2 mm,
+        resting:  min( r(d_gk(q_now)),
                        max( min over verified motion of d_gk - 5 mm, -protrusion_g ) )
         moving:   min( padding + 12 mm, d_gk(q_now) - 2 mm )
 
-    so that a maneuver never requires more than the current configuration q_now or the verified
-    motion (checked by simulation) achieves. The requirement for the self-distance is reduced
-    likewise.
+    with r of `achievable_distance` for 4 mm, so that a maneuver never requires more than the
+    current configuration q_now or the verified motion (checked by simulation) achieves. The
+    requirement for the self-distance is reduced likewise, for 5 mm.
 
     Attributes:
         inputs: inputs of the decision.
@@ -692,7 +711,7 @@ class _GuardModel:
             chain, spheres, geometries, np.array(inputs.q)[None], inputs.begin, math.inf
         )
         is_fixed = spheres.group_joint < 0
-        resting = np.minimum(_RESTING_CONTACT_DISTANCE, self._distances - _DISTANCE_SLACK)
+        resting = achievable_distance(_RESTING_CONTACT_DISTANCE, self._distances)
         path = _sample_motion(inputs.motion).reshape(-1, len(inputs.q))
         path = np.ascontiguousarray(np.vstack([inputs.q_path[None], path]))
         max_distance = _RESTING_CONTACT_DISTANCE + 0.1
@@ -707,12 +726,9 @@ class _GuardModel:
         moving = np.minimum(padding + _MOVING_CONTACT_DISTANCE, self._distances - _DISTANCE_SLACK)
         moving[:, ~is_moving] = -np.inf
         resting[is_fixed] = moving[is_fixed] = -np.inf
-        self_distances = [
-            float(self_distance(chain, spheres, np.array(q))) for q in (inputs.q, inputs.q_path)
-        ]
-        of_self = min(
-            _SELF_CLEARANCE, min(self_distances) - 1e-3, verified_self_distance - _DISTANCE_SLACK
-        )
+        present = [self_distance(chain, spheres, np.array(q)) for q in (inputs.q, inputs.q_path)]
+        of_self = achievable_distance(_SELF_CLEARANCE, np.array(min(present)))
+        of_self = min(float(of_self), verified_self_distance - _DISTANCE_SLACK)
         is_tool = np.zeros(len(is_fixed), dtype=bool)
         self.resting = ArmCollisionModel(
             chain,

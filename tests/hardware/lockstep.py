@@ -16,7 +16,7 @@ from drake_oa.world.depth_messages import lcm_bus
 EPOCH, STEP = 1.7e9, 0.002
 NO_CAMERAS = ["cameras=[]", "perception=!GroundTruth {}"]
 """Overrides for a scenario without cameras."""
-PRINTED_METRICS = ("contacts", "robot_clearance_min", "goal_error", "duration", "delay", "pause")
+PRINTED_METRICS = ("contacts", "robot_clearance_min", "goal_error", "delay", "pause")
 """Keys of the report of a run that are printed."""
 _numbers = count()
 """Numbers of the LCM buses of this process."""

@@ -6,6 +6,8 @@ from functools import partial
 import numpy as np
 import pydrake.geometry as drake
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 
@@ -20,6 +22,7 @@ from drake_oa.planning.collision_model import group_distances
 from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import GuardParameters
+from drake_oa.safety.maneuvers import achievable_distance
 from drake_oa.safety.motion_guard import MotionGuard
 from tests.builders import fix, read
 from tests.planning.arms import ArmAlone
@@ -162,3 +165,14 @@ def test_a_robot_state_that_is_not_finite_is_a_fault(panda: ArmAlone) -> None:
     supervision = bench.system.GetOutputPort("supervision").Eval(bench.context)
     assert (supervision.action, supervision.reason) == ("stop", "the robot state is not finite")
     assert bench.read("speed_scale")[0] == 0.0
+
+
+@given(st.floats(1e-3, 0.02), st.floats(-0.02, 0.04))
+def test_no_sequence_of_maneuvers_halves_a_required_distance(required: float, start: float) -> None:
+    distance = start
+    for _ in range(100):
+        least = float(achievable_distance(required, np.array(distance)))
+        assert least < distance
+        assert least <= required
+        distance = least
+    assert distance > min(start, 0.5 * required) - 1.1e-4
