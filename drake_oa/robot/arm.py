@@ -39,6 +39,10 @@ rad for an error of 1 cm."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
 """Maximum number of corrective joint steps per tool pose of a tracked path, and pose error of the
 tool at which these steps end [m, rad]."""
+_MAX_STEP_ERROR, _MAX_JUMP = 0.25, 1.0
+"""Largest reduction of the pose error at one pose of a tracked path [m, rad], and motion of a joint
+above which the pose counts as out of reach [rad]: such steps lead to another branch of the inverse
+kinematics."""
 _OUT_OF_REACH = 1e-3
 """Pose error of the tool above which a pose of a tracked path counts as out of reach if the joint
 steps do not reduce the error [m, rad]."""
@@ -426,9 +430,11 @@ def follow(
     """Moves a configuration to the next tool pose of a path by damped least-squares steps, and
     tracks nominal postures in the null space.
 
-    If the pose is out of reach and the steps do not reduce the pose error, the configuration does
-    not change: near an extended elbow, steps would alternate between two mirrored configurations.
-    The poses of the joint frames and of the tool at the new configuration are stored in `work.X`.
+    A pose error above 0.25 m or 0.25 rad is reduced by that amount only. The configuration does not
+    change if the steps do not reduce the pose error, because the pose is out of reach, or if they
+    move a joint by more than 1 rad: near an extended elbow, steps would alternate between two
+    mirrored configurations. The poses of the joint frames and of the tool at the new configuration
+    are stored in `work.X`.
 
     Args:
         q: (n,) configuration, modified in place [rad].
@@ -451,17 +457,22 @@ def follow(
         if row > 0:
             ahead = postures[row, i] - postures[row - 1, i]
             work.null_step[i] = ahead + pull * (postures[row - 1, i] - q[i])
+    for i in range(6):
+        work.e[i] *= _MAX_STEP_ERROR / max(error, _MAX_STEP_ERROR)
     step_toward(q, _TRACKING_DAMPING, chain, work)
     work.null_step[:] = 0.0
     chain_poses(q, chain.X_PJ, work.X)
     error = pose_error(work.X, target, work.e)
-    for _ in range(_MAX_CORRECTIONS):
+    for _ in range(_MAX_CORRECTIONS if error_before <= _MAX_STEP_ERROR else 0):
         step_toward(q, _CORRECTION_DAMPING if len(q) > 6 else _TRACKING_DAMPING, chain, work)
         chain_poses(q, chain.X_PJ, work.X)
         error = pose_error(work.X, target, work.e)
         if error < _POSE_TOLERANCE:
             break
-    if error >= max(error_before, _OUT_OF_REACH):
+    jump = 0.0
+    for i in range(len(q)):
+        jump = max(jump, abs(q[i] - work.q_before[i]))
+    if error >= max(error_before, _OUT_OF_REACH) or jump > _MAX_JUMP:
         for i in range(len(q)):
             q[i] = work.q_before[i]
         chain_poses(q, chain.X_PJ, work.X)

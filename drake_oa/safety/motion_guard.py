@@ -165,11 +165,11 @@ class GuardState(Frozen):
     @property
     def is_on_path(self) -> bool:
         """Whether the joint command follows the verified motion (checked by simulation), or rests
-        within 0.01 rad of it.
+        within 0.01 rad of it, with relative joint speeds of at most 0.1 rad/s.
         """
-        n = len(self.path) // 2
-        is_near = bool((np.abs(self.x - self.path)[:n] <= ON_PATH_DEVIATION).all())
-        return self.decision.follows or (self.speed <= REST_SPEED and is_near and not self.is_stuck)
+        q, v = np.split(np.abs(self.x - self.path), 2)
+        rests = max(self.speed, float(v.max())) <= REST_SPEED and q.max() <= ON_PATH_DEVIATION
+        return self.decision.follows or (bool(rests) and not self.is_stuck)
 
     def at(self, time: float) -> FloatArray:
         """Computes the commanded joint state (2n,) [rad, rad/s] at a time within the current step
@@ -481,10 +481,8 @@ class MotionGuard(LeafSystem):
         n = self._n
         error = q - state.x[:n]
         feedback_error = np.abs(error + _DAMPING * (v - state.x[n:]))
-        if (
-            max(np.abs(error).max(), feedback_error.max() / _FEEDBACK_FRACTION)
-            <= self._parameters.contact_error
-        ):
+        max_error = max(np.abs(error).max(), feedback_error.max() / _FEEDBACK_FRACTION)
+        if max_error <= self._parameters.contact_error:
             return state
         if time > state.slow_until:
             joint = self._joints[int(feedback_error.argmax())]
@@ -573,14 +571,12 @@ class MotionGuard(LeafSystem):
         if state.is_stuck and stuck_since < math.inf:
             # The desired position moves to the tool, where a new motion is to start.
             error = -_pose_error(X_WE, tool_poses(chain, command[None, :n])[0])
-            shift_velocity = (
-                error[:3] / _SHIFT_TIME
-                if np.abs(error[:3]).max() > _SHIFT_TOLERANCE
-                else shift_velocity
-            )
-            path = np.append(command[:n], np.zeros(n))
+            if np.abs(error[:3]).max() > _SHIFT_TOLERANCE:
+                shift_velocity = error[:3] / _SHIFT_TIME
             if state.speed <= _REST_SPEED and np.abs(error).max() <= _POSE_TOLERANCE:
                 stuck_since, shift_velocity = math.inf, np.zeros(3)
+            else:
+                path = np.append(command[:n], np.zeros(n))
         return replace(
             state,
             end=time + step,
@@ -608,10 +604,8 @@ class MotionGuard(LeafSystem):
             Time since which there is no progress [s], inf if the arm is on the motion; and minimum
             deviation since this time [rad].
         """
-        if (
-            time - state.stuck_since > _PROGRESS_TIMEOUT + _MAX_WAIT
-            or deviation <= ON_PATH_DEVIATION
-        ):
+        has_waited = time - state.stuck_since > _PROGRESS_TIMEOUT + _MAX_WAIT
+        if has_waited or deviation <= ON_PATH_DEVIATION:
             return math.inf, deviation
         if state.is_stuck:
             return state.stuck_since, state.min_deviation

@@ -139,6 +139,18 @@ def test_arm_comes_to_rest_at_an_extended_elbow(
 
 @settings(max_examples=40)
 @given(seed=SEEDS)
+def test_tracked_path_does_not_change_the_branch_of_the_inverse_kinematics(
+    panda_chain: Chain, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    q, far = random.uniform(panda_chain.lower, panda_chain.upper, (2, 7))
+    target = tool_poses(panda_chain, far[None])[0]
+    joints, _ = track(panda_chain, q, np.tile(target, (60, 1)), q)
+    assert np.abs(np.diff(joints, axis=0, prepend=q[None])).max() <= 1.0
+
+
+@settings(max_examples=40)
+@given(seed=SEEDS)
 def test_poses_of_random_configurations_are_reached(
     panda_chain: Chain, six_chain: Chain, seed: int
 ) -> None:
