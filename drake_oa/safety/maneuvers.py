@@ -727,8 +727,8 @@ class _GuardModel:
         moving[:, ~is_moving] = -np.inf
         resting[is_fixed] = moving[is_fixed] = -np.inf
         present = [self_distance(chain, spheres, np.array(q)) for q in (inputs.q, inputs.q_path)]
-        of_self = achievable_distance(_SELF_CLEARANCE, np.array(min(present)))
-        of_self = min(float(of_self), verified_self_distance - _DISTANCE_SLACK)
+        of_self = float(achievable_distance(_SELF_CLEARANCE, np.array(min(present))))
+        of_self = min(of_self, verified_self_distance - _DISTANCE_SLACK)
         is_tool = np.zeros(len(is_fixed), dtype=bool)
         self.resting = ArmCollisionModel(
             chain,
