@@ -253,13 +253,7 @@ def station(
     loaded_scenario = open_scenario(scenario, overrides, log)
     lcm = _open_bus(lcm_url)
     with build_errors():
-        arm = PandaStation(
-            loaded_scenario,
-            lcm,
-            rate=rate,
-            waits=wait,
-            log=log is not None,
-        )
+        arm = PandaStation(loaded_scenario, lcm, rate=rate, waits=wait, log=log is not None)
     failure: BaseException | None = None
     print(f"station: {scenario_name(scenario)} on {lcm_url}", file=sys.stderr)
     with stop_between_steps() as raise_if_requested:

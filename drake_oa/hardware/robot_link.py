@@ -261,11 +261,7 @@ class CommandStream(LeafSystem):
     """
 
     def __init__(
-        self,
-        link: RobotLink,
-        arm: list[int],
-        num_states: int,
-        table: TablePlane | None,
+        self, link: RobotLink, arm: list[int], num_states: int, table: TablePlane | None
     ) -> None:
         """Declares the input ports and events of the system.
 

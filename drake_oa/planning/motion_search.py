@@ -272,7 +272,7 @@ class MotionSearch:
         if policy.speed > 0.0 or not len(motion.q):
             return False
         s = normalized_time(policy.phase, self._dmp.alpha_k)
-        p_WE = tool_poses(self._chain, inputs.q[None])[0, 9:]
+        p_WE = tool_poses(self._chain, np.array([inputs.q]))[0, 9:]
         is_tool_near = math.dist(p_WE, policy.p_WE) < _TOOL_TOLERANCE
         return is_tool_near and bool(np.abs(motion.joints(s) - inputs.q).max() > _MAX_DEVIATION)
 

@@ -4,9 +4,10 @@ messages.
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from operator import itemgetter
 
 from pydrake.geometry import Meshcat
@@ -29,8 +30,10 @@ from drake_oa.runs.simulation import (
     logged_signals,
     make_log,
     run_motion,
+    simulate,
 )
 from drake_oa.scenario.end_poses import start_positions
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import release_cameras
 
@@ -80,6 +83,7 @@ def prepare_hardware(
     max_delay = LEAD + link.rate * _IMAGE_DELAY
     known_scenario = hardware_scenario(scenario, link.url, max_delay)
     arm, limits = arm_of(known_scenario)
+    _load_kernels()
     q = start_positions(known_scenario)
     q[arm] = link.ready_arm(q[arm], limits)
     station = partial(add_hardware, link=link, q_measured=q)
@@ -93,6 +97,24 @@ def prepare_hardware(
             release_cameras(diagram)
             raise
     return HardwareSetup(scenario, known_scenario, diagram)
+
+
+@cache
+def _load_kernels() -> None:
+    """Loads or compiles the kernels of all layers, because compiling one while the arm moves would
+    delay decisions by seconds.
+
+    The function simulates a shipped scenario in which an obstacle moves toward the arm. The motion
+    is fast and its requested clearance cannot be reached, so that all methods of the planner and
+    the motion guard are used.
+    """
+    overrides = ["task.clearance=0.35", "task.duration=2.5", "perception.noise=null"]
+    level = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # Messages on this motion are not about the real arm.
+    try:
+        simulate(load_scenario("moving_obstacle", overrides), avoid_obstacles=True, duration=1.5)
+    finally:
+        logging.disable(level)
 
 
 def drive(

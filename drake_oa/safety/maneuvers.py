@@ -254,13 +254,11 @@ class GuardSearch:
         self.acceleration = np.full(len(chain.speed), parameters.acceleration)
         self.speed = chain.speed * parameters.speed_fraction
         self._lower, self._upper = chain.lower + _LIMIT_MARGIN, chain.upper - _LIMIT_MARGIN
+        spheres = arm_spheres.arrays
         # Cached: the verified motion is the same for many decisions.
         self._verified_self_distance = lru_cache(maxsize=2)(
             lambda motion: min(
-                (
-                    self_distance(chain, arm_spheres.arrays, np.array(q))
-                    for q in _sample_motion(motion)
-                ),
+                (self_distance(chain, spheres, np.array(q)) for q in _sample_motion(motion)),
                 default=math.inf,
             )
         )
@@ -284,19 +282,15 @@ class GuardSearch:
         decision = GuardDecision()
         if inputs.is_on_path:
             verified = self._followed_motion(inputs, 1.0)
-            verified_costs = self._evaluate(model, verified[None])
-            contact = inputs.begin + float(verified_costs.first[0])
+            costs = self._evaluate(model, verified[None])
+            contact = inputs.begin + float(costs.first[0])
             decision = replace(decision, contact=contact, obstacle=model.nearest)
-            is_clear = (
-                verified_costs.contact[0] == 0.0 and verified_costs.near_moving[0] <= _MAX_NEARNESS
-            )
+            is_clear = costs.contact[0] == 0.0 and costs.near_moving[0] <= _MAX_NEARNESS
             if is_clear and not self._find_violated_claim(verified, inputs):
                 return decision
         options = [GuardDecision(*option) for option in _FOLLOW_OPTIONS if inputs.is_on_path]
-        q_followed, n_followed = (
-            [self._followed_motion(inputs, option.scale) for option in options],
-            len(options),
-        )
+        n_followed = len(options)
+        q_followed = [self._followed_motion(inputs, option.scale) for option in options]
         q = np.array(q_followed).reshape(-1, _SAMPLES, len(inputs.q))
         if has_moving or not inputs.is_on_path:
             legs = self._maneuvers(previous, inputs)

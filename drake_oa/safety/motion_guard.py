@@ -311,8 +311,7 @@ class MotionGuard(LeafSystem):
         )
         self._search = GuardSearch(
             chain, arm_spheres, config=config, period=period, padding=padding,
-            turn_limit=turn_limit,
-            parameters=parameters,
+            turn_limit=turn_limit, parameters=parameters,
         )  # fmt: skip
         reach = float(chain.reach @ self._search.speed)
         self._slow_fraction = min(1.0, parameters.v_unseen / max(reach, 1e-9))

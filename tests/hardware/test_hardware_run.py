@@ -3,6 +3,7 @@
 python -m tests.hardware.test_hardware_run fr3_box 3      # runs with the seeds 0 to 2
 """
 
+import gc
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drake import lcmt_panda_status
+from numba.core.dispatcher import Dispatcher
 from pydrake.lcm import DrakeLcm
 
 from drake_oa.app.main import main
@@ -29,13 +31,20 @@ from tests.hardware.lockstep import PRINTED_METRICS, Lockstep
 from tests.test_systems import checked_systems
 
 
+def kernel_count() -> int:
+    """Counts the kernels that are loaded, once for each combination of argument types."""
+    return sum(len(obj.signatures) for obj in gc.get_objects() if isinstance(obj, Dispatcher))
+
+
 def run(lockstep: Lockstep, duration: float | None = None) -> MotionLog:
     """Runs a scenario on the simulated station; returns the log of the commands."""
     driven = prepare_hardware(lockstep.scenario, lockstep.link)
     assert checked_systems(driven.diagram) >= {"CommandStream", "MeasuredState", "LiveCamera"}
     for _ in range(25):
         lockstep.step()
+    before = kernel_count()
     log = drive(driven, lockstep.link, duration=duration)
+    assert kernel_count() == before, "kernels were loaded while the arm moved"
     while not lockstep.station.is_finished:
         lockstep.step()
     return log
