@@ -103,8 +103,8 @@ def test_error_of_a_wrong_camera_pose_names_the_deviation_of_the_table() -> None
 
 
 COMMAND = [sys.executable, "-m", "drake_oa.app.main"]
-# Slow, so that other load of this computer has no influence.
-RATE = ["--rate", "0.25"]
+# Slow, so that the arm moves by less than the allowed jump while other load stops a process.
+RATE = ["--rate", "0.2"]
 
 
 def popen(*words: str) -> subprocess.Popen[str]:
@@ -121,28 +121,19 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
     url = f"udpm://239.255.76.99:{7680 + kind}?ttl=0&recv_buf_size=4000000"
     truth, sent = tmp_path / "truth.npz", tmp_path / "sent.npz"
     arm = popen("station", "tabletop_box", "--lcm-url", url, *RATE, "--wait", "--log", str(truth))
-    words = [
-        "run",
-        "tabletop_box",
-        "--lcm-url",
-        url,
-        *RATE,
-        "--hardware",
-        "lcm",
-        "--log",
-        str(sent),
-    ]
-    driver = popen(*words)
+    driver = popen(
+        "run", "tabletop_box", "--lcm-url", url, *RATE, "--hardware", "lcm", "--log", str(sent)
+    )
     lcm, received = DrakeLcm(url), list[bytes]()
     lcm.Subscribe(STATUS_CHANNEL, received.append)
     try:
         deadline = time.monotonic() + 300.0
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline and driver.poll() is None:
             lcm.HandleSubscriptions(100)
             while lcm.HandleSubscriptions(0):
                 pass  # A status that waits in the queue is of an earlier time.
             status = lcmt_panda_status.decode(received[-1]) if received else lcmt_panda_status()
-            if np.abs(status.joint_velocity).max(initial=0.0) > 0.1:
+            if np.abs(status.joint_velocity).max(initial=0.0) > 0.04:
                 break
         if kind == signal.SIGKILL:
             # The streamer continues without its parent process.
@@ -160,7 +151,7 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
     fast = np.abs(log.v[:, :7]).max(axis=1)
     assert fast.max() > 0.1
     assert fast[-1] < 0.01
-    # The arm decelerates within the lead, at a quarter of the rate.
+    # The arm decelerates within the lead.
     assert np.abs(np.diff(log.v[:, :7], axis=0)).max() / 0.004 < 40.0
     if kind == signal.SIGINT:
         assert driver.returncode == 130, output
