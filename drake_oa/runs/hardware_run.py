@@ -4,7 +4,6 @@ messages.
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -14,6 +13,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
+from drake_oa.common.console import quiet
 from drake_oa.common.messages import HoldReason
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.hardware.command_streamer import LEAD
@@ -109,12 +109,8 @@ def _load_kernels() -> None:
     the motion guard are used.
     """
     overrides = ["task.clearance=0.35", "task.duration=2.5", "perception.noise=null"]
-    level = logging.root.manager.disable
-    logging.disable(logging.WARNING)  # Messages on this motion are not about the real arm.
-    try:
+    with quiet():  # Messages on this motion are not about the real arm.
         simulate(load_scenario("moving_obstacle", overrides), avoid_obstacles=True, duration=1.5)
-    finally:
-        logging.disable(level)
 
 
 def drive(
