@@ -167,11 +167,8 @@ def new_tracks(p_W: FloatArray) -> Tracks:
         name: np.zeros((len(p_W), *part.shape[1:]), dtype=part.dtype)
         for name, part in vars(Tracks()).items()
     }
-    parts["state"][..., 0], parts["covariance"][:], parts["sides"][:] = (
-        p_W,
-        _FIRST_COVARIANCE,
-        np.nan,
-    )
+    parts["state"][..., 0], parts["covariance"][:] = p_W, _FIRST_COVARIANCE
+    parts["sides"][:] = np.nan
     return Tracks(**parts | {"p_shift_W": p_W})
 
 
@@ -263,7 +260,8 @@ def correct_tracks(
 
     A position beyond the gate is an outlier, and is rejected. A second outlier in a row is a
     maneuver and is accepted: the variance of the position grows by the square of the jump. The
-    velocity, unless measured too, becomes as uncertain as that of a new track.
+    velocity, unless measured too, becomes as uncertain as that of a new track. So does a velocity
+    before a measured one beyond the gate: an obstacle that rested has started to move.
 
     Args:
         tracks: predicted tracks.
@@ -275,19 +273,21 @@ def correct_tracks(
     """
     p_W, variance = measure_positions(sides, tracks.sides, tracks.area, deviation)
     has_velocity, previous_sides = np.isfinite(v_W), tracks.sides
-    tracks = kalman_update(tracks, 1, v_W, v_variance)
+    change = np.where(has_velocity, v_W - tracks.v_W, 0.0)
+    has_changed = change**2 > _OUTLIER**2 * (tracks.covariance[..., 1, 1] + v_variance)
+    reset = tracks.covariance * np.diag([1.0, 0.0]) + np.diag([0.0, INITIAL_SPEED**2])
+    P = np.where(has_changed[..., None, None], reset, tracks.covariance)
+    tracks = kalman_update(replace(tracks, covariance=P), 1, v_W, v_variance)
     jump = np.where(np.isfinite(p_W), p_W - tracks.p_W, 0.0)
     is_outlier = jump**2 > _OUTLIER**2 * (tracks.covariance[..., 0, 0] + variance)
     is_maneuver = is_outlier & tracks.is_outlier
-    if is_maneuver.any():
-        P = np.array(tracks.covariance)
-        P[is_maneuver, 0, 0] += jump[is_maneuver] ** 2
-        P[is_maneuver, 0, 1] = P[is_maneuver, 1, 0] = 0.0
-        P[is_maneuver & ~has_velocity, 1, 1] = INITIAL_SPEED**2
-        tracks = replace(tracks, covariance=P)
+    P = np.array(tracks.covariance)
+    P[is_maneuver, 0, 0] += jump[is_maneuver] ** 2
+    P[is_maneuver, 0, 1] = P[is_maneuver, 1, 0] = 0.0
+    P[is_maneuver & ~has_velocity, 1, 1] = INITIAL_SPEED**2
     p_W = np.where(is_outlier & ~is_maneuver, np.nan, p_W)
     is_measured = np.isfinite(p_W) | has_velocity
-    tracks = kalman_update(tracks, 0, p_W, variance)
+    tracks = kalman_update(replace(tracks, covariance=P), 0, p_W, variance)
     is_whole = sides.ends.all(axis=(1, 2))
     new_sides = learn_sides(sides, previous_sides, tracks.p_W)
     tracks = replace(
@@ -315,12 +315,13 @@ def _decide_motion(
     - d: distance of the filtered position from the position of the remembered points.
 
     A track is suspect if it moves, has a measured velocity, or has D > _MIN_EVIDENCE. A frame is
-    significant if S > START_STATISTIC, |v| > _START_SPEED, and the track moves, or is suspect with
-    d > _REST_RADIUS.
+    certain if the velocity is measured and S > _CERTAIN_STATISTIC. It is significant if S >
+    START_STATISTIC, |v| > _START_SPEED, and the frame is certain, the track moves, or it is suspect
+    with d > _REST_RADIUS.
 
         measured frame                                                      motion score
         significant                                                         + _SIGNIFICANT_SCORE
-        significant, with measured velocity and S > _CERTAIN_STATISTIC      + _MOVING_SCORE
+        significant and certain                                             + _MOVING_SCORE
         S > _STOP_STATISTIC, D > _STRONG_EVIDENCE, |v| > _START_SPEED       + 1
         any other                                                           reset to 0
 
@@ -341,10 +342,10 @@ def _decide_motion(
     is_fast = (speed > _START_SPEED) & is_measured
     is_distant = np.linalg.norm(offset, axis=1) > _REST_RADIUS
     is_significant = statistic > START_STATISTIC
-    is_significant &= is_fast & (tracks.is_moving | (is_suspect & is_distant))
+    is_certain = has_velocity & (statistic > _CERTAIN_STATISTIC)
+    is_significant &= is_fast & (is_certain | tracks.is_moving | (is_suspect & is_distant))
     is_likely = is_fast & (statistic > _STOP_STATISTIC)
     is_likely &= tracks.motion_evidence > _STRONG_EVIDENCE
-    is_certain = has_velocity & (statistic > _CERTAIN_STATISTIC)
     score = np.where(is_certain, _MOVING_SCORE, _SIGNIFICANT_SCORE)
     score = tracks.motion_score + np.where(is_significant, score, 1)
     score = np.where(is_significant | is_likely, score, 0)
@@ -385,6 +386,9 @@ pixels. It divides the weight of each point in the registration [-]."""
 _GATE = 0.02
 """Maximum distance between corresponding points of two surfaces in the last iteration of their
 registration [m]."""
+_BETTER_FIT = 0.8
+"""Maximum ratio of two misfits (mean distances between two surfaces after their registration) at
+which the registration from an alternative start counts as clearly better [-]."""
 _SPEED_STEP = 0.1
 """Maximum apparent speed that one depth step of the camera may cause in a measured velocity: the
 step over the age of the earlier frame [m/s]."""
@@ -415,6 +419,7 @@ def register_surface(
     guess: FloatArray,
     prior: float,
     deviation: float = SIDE_DEVIATION,
+    alternative: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Computes the displacement between two surfaces of an obstacle by point-to-plane registration.
 
@@ -423,13 +428,17 @@ def register_surface(
         sum_i w_i (n_i . (q_i - p_i - t))^2 + |t - guess|^2 / prior^2
 
     Here p_i are local means of the earlier points, and q_i and n_i mean and normal of the nearest
-    later points (Chen and Medioni 1992). The weights w_i reject edges and outliers.
+    later points (Chen and Medioni 1992). The weights w_i reject edges and outliers. The iterations
+    start at the guess, and converge to a wrong minimum if it is farther from the displacement than
+    a side of the obstacle is wide. They are repeated from an alternative start, whose result is
+    used if the surfaces then fit clearly better.
 
     Args:
         before, now: (N, 3) earlier and (M, 3) later surface in the world [m].
         guess: (3,) predicted displacement [m].
         prior: standard deviation of the guess [m].
         deviation: standard deviation of a point [m].
+        alternative: (3,) another displacement at which the iterations start [m].
 
     Returns:
         (3,) displacement [m], and (3,) its variances [m^2]. If a surface has fewer than
@@ -441,33 +450,47 @@ def register_surface(
     sample = before[:: -(-len(before) // _MAX_SURFACE_POINTS)]
     # Means of as many points on both sides, so that a curved surface is flattened equally.
     sample = before[before_tree.query(sample, k=_NEIGHBORS)[1]].mean(axis=1)
-    shift, prior_information = np.array(guess, dtype=float), np.eye(3) / prior**2
-    information = prior_information
-    for reach in np.geomspace(2.0 * max(_GATE, prior), max(_GATE, 2.0 * deviation), _ITERATIONS):
-        distance, rows = tree.query(sample + shift, k=_NEIGHBORS, distance_upper_bound=reach)
-        has_patch = np.isfinite(distance).all(axis=1)
-        if not has_patch.any():
-            break
-        patches = now[rows[has_patch]]
-        middle = patches.mean(axis=1)
-        offsets = patches - middle[:, None]
-        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
-        normal = axes[:, :, 0]
-        gap = np.einsum("ni,ni->n", normal, middle - sample[has_patch])
-        residual = np.abs(gap - normal @ shift)
-        # Edges have no normal, and outliers must have no influence.
-        weight = (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-12)) ** 2
-        weight = weight / (1.0 + (residual / (3.0 * deviation)) ** 2)
-        weight = weight / (_CORRELATED_POINTS * deviation**2)
-        frame_information = np.einsum("n,ni,nj->ij", weight, normal, normal)
-        pull = np.einsum("n,ni,n->i", weight, normal, gap) + prior_information @ guess
-        shift = np.linalg.solve(frame_information + prior_information, pull)
-        # Noise tilts the normals, which would pretend information along the surface.
-        roughness = np.minimum(spread[:, 0] / (_NEIGHBORS - 3), deviation**2)
-        tilt = weight @ (roughness / np.maximum(spread[:, 1], deviation**2))
-        size, along = np.linalg.eigh(frame_information - tilt * np.eye(3))
-        information = (along * np.maximum(size, 0.0)) @ along.T + prior_information
-    return shift, np.diag(np.linalg.inv(information)).copy()
+    prior_information = np.eye(3) / prior**2
+
+    def align(start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        shift, information = np.array(start, dtype=float), prior_information
+        for reach in np.geomspace(
+            2.0 * max(_GATE, prior), max(_GATE, 2.0 * deviation), _ITERATIONS
+        ):
+            distance, rows = tree.query(sample + shift, k=_NEIGHBORS, distance_upper_bound=reach)
+            has_patch = np.isfinite(distance).all(axis=1)
+            if not has_patch.any():
+                break
+            patches = now[rows[has_patch]]
+            middle = patches.mean(axis=1)
+            offsets = patches - middle[:, None]
+            spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
+            normal = axes[:, :, 0]
+            gap = np.einsum("ni,ni->n", normal, middle - sample[has_patch])
+            residual = np.abs(gap - normal @ shift)
+            # Edges have no normal, and outliers must have no influence.
+            weight = (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-12)) ** 2
+            weight = weight / (1.0 + (residual / (3.0 * deviation)) ** 2)
+            weight = weight / (_CORRELATED_POINTS * deviation**2)
+            frame_information = np.einsum("n,ni,nj->ij", weight, normal, normal)
+            pull = np.einsum("n,ni,n->i", weight, normal, gap) + prior_information @ guess
+            shift = np.linalg.solve(frame_information + prior_information, pull)
+            # Noise tilts the normals, which would pretend information along the surface.
+            roughness = np.minimum(spread[:, 0] / (_NEIGHBORS - 3), deviation**2)
+            tilt = weight @ (roughness / np.maximum(spread[:, 1], deviation**2))
+            size, along = np.linalg.eigh(frame_information - tilt * np.eye(3))
+            information = (along * np.maximum(size, 0.0)) @ along.T + prior_information
+        return shift, np.diag(np.linalg.inv(information)).copy()
+
+    def misfit(shift: FloatArray) -> float:
+        distances = tree.query(sample + shift)[0], cKDTree(sample + shift).query(now)[0]
+        return float(sum(np.minimum(distance, _GATE).mean() for distance in distances))
+
+    result = align(guess)
+    if alternative is not None and np.abs(alternative - guess).max() > _GATE:
+        other = align(alternative)
+        result = other if misfit(other[0]) < _BETTER_FIT * misfit(result[0]) else result
+    return result
 
 
 def depth_deviation(p_W: FloatArray, views: Sequence[View]) -> FloatArray:
@@ -529,17 +552,14 @@ def measure_velocities(
         if 2.0 * deviation[row] > _SPEED_STEP * dt and dt < _MAX_REFERENCE_AGE:
             new_references[track_id] = reference
             continue
-        has_shifted = np.abs(middle - reference.p_WQ.mean(axis=0)).max() > _REST_RADIUS
+        moved = middle - reference.p_WQ.mean(axis=0)
         is_suspect = tracks.is_moving[row] or tracks.motion_evidence[row] > _MIN_EVIDENCE
-        if not (has_shifted or is_suspect):
+        if not is_suspect and np.abs(moved).max() <= _REST_RADIUS:
             continue
         prior = dt * INITIAL_SPEED
+        surface, predicted = p_WQ[np.isin(cluster, cluster[is_own])], dt * tracks.v_W[row]
         shift, spread = register_surface(
-            reference.p_WQ,
-            p_WQ[np.isin(cluster, cluster[is_own])],
-            dt * tracks.v_W[row],
-            prior,
-            deviation[row],
+            reference.p_WQ, surface, predicted, prior, deviation[row], moved
         )
         is_measured = spread <= (_MAX_SPREAD_RATIO * prior) ** 2
         v_W[row, is_measured], variance[row] = shift[is_measured] / dt, spread / dt**2

@@ -25,9 +25,17 @@ def plane(rng: np.random.Generator, offset: np.ndarray) -> np.ndarray:
     return offset + points + rng.normal(scale=NOISE, size=points.shape) * [0.0, 0.0, 1.0]
 
 
-def register(before: np.ndarray, now: np.ndarray):
+def flat_box(rng: np.random.Generator, offset: np.ndarray) -> np.ndarray:
+    """Returns points (800, 3) with noise on top and front, 5 cm high, of a box at an offset [m]."""
+    u, v = rng.uniform(-0.1, 0.1, (2, 800))
+    is_front = np.arange(800) < 200
+    points = np.column_stack([np.where(is_front, 0.1, u), v, np.where(is_front, u / 4.0, 0.025)])
+    return offset + points + rng.normal(scale=NOISE, size=points.shape)
+
+
+def register(before: np.ndarray, now: np.ndarray, prior: float = PRIOR):
     """Returns displacement and variances of two surfaces, with the guess 0."""
-    return register_surface(before, now, np.zeros(3), PRIOR)
+    return register_surface(before, now, np.zeros(3), prior, NOISE)
 
 
 @settings(max_examples=25, deadline=None)
@@ -45,3 +53,26 @@ def test_only_the_displacement_along_its_normal_is_measured_of_a_plane() -> None
     assert result[2] == pytest.approx(0.005, abs=1e-3)
     assert variance[2] < 1e-6
     assert (variance[:2] > 25e-6).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(distance=st.floats(-0.12, 0.12), seed=st.integers(0, 99))
+def test_a_box_may_move_farther_than_its_front_is_high(distance: float, seed: int) -> None:
+    rng, shift = np.random.default_rng(seed), np.array([distance, 0.0, 0.0])
+    before, now = flat_box(rng, np.zeros(3)), flat_box(rng, shift)
+    moved = now.mean(axis=0) - before.mean(axis=0)
+    result, variance = register_surface(before, now, np.zeros(3), 0.07, NOISE, moved)
+    assert result[0] == pytest.approx(distance, abs=5e-3)
+    assert variance[0] < 1e-4
+
+
+@settings(max_examples=25, deadline=None)
+@given(side=st.floats(-0.05, 0.05), seed=st.integers(0, 99))
+def test_occlusion_of_a_part_does_not_move_a_resting_box(side: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before, now = flat_box(rng, np.zeros(3)), flat_box(rng, np.zeros(3))
+    now = now[now[:, 1] > side]
+    moved = now.mean(axis=0) - before.mean(axis=0)
+    result, _ = register_surface(before, now, np.zeros(3), 0.07, NOISE, moved)
+    expected, _ = register(before, now, 0.07)
+    np.testing.assert_array_equal(result, expected)

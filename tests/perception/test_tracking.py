@@ -1,5 +1,7 @@
 """Tests of multi-object tracking, on ray-cast depth images with the noise of a depth camera."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from drake_oa.geometry.collision_scene import CollisionGeometries, geometries_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.segmentation import Segmentation, segment_views
 from drake_oa.perception.tracking import TrackerState, update_tracks
+from drake_oa.perception.velocity import Sides, correct_tracks, new_tracks
 from drake_oa.world.depth_noise import add_depth_noise
 from tests.planning.arms import box_at
 from tests.reference.depth_images import look_at, ray_cast
@@ -216,6 +219,19 @@ def test_the_velocity_of_a_distant_obstacle_is_measured_within_half_a_second():
             assert not v_WO.any()
         elif k > 12 + 15:
             np.testing.assert_allclose(v_WO, [0.6, 0.0, 0.0], atol=0.15)
+
+
+def test_an_obstacle_that_rested_moves_with_its_first_velocity_beyond_the_gate():
+    tracks = new_tracks(np.zeros((1, 3)))
+    certain = np.tile(np.diag([0.002**2, 0.03**2]), (1, 3, 1, 1))
+    tracks = replace(tracks, covariance=certain, motion_evidence=np.array([0.4]))
+    sides = Sides(
+        np.full((1, 3, 2), np.nan), np.zeros((1, 3, 2), dtype=bool), np.full(1, 0.01), np.zeros(1)
+    )
+    v_W, variance = np.array([[0.55, 0.0, np.nan]]), np.full((1, 3), 0.04**2)
+    tracks = correct_tracks(tracks, sides, np.full(1, 0.005), v_W, variance, FRAME)
+    assert tracks.is_moving.all()
+    np.testing.assert_allclose(tracks.v_W, [[0.55, 0.0, 0.0]], atol=0.02)
 
 
 def test_an_occluded_moving_obstacle_coasts_with_its_track_id_and_then_stops():
