@@ -106,6 +106,25 @@ def place_bounds(X: FloatArray, spheres: Spheres, center: FloatArray) -> None:
 
 
 @leaf
+def group_bound(
+    spheres: Spheres, center: FloatArray, g: int, geometries: CollisionGeometries, k: int, t: float
+) -> float:
+    """Computes a lower bound of the distance from group g to collision geometry k at time t [m],
+    by their bounding spheres.
+
+    Args:
+        spheres: spheres of the arm.
+        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
+        g: index of the group.
+        geometries: collision geometries.
+        k: index of the geometry.
+        t: time at which the geometry is evaluated [s].
+    """
+    x, y, z = center[g, 0], center[g, 1], center[g, 2]
+    return ball_bound(geometries, k, x, y, z, t) - spheres.bound[g, 3]
+
+
+@leaf
 def geometry_gap(
     X: FloatArray, spheres: Spheres, center: FloatArray, g: int,
     geometries: CollisionGeometries, k: int, t: float,
@@ -115,7 +134,8 @@ def geometry_gap(
 
     The result is min(d - clearance, upper_bound), with the distance d from the group to the
     geometry. Bounding spheres of the group and of its clusters (sets of neighboring spheres)
-    exclude spheres that cannot lower the result.
+    exclude spheres that cannot lower the result. The caller checks `group_bound`, because a call
+    with these arguments takes more time.
 
     Args:
         X: (n + 2, 12) link poses, as computed by `chain_poses`.
@@ -131,11 +151,8 @@ def geometry_gap(
             the minimum over the spheres [m].
     """
     x, y, z = center[g, 0], center[g, 1], center[g, 2]
-    cutoff = spheres.bound[g, 3] + clearance + upper_bound
-    if ball_bound(geometries, k, x, y, z, t) >= cutoff:
-        return upper_bound
     center_distance = geometry_distance(geometries, k, x, y, z, t)
-    if center_distance >= cutoff:
+    if center_distance >= spheres.bound[g, 3] + clearance + upper_bound:
         return upper_bound
     frame = spheres.group_joint[g] + 1
     for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
@@ -146,6 +163,8 @@ def geometry_gap(
             square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
             if square <= (center_distance - cutoff) ** 2:
                 continue
+        if ball_bound(geometries, k, u, v, w, t) >= cutoff:
+            continue
         if geometry_distance(geometries, k, u, v, w, t) >= cutoff:
             continue
         for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
@@ -157,6 +176,21 @@ def geometry_gap(
                 if d < stop_below:
                     return upper_bound
     return upper_bound
+
+
+@leaf
+def pair_bound(spheres: Spheres, center: FloatArray, m: int) -> float:
+    """Computes a lower bound of the distance between the two groups of pair m [m], by their
+    bounding spheres.
+
+    Args:
+        spheres: spheres of the arm.
+        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
+        m: row of the two groups in `spheres.pairs`.
+    """
+    a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
+    x, y, z = center[b, 0] - center[a, 0], center[b, 1] - center[a, 1], center[b, 2] - center[a, 2]
+    return math.sqrt(x * x + y * y + z * z) - spheres.bound[a, 3] - spheres.bound[b, 3]
 
 
 @leaf
@@ -186,30 +220,31 @@ def pair_distance(
             the minimum over the spheres [m].
     """
     a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
-    x, y, z = (
-        center[b, 0] - center[a, 0],
-        center[b, 1] - center[a, 1],
-        center[b, 2] - center[a, 2],
-    )
-    cutoff = upper_bound - offset + spheres.bound[a, 3] + spheres.bound[b, 3]
-    if cutoff <= 0.0 or x * x + y * y + z * z >= cutoff * cutoff:
-        return upper_bound
     frame_a, frame_b = spheres.group_joint[a] + 1, spheres.group_joint[b] + 1
-    for i in range(spheres.first[a], spheres.first[a + 1]):
-        x, y, z = transform_point(X, frame_a, spheres.p_JS, i)
+    for c in range(spheres.cluster[a], spheres.cluster[a + 1]):
+        x, y, z = transform_point(X, frame_a, spheres.cluster_bound, c)
         u, v, w = x - center[b, 0], y - center[b, 1], z - center[b, 2]
-        cutoff = upper_bound - offset + spheres.radius[i] + spheres.bound[b, 3]
+        radius = spheres.cluster_bound[c, 3] - offset
+        cutoff = upper_bound + radius + spheres.bound[b, 3]
         if cutoff <= 0.0 or u * u + v * v + w * w >= cutoff * cutoff:
             continue
-        for j in range(spheres.first[b], spheres.first[b + 1]):
-            u, v, w = transform_point(X, frame_b, spheres.p_JS, j)
-            u, v, w = u - x, v - y, w - z
-            contact_distance = spheres.radius[i] + spheres.radius[j] - offset
-            cutoff, square = upper_bound + contact_distance, u * u + v * v + w * w
-            if cutoff > 0.0 and square < cutoff * cutoff:
-                upper_bound = math.sqrt(square) - contact_distance
-                if upper_bound < stop_below:
-                    return upper_bound
+        for e in range(spheres.cluster[b], spheres.cluster[b + 1]):
+            u, v, w = transform_point(X, frame_b, spheres.cluster_bound, e)
+            cutoff = upper_bound + radius + spheres.cluster_bound[e, 3]
+            square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+            if cutoff <= 0.0 or square >= cutoff * cutoff:
+                continue
+            for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
+                f, g, h = transform_point(X, frame_a, spheres.p_JS, i)
+                for j in range(spheres.cluster_first[e], spheres.cluster_first[e + 1]):
+                    u, v, w = transform_point(X, frame_b, spheres.p_JS, j)
+                    contact_distance = spheres.radius[i] + spheres.radius[j] - offset
+                    cutoff = upper_bound + contact_distance
+                    square = (u - f) ** 2 + (v - g) ** 2 + (w - h) ** 2
+                    if cutoff > 0.0 and square < cutoff * cutoff:
+                        upper_bound = math.sqrt(square) - contact_distance
+                        if upper_bound < stop_below:
+                            return upper_bound
     return upper_bound
 
 
@@ -242,14 +277,16 @@ def lower_clearance_margins(
         row = TOOL if required.is_tool[g] else LINKS
         for k in range(len(geometries.ball)):
             clearance = required.of_geometries[g, k]
-            margins[row] = geometry_gap(
-                X, spheres, center, g, geometries, k, t, clearance, margins[row], stop_below
-            )  # fmt: skip
+            if group_bound(spheres, center, g, geometries, k, t) < clearance + margins[row]:
+                margins[row] = geometry_gap(
+                    X, spheres, center, g, geometries, k, t, clearance, margins[row], stop_below
+                )  # fmt: skip
             if margins[row] < stop_below:
                 return
     for m in range(len(spheres.pairs)):
         offset = spheres.allowance[m] - required.of_self
-        margins[SELF] = pair_distance(X, spheres, center, m, offset, margins[SELF], stop_below)
+        if pair_bound(spheres, center, m) + offset < margins[SELF]:
+            margins[SELF] = pair_distance(X, spheres, center, m, offset, margins[SELF], stop_below)
         if margins[SELF] < stop_below:
             return
 
@@ -392,7 +429,8 @@ def group_distances(
         for g in range(len(center)):
             for k in range(len(geometries.ball)):
                 upper_bound = distances[g, k]
-                distances[g, k] = geometry_gap(
-                    X, spheres, center, g, geometries, k, t, 0.0, upper_bound, -np.inf
-                )  # fmt: skip
+                if group_bound(spheres, center, g, geometries, k, t) < upper_bound:
+                    distances[g, k] = geometry_gap(
+                        X, spheres, center, g, geometries, k, t, 0.0, upper_bound, -np.inf
+                    )  # fmt: skip
     return distances

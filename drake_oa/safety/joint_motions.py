@@ -15,7 +15,7 @@ import numpy as np
 
 from drake_oa.common.compiled import CORES, compiled, leaf, on_cores, parted
 from drake_oa.common.latency import count
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.planning.collision_model import (
     LINKS,
     SELF,
@@ -156,6 +156,10 @@ class Legs(NamedTuple):
     speed: FloatArray
     switch: FloatArray
 
+    def rows(self, rows: IntArray | slice) -> Legs:
+        """Returns some of the maneuvers."""
+        return Legs(*(array[rows] for array in self))
+
 
 @compiled
 def roll_out_legs(
@@ -281,17 +285,12 @@ def _evaluate_some(
             lower_clearance_margins(
                 X, t, spheres, moving.geometries, moving.required, center, moving_margins, -np.inf
             )
-            resting_margins[:] = _RESTING_MARGIN
+            # Only contact between links is a cost, not their proximity.
+            resting_margins[:], resting_margins[SELF] = _RESTING_MARGIN, 0.0
             lower_clearance_margins(
-                X,
-                t,
-                spheres,
-                resting.geometries,
-                resting.required,
-                center,
-                resting_margins,
+                X, t, spheres, resting.geometries, resting.required, center, resting_margins,
                 -np.inf,
-            )
+            )  # fmt: skip
             n_checked += 1
             moving_margin = min(moving_margins[TOOL], moving_margins[LINKS])
             resting_margin = min(resting_margins[TOOL], resting_margins[LINKS])
