@@ -105,10 +105,16 @@ _OFFSET_DECAY = 4.0
 decays while the arm follows this motion [1/s]."""
 _LIMIT_MARGIN = 0.03
 """Minimum distance of the target configurations of maneuvers from the joint limits [rad]."""
+_SPREADS = ((0.15, 0.4, 0.9), (0.4, 1.0), (0.2, 0.5), (0.0,))
+"""Standard deviations [rad], drawn at random, of the joints in the targets of four kinds of random
+maneuvers: near the configuration of rest in all joints or in some, near the motion from there to
+the verified motion (checked by simulation), anywhere within the limits."""
+_NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
+"""No maneuvers."""
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
-_MAX_CLAIM_CHECKS = 40
+_MAX_CLAIM_CHECKS = 12
 """Maximum number of trajectories, in the order of their costs, that a decision checks for passive
 motion safety [-]."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
@@ -271,14 +277,8 @@ class GuardSearch:
             previous: active decision, whose maneuver is one of the candidates.
             inputs: inputs of the new decision.
         """
-        model = _GuardModel(
-            self._chain,
-            self._arm_spheres,
-            inputs,
-            self._padding,
-            self._verified_self_distance(inputs.motion),
-        )
-        has_moving = inputs.scene.moves
+        distance = self._verified_self_distance(inputs.motion)
+        model = _GuardModel(self._chain, self._arm_spheres, inputs, self._padding, distance)
         decision = GuardDecision()
         if inputs.is_on_path:
             verified = self._followed_motion(inputs, 1.0)
@@ -289,33 +289,34 @@ class GuardSearch:
             if is_clear and not self._find_violated_claim(verified, inputs):
                 return decision
         options = [GuardDecision(*option) for option in _FOLLOW_OPTIONS if inputs.is_on_path]
-        n_followed = len(options)
         q_followed = [self._followed_motion(inputs, option.scale) for option in options]
         q = np.array(q_followed).reshape(-1, _SAMPLES, len(inputs.q))
-        if has_moving or not inputs.is_on_path:
-            legs = self._maneuvers(previous, inputs)
-            options += legs
-            q = np.concatenate([q, self._roll_out(legs, inputs)])
-        costs = self._evaluate(model, q)
-        cost = self._cost(costs, options, q, inputs)
-        if not previous.follows and len(options) > n_followed:
-            # The first maneuver is the current one.
-            return_time = float((np.abs(inputs.q - inputs.q_path) / self.speed).max())
-            cost[n_followed] -= _HYSTERESIS * min(1.0, 2.0 * return_time)
-        if has_moving or not inputs.is_on_path:
-            refined_options = self._refine(options, cost, inputs)
-            q_refined = self._roll_out(refined_options, inputs)
-            q = np.concatenate([q, q_refined])
-            refined_costs = self._evaluate(model, q_refined)
-            cost = np.append(cost, self._cost(refined_costs, refined_options, q_refined, inputs))
-            options += refined_options
-        plan = self._select(model, options, q, cost)
+        cost = self._followed_cost(model, q, [option.scale for option in options])
+        legs, n_followed = _NO_LEGS, len(options)
+        if inputs.scene.moves or not inputs.is_on_path:
+            options += self._standard_maneuvers(previous, inputs)
+            legs = self._add_random(options[n_followed:], inputs)
+            q_legs = self._roll_out(legs, inputs)
+            cost_legs = self._maneuver_cost(model, q_legs)
+            if not previous.follows:
+                # The first maneuver is the current one.
+                return_time = float((np.abs(inputs.q - inputs.q_path) / self.speed).max())
+                cost_legs[0] -= _HYSTERESIS * min(1.0, 2.0 * return_time)
+            refined = self._refine(legs, cost_legs, inputs)
+            q_refined = self._roll_out(refined, inputs)
+            cost_refined = self._maneuver_cost(model, q_refined)
+            q, cost = np.concatenate([q, q_legs, q_refined]), np.r_[cost, cost_legs, cost_refined]
+            legs = Legs(*map(np.concatenate, zip(legs, refined, strict=True)))
+        # Maneuvers beyond the standard ones become decisions only if they are selected.
+        evasions = legs.rows(slice(len(options) - n_followed, None))
+        plan = self._select(model, options, evasions, q, cost)
         return replace(plan, contact=decision.contact)
 
     def _select(
         self,
         model: _GuardModel,
         options: list[GuardDecision],
+        evasions: Legs,
         q: FloatArray,
         cost: FloatArray,
     ) -> GuardDecision:
@@ -324,7 +325,9 @@ class GuardSearch:
 
         Args:
             model: collision models of the decision.
-            options: N candidate trajectories.
+            options: first M of N candidate trajectories: the verified motion (checked by
+                simulation) at several speeds, and standard maneuvers.
+            evasions: the other N - M candidates, maneuvers that start at `model.inputs.begin`.
             q: (N, T, n) configurations along the trajectories [rad].
             cost: (N,) costs of the trajectories without the costs of violated claims [s].
         """
@@ -339,7 +342,8 @@ class GuardSearch:
             claim = claim or violation
             if cost[row] + _VIOLATION_COSTS[violation] < min_cost:
                 min_cost = cost[row] + _VIOLATION_COSTS[violation]
-                selected = options[row]
+                k = row - len(options)
+                selected = options[row] if k < 0 else _evasion(evasions, k, inputs.begin)
         return replace(selected, claim=claim, obstacle=model.nearest)
 
     def _find_violated_claim(self, q: FloatArray, inputs: GuardInputs) -> Claim:
@@ -367,7 +371,7 @@ class GuardSearch:
         )  # fmt: skip
         t = inputs.begin + self._interval * np.arange(float(m + 1 + _BRAKE_SAMPLES))
         motion = np.concatenate([followed[: m + 1], braking[0]])
-        count(configurations=len(motion))
+        count(claims=1)
         return violated_claim(
             self._chain, self._arm_spheres.arrays, t, motion, inputs.scene, inputs.free_space,
             V=p.obstacle_speed, v_unseen=p.v_unseen,
@@ -383,38 +387,46 @@ class GuardSearch:
         margin = self._parameters.margin_moving
         return evaluate_motions(model.resting, model.moving, q, self._interval, margin)
 
-    def _cost(
-        self, costs: MotionCosts, options: list[GuardDecision], q: FloatArray, inputs: GuardInputs
-    ) -> FloatArray:
-        """Computes the total costs J (N,) [s] of N trajectories from contact, proximity, turn of
-        the tool, and delay.
-
-        The equation of J is in the module docstring. The cost is inf if a maneuver turns the tool
-        beyond its limit.
+    def _obstacle_cost(self, model: _GuardModel, q: FloatArray) -> FloatArray:
+        """Computes the weighted costs (N,) [s] of contact and proximity of N trajectories: the
+        first three terms of J in the module docstring.
 
         Args:
-            costs: costs of contact and proximity.
-            options: N trajectories: the verified motion at several speeds, and maneuvers.
+            model: collision models of the decision.
             q: (N, T, n) configurations along the trajectories [rad].
-            inputs: inputs of the decision.
         """
-        horizon = self._times[-1]
+        costs = self._evaluate(model, q)
         cost = _CONTACT_WEIGHT * costs.contact + _MOVING_WEIGHT * costs.near_moving
-        cost = cost + _RESTING_WEIGHT * costs.near_resting
-        deviation = np.abs(q - inputs.q_path) / self.speed
-        angle = self._turns(q, inputs)
-        for row, option in enumerate(options):
-            if option.follows:
-                rates = self._rates(inputs, option.scale)
-                cost[row] += horizon - float(rates.sum()) * self._interval / inputs.full_rate
-            else:
-                return_time = deviation[row].max(axis=1)
-                time_left = return_time[-1] + 0.3 * deviation[row, -1].mean()
-                cost[row] += horizon + time_left + float(return_time.sum()) * self._interval
-                cost[row] += _TURN_WEIGHT * horizon * angle[row].mean()
-                if angle[row, 1:].max() > max(self._turn_limit, angle[row, 0]) + _DISTANCE_SLACK:
-                    cost[row] = math.inf
-        return np.asarray(cost)
+        return cost + _RESTING_WEIGHT * costs.near_resting
+
+    def _followed_cost(self, model: _GuardModel, q: FloatArray, scales: list[float]) -> FloatArray:
+        """Computes the costs J (N,) [s] of the verified motion (checked by simulation) at N speeds.
+
+        Args:
+            model: collision models of the decision.
+            q: (N, T, n) configurations along the trajectories [rad].
+            scales: fractions of full speed.
+        """
+        inputs = model.inputs
+        progress = [self._rates(inputs, scale).sum() / inputs.full_rate for scale in scales]
+        return self._obstacle_cost(model, q) + self._times[-1] - self._interval * np.array(progress)
+
+    def _maneuver_cost(self, model: _GuardModel, q: FloatArray) -> FloatArray:
+        """Computes the costs J (N,) [s] of N maneuvers; inf if a maneuver turns the tool beyond its
+        limit.
+
+        Args:
+            model: collision models of the decision.
+            q: (N, T, n) configurations along the maneuvers [rad].
+        """
+        horizon, deviation = self._times[-1], np.abs(q - model.inputs.q_path) / self.speed
+        return_time, angle = deviation.max(axis=2), self._turns(q, model.inputs)
+        delay = horizon + return_time[:, -1] + 0.3 * deviation[:, -1].mean(axis=1)
+        delay += self._interval * return_time.sum(axis=1)
+        turn = horizon * angle.mean(axis=1)
+        cost = self._obstacle_cost(model, q) + delay + _TURN_WEIGHT * turn
+        limit = np.maximum(self._turn_limit, angle[:, 0]) + _DISTANCE_SLACK
+        return np.where(angle[:, 1:].max(axis=1) > limit, math.inf, cost)
 
     def _turns(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
         """Computes the angles between the tool's orientation along N trajectories and its
@@ -432,7 +444,6 @@ class GuardSearch:
         samples = np.insert(q[:, _TURN_STRIDE - 1 :: _TURN_STRIDE], 0, inputs.q, axis=1)
         configurations = np.vstack([samples.reshape(-1, n), inputs.q_path])
         R_WE = tool_poses(self._chain, configurations)[:, :9]
-        count(steps=len(configurations))
         cosine = 0.5 * (R_WE[:-1] @ R_WE[-1] - 1.0)
         return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(len(q), -1))
 
@@ -465,22 +476,16 @@ class GuardSearch:
         offset = inputs.q - motion.joints(inputs.s)
         return np.asarray(motion.joints(s) + np.exp(-_OFFSET_DECAY * self._times)[:, None] * offset)
 
-    def _roll_out(self, options: list[GuardDecision], inputs: GuardInputs) -> FloatArray:
+    def _roll_out(self, legs: Legs, inputs: GuardInputs) -> FloatArray:
         """Simulates N maneuvers, starting from the joint state of the inputs.
 
         Args:
-            options: N maneuvers.
+            legs: N maneuvers.
             inputs: inputs of the decision.
 
         Returns:
             (N, T, n) configurations [rad].
         """
-        legs = Legs(
-            np.stack([option.target for option in options]),
-            np.stack([option.speed for option in options]),
-            np.array([option.switch - inputs.begin for option in options]),
-        )
-        count(steps=len(options) * _SAMPLES * self._every)
         return roll_out_legs(
             np.array(inputs.q), np.array(inputs.v), legs, self.acceleration, self._step,
             self._every, _SAMPLES,
@@ -517,16 +522,16 @@ class GuardSearch:
         """
         return _maneuver("brake", self.stop(q, v), self.speed)
 
-    def _maneuvers(self, previous: GuardDecision, inputs: GuardInputs) -> list[GuardDecision]:
-        """Generates the candidate maneuvers of a decision: standard ones (brake, return to the
-        verified motion) and random ones.
+    def _standard_maneuvers(
+        self, previous: GuardDecision, inputs: GuardInputs
+    ) -> list[GuardDecision]:
+        """Generates the candidate maneuvers that are the same in each decision: brake, and return
+        to the verified motion (checked by simulation).
 
         Args:
             previous: active decision; if it is a maneuver, this is the first candidate.
             inputs: inputs of the decision.
         """
-        p, begin = self._parameters, inputs.begin
-        rng = np.random.default_rng([p.seed, inputs.decision_count])
         max_speed = self.speed * inputs.speed_fraction
         q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
         maneuvers = [] if previous.follows else [previous]
@@ -535,64 +540,67 @@ class GuardSearch:
             _maneuver("evade", q_path, _synchronized_speeds(inputs.q, q_path, max_speed, fraction))
             for fraction in (1.0, 0.6, 0.3, 0.12)
         ]
-        for wait in (0.3, 0.6):
-            return_speed = _synchronized_speeds(q_rest, q_path, max_speed, 0.9)
-            maneuvers.append(
-                _maneuver("evade", q_rest, max_speed, q_path, return_speed, begin + wait)
-            )
-        n = len(q_rest)
-        while len(maneuvers) < p.candidates:
-            kind = rng.integers(4)
-            if kind == 0:
-                target = q_rest + rng.normal(size=n) * rng.choice([0.15, 0.4, 0.9])
-            elif kind == 1:
-                is_moved = rng.random(n) < 0.5
-                target = q_rest + is_moved * rng.normal(size=n) * rng.choice([0.4, 1.0])
-            elif kind == 2:
-                target = rng.uniform(self._lower, self._upper)
-            else:
-                target = q_rest + rng.uniform(0.0, 0.6) * (q_path - q_rest)
-                target = target + rng.normal(size=n) * rng.choice([0.2, 0.5])
-            target = np.clip(target, self._lower, self._upper)
-            if rng.random() < 0.5:
-                maneuvers.append(_maneuver("evade", target, max_speed))
-            else:
-                return_speed = _synchronized_speeds(
-                    target, q_path, max_speed, rng.choice([0.5, 1.0])
-                )
-                switch = begin + rng.uniform(0.1, 0.9)
-                maneuvers.append(
-                    _maneuver("evade", target, max_speed, q_path, return_speed, switch)
-                )
+        return_speed = _synchronized_speeds(q_rest, q_path, max_speed, 0.9)
+        maneuvers += [
+            _maneuver("evade", q_rest, max_speed, q_path, return_speed, inputs.begin + wait)
+            for wait in (0.3, 0.6)
+        ]
         return maneuvers
 
-    def _refine(
-        self, options: list[GuardDecision], cost: FloatArray, inputs: GuardInputs
-    ) -> list[GuardDecision]:
+    def _add_random(self, maneuvers: list[GuardDecision], inputs: GuardInputs) -> Legs:
+        """Generates random maneuvers, and returns all candidate maneuvers.
+
+        The target of a random maneuver is near the configuration in which the arm comes to rest, in
+        all joints or in some; near the motion from there to the verified motion (checked by
+        simulation); or anywhere within the joint limits. Half of the maneuvers return to the
+        verified motion in the second leg.
+
+        Args:
+            maneuvers: first candidates.
+            inputs: inputs of the decision.
+        """
+        p = self._parameters
+        rng = np.random.default_rng([p.seed, inputs.decision_count])
+        max_speed = self.speed * inputs.speed_fraction
+        q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
+        N, n = max(p.candidates - len(maneuvers), 0), len(q_rest)
+        kind = rng.integers(len(_SPREADS), size=(N, 1))
+        spread = np.choose(kind, [rng.choice(spreads, (N, 1)) for spreads in _SPREADS])
+        is_moved = (kind != 1) | (rng.random((N, n)) < 0.5)
+        center = q_rest + (kind == 2) * rng.uniform(0.0, 0.6, (N, 1)) * (q_path - q_rest)
+        target = center + spread * is_moved * rng.normal(size=(N, n))
+        anywhere = rng.uniform(self._lower, self._upper, (N, n))
+        target = np.clip(np.where(kind == 3, anywhere, target), self._lower, self._upper)
+        fraction = rng.choice([0.5, 1.0], (N, 1))
+        return_speed = _synchronized_speeds(target, q_path, max_speed, fraction)
+        returns = rng.random((N, 1)) < 0.5
+        last = np.where(returns, q_path, target)
+        speed = np.broadcast_to(max_speed, (N, n)), np.where(returns, return_speed, max_speed)
+        switch = np.where(returns[:, 0], rng.uniform(0.1, 0.9, N), math.inf)
+        return Legs(
+            np.array([*(m.target for m in maneuvers), *np.stack([target, last], axis=1)]),
+            np.array([*(m.speed for m in maneuvers), *np.stack(speed, axis=1)]),
+            np.array([*(m.switch - inputs.begin for m in maneuvers), *switch]),
+        )
+
+    def _refine(self, legs: Legs, cost: FloatArray, inputs: GuardInputs) -> Legs:
         """Generates random variations of the `_N_PARENTS` maneuvers of least cost, as further
         candidates of a decision.
 
         Args:
-            options: N candidates: the verified motion at several speeds, and maneuvers.
-            cost: (N,) costs of the candidates [s].
+            legs: N candidate maneuvers.
+            cost: (N,) costs of the maneuvers [s].
             inputs: inputs of the decision.
         """
         rng = np.random.default_rng([self._parameters.seed, inputs.decision_count, 1])
-        ranked = [int(row) for row in np.argsort(cost) if not options[row].follows]
-        n, refined = len(inputs.q), []
-        for i in range(self._parameters.refinements):
-            parent = options[ranked[i % min(_N_PARENTS, len(ranked))]]
-            target = parent.target[0] + rng.normal(size=n) * rng.choice([0.05, 0.2])
-            target = np.clip(target, self._lower, self._upper)
-            is_single = bool((parent.target[0] == parent.target[1]).all())
-            second = target if is_single else parent.target[1]
-            switch = parent.switch
-            if math.isfinite(switch):
-                switch = max(inputs.begin, switch + 0.1 * rng.normal())
-            refined.append(
-                _maneuver("evade", target, parent.speed[0], second, parent.speed[1], switch)
-            )
-        return refined
+        N, n = self._parameters.refinements, len(inputs.q)
+        parents = legs.rows(np.resize(cost.argsort()[:_N_PARENTS], N))
+        first, last = parents.target.swapaxes(0, 1)
+        target = first + rng.normal(size=(N, n)) * rng.choice([0.05, 0.2], (N, 1))
+        target = np.clip(target, self._lower, self._upper)
+        last = np.where((first == last).all(axis=1, keepdims=True), target, last)
+        switch = np.maximum(parents.switch + 0.1 * rng.normal(size=N), 0.0)
+        return Legs(np.stack([target, last], axis=1), parents.speed, switch)
 
 
 def _maneuver(
@@ -621,19 +629,25 @@ def _maneuver(
     )
 
 
+def _evasion(legs: Legs, row: int, begin: float) -> GuardDecision:
+    """Returns one of N maneuvers that start at the time `begin` [s]."""
+    switch = begin + float(legs.switch[row])
+    return GuardDecision("evade", 0.0, legs.target[row], legs.speed[row], switch)
+
+
 def _synchronized_speeds(
-    q: FloatArray, target: FloatArray, speed: FloatArray, fraction: float
+    q: FloatArray, target: FloatArray, speed: FloatArray, fraction: FloatArray | float
 ) -> FloatArray:
-    """Computes joint speeds (n,) [rad/s] at which all joints of the arm reach a target at the same
-    time.
+    """Computes joint speeds (..., n) [rad/s] at which all joints of the arm reach a target at the
+    same time.
 
     Args:
-        q, target: (n,) current and target configuration [rad].
+        q, target: (..., n) current and target configuration [rad].
         speed: (n,) maximum joint speeds [rad/s].
         fraction: fraction of the fastest synchronized speeds, in (0, 1].
     """
     distance = np.abs(target - q)
-    seconds = max(float((distance / speed).max()), 1e-3) / fraction
+    seconds = np.maximum((distance / speed).max(axis=-1, keepdims=True), 1e-3) / fraction
     return np.asarray(np.clip(distance / seconds, 0.02, speed))
 
 
