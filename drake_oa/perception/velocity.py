@@ -483,7 +483,7 @@ def register_surface(
         return shift, np.diag(np.linalg.inv(information)).copy()
 
     def misfit(shift: FloatArray) -> float:
-        distances = tree.query(sample + shift)[0], cKDTree(sample + shift).query(now)[0]
+        distances = tree.query(sample + shift)[0], before_tree.query(now - shift)[0]
         return float(sum(np.minimum(distance, _GATE).mean() for distance in distances))
 
     result = align(guess)
