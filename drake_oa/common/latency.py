@@ -24,21 +24,24 @@ from drake_oa.common.messages import Frozen
 class LatencyModel:
     """Model that converts the counted work of a decision to its simulated compute latency.
 
-    The default times are those of two cores at 2.5 GHz.
+    The default times are those of two cores of a Xeon at 2.1 GHz.
     """
 
     decision: float = Field(default=1e-3, ge=0.0, le=1.0)
     """Compute time of one decision, apart from its counted work [s]. Raising it delays every
     decision."""
-    search: float = Field(default=1e-3, ge=0.0, le=1.0)
+    search: float = Field(default=2.5e-3, ge=0.0, le=1.0)
     """Compute time of one batch of roll-outs (simulations of candidate motions) [s]. Raising it
     delays searches."""
-    step: float = Field(default=1e-7, ge=0.0, le=1.0)
+    step: float = Field(default=4e-7, ge=0.0, le=1.0)
     """Compute time of one time step in the roll-out (simulation) of one candidate motion [s].
     Raising it delays searches."""
     configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
     """Compute time of the clearance of the whole arm in one configuration [s]. Raising it delays
     searches and maneuvers."""
+    claim: float = Field(default=2e-4, ge=0.0, le=1.0)
+    """Compute time of the check of one trajectory for claim (A) of passive motion safety; claim (B)
+    counts three times [s]. Raising it delays maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
         """Returns the compute latency of a decision [s] from its work, counted by `counted`."""
@@ -47,13 +50,14 @@ class LatencyModel:
             + self.search * work["searches"]
             + self.step * work["steps"]
             + self.configuration * work["configurations"]
+            + self.claim * work["claims"]
         )
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
-"""Counters (searches, time steps, configurations) of the innermost `counted` block, which installs
-new counters at its begin; `count` increases them, so that the simulated latency of a decision of a
-planner can be computed from its work."""
+"""Counters (searches, time steps, configurations, claims) of the innermost `counted` block, which
+installs new counters at its begin; `count` increases them, so that the simulated latency of a
+decision of a planner can be computed from its work."""
 
 
 @contextmanager
@@ -63,8 +67,9 @@ def counted() -> Iterator[Counter[str]]:
     The counts are also added to an enclosing `counted` block.
 
     Yields:
-        Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs) and
-        "configurations" (clearance computations of the arm among the collision geometry).
+        Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs),
+        "configurations" (clearance computations of the arm among the collision geometry) and
+        "claims" (checks of trajectories for passive motion safety).
     """
     work = Counter[str]()
     token = _account.set(work)
@@ -81,7 +86,7 @@ def count(**work: int) -> None:
     Does nothing outside of such a block.
 
     Args:
-        work: numbers to add to the counters "searches", "steps" and "configurations".
+        work: numbers to add to the counters "searches", "steps", "configurations" and "claims".
     """
     _account.get(Counter()).update(work)
 

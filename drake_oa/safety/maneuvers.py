@@ -25,7 +25,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from drake_oa.common.latency import count
+from drake_oa.common.latency import counted
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
 from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.perception.depth_perception import FreeSpace
@@ -114,9 +114,9 @@ _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
-_MAX_CLAIM_CHECKS = 12
-"""Maximum number of trajectories, in the order of their costs, that a decision checks for passive
-motion safety [-]."""
+_MAX_CLAIM_WORK = 60
+"""Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
+decision checks no further trajectories except braking [-]."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
 """Additional cost of a trajectory that violates claim "A" or "B" of passive motion safety [s]; less
 than the cost of any predicted contact.
@@ -291,11 +291,14 @@ class GuardSearch:
         options = [GuardDecision(*option) for option in _FOLLOW_OPTIONS if inputs.is_on_path]
         q_followed = [self._followed_motion(inputs, option.scale) for option in options]
         q = np.array(q_followed).reshape(-1, _SAMPLES, len(inputs.q))
-        cost = self._followed_cost(model, q, [option.scale for option in options])
+        progress = [self._rates(inputs, option.scale).sum() for option in options]
+        delay = self._times[-1] - self._interval * np.array(progress) / inputs.full_rate
+        cost = self._obstacle_cost(model, q) + delay
         legs, n_followed = _NO_LEGS, len(options)
         if inputs.scene.moves or not inputs.is_on_path:
-            options += self._standard_maneuvers(previous, inputs)
-            legs = self._add_random(options[n_followed:], inputs)
+            options += [] if previous.follows else [previous]
+            options += [self.brake(inputs.q, inputs.v, speed_fraction=inputs.speed_fraction)]
+            legs = self._candidates(options[n_followed:], inputs)
             q_legs = self._roll_out(legs, inputs)
             cost_legs = self._maneuver_cost(model, q_legs)
             if not previous.follows:
@@ -307,8 +310,9 @@ class GuardSearch:
             cost_refined = self._maneuver_cost(model, q_refined)
             q, cost = np.concatenate([q, q_legs, q_refined]), np.r_[cost, cost_legs, cost_refined]
             legs = Legs(*map(np.concatenate, zip(legs, refined, strict=True)))
-        # Maneuvers beyond the standard ones become decisions only if they are selected.
+        # Other maneuvers become decisions only if they are selected.
         evasions = legs.rows(slice(len(options) - n_followed, None))
+        evasions = evasions._replace(switch=inputs.begin + evasions.switch)
         plan = self._select(model, options, evasions, q, cost)
         return replace(plan, contact=decision.contact)
 
@@ -326,8 +330,8 @@ class GuardSearch:
         Args:
             model: collision models of the decision.
             options: first M of N candidate trajectories: the verified motion (checked by
-                simulation) at several speeds, and standard maneuvers.
-            evasions: the other N - M candidates, maneuvers that start at `model.inputs.begin`.
+                simulation) at several speeds, the active maneuver, and braking.
+            evasions: the other N - M candidates, with the times at which their second legs start.
             q: (N, T, n) configurations along the trajectories [rad].
             cost: (N,) costs of the trajectories without the costs of violated claims [s].
         """
@@ -335,15 +339,17 @@ class GuardSearch:
         claim: Claim = ""
         selected = self.brake(inputs.q, inputs.v)
         brakes = [row for row, option in enumerate(options) if option.action == "brake"]
-        for row in [*cost.argsort()[:_MAX_CLAIM_CHECKS].tolist(), *brakes]:
-            if cost[row] >= min_cost:
-                continue
-            violation = self._find_violated_claim(q[row], inputs)
-            claim = claim or violation
-            if cost[row] + _VIOLATION_COSTS[violation] < min_cost:
-                min_cost = cost[row] + _VIOLATION_COSTS[violation]
-                k = row - len(options)
-                selected = options[row] if k < 0 else _evasion(evasions, k, inputs.begin)
+        with counted() as work:
+            for row in [*cost.argsort().tolist(), *brakes]:
+                is_skipped = work["claims"] > _MAX_CLAIM_WORK and row not in brakes
+                if is_skipped or cost[row] >= min_cost:
+                    continue
+                violation = self._find_violated_claim(q[row], inputs)
+                claim = claim or violation
+                if cost[row] + _VIOLATION_COSTS[violation] < min_cost:
+                    min_cost = cost[row] + _VIOLATION_COSTS[violation]
+                    k = row - len(options)
+                    selected = options[row] if k < 0 else _evasion(evasions, k)
         return replace(selected, claim=claim, obstacle=model.nearest)
 
     def _find_violated_claim(self, q: FloatArray, inputs: GuardInputs) -> Claim:
@@ -371,7 +377,6 @@ class GuardSearch:
         )  # fmt: skip
         t = inputs.begin + self._interval * np.arange(float(m + 1 + _BRAKE_SAMPLES))
         motion = np.concatenate([followed[: m + 1], braking[0]])
-        count(claims=1)
         return violated_claim(
             self._chain, self._arm_spheres.arrays, t, motion, inputs.scene, inputs.free_space,
             V=p.obstacle_speed, v_unseen=p.v_unseen,
@@ -398,18 +403,6 @@ class GuardSearch:
         costs = self._evaluate(model, q)
         cost = _CONTACT_WEIGHT * costs.contact + _MOVING_WEIGHT * costs.near_moving
         return cost + _RESTING_WEIGHT * costs.near_resting
-
-    def _followed_cost(self, model: _GuardModel, q: FloatArray, scales: list[float]) -> FloatArray:
-        """Computes the costs J (N,) [s] of the verified motion (checked by simulation) at N speeds.
-
-        Args:
-            model: collision models of the decision.
-            q: (N, T, n) configurations along the trajectories [rad].
-            scales: fractions of full speed.
-        """
-        inputs = model.inputs
-        progress = [self._rates(inputs, scale).sum() / inputs.full_rate for scale in scales]
-        return self._obstacle_cost(model, q) + self._times[-1] - self._interval * np.array(progress)
 
     def _maneuver_cost(self, model: _GuardModel, q: FloatArray) -> FloatArray:
         """Computes the costs J (N,) [s] of N maneuvers; inf if a maneuver turns the tool beyond its
@@ -516,54 +509,36 @@ class GuardSearch:
         target, speed = np.array(maneuver.target[leg]), np.array(maneuver.speed[leg])
         advance_leg(q, v, target, speed, self.acceleration, self._step)
 
-    def brake(self, q: FloatArray, v: FloatArray) -> GuardDecision:
+    def brake(self, q: FloatArray, v: FloatArray, *, speed_fraction: float = 1.0) -> GuardDecision:
         """Returns the maneuver in which all joints brake to rest from positions q (n,) [rad] and
-        velocities v (n,) [rad/s].
+        velocities v (n,) [rad/s], within a fraction of the speed limits.
         """
-        return _maneuver("brake", self.stop(q, v), self.speed)
+        q_rest, speed = self.stop(q, v), speed_fraction * self.speed
+        return GuardDecision("brake", 0.0, np.array([q_rest, q_rest]), np.array([speed, speed]))
 
-    def _standard_maneuvers(
-        self, previous: GuardDecision, inputs: GuardInputs
-    ) -> list[GuardDecision]:
-        """Generates the candidate maneuvers that are the same in each decision: brake, and return
-        to the verified motion (checked by simulation).
-
-        Args:
-            previous: active decision; if it is a maneuver, this is the first candidate.
-            inputs: inputs of the decision.
-        """
-        max_speed = self.speed * inputs.speed_fraction
-        q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
-        maneuvers = [] if previous.follows else [previous]
-        maneuvers.append(_maneuver("brake", q_rest, max_speed))
-        maneuvers += [
-            _maneuver("evade", q_path, _synchronized_speeds(inputs.q, q_path, max_speed, fraction))
-            for fraction in (1.0, 0.6, 0.3, 0.12)
-        ]
-        return_speed = _synchronized_speeds(q_rest, q_path, max_speed, 0.9)
-        maneuvers += [
-            _maneuver("evade", q_rest, max_speed, q_path, return_speed, inputs.begin + wait)
-            for wait in (0.3, 0.6)
-        ]
-        return maneuvers
-
-    def _add_random(self, maneuvers: list[GuardDecision], inputs: GuardInputs) -> Legs:
-        """Generates random maneuvers, and returns all candidate maneuvers.
+    def _candidates(self, maneuvers: list[GuardDecision], inputs: GuardInputs) -> Legs:
+        """Generates the candidate maneuvers of a decision: given ones, the return to the verified
+        motion (checked by simulation) at several speeds and times, and random ones.
 
         The target of a random maneuver is near the configuration in which the arm comes to rest, in
-        all joints or in some; near the motion from there to the verified motion (checked by
-        simulation); or anywhere within the joint limits. Half of the maneuvers return to the
-        verified motion in the second leg.
+        all joints or in some; near the motion from there to the verified motion; or anywhere within
+        the joint limits. Half of the random maneuvers return to the verified motion in the second
+        leg.
 
         Args:
             maneuvers: first candidates.
             inputs: inputs of the decision.
         """
-        p = self._parameters
-        rng = np.random.default_rng([p.seed, inputs.decision_count])
-        max_speed = self.speed * inputs.speed_fraction
+        p, max_speed = self._parameters, self.speed * inputs.speed_fraction
         q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
-        N, n = max(p.candidates - len(maneuvers), 0), len(q_rest)
+        rows = [(m.target, m.speed, m.switch - inputs.begin) for m in maneuvers]
+        for fraction in (1.0, 0.6, 0.3, 0.12):
+            speed = _synchronized_speeds(inputs.q, q_path, max_speed, fraction)
+            rows.append((np.array([q_path, q_path]), np.array([speed, speed]), math.inf))
+        speed = np.array([max_speed, _synchronized_speeds(q_rest, q_path, max_speed, 0.9)])
+        rows += [(np.array([q_rest, q_path]), speed, wait) for wait in (0.3, 0.6)]
+        rng = np.random.default_rng([p.seed, inputs.decision_count])
+        N, n = max(p.candidates - len(rows), 0), len(q_rest)
         kind = rng.integers(len(_SPREADS), size=(N, 1))
         spread = np.choose(kind, [rng.choice(spreads, (N, 1)) for spreads in _SPREADS])
         is_moved = (kind != 1) | (rng.random((N, n)) < 0.5)
@@ -571,17 +546,15 @@ class GuardSearch:
         target = center + spread * is_moved * rng.normal(size=(N, n))
         anywhere = rng.uniform(self._lower, self._upper, (N, n))
         target = np.clip(np.where(kind == 3, anywhere, target), self._lower, self._upper)
-        fraction = rng.choice([0.5, 1.0], (N, 1))
-        return_speed = _synchronized_speeds(target, q_path, max_speed, fraction)
+        fractions = rng.choice([0.5, 1.0], (N, 1))
+        return_speed = _synchronized_speeds(target, q_path, max_speed, fractions)
         returns = rng.random((N, 1)) < 0.5
-        last = np.where(returns, q_path, target)
-        speed = np.broadcast_to(max_speed, (N, n)), np.where(returns, return_speed, max_speed)
+        targets = np.stack([target, np.where(returns, q_path, target)], axis=1)
+        return_speed = np.where(returns, return_speed, max_speed)
+        speeds = np.stack([np.broadcast_to(max_speed, (N, n)), return_speed], axis=1)
         switch = np.where(returns[:, 0], rng.uniform(0.1, 0.9, N), math.inf)
-        return Legs(
-            np.array([*(m.target for m in maneuvers), *np.stack([target, last], axis=1)]),
-            np.array([*(m.speed for m in maneuvers), *np.stack(speed, axis=1)]),
-            np.array([*(m.switch - inputs.begin for m in maneuvers), *switch]),
-        )
+        first = [np.array(column) for column in zip(*rows, strict=True)]
+        return Legs(*map(np.concatenate, zip(first, (targets, speeds, switch), strict=True)))
 
     def _refine(self, legs: Legs, cost: FloatArray, inputs: GuardInputs) -> Legs:
         """Generates random variations of the `_N_PARENTS` maneuvers of least cost, as further
@@ -603,36 +576,9 @@ class GuardSearch:
         return Legs(np.stack([target, last], axis=1), parents.speed, switch)
 
 
-def _maneuver(
-    action: Action,
-    first: FloatArray,
-    speed: FloatArray,
-    second: FloatArray | None = None,
-    second_speed: FloatArray | None = None,
-    switch: float = math.inf,
-) -> GuardDecision:
-    """Returns a maneuver of one or two legs; in a leg every joint moves to a target and rests
-    there.
-
-    Args:
-        action: "evade" or "brake".
-        first, speed: (n,) target configuration [rad] and maximum joint speeds [rad/s] of the first
-            leg.
-        second, second_speed: (n,) the same quantities of the second leg; None: there is no second
-            leg.
-        switch: time at which the second leg starts [s].
-    """
-    if second is None or second_speed is None:
-        second, second_speed = first, speed
-    return GuardDecision(
-        action, 0.0, np.array([first, second]), np.array([speed, second_speed]), switch
-    )
-
-
-def _evasion(legs: Legs, row: int, begin: float) -> GuardDecision:
-    """Returns one of N maneuvers that start at the time `begin` [s]."""
-    switch = begin + float(legs.switch[row])
-    return GuardDecision("evade", 0.0, legs.target[row], legs.speed[row], switch)
+def _evasion(legs: Legs, k: int) -> GuardDecision:
+    """Returns one of N maneuvers as a decision."""
+    return GuardDecision("evade", 0.0, legs.target[k], legs.speed[k], float(legs.switch[k]))
 
 
 def _synchronized_speeds(

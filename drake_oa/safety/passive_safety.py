@@ -28,8 +28,15 @@ from typing import Literal, get_args
 import numpy as np
 
 from drake_oa.common.compiled import compiled
+from drake_oa.common.latency import count
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.collision_scene import CollisionGeometries, CollisionScene, least_distances
+from drake_oa.geometry.collision_scene import (
+    CollisionGeometries,
+    CollisionScene,
+    ball_bound,
+    geometry_distance,
+    least_distances,
+)
 from drake_oa.geometry.directions import DIRECTIONS
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.arm import Chain, Spheres
@@ -86,22 +93,21 @@ def violated_claim(
     p_WS = sphere_centers(chain, spheres, np.ascontiguousarray(q))
     dt = np.diff(t)[:, None]
     reach = spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
+    count(claims=1)
     if scene.moves:
-        moving, points = geometries.select(geometries.moving), p_WS.reshape(-1, 3)
-        d = least_distances(moving, points, scene.stamp, (reach + V * dt).max(), -1.0)
-        d = d.reshape(p_WS.shape[:2])
+        moving = geometries.select(geometries.moving)
         # Within a step rho grows and the distance decreases: check the end of each step.
-        if ((d[1:] < reach + V * dt) & (d[:-1] - d[1:] > _REST_SPEED * dt)).any():
+        if _is_any_approaching(p_WS, reach + V * dt, np.diff(t), moving, scene.stamp):
             return "A"
     if free_space is None:
         return ""
-    v_WS = np.diff(p_WS, axis=0) / dt[..., None]
-    is_fast = (v_WS**2).sum(axis=2) > v_unseen**2
+    count(claims=3)
     # Few of the spheres show most violations, which spares the samples of the others.
     for part in range(_PARTS):
-        spheres_of_part = np.s_[:, part::_PARTS]
-        fast = is_fast[spheres_of_part]
-        v, centers, rho = (of[spheres_of_part][fast] for of in (v_WS, p_WS[:-1], reach))
+        p = p_WS[:, part::_PARTS]
+        v = np.diff(p, axis=0) / dt[..., None]
+        fast = (v**2).sum(axis=2) > v_unseen**2
+        v, centers, rho = v[fast], p[:-1][fast], reach[:, part::_PARTS][fast]
         point, sample = (v @ _BALL_SAMPLES.T > v_unseen * _SAMPLE_RADII).nonzero()
         around = centers[point] + rho[point, None] * _BALL_SAMPLES[sample]
         samples = np.concatenate([centers, around])
@@ -109,6 +115,34 @@ def violated_claim(
         if _is_any_unknown(unobserved, p_WS[0], spheres.radius, geometries, scene.stamp):
             return "B"
     return ""
+
+
+@compiled
+def _is_any_approaching(
+    p_WS: FloatArray, reach: FloatArray, dt: FloatArray, moving: CollisionGeometries, stamp: float
+) -> bool:
+    """Checks whether any of S spheres approaches moving obstacles faster than `_REST_SPEED` and
+    ends a step within its reach of them.
+
+    Args:
+        p_WS: (T, S, 3) centers of the spheres in the world [m].
+        reach: (T - 1, S) reach of the spheres at the end of each step [m].
+        dt: (T - 1,) durations of the steps [s].
+        moving: collision geometries of moving obstacles.
+        stamp: time at which the geometries are evaluated [s].
+    """
+    for k in range(len(dt)):
+        for i in range(p_WS.shape[1]):
+            x, y, z = p_WS[k + 1, i]
+            distance = reach[k, i]
+            for m in range(len(moving.ball)):
+                if ball_bound(moving, m, x, y, z, stamp) < distance:
+                    distance = min(distance, geometry_distance(moving, m, x, y, z, stamp))
+            if distance < reach[k, i]:
+                least, before = distance + _REST_SPEED * dt[k], p_WS[k, i : i + 1]
+                if least_distances(moving, before, stamp, least, -1.0)[0] >= least:
+                    return True
+    return False
 
 
 @compiled
