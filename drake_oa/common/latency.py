@@ -40,8 +40,8 @@ class LatencyModel:
     """Compute time of the clearance of the whole arm in one configuration [s]. Raising it delays
     searches and maneuvers."""
     claim: float = Field(default=2e-4, ge=0.0, le=1.0)
-    """Compute time of the check of one trajectory for claim (A) of passive motion safety; claim (B)
-    counts three times [s]. Raising it delays maneuvers."""
+    """Compute time of the check of one trajectory for claim (A) of passive motion safety [s]. A
+    check of claim (B) counts as three. Raising it delays maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
         """Returns the compute latency of a decision [s] from its work, counted by `counted`."""

@@ -102,7 +102,7 @@ def violated_claim(
     if free_space is None:
         return ""
     count(claims=3)
-    # Few of the spheres show most violations, which spares the samples of the others.
+    # A violation usually appears in a few spheres; then the others are not sampled.
     for part in range(_PARTS):
         p = p_WS[:, part::_PARTS]
         v = np.diff(p, axis=0) / dt[..., None]
