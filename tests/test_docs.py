@@ -4,8 +4,11 @@ import ast
 import importlib
 import inspect
 import math
+import os
 import re
 import shlex
+import subprocess
+import sys
 import types
 from pathlib import Path
 from types import ModuleType
@@ -164,3 +167,15 @@ def test_troubleshooting_explains_each_message() -> None:
         assert [part for part in message_parts(module) if part not in page] == []
     for value in (*HoldReason, *MotionEnd, *ACTIONS):
         assert value in page
+
+
+def test_outputs_of_result_pages_are_inserted(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("```sh\npython -m this\n```\n\nNot measured on this source yet.\n\nEnd.\n")
+    program = [sys.executable, ROOT / "docs" / "update_results.py", page, "--folder", tmp_path]
+    for _ in range(2):
+        subprocess.run(program, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+        assert page.read_text().count("Explicit is better than implicit.\n") == 1
+        assert "source digest" in page.read_text()
+        assert "Not measured" not in page.read_text()
+        assert page.read_text().endswith("\n\nEnd.\n")
