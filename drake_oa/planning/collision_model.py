@@ -194,6 +194,35 @@ def pair_bound(spheres: Spheres, center: FloatArray, m: int) -> float:
 
 
 @leaf
+def _cluster_distance(
+    X: FloatArray, spheres: Spheres, frame_a: int, a: int, frame_b: int, b: int,
+    offset: float, upper_bound: float, stop_below: float,
+) -> float:  # fmt: skip
+    """Computes the distance between two clusters of robot spheres plus an offset [m].
+
+    The result is min(d + offset, upper_bound), with the distance d between the clusters.
+
+    Args:
+        X: (n + 2, 12) link poses, as computed by `chain_poses`.
+        spheres: spheres of the arm.
+        frame_a, a, frame_b, b: rows of the clusters' links in X, and indices of the clusters.
+        offset, upper_bound, stop_below: as in `pair_distance` [m].
+    """
+    for i in range(spheres.cluster_first[a], spheres.cluster_first[a + 1]):
+        x, y, z = transform_point(X, frame_a, spheres.p_JS, i)
+        for j in range(spheres.cluster_first[b], spheres.cluster_first[b + 1]):
+            u, v, w = transform_point(X, frame_b, spheres.p_JS, j)
+            contact_distance = spheres.radius[i] + spheres.radius[j] - offset
+            cutoff = upper_bound + contact_distance
+            square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+            if cutoff > 0.0 and square < cutoff * cutoff:
+                upper_bound = math.sqrt(square) - contact_distance
+                if upper_bound < stop_below:
+                    return upper_bound
+    return upper_bound
+
+
+@leaf
 def pair_distance(
     X: FloatArray,
     spheres: Spheres,
@@ -232,19 +261,12 @@ def pair_distance(
             u, v, w = transform_point(X, frame_b, spheres.cluster_bound, e)
             cutoff = upper_bound + radius + spheres.cluster_bound[e, 3]
             square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
-            if cutoff <= 0.0 or square >= cutoff * cutoff:
-                continue
-            for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
-                f, g, h = transform_point(X, frame_a, spheres.p_JS, i)
-                for j in range(spheres.cluster_first[e], spheres.cluster_first[e + 1]):
-                    u, v, w = transform_point(X, frame_b, spheres.p_JS, j)
-                    contact_distance = spheres.radius[i] + spheres.radius[j] - offset
-                    cutoff = upper_bound + contact_distance
-                    square = (u - f) ** 2 + (v - g) ** 2 + (w - h) ** 2
-                    if cutoff > 0.0 and square < cutoff * cutoff:
-                        upper_bound = math.sqrt(square) - contact_distance
-                        if upper_bound < stop_below:
-                            return upper_bound
+            if cutoff > 0.0 and square < cutoff * cutoff:
+                upper_bound = _cluster_distance(
+                    X, spheres, frame_a, c, frame_b, e, offset, upper_bound, stop_below
+                )
+                if upper_bound < stop_below:
+                    return upper_bound
     return upper_bound
 
 

@@ -114,9 +114,10 @@ _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
-_MAX_CLAIM_WORK = 60
+_MAX_CLAIM_WORK = 48
 """Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
-decision checks no further trajectories except braking [-]."""
+decision checks no further trajectories except braking, so that its simulated latency is below the
+period of 33 ms [-]."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
 """Additional cost of a trajectory that violates claim "A" or "B" of passive motion safety [s]; less
 than the cost of any predicted contact.
@@ -684,19 +685,12 @@ class _GuardModel:
         of_self = float(achievable_distance(_SELF_CLEARANCE, np.array(min(present))))
         of_self = min(of_self, verified_self_distance - _DISTANCE_SLACK)
         is_tool = np.zeros(len(is_fixed), dtype=bool)
-        self.resting = ArmCollisionModel(
-            chain,
-            spheres,
-            geometries,
-            ClearanceRequirements(resting, of_self, is_tool),
-            inputs.begin,
-        )
-        self.moving = ArmCollisionModel(
-            chain,
-            spheres,
-            geometries,
-            ClearanceRequirements(moving, -np.inf, is_tool),
-            inputs.begin,
+        self.resting, self.moving = (
+            ArmCollisionModel(chain, spheres, geometries, required, inputs.begin)
+            for required in (
+                ClearanceRequirements(resting, of_self, is_tool),
+                ClearanceRequirements(moving, -np.inf, is_tool),
+            )
         )
         self._is_moving, self._is_fixed = is_moving, is_fixed
 
