@@ -11,6 +11,7 @@ import argparse
 import os
 import re
 import subprocess
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -30,7 +31,9 @@ BLOCK = re.compile(
 def output(command: str, folder: Path) -> str:
     """Runs a shell command; returns the lines of a page that show its output."""
     folder.mkdir(parents=True, exist_ok=True)
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    # The program `drake-oa` of this environment is found without an activated environment.
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
     result = subprocess.run(
         command,
         shell=True,
