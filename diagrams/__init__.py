@@ -14,9 +14,9 @@ Signals and the systems that output them (`avoidance.Layers` lists the inputs of
 the tag `inference: !Paper` in a scenario, motions are not verified by roll-outs (simulations):
 
     robot_state, plant_state, query_object, body_poses     station: the plant
-    depth_image, camera_pose, image_stamp                  station: the camera; with the suffix
-                                                           _NAME for each of several cameras
-    obstacles_W, cloud, views                              perception
+    depth_image, camera_pose, image_stamp,                 station: the camera; with the suffix
+    plant_state_at_image                                   _NAME for each of several cameras
+    obstacles_W, free_space_W, cloud                       perception
     collision_scene_W                                      collision_scene
     ellipsoids_W                                           ellipsoid_descriptor
     proposed_parameters (`!Paper`: coupling_parameters)    regressor_chain

@@ -51,8 +51,8 @@ class Layers:
     ================= ============================================ ================================
     layer             inputs                                       outputs
     ================= ============================================ ================================
-    perception        depth_image, camera_pose, image_stamp,       obstacles_W, cloud, views
-                      robot_state_at_image
+    perception        depth_image, camera_pose, image_stamp,       obstacles_W, free_space_W, cloud
+                      plant_state_at_image
     collision_scene   obstacles_W                                  collision_scene_W
     descriptor        obstacles_W                                  ellipsoids_W
     inference         ellipsoids_W, policy_state                   proposed_parameters
@@ -64,10 +64,10 @@ class Layers:
                       speed_scale, evasion_velocity                desired_position, _velocity,
                                                                    _acceleration
     posture           motion, policy_state                         desired_posture
-    safety            collision_scene_W, robot_state, motion,      desired_joint_state,
-                      policy_state, desired_posture,               desired_joint_acceleration,
-                      desired motion of the tool                   path_state, speed_scale,
-                                                                   evasion_velocity
+    safety            collision_scene_W, free_space_W,             desired_joint_state,
+                      robot_state, motion, policy_state,           desired_joint_acceleration,
+                      desired_posture, torque_saturation,          path_state, speed_scale,
+                      desired motion of the tool                   evasion_velocity
     control           robot_state, desired motion of the joints    actuation, torque_saturation,
                       or of the tool                               tracking_error
     ================= ============================================ ================================

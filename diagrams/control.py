@@ -104,6 +104,7 @@ def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel
     if station is None or "motion" not in signals:
         return
     policy, period = scenario.policy, perception_period(scenario)
+    gains = robot_of(scenario).gains
     exact = isinstance(scenario.perception, GroundTruth)
     # Moving obstacles: the whole arm keeps the clearance that is requested of the tool.
     margin = max(scenario.guard.margin_moving, scenario.task.clearance)
@@ -115,6 +116,7 @@ def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel
         station.q_start[station.chain.q_index],
         config=policy,
         period=period,
+        damping=gains.kd_position / max(gains.kp_position, 1e-9),
         padding=0.0 if exact else padding(scenario.perception),
         turn_limit=scenario.task.turn_limit,
         parameters=replace(scenario.guard, margin_moving=margin),

@@ -101,12 +101,7 @@ Rings = Mapping[str, Ring] | None
 """User-supplied cost rings by name, or None; a cost ring rates the sides of passing an obstacle."""
 
 
-def add_route(
-    signals: SignalBuilder,
-    scenario: Scenario,
-    station: StationModel | None,
-    rings: Rings = None,
-) -> None:
+def add_route(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds the system cost_ring_selector, which selects the side on which each obstacle is passed.
 
     The inputs are ellipsoids_W, policy_state and goal. The output is route, or with
@@ -117,7 +112,6 @@ def add_route(
         signals: builder that receives the system.
         scenario: configuration of the system.
         station: not used.
-        rings: user-supplied cost rings by name.
     """
     inference = scenario.inference
     if "ellipsoids_W" not in signals or not (isinstance(inference, Verified) or inference.guided):
@@ -125,7 +119,7 @@ def add_route(
     outputs: dict[str, str | None] = {"decision": "route", "route": "shown_route"}
     if isinstance(inference, Verified):
         outputs = {"decision": "proposed_route", "route": None}
-    signals.add("cost_ring_selector", make_cost_ring_selector(scenario, rings), outputs=outputs)
+    signals.add("cost_ring_selector", make_cost_ring_selector(scenario), outputs=outputs)
 
 
 def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:

@@ -8,6 +8,7 @@ of a command from the signature of its function, and the help text for users fro
     play                an interactive run in a browser
     station             a simulated arm that communicates by the messages of the real one
     replay, plot        replay and plot of a log
+    export              conversion of a log to a bag of ROS 2 messages
     scenarios, new      the shipped scenarios, and a new one
     check, graph        the errors and the diagram of a scenario
     perceive            table, clusters and ellipsoids of recorded frames

@@ -28,7 +28,7 @@ from typing import Annotated, Any
 from cyclopts import App, CycloptsError, Group, Parameter
 from rich.console import Console
 
-from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
+from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain, is_interrupt
 from drake_oa.common.files import OutputError
 
 _COMMANDS = {
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if error.errno == errno.ENOSPC:
                 complain(f"cannot write to standard output: {error.strerror}")
             return FAILED
-        if not isinstance(error, OutputError) and _is_interrupt(error):
+        if not isinstance(error, OutputError) and is_interrupt(error):
             complain("interrupted")
             return INTERRUPTED
         if isinstance(error, CycloptsError):
@@ -123,16 +123,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             complain(str(error))
             return FAILED if isinstance(error, OutputError) else BAD_INPUT
         raise
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Checks whether Ctrl-C caused an exception, directly or through the chain of its causes.
-
-    Compiled modules may raise another exception in place of KeyboardInterrupt.
-    """
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def _run(tokens: Sequence[str]) -> int:

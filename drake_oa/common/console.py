@@ -36,6 +36,16 @@ def complain(message: str) -> None:
     print("drake-oa: error: " + "\n  ".join(lines), file=sys.stderr)
 
 
+def is_interrupt(error: BaseException | None) -> bool:
+    """Checks whether Ctrl-C caused an exception, directly or through the chain of its causes.
+
+    Compiled modules may raise another exception in place of KeyboardInterrupt.
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 @cache
 def announce_first_use(work: str) -> None:
     """Prints a line on stderr about slow work, at its first use in a process.

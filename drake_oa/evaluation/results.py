@@ -43,7 +43,7 @@ def carry_out(
     Raises:
         ValueError: if the scheduler cannot be reached or the package `distributed` is missing.
     """
-    if workers == 1 or len(calls) <= 1:
+    if not isinstance(workers, str) and min(workers, len(calls)) <= 1:
         yield from ((place, call()) for place, call in enumerate(calls))
         return
     from joblib import Parallel, delayed, parallel_config

@@ -12,7 +12,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import FloatArray, IntArray
@@ -125,3 +126,20 @@ def classify_points(points: FloatArray, view: View, margin: float) -> tuple[IntA
         [pixel < 0, is_at, is_before, behind > 2, is_empty], [OUT, AT, HIDDEN, FREE, EMPTY], OUT
     )
     return state, pixel
+
+
+def look_at_pose(X_WF: RigidTransform, p_FC: ArrayLike, p_FT: ArrayLike) -> RigidTransform:
+    """Returns the pose X_WC of a camera C at a given position that looks at a target T.
+
+    The z axis of the camera points at T, and its x axis is horizontal, to the right in the image.
+
+    Args:
+        X_WF: pose in the world of the frame F in which both positions are given.
+        p_FC: (3,) position of the camera in F [m].
+        p_FT: (3,) position of the target T in F [m].
+    """
+    p_WC = X_WF @ np.asarray(p_FC)
+    ahead = X_WF @ np.asarray(p_FT) - p_WC
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    axes = np.column_stack([right, np.cross(ahead, right), ahead])
+    return RigidTransform(RotationMatrix(axes / np.linalg.norm(axes, axis=0)), p_WC)

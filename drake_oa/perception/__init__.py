@@ -26,8 +26,8 @@ A frame consists of the images of all cameras at one instant. It is processed in
 3. `tracking.select_output_clouds` outputs clouds that changed by more than noise; the other clouds
    in the output remain bitwise equal.
 
-`visibility` extends obstacles that the border of an image truncates. `coverage` computes the share
-of the space near an arm that no camera observes. `config` has the configuration:
+`visibility` extends obstacles that the border of an image truncates. `coverage` computes the
+fraction of the space near an arm that no camera observes. `config` has the configuration:
 `SegmentationConfig` and the blocks of the sources. All run-time data is one `TrackerState` in the
 Context.
 

@@ -1,4 +1,4 @@
-"""Coverage of an arm's workspace by depth cameras: the share of the space near the arm that no
+"""Coverage of an arm's workspace by depth cameras: the fraction of the space near the arm that no
 camera observes.
 """
 
@@ -14,10 +14,10 @@ from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.pinhole import pixel_at
 
 REACH = 0.4
-"""Distance from the surface of the arm within which the unobserved share of space is computed
+"""Distance from the surface of the arm within which the unobserved fraction of space is computed
 [m]."""
 HEIGHT = 0.75
-"""Height above the table up to which the unobserved share of the space near the arm is computed
+"""Height above the table up to which the unobserved fraction of the space near the arm is computed
 [m]."""
 _PITCH = 0.08
 """Distance between neighboring points of the grid that samples the space near the arm [m]."""
@@ -42,13 +42,13 @@ class ViewVolume(NamedTuple):
     far: float
 
 
-def unobserved_share(
+def unobserved_fraction(
     p_WS: FloatArray,
     radius: FloatArray,
     points: Sequence[FloatArray],
     views: Sequence[ViewVolume],
 ) -> float:
-    """Computes the share of the space near an arm that no camera observes.
+    """Computes the fraction of the space near an arm that no camera observes.
 
     A camera does not observe points outside its image or range of depth, or occluded by the arm.
 
@@ -60,15 +60,15 @@ def unobserved_share(
         views: view volumes of the cameras.
 
     Returns:
-        Mean share over the configurations, in [0, 1]: 1 without a camera.
+        Mean fraction over the configurations, in [0, 1]: 1 without a camera.
     """
-    shares = []
+    fractions = []
     for centers, near in zip(p_WS, points, strict=True):
         is_observed = np.zeros(len(near), dtype=bool)
         for view in views:
             is_observed |= _is_visible(view, near, centers, radius)
-        shares.append(np.mean(~is_observed))
-    return float(np.mean(shares))
+        fractions.append(np.mean(~is_observed))
+    return float(np.mean(fractions))
 
 
 def points_near(

@@ -20,7 +20,7 @@ from drake_oa.policy.dmp import (
     Demonstration,
     imitate,
     imitate_orientation,
-    minimum_jerk_share,
+    minimum_jerk_profile,
 )
 from drake_oa.robot.arm import tool_poses
 
@@ -70,7 +70,7 @@ def demonstration(
     """
     q = _smooth(world, _resample(corners))
     s = np.linspace(0.0, 1.0, SAMPLES)
-    q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_share(s)))
+    q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_profile(s)))
     X_WE = tool_poses(world.chain, q)
     length = float(np.linalg.norm(np.diff(X_WE[:, 9:], axis=0), axis=1).sum())
     duration = min(seconds_per_meter * length, max_duration)

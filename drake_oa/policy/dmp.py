@@ -210,10 +210,10 @@ def minimum_jerk(
     """
     p_WS, p_SG = np.asarray(start, dtype=float), np.subtract(goal, start)
     s = np.linspace(0.0, 1.0, samples)
-    return p_WS + minimum_jerk_share(s)[:, None] * p_SG, duration * s
+    return p_WS + minimum_jerk_profile(s)[:, None] * p_SG, duration * s
 
 
-def minimum_jerk_share(s: FloatArray) -> FloatArray:
+def minimum_jerk_profile(s: FloatArray) -> FloatArray:
     """Computes the minimum-jerk profile m(s) = 10 s^3 - 15 s^4 + 6 s^5.
 
     m(s) is the fraction of the way from start to goal at normalized times s in [0, 1].
@@ -578,7 +578,7 @@ def imitate_orientation(
         "sample; demonstrate the motion in parts",
     )
     offset, r = r[0].copy(), r - r[0]
-    share = minimum_jerk_share((t - t[0]) / (t[-1] - t[0]))
+    share = minimum_jerk_profile((t - t[0]) / (t[-1] - t[0]))
     # Rotation vectors are neither rotated into a local frame nor divided by a baseline.
     dmp = fit_forcing(np.column_stack([share - 1.0, r - share[:, None] * r[-1]]), t, **constants)
     return OrientationDmp(dmp, r[-1].copy(), R[0].copy(), R[-1].copy(), offset)

@@ -127,7 +127,7 @@ class OrientationIntegrator(LeafSystem):
         start: ArrayLike,
         goal: ArrayLike,
         *,
-        period: float = 0.005,
+        period: float = 0.008,
     ) -> None:
         """Declares ports and the periodic update, with the tool at rest in its start orientation.
 

@@ -9,7 +9,7 @@ topic               type                            content
 /rosout             rcl_interfaces/Log              layers that decide, holds, supervision
 /log/<key>          std_msgs/Float64                keys of the log with one value an instant
 /log/<key>          std_msgs/Float64MultiArray      keys of the log with several values an instant
-/log/constants      std_msgs/String                 all other keys of the log as JSON
+/log/constants      std_msgs/String                 all other keys as JSON; null: not finite
 ==================  ==============================  ==============================================
 
 `drake_oa.runs.motion_log` has the keys. Points and markers are in the frame "world". Times are
@@ -75,6 +75,8 @@ def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
         for time, text in zip(arrays[f"{name}_time"], texts, strict=True):
             bag.write("/rosout", "rcl_interfaces/msg/Log", time, level=_INFO, name=name, msg=text)
     constants = {key: values.tolist() for key, values in arrays.items() if key not in series}
+    # JSON has no NaN and no infinity.
+    constants = json.loads(json.dumps(constants), parse_constant=lambda _: None)
     bag.write("/log/constants", "std_msgs/msg/String", 0.0, data=json.dumps(constants))
 
 

@@ -17,16 +17,15 @@ from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.station import covered_arm
-from drake_oa.geometry.pinhole import pinhole
+from drake_oa.geometry.pinhole import look_at_pose, pinhole
 from drake_oa.perception.config import CameraSource
-from drake_oa.perception.coverage import REACH, ViewVolume, points_near, unobserved_share
+from drake_oa.perception.coverage import REACH, ViewVolume, points_near, unobserved_fraction
 from drake_oa.robot.arm import make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.robot.spheres import sphere_centers
 from drake_oa.scenario.end_poses import end_positions, posture_guide
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.viewing.viewer import look_at_pose
 from drake_oa.world.cameras import depth_intrinsics
 from drake_oa.world.world_model import add_world
 
@@ -137,7 +136,7 @@ def view_note(scenario: Scenario) -> str:
         return ""
     p_WS, radius = spheres_along(scenario)
     points = points_near(p_WS, radius, scenario.table_height)
-    share_of = partial(unobserved_share, p_WS, radius, points)
+    share_of = partial(unobserved_fraction, p_WS, radius, points)
     share = share_of(view_volumes(scenario, source))
     note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unobserved"
     if share <= MAX_UNOBSERVED_FRACTION:

@@ -234,7 +234,7 @@ class PlaySession:
         """Ends the present motion, and returns the logs of up to 20 last motions by the names
         "leg_1", "leg_2" and so on.
         """
-        self._end_leg()
+        self._end_leg("ended")
         return self.logs
 
     def _begin(self, q: FloatArray | None) -> None:
@@ -268,7 +268,7 @@ class PlaySession:
                 self.meshcat.SetSliderValue(name, self._active_settings[name])
             self._tried_settings = self._settings_now = self._settings()
             return
-        self._end_leg()
+        self._end_leg("restarted")
         self._refusal = ""
         self._active_settings, self._active_scenario = settings, scenario
         self._evaluator, self._simulator, self._monitor = evaluator, simulator, monitor
@@ -338,16 +338,19 @@ class PlaySession:
             return f"refused: {self._refusal}"
         return "paused" if paused else self._monitor.state
 
-    def _end_leg(self) -> None:
-        """Ends the present motion (leg), if any, and adds its log to `logs`."""
+    def _end_leg(self, reason: str) -> None:
+        """Ends the present motion (leg), if any, and adds its log to `logs`, with the reason if it
+        has not terminated.
+        """
         if self._simulator is None:
             return
         self._simulator.clear_monitor()
         self._leg_count += 1
         avoid_obstacles = self._active_settings["inference"] != "nominal"
-        self._monitor.finish(self._root())
-        if not math.isfinite(self._monitor.motion_end):
-            self._monitor.outcome = MotionOutcome(MotionEnd.INTERRUPTED, "restarted")
+        if self._monitor.outcome:
+            self._monitor.finish(self._root())
+        else:
+            self._monitor.outcome = MotionOutcome(MotionEnd.INTERRUPTED, reason)
         log = collect_log(
             self._active_scenario, self._simulator, self._monitor, avoid_obstacles, math.nan
         )

@@ -81,9 +81,6 @@ simulation) counts as at rest [rad/s]."""
 _POSE_TOLERANCE = 0.03
 """Maximum error between desired and actual tool pose at which an arm that was stuck may follow the
 desired motion again [m, rad]."""
-_DAMPING = 0.1
-"""Ratio kd / kp of damping to stiffness of the joint controller, used to detect contact from its
-feedback torque [s]."""
 _FEEDBACK_FRACTION = 0.6
 """Ratio of two thresholds that detect contact: that of the feedback torque, as a joint error, to
 that of the joint error [-]."""
@@ -279,6 +276,7 @@ class MotionGuard(LeafSystem):
         config: Policy,
         parameters: GuardParameters,
         period: float = 1.0 / 15.0,
+        damping: float = 0.1,
         padding: float = 0.005,
         turn_limit: float | None = None,
         compute_latency: LatencyModel | None = None,
@@ -293,6 +291,7 @@ class MotionGuard(LeafSystem):
             config: configuration of the policy; its period is the step of the command.
             parameters: parameters of the search, the contact reaction and the monitors.
             period: time between decisions [s].
+            damping: ratio kd / kp of the gains of the joint controller [s].
             padding: position uncertainty of moving obstacles, added to their clearance [m].
             turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: no limit.
             compute_latency: simulated compute latency; None: decisions are active at once.
@@ -305,6 +304,7 @@ class MotionGuard(LeafSystem):
         self._joints = [joint.name() for joint in joints_to(robot.plant, robot.tool_frame)]
         self._duration, self._config = valid_period(duration), config
         self._period, self._parameters = valid_period(period), parameters
+        self._damping = damping
         self._compute_latency, self._step_length = compute_latency, config.period
         self._max_fresh_age = min(
             parameters.stale_frames * period, 0.9 * config.max_observation_age
@@ -479,7 +479,7 @@ class MotionGuard(LeafSystem):
         """
         n = self._n
         error = q - state.x[:n]
-        feedback_error = np.abs(error + _DAMPING * (v - state.x[n:]))
+        feedback_error = np.abs(error + self._damping * (v - state.x[n:]))
         max_error = max(np.abs(error).max(), feedback_error.max() / _FEEDBACK_FRACTION)
         if max_error <= self._parameters.contact_error:
             return state

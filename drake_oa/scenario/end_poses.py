@@ -17,7 +17,7 @@ from drake_oa.policy.dmp import (
     OrientationDmp,
     demonstrated_goal,
     minimum_jerk_orientation,
-    minimum_jerk_share,
+    minimum_jerk_profile,
     orientation_along,
 )
 from drake_oa.robot.arm import solve_tool_pose
@@ -222,7 +222,7 @@ def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> Flo
         q_start: (n,) configuration at the start [rad].
         q_goal: (n,) configuration at the goal [rad].
     """
-    share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
+    share = minimum_jerk_profile(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)
 
 

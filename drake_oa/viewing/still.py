@@ -24,11 +24,11 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.files import saved_figure
+from drake_oa.geometry.pinhole import look_at_pose
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import with_simulated_cameras
-from drake_oa.viewing.viewer import look_at_pose
 from drake_oa.world.cameras import add_mesh_normals
 from drake_oa.world.station import make_station
 

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydrake.geometry import (
     Meshcat,
     MeshcatParams,
@@ -49,25 +48,6 @@ def start_viewer(*, browser: bool) -> Meshcat:
         return Meshcat(params)
     except RuntimeError as error:
         raise ValueError(f"viewer: {str(error).rstrip('.')}; close another viewer") from None
-
-
-def look_at_pose(
-    X_WF: RigidTransform, p_FC: ArrayLike = _EYE_F, p_FT: ArrayLike = _TARGET_F
-) -> RigidTransform:
-    """Returns the pose X_WC of a camera C at a given position that looks at a target T.
-
-    The z axis of the camera points at T, and its x axis is horizontal, to the right in the image.
-
-    Args:
-        X_WF: pose in the world of the frame F in which both positions are given.
-        p_FC: (3,) position of the camera in F [m].
-        p_FT: (3,) position of the target T in F [m].
-    """
-    p_WC = X_WF @ np.asarray(p_FC)
-    ahead = X_WF @ np.asarray(p_FT) - p_WC
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    axes = np.column_stack([right, np.cross(ahead, right), ahead])
-    return RigidTransform(RotationMatrix(axes / np.linalg.norm(axes, axis=0)), p_WC)
 
 
 def set_scene_style(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:

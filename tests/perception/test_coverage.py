@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.perception.coverage import ViewVolume, points_near, unobserved_share
+from drake_oa.perception.coverage import ViewVolume, points_near, unobserved_fraction
 from tests.reference.depth_images import look_at
 
 COLUMN = np.array([[[0.0, 0.0, z] for z in np.arange(0.05, 0.7, 0.05)]])
@@ -21,7 +21,7 @@ def view(p_WC, p_WT=(0.0, 0.0, 0.35), near=0.3, far=4.0, focal=500.0):
 
 
 def unobserved(views):
-    return unobserved_share(COLUMN, RADIUS, NEAR, views)
+    return unobserved_fraction(COLUMN, RADIUS, NEAR, views)
 
 
 def around(azimuth, distance=2.0, **options):

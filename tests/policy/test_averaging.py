@@ -13,14 +13,14 @@ from drake_oa.policy.averaging import (
     average_orientations,
     average_paths,
 )
-from drake_oa.policy.dmp import imitate, minimum_jerk_share, trajectory
+from drake_oa.policy.dmp import imitate, minimum_jerk_profile, trajectory
 
 START, GOAL = np.array([0.4, -0.4, 0.2]), np.array([0.4, 0.4, 0.2])
 
 
 def arc(s: FloatArray, bulge: float = 0.2) -> FloatArray:
     """Computes positions (T, 3) at times s (T,) of a motion from rest to rest, bulging to +x."""
-    share = minimum_jerk_share(s)
+    share = minimum_jerk_profile(s)
     return (
         START + share[:, None] * (GOAL - START) + bulge * np.outer(np.sin(np.pi * share), [1, 0, 0])
     )
@@ -90,7 +90,7 @@ def test_a_recording_that_returns_to_its_start_is_refused() -> None:
 
 def turning(s: FloatArray, angle: float, wiggle: float = 0.0) -> Rotation:
     """Returns T rotations by up to `angle` about one axis, with a tremor about another axis."""
-    r = np.outer(angle * minimum_jerk_share(s), [0.6, 0.0, 0.8])
+    r = np.outer(angle * minimum_jerk_profile(s), [0.6, 0.0, 0.8])
     r[:, 1] += wiggle * np.sin(2.0 * np.pi * 50.0 * s)
     return Rotation.from_rotvec([np.pi, 0.0, 0.0]) * Rotation.from_rotvec(r)
 

@@ -14,7 +14,7 @@ from drake_oa.policy.dmp import (
     demonstrated_goal,
     imitate_orientation,
     minimum_jerk_orientation,
-    minimum_jerk_share,
+    minimum_jerk_profile,
     orientation_along,
     roll_orientation,
     rotation_matrix,
@@ -22,7 +22,7 @@ from drake_oa.policy.dmp import (
 
 LEAST_JERK = minimum_jerk_orientation()
 S = np.linspace(0.0, 1.0, 61)
-SHARE = minimum_jerk_share(S)
+SHARE = minimum_jerk_profile(S)
 vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 
 
@@ -86,7 +86,7 @@ def test_a_motion_to_another_goal_adds_the_demonstrated_deviation_in_any_steps(
     first, other = (
         roll_orientation(wiggling, goal, begin, rest, end=1.0) for goal in (end, end + 0.5 * change)
     )
-    final, share = first.p[-1], minimum_jerk_share(first.s)
+    final, share = first.p[-1], minimum_jerk_profile(first.s)
     np.testing.assert_allclose(other.p, first.p + np.outer(share, 0.5 * change), atol=1e-4)
     first = roll_orientation(wiggling, end, begin, rest, end=middle)
     state = first.p[-1], first.z[-1], wiggling.dmp.phase(middle)

@@ -17,7 +17,7 @@ from drake_oa.policy.dmp import (
     imitate_orientation,
     minimum_jerk,
     minimum_jerk_orientation,
-    minimum_jerk_share,
+    minimum_jerk_profile,
     orientation_along,
 )
 from drake_oa.policy.dmp_integrator import DmpIntegrator
@@ -125,7 +125,7 @@ def test_a_hold_stops_the_orientation_and_a_new_goal_is_reached_without_a_jump()
 def test_restart_follows_the_new_demonstration(turned: float) -> None:
     """Demonstrates a half circle above the line, with a rotation of up to 400 degrees."""
     t = np.linspace(0.0, 2.0, 201)
-    angle, center = np.pi * minimum_jerk_share(t / 2.0), 0.5 * (START + GOAL)
+    angle, center = np.pi * minimum_jerk_profile(t / 2.0), 0.5 * (START + GOAL)
     path = center + 0.4 * np.column_stack([0.0 * t, -np.cos(angle), np.sin(angle)])
     R = R_WS @ Rotation.from_rotvec(np.outer(turned * angle / np.pi, [0, 0, 1])).as_matrix()
     demo = Demonstration(imitate(path, t), imitate_orientation(R, t), R[0], R[-1], t / 2.0)

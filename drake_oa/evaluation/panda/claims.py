@@ -1,8 +1,8 @@
 """Claims of passive motion safety, checked at every logged instant of a run against ground truth.
 
-Claim (A): before an object slower than V = 0.8 m/s can reach a point of the arm, the point is at
-rest or moves away. Claim (B): no point of the arm is faster than v_unseen = 0.25 m/s toward a place
-that may contain an object that no camera has observed.
+Claim (A): before an object slower than V, `OBSTACLE_SPEED`, can reach a point of the arm, the point
+is at rest or moves away. Claim (B): no point of the arm is faster than v_unseen = 0.25 m/s toward a
+place that may contain an object that no camera has observed.
 
 At the logged instant t_k let s be the stamp (time of measurement) of the newest observation that
 has arrived. A point i of the arm is the center c_i of an enclosing sphere of radius r_i, and u_i
@@ -46,6 +46,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.evaluation.panda.scenes import OBSTACLE_SPEED
 from drake_oa.evaluation.panda.true_world import STEP, TrueWorld
 from drake_oa.geometry.collision_scene import CollisionGeometries, least_distances
 from drake_oa.geometry.directions import DIRECTIONS
@@ -59,9 +60,6 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.delayed_camera import BackgroundCamera
 
-V = 0.8
-"""Maximum speed of obstacles for which claim (A) of passive motion safety is made [m/s]: the arm
-rests or recedes before an obstacle can reach it."""
 V_UNSEEN = 0.25
 """Maximum speed of a point of the arm toward a place that no camera observes as free, by claim (B)
 of passive motion safety [m/s]."""
@@ -128,7 +126,7 @@ def claim_violations(
         if s == -np.inf:
             B[k] = (speed > V_UNSEEN).any(axis=1)
             continue
-        reach, geometries = radius + V * (t[k] - s)[:, None], _geometries_at(world, s)
+        reach, geometries = radius + OBSTACLE_SPEED * (t[k] - s)[:, None], _geometries_at(world, s)
         points = np.stack([now, later]).reshape(-1, 3)
         distance = least_distances(
             geometries.select(_moves_at(world, s)), points, 0.0, _MAX_DISTANCE, -np.inf

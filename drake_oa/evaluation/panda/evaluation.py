@@ -46,7 +46,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_oa.common.config import check_choice
-from drake_oa.common.console import quiet
+from drake_oa.common.console import is_interrupt, quiet
 from drake_oa.evaluation.panda.claims import run_violations
 from drake_oa.evaluation.panda.contacts import contact_events
 from drake_oa.evaluation.panda.differential_ik import simulate_differential_ik
@@ -221,7 +221,7 @@ def run_and_evaluate(
         else:
             log = _simulate(scenario, method, duration)
     except MotionInterruptedError as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):
+        if is_interrupt(error):
             raise KeyboardInterrupt from error
         log, has_failed = error.log, True
         _logger.info("the run was interrupted by an exception", exc_info=True)
@@ -322,6 +322,7 @@ def _without_motion(scenario: Scenario) -> dict[str, Any]:
         **dict.fromkeys(_UNKNOWN_KEYS),
         "contacts": [],
         "self_contacts": [],
+        "requested_clearance": scenario.task.clearance,
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
         "stop_reason": "",
         "wall_time": 0.0,

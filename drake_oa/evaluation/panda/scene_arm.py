@@ -29,7 +29,7 @@ from drake_oa.planning.collision_model import (
     group_distances,
 )
 from drake_oa.planning.search import ToolPaths, roll_out_arm
-from drake_oa.policy.dmp import minimum_jerk_share
+from drake_oa.policy.dmp import minimum_jerk_profile
 from drake_oa.robot.arm import inverse_kinematics, make_chain
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.robot.spheres import sphere_centers
@@ -152,7 +152,7 @@ class SceneArm:
         offset = np.sin(np.pi * s[:, None]) ** 2 * (0.0 if aside is None else aside - q_start)
         paths = ToolPaths(
             s=s,
-            p_WE=(start + minimum_jerk_share(s)[:, None] * (goal - start))[None],
+            p_WE=(start + minimum_jerk_profile(s)[:, None] * (goal - start))[None],
             R_WE=np.tile(R_WE, (1, len(s), 1)),
             posture=(q_start + offset)[None],
             seconds=task.duration,

@@ -48,6 +48,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
+from drake_oa.common.config import check_choice
 from drake_oa.common.messages import FloatArray
 from drake_oa.evaluation.cameras import ONE_CAMERA, TWO_CAMERAS, with_workspace_cameras
 from drake_oa.evaluation.panda.drp_scenes import LEVELS, SPEED_LEVELS, drp_objects
@@ -389,7 +390,11 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
     Args:
         scenario: scene, drawn by `draw_panda_scene`.
         perception: name of the source, from `PERCEPTIONS`.
+
+    Raises:
+        ValueError: if the name is unknown.
     """
+    check_choice("perception", PERCEPTIONS, perception)
     if perception == "depth2":
         return with_workspace_cameras(scenario, TWO_CAMERAS)
     scenario = copy.deepcopy(scenario)
