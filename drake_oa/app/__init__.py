@@ -24,8 +24,8 @@ and progress; elsewhere they are plain text (`drake_oa.common.console`).
 
 Exit statuses: 0 success; 1 failure (an avoiding motion that missed the goal or was in contact, an
 image without a table, a file that could not be written); 2 invalid input, reported in one line
-"drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted by Ctrl-C; 143 terminated
-by SIGTERM or SIGHUP.
+"drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted by Ctrl-C, which is the
+usual end of `play` and `station`: 0; 143 terminated by SIGTERM or SIGHUP.
 
 Begin with `main.main`.
 """

@@ -344,15 +344,14 @@ def mbm(
     return run_suites(runs, suites, heading, mbm_metrics)
 
 
+_SOURCE_KINDS = ("tabletop", "clutter6", "elbow", "moving")
+"""Default kinds of scenes of `drake-oa evaluate sources`."""
+
+
 @evaluate.command
 def sources(
     *,
-    kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = (
-        "tabletop",
-        "clutter6",
-        "elbow",
-        "moving",
-    ),
+    kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = _SOURCE_KINDS,
     problems: Path | None = None,
     scenes: Count = 20,
     count: Count = 10,

@@ -107,13 +107,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # The error is of standard output, because `OutputError` has no errno. Python flushes
             # standard output again at exit, so it must not be the broken pipe.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            # A closed pipe is no error: its reader needs no more output.
+            # A closed pipe needs no message: its reader wants no more output.
             if error.errno == errno.ENOSPC:
                 complain(f"cannot write to standard output: {error.strerror}")
             return FAILED
         if not isinstance(error, OutputError) and is_interrupt(error):
-            complain("interrupted")
-            return INTERRUPTED
+            # `Terminated` states its exit status.
+            status = getattr(error, "status", INTERRUPTED)
+            complain("interrupted" if status == INTERRUPTED else "terminated")
+            return status
         if isinstance(error, CycloptsError):
             words = [name for name in tokens[:1] if name in _COMMANDS]
             complain(f"{error} See drake-oa {' '.join([*words, '--help'])}")

@@ -11,6 +11,7 @@ from drake_oa.app.scenarios import (
     Overrides,
     ScenarioName,
     build_errors,
+    check_end_contacts,
     open_scenario,
     scenario_name,
 )
@@ -53,25 +54,23 @@ def play(
     """
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.play import PlaySession
-    from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.viewing.viewer import open_page, start_viewer
 
     loaded_scenario = open_scenario(scenario, overrides, log)
-    with build_errors():
-        if contacts := end_contacts(loaded_scenario):
-            raise ValueError(contacts)
+    check_end_contacts(loaded_scenario)
     with (
-        build_errors(),
         reserved_log(log, no_log, f"{scenario_name(scenario)}_played") as file,
         stop_between_steps() as raise_if_requested,
     ):
         viewer = start_viewer(browser=True)
         page = open_page(viewer, scenario_name(scenario), loaded_scenario.description)
-        session = PlaySession(loaded_scenario, viewer, page)
+        with build_errors():
+            session = PlaySession(loaded_scenario, viewer, page)
         try:
             session.run(raise_if_requested)
-        except KeyboardInterrupt:
-            pass
+        except KeyboardInterrupt as error:
+            # Ctrl-C is the usual end of a session.
+            return getattr(error, "status", 0)
         finally:
             logs = session.finish()
             if file is not None:

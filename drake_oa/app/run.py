@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -22,17 +23,11 @@ from drake_oa.app.scenarios import (
     Rate,
     ScenarioName,
     build_errors,
+    check_end_contacts,
     open_scenario,
     scenario_name,
 )
-from drake_oa.common.console import (
-    FAILED,
-    INTERRUPTED,
-    TERMINATED,
-    complain,
-    progress_bar,
-    show,
-)
+from drake_oa.common.console import FAILED, TERMINATED, complain, is_interrupt, progress_bar, show
 from drake_oa.common.files import import_extra, replace_json, replace_text, reserve_file
 
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
@@ -133,10 +128,10 @@ def run(  # noqa: PLR0913
     the contents of the log are written as ROS 2 messages, for viewers and for `!RecordedBag`; see
     docs/guides/perception.md.
 
-    With --hardware only the avoiding motion is executed, by a real arm and the cameras whose images
-    are on --lcm-url; see docs/hardware.md. The arm is on the same bus (lcm: the driver of a Panda,
-    or `drake-oa station`), or at --host (franka: a Franka Research 3). True obstacles are unknown
-    then, and the clearances are "-".
+    With --hardware only the avoiding motion is executed, by a real arm and its cameras; see
+    docs/hardware.md. Images are on --lcm-url, or on the bus that the scenario's `!LcmCamera` names.
+    The arm is on --lcm-url, too (lcm: the driver of a Panda, or `drake-oa station`), or at --host
+    (franka: a Franka Research 3). True obstacles are unknown then, and the clearances are "-".
 
     Exit status: 0 if the tool of the avoiding motion reached the goal, or the motion reached
     --duration; 1 if it did not, if the robot was in contact, or if an output could not be written;
@@ -165,7 +160,7 @@ def run(  # noqa: PLR0913
         hardware: execute the avoiding motion on a real arm instead of simulating it: on one behind
             Drake's LCM messages, or on a Franka Research 3 (pip install 'drake_oa[franka]').
         host: with --hardware franka, address of the robot.
-        lcm_url: with --hardware, URL of the LCM bus.
+        lcm_url: with --hardware, URL of the LCM bus of arm and images.
         rate: with --hardware, simulated time over wall time, at most 1.
     """
     from drake_oa.common.bags import new_bag
@@ -179,6 +174,8 @@ def run(  # noqa: PLR0913
         raise ValueError("--lcm-url and --rate require --hardware")
     if (hardware == "franka") != bool(host):
         raise ValueError("--hardware franka requires --host ADDRESS, and only it uses --host")
+    if not hardware:
+        check_end_contacts(loaded_scenario)
     viewer = None
     if meshcat or html:
         from drake_oa.viewing.viewer import start_viewer
@@ -202,12 +199,10 @@ def run(  # noqa: PLR0913
         else:
             _simulate_both(this, log_file)
         status = _report(this, json, log_file)
-    if isinstance(this.failure, KeyboardInterrupt):
-        complain(str(this.failure) or "interrupted")
-        return TERMINATED if isinstance(this.failure, Terminated) else INTERRUPTED
-    if this.failure is not None:
-        complain(f"interrupted: {next(reversed(this.logs.values())).stop_reason}")
-        return FAILED
+        if this.failure is not None and not is_interrupt(this.failure):
+            complain(f"interrupted: {next(reversed(this.logs.values())).stop_reason}")
+            status, meshcat = FAILED, False
+        raise_if_requested()
     if meshcat:
         from drake_oa.viewing.viewer import wait_for_viewer
 
@@ -252,6 +247,9 @@ def station(
 
     loaded_scenario = open_scenario(scenario, overrides, log)
     lcm = _open_bus(lcm_url)
+    with contextlib.suppress(OSError):
+        # A real arm has its own control computer. The thread that renders inherits the priority.
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
     with build_errors():
         arm = PandaStation(loaded_scenario, lcm, rate=rate, waits=wait, log=log is not None)
     failure: BaseException | None = None
@@ -318,8 +316,9 @@ def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Pa
     try:
         yield file
     finally:
-        if file.stat().st_size == 0:
-            file.unlink()
+        with contextlib.suppress(FileNotFoundError):
+            if file.stat().st_size == 0:
+                file.unlink()
 
 
 def _simulate_both(this: _Run, log_file: Path | None) -> None:
@@ -335,12 +334,9 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.diagrams.perception import record_images
     from drake_oa.runs.motion_log import save_logs
-    from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
 
     with build_errors():
-        if contacts := end_contacts(this.scenario):
-            raise ValueError(contacts)
         # Errors of the avoiding motion are reported before the first one is simulated.
         customize = partial(record_images, this.bag, this.scenario) if this.bag else None
         built = build_avoidance(this.scenario, meshcat=this.meshcat, customize=customize)
@@ -447,9 +443,6 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
     with contextlib.ExitStack() as outputs:
         if contact:
             outputs.callback(complain, contact)
-        if this.meshcat is not None and this.html is not None and "avoiding" in logs:
-            page = label_page(this.meshcat.StaticHtml(), this.name, this.scenario, logs["avoiding"])
-            outputs.callback(replace_text, this.html, page)
         outputs.callback(replace_json, json, report)
         if this.bag and "avoiding" in logs:
             outputs.callback(write_log, this.bag, this.scenario, logs["avoiding"])
@@ -457,6 +450,9 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
             outputs.callback(print, f"log: {log_file}", file=sys.stderr)
             outputs.callback(save_logs, log_file, logs)
         outputs.callback(show, report_table(report))
+        if this.meshcat is not None and this.html is not None and "avoiding" in logs:
+            page = label_page(this.meshcat.StaticHtml(), this.name, this.scenario, logs["avoiding"])
+            outputs.callback(replace_text, this.html, page)
     # The nominal motion may be in contact.
     last = logs.get("avoiding") or next(iter(logs.values()))
     successes = {MotionEnd.GOAL, *([MotionEnd.TIME_LIMIT] if this.duration is not None else [])}
@@ -479,7 +475,13 @@ def _open_panel(this: _Run) -> LivePanel | None:
 
 
 class Terminated(KeyboardInterrupt):
-    """Exception for the signals SIGTERM and SIGHUP, which commands handle like Ctrl-C."""
+    """Exception for the signals SIGTERM and SIGHUP, which commands handle like Ctrl-C.
+
+    Attributes:
+        status: exit status of the command.
+    """
+
+    status = TERMINATED
 
 
 @contextlib.contextmanager

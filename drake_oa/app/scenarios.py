@@ -81,6 +81,19 @@ def build_errors() -> Iterator[None]:
         raise ScenarioError(str(error)) from error
 
 
+def check_end_contacts(scenario: Scenario) -> None:
+    """Checks that the robot is not in contact at start and goal of a scenario.
+
+    Raises:
+        ValueError: naming the contacts.
+    """
+    from drake_oa.runs.scenario_check import end_contacts
+
+    with build_errors():
+        if contacts := end_contacts(scenario):
+            raise ValueError(contacts)
+
+
 def scenario_name(name_or_file: str) -> str:
     """Returns the name of a scenario from its shipped name or its file, without folder and suffix
     .scenario.yaml.

@@ -14,11 +14,12 @@ import logging
 import math
 import multiprocessing
 import os
+import re
 import signal
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from typing import Protocol
 
 import numpy as np
@@ -114,8 +115,8 @@ class SharedTrajectory(ctypes.Structure):
     """Memory that the diagram and the command streamer share: planned and measured joint positions,
     and the progress of the motion.
 
-    The two processes access the memory without locks: each field has one writer, and a row is
-    written before the count of rows increases.
+    The two processes access the memory without locks: each field has one writer, except for
+    `end_requested`, which is only ever set; a row is written before the count of rows increases.
 
     Attributes:
         is_stopped: 1 after the streamer has stopped the arm permanently, otherwise 0.
@@ -416,14 +417,14 @@ def stream_commands(
         return
     streamer = CommandStreamer(trajectory, arm, rate)
     due = time.monotonic()
-    while not streamer.is_finished:
-        if os.getppid() != parent and not trajectory.end_requested:
-            _logger.warning("parent process ended: stopping the arm")
-            trajectory.end_requested = 1.0
-        streamer.step(time.time(), time.monotonic())
-        due = max(due + arm.period, time.monotonic())
-        time.sleep(max(0.0, due - time.monotonic()))
-    arm.close()
+    with closing(arm):
+        while not streamer.is_finished:
+            if os.getppid() != parent and not trajectory.end_requested:
+                _logger.warning("parent process ended: stopping the arm")
+                trajectory.end_requested = 1.0
+            streamer.step(time.time(), time.monotonic())
+            due = max(due + arm.period, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
 
 
 class LcmArm:
@@ -620,9 +621,9 @@ class CommandValidator:
     def _log(self, event: str) -> None:
         """Logs and stores an event of the command validation, unless it repeats the previous event.
 
-        Two events are the same if their texts up to the first " is " are equal; numbers after " is
-        " may differ.
+        Two events are the same if their texts up to the first digit are equal.
         """
-        if not self.events or self.events[-1].split(" is ")[0] != event.split(" is ")[0]:
+        kinds = [re.split(r"\d", text)[0] for text in (*self.events[-1:], event)]
+        if len(set(kinds)) == len(kinds):
             self.events.append(event)
             _logger.warning("station: %s", event)

@@ -117,7 +117,8 @@ def add_hardware(
     """
     arm, _ = arm_of(scenario)
     measured = signals.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
-    external = ExternalInputs(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
+    output, wait = measured.get_output_port(), link.wait_for_message
+    external = ExternalInputs(output, link.to_simulated, link.clock, wait)
     station = add_station(signals, scenario, avoid_obstacles=avoid_obstacles, external=external)
     if station is None:
         raise ScenarioError("robot: must be set for a run on hardware; the scenario has null")

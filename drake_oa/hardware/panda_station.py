@@ -6,10 +6,8 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -269,9 +267,6 @@ class PandaStation:
                 raises an exception.
             each_step: function that is called after each step of the plant.
         """
-        with suppress(OSError):
-            # A real arm has its own control computer.
-            os.setpriority(os.PRIO_PROCESS, 0, -10)
         context = self.simulator.get_context()
         due = self._clock()
         try:

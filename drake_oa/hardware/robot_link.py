@@ -141,7 +141,7 @@ class RobotLink:
 
     def to_simulated(self, stamp: float) -> float:
         """Converts a recent time of the wall clock to simulated time [s]: the time in the planned
-        motion that the arm had executed then.
+        motion that the arm had executed then, if it has moved at the full rate since.
 
         Args:
             stamp: time of the wall clock [s].
@@ -168,12 +168,11 @@ class RobotLink:
         while not self.trajectory.is_stopped and np.isnan(self.trajectory.measured[0]).all():
             if self.clock() - since > STARTUP_TIMEOUT:
                 break
-            self._raise_if_requested()
-            self.wait()
+            self.wait_for_message()
         # During this time, the streamer would detect another command source.
         begin = self.clock()
         while self.clock() - begin < 2.0 * STATUS_TIMEOUT:
-            self.wait()
+            self.wait_for_message()
         q, v = self.trajectory.measured
         if self.trajectory.note or np.isnan(q).any():
             note = self.trajectory.note or "no status of the arm received"
@@ -192,6 +191,19 @@ class RobotLink:
                 f"{np.round(q_start, 4).tolist()} rad"
             )
         return q
+
+    def wait_for_message(self) -> None:
+        """Waits for a short time in which a message may arrive.
+
+        Raises:
+            KeyboardInterrupt: if the user has requested the end of the run.
+            HardwareError: if the command streamer has ended.
+        """
+        self._raise_if_requested()
+        if self._process is not None and not self._process.is_alive():
+            note = self.trajectory.note or "the process of the command streamer has ended"
+            raise HardwareError(f"{note} ({self._address})")
+        self.wait()
 
     def write(self, t: float, q: FloatArray) -> None:
         """Writes planned joint positions for the command streamer, and waits until simulated time
@@ -227,13 +239,15 @@ class RobotLink:
         Raises:
             HardwareError: if the command streamer has stopped the arm or has ended.
         """
-        trajectory, last = self.trajectory, self.events[-1][1] if self.events else ""
+        last = self.events[-1][1] if self.events else ""
         note = "arm resumed" if last else ""
-        if trajectory.note:
-            note = f"arm {'stopped' if trajectory.is_stopped else 'holds'}: {trajectory.note}"
+        # The streamer writes the reason before `is_stopped`, which is therefore read first.
+        is_stopped = self.trajectory.is_stopped
+        if reason := self.trajectory.note:
+            note = f"arm {'stopped' if is_stopped else 'holds'}: {reason}"
         if note != last:
             self.events.append((t, note))
-        if trajectory.is_stopped:
+        if is_stopped:
             raise HardwareError(note)
         if self._process is not None and not self._process.is_alive():
             raise HardwareError("arm stopped: the process of the command streamer has ended")

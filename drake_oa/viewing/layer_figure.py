@@ -10,9 +10,11 @@ from pydrake.systems.framework import Diagram
 
 from drake_oa.common.signal_builder import connections
 
-LAYERS = (
-    "delayed_camera",
+_CAMERAS = ("delayed_", "live_", "bag_")
+"""Prefixes of the names of systems that output images."""
+_LAYERS = (
     "perception",
+    "collision_scene",
     "ellipsoid_descriptor",
     "regressor_chain",
     "cost_ring_selector",
@@ -22,8 +24,8 @@ LAYERS = (
     "controller",
     "plant",
 )
-"""Names of the subsystems that `layer_figure` draws, in the order of data flow. Subsystems that a
-diagram lacks are skipped."""
+"""Names of the subsystems that `layer_figure` draws after the cameras, in the order of data flow.
+Subsystems that a diagram lacks are skipped."""
 _WIDTH, _HEIGHT, _LINE = 170, 76, 15
 """Width and height of one field of the N2 chart (table of systems and signals) that `layer_figure`
 draws, and height of a text line [pixel]."""
@@ -44,12 +46,14 @@ def layer_figure(diagram: Diagram) -> str:
     signals below the diagonal are feedback.
 
     Args:
-        diagram: diagram with some of the subsystems `LAYERS`.
+        diagram: diagram with cameras and some of the subsystems `_LAYERS`.
 
     Returns:
         Text of an SVG file.
     """
-    names = [name for name in LAYERS if diagram.HasSubsystemNamed(name)]
+    systems = [system.get_name() for system in diagram.GetSystems()]
+    names = [name for name in systems if name.startswith(_CAMERAS)]
+    names += [name for name in _LAYERS if name in systems]
     cells = {
         (name, name): [type(diagram.GetSubsystemByName(name)).__name__.rstrip("_"), name]
         for name in names

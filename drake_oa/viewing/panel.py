@@ -208,8 +208,3 @@ class LivePage:
         self._frame += 1
         self._sent_time = time.monotonic()
         self._meshcat.SetProperty(_FRAME, "renderOrder", float(self._frame))
-
-    def close(self) -> None:
-        """Stops the server of the live page, so that the page is no longer available."""
-        self._server.shutdown()
-        self._server.server_close()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from cyclopts import App
 
 from drake_oa.app.main import _app
@@ -174,3 +175,9 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         SNAPSHOT.write_text(json.dumps(observed(), indent=1) + "\n")
+
+
+def test_graph_draws_every_camera(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("graph", "two_cameras") == 0
+    drawn = capsys.readouterr().out
+    assert all(f">{name}<" in drawn for name in ("delayed_left", "delayed_right", "perception"))

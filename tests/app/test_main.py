@@ -13,6 +13,7 @@ import pytest
 from pydrake.systems.framework import Context
 
 from drake_oa.app import main as cli
+from drake_oa.app.run import Terminated
 from drake_oa.runs import simulation
 from drake_oa.runs.motion_log import load_logs
 from drake_oa.scenario.shipped import shipped_scenarios
@@ -126,9 +127,16 @@ def test_ctrl_c_in_a_command_is_one_line(
             # Compiled modules raise this error.
             raise SystemError("returned a result with an exception set") from error
 
-    monkeypatch.setattr("drake_oa.app.scenarios.shipped_scenarios", interrupt)
-    assert run("scenarios") == 130
-    assert capsys.readouterr().err == "drake-oa: error: interrupted\n"
+    def terminate() -> None:
+        raise Terminated
+
+    for function, status, reason in [
+        (interrupt, 130, "interrupted"),
+        (terminate, 143, "terminated"),
+    ]:
+        monkeypatch.setattr("drake_oa.app.scenarios.shipped_scenarios", function)
+        assert run("scenarios") == status
+        assert capsys.readouterr().err == f"drake-oa: error: {reason}\n"
 
 
 def test_ctrl_c_while_modules_are_imported_is_one_line() -> None:

@@ -73,6 +73,9 @@ def test_invalid_command_is_rejected(q: float, fields: dict[str, object], reason
     assert not validator.receive(command(q, now, **fields), now)
     np.testing.assert_allclose(validator.desired(now)[0], before)
     assert f"rejected: {reason}" in validator.events[-1]
+    count = len(validator.events)
+    assert not validator.receive(command(1.01 * q, now, **fields), now)
+    assert len(validator.events) == count
     assert validator.receive(command(before, now), now)
 
 

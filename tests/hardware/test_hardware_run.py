@@ -119,7 +119,7 @@ def popen(*words: str) -> subprocess.Popen[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
 def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path) -> None:
-    url = f"udpm://239.255.76.99:{7680 + kind}?ttl=0&recv_buf_size=4000000"
+    url = f"udpm://239.255.76.99:{7700 + os.getpid() % 10_000}?ttl=0&recv_buf_size=4000000"
     truth, sent = tmp_path / "truth.npz", tmp_path / "sent.npz"
     arm = popen("station", "tabletop_box", "--lcm-url", url, *RATE, "--wait", "--log", str(truth))
     driver = popen(
@@ -136,6 +136,7 @@ def test_arm_slows_down_when_the_planning_process_ends(kind: int, tmp_path: Path
             status = lcmt_panda_status.decode(received[-1]) if received else lcmt_panda_status()
             if np.abs(status.joint_velocity).max(initial=0.0) > 0.08:
                 break
+        assert driver.poll() is None, driver.communicate()[1]
         if kind == signal.SIGKILL:
             # The streamer continues without its parent process.
             driver.kill()
@@ -166,7 +167,7 @@ def test_missing_arm_gives_a_one_line_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("drake_oa.hardware.robot_link.STARTUP_TIMEOUT", 0.5)
-    url = "udpm://239.255.76.99:7674?ttl=0"
+    url = f"udpm://239.255.76.99:{7700 + os.getpid() % 10_000}?ttl=0"
     assert main(["run", "tabletop_box", "--hardware", "lcm", "--lcm-url", url, "--no-log"]) == 1
     error_text = capsys.readouterr().err
     assert "no status" in error_text

@@ -3,7 +3,6 @@
 import json
 import re
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from threading import Timer
 from urllib.request import urlopen
@@ -46,11 +45,9 @@ def viewer() -> Meshcat:
 
 
 @pytest.fixture
-def page(viewer: Meshcat) -> Iterator[LivePage]:
-    """Live page of the viewer, closed after the test."""
-    page = open_page(viewer, "mine: avoiding motion", SCENARIO.description)
-    yield page
-    page.close()
+def page(viewer: Meshcat) -> LivePage:
+    """Live page of the viewer."""
+    return open_page(viewer, "mine: avoiding motion", SCENARIO.description)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +56,6 @@ def simulated(viewer: Meshcat) -> tuple[MotionLog, str]:
     page = open_page(viewer, "mine", "")
     log = simulate(SCENARIO, duration=0.3, on_step=LivePanel(page, SCENARIO))
     text: str = json.loads(get(page, "/reading/0"))[1]
-    page.close()
     return log, text
 
 

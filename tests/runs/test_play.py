@@ -76,7 +76,8 @@ def test_changes_become_active_and_invalid_ones_are_refused(
     assert session.tool_point()[1] < 0.29
     logs = session.finish()
     assert list(logs) == ["leg_1", "leg_2", "leg_3"]
-    assert logs["leg_1"].stop_reason == "restarted"
+    assert [logs[name].stop_reason for name in ("leg_1", "leg_3")] == ["restarted", "ended"]
+    assert math.isfinite(logs["leg_3"].duration)
 
 
 def test_obstacles_of_directives_can_be_moved() -> None:
