@@ -114,7 +114,7 @@ _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
-_MAX_CLAIM_WORK = 48
+_MAX_CLAIM_WORK = 46
 """Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
 decision checks no further trajectories except braking, so that its simulated latency is below the
 period of 33 ms [-]."""
