@@ -5,13 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from drake_oa.app.evaluate import (
-    RUNS,
-    Methods,
-    Runs,
-    evaluate_points,
-    run_suites,
-)
+from drake_oa.app.evaluate import RUNS, Methods, Runs, evaluate_points, run_suites
 from drake_oa.app.scenarios import Count, Seed
 from drake_oa.common.console import show
 from drake_oa.common.files import check_outputs, replace_json

@@ -92,12 +92,13 @@ def _kernel_folder(beside: str) -> str:
         beside: preferred folder, beside the source. If it is not writable, the result is a copy in
             the user's cache, or else a temporary folder.
     """
-    user = user_cache("kernels") / hashlib.sha256(beside.encode()).hexdigest()[:16]
     with suppress(OSError):
         Path(beside).mkdir(exist_ok=True)
         tempfile.TemporaryFile(dir=beside).close()
         return beside
-    with suppress(OSError):
+    # Without a home directory, the user has no cache: RuntimeError.
+    with suppress(OSError, RuntimeError):
+        user = user_cache("kernels") / hashlib.sha256(beside.encode()).hexdigest()[:16]
         user.parent.mkdir(parents=True, exist_ok=True)
         if not user.is_dir():
             # The complete copy is renamed, because another process may create it, too.

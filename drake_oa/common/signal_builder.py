@@ -45,8 +45,8 @@ class _SignalSystem:
     interposed: tuple[str, ...] = ()
 
     @cached_property
-    def input_ports(self) -> dict[str, InputPort]:
-        """Input ports of the system by the name of the signal that they read."""
+    def input_ports(self) -> list[tuple[str, InputPort]]:
+        """Input ports of the system, each with the name of the signal that it reads."""
         count = self.system.num_input_ports()
         return self._named(list(map(self.system.get_input_port, range(count))), self.inputs)
 
@@ -54,10 +54,14 @@ class _SignalSystem:
     def output_ports(self) -> dict[str, OutputPort]:
         """Output ports of the system by the name of the signal that they output."""
         count = self.system.num_output_ports()
-        return self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
+        named = self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
+        if len(ports := dict(named)) < len(named):
+            names = ", ".join(signal for signal, _ in named)
+            raise ValueError(f"several output ports of a system are one signal, of {names}")
+        return ports
 
-    def _named(self, ports: list[_Port], names: Names) -> dict[str, _Port]:
-        """Returns the ports of a system by the name of the signal that each reads or outputs.
+    def _named(self, ports: list[_Port], names: Names) -> list[tuple[str, _Port]]:
+        """Returns the ports of a system with the name of the signal that each reads or outputs.
 
         If the system has one port and is interposed on one signal, and `names` is empty, the port
         belongs to this signal.
@@ -67,9 +71,9 @@ class _SignalSystem:
             names: signal names of ports whose signal has another name than the port.
         """
         if len(ports) == 1 == len(self.interposed) and not names:
-            return {self.interposed[0]: ports[0]}
-        signals = {names.get(port.get_name(), port.get_name()): port for port in ports}
-        return {signal: port for signal, port in signals.items() if signal is not None}
+            return [(self.interposed[0], ports[0])]
+        signals = ((names.get(port.get_name(), port.get_name()), port) for port in ports)
+        return [(signal, port) for signal, port in signals if signal is not None]
 
 
 class SignalBuilder:
@@ -183,13 +187,17 @@ class SignalBuilder:
         """
         if name not in self._systems:
             raise ValueError(f"there is no system '{name}'; there are {', '.join(self._systems)}")
-        names = list(self._systems)
+        systems = dict(self._systems)
         before = self._systems.pop(name)
         inputs = before.inputs if inputs is None else inputs
         outputs = before.outputs if outputs is None else outputs
-        self._add(name, _SignalSystem(system, inputs, outputs, before.interposed))
+        try:
+            self._add(name, _SignalSystem(system, inputs, outputs, before.interposed))
+        except ValueError:
+            self._systems = systems
+            raise
         # The position in the diagram is preserved: it is the order of events at equal times.
-        self._systems = {each: self._systems[each] for each in names}
+        self._systems = {each: self._systems[each] for each in systems}
         return system
 
     def interpose(
@@ -256,7 +264,7 @@ class SignalBuilder:
         for name, entry in self._systems.items():
             self.builder.AddNamedSystem(name, entry.system)
         for name, entry in self._systems.items():
-            for signal, port in entry.input_ports.items():
+            for signal, port in entry.input_ports:
                 source = self._source(signal, name if signal in entry.interposed else None)
                 if source is not None:
                     self.builder.Connect(source, port)

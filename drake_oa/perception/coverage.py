@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.geometry.directions import lattice
 from drake_oa.geometry.pinhole import pixel_at
 
 REACH = 0.4
@@ -60,14 +61,14 @@ def unobserved_fraction(
         views: view volumes of the cameras.
 
     Returns:
-        Mean fraction over the configurations, in [0, 1]: 1 without a camera.
+        Mean fraction over the configurations, in [0, 1]: 1 without a camera, 0 without a point.
     """
     fractions = []
     for centers, near in zip(p_WS, points, strict=True):
         is_observed = np.zeros(len(near), dtype=bool)
         for view in views:
             is_observed |= _is_visible(view, near, centers, radius)
-        fractions.append(np.mean(~is_observed))
+        fractions.append(np.sum(~is_observed) / max(len(near), 1))
     return float(np.mean(fractions))
 
 
@@ -92,7 +93,7 @@ def points_near(
         if table_height is not None:
             low[2], high[2] = max(low[2], table_height), min(high[2], table_height + HEIGHT)
         axes = [np.arange(a + 0.5 * _PITCH, b, _PITCH) for a, b in zip(low, high, strict=True)]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        grid = lattice(*axes)
         distance = (cdist(grid, centers) - radius).min(axis=1)
         points.append(grid[(distance > 0.0) & (distance < REACH)])
     return points
@@ -117,7 +118,7 @@ def _is_visible(
     ray, sphere = points[is_visible] - p_WC, p_WS - p_WC
     along = ray @ sphere.T
     squared = (ray**2).sum(axis=1)[:, None]
-    share = np.clip(along / squared, 0.0, 1.0)
-    distance = (sphere**2).sum(axis=1) - share * (2.0 * along - share * squared)
+    fraction = np.clip(along / squared, 0.0, 1.0)
+    distance = (sphere**2).sum(axis=1) - fraction * (2.0 * along - fraction * squared)
     is_visible[is_visible] = (distance >= radius**2).all(axis=1)
     return is_visible

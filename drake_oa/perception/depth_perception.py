@@ -83,7 +83,7 @@ def log_change(system: LeafSystem, previous: str, note: str, time: float) -> Non
         return
     name = system.get_name() or type(system).__name__
     if note:
-        _logger.warning("%s at %.3f s: %s; keeping the last observation", name, time, note)
+        _logger.warning("%s at %.3f s: %s; earlier observations remain", name, time, note)
     else:
         _logger.info("%s at %.3f s: recovered", name, time)
 
@@ -283,17 +283,15 @@ class DepthPerception(LeafSystem):
         """
         time, previous = context.get_time(), self._state.read(context)
         count = len(self._ports)
-        last_image_stamps = (
-            np.array(previous.last_image_stamps)
-            if len(previous.last_image_stamps)
-            else np.full(count, -np.inf)
-        )
+        last_image_stamps = np.full(count, -np.inf)
+        last_image_stamps[: len(previous.last_image_stamps)] = previous.last_image_stamps
         stamps = np.array([self._stamp(port, context) for port in self._ports])
         overdue = (self._missing_image_timeout == 0.0) | (
             time - stamps > self._missing_image_timeout
         )
         is_new = select_synchronized(stamps, last_image_stamps, self._sync_tolerance)
-        if not is_new.any():
+        # A late image with the stamp of the last frame cannot be added to it.
+        if not is_new.any() or stamps.max() <= previous.frame_stamp:
             note = _NO_NEW_IMAGE if overdue.all() else previous.obstacles.note
             self._write(context, state, previous, note)
             return
@@ -318,7 +316,8 @@ class DepthPerception(LeafSystem):
             state.get_mutable_abstract_state(self._free_space).set_value(free_space)
             obstacles = tracker.obstacles
             if missing:
-                obstacles = backdate_obstacles(obstacles, last_image_stamps.min())
+                oldest = max(previous.obstacles.stamp, last_image_stamps.min())
+                obstacles = backdate_obstacles(obstacles, oldest)
             tracker = replace(tracker, obstacles=obstacles, cloud_W=frame.points_W)
         self._write(
             context, state, replace(tracker, last_image_stamps=last_image_stamps), "; ".join(notes)
@@ -353,7 +352,8 @@ class DepthPerception(LeafSystem):
         port, (K, size) = self._ports[row], self._cameras[row]
         image: Any = port.image.read(context)
         pose: Any = port.pose.read(context)
-        depth = image.data[:, :, 0]
+        # A copy: the image belongs to another system, and the state contains the view.
+        depth = np.array(image.data[:, :, 0])
         if depth.shape != size:
             raise ValueError(
                 f"{self.get_name()}: {port.image.port.get_name()} is "

@@ -214,7 +214,7 @@ def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
     data = path.read_bytes()
     header_count = int((_HEADER.findall(data[:65536]) or [b"0"])[0])
     lines = data.partition(b"DATA ascii\n")[2] if path.suffix.lower() == ".pcd" else b""
-    max_count = lines.count(b"\n") if lines else len(data) * _POINTS_PER_BYTE
+    max_count = len(lines.splitlines()) if lines else len(data) * _POINTS_PER_BYTE
     if not 0 < header_count <= max_count:
         raise ValueError(_DAMAGED.format(path))
     # Open3D raises no error for an unreadable file, but prints a warning to standard output.
@@ -295,7 +295,7 @@ def checked_intrinsics(values: Any, where: str) -> FloatArray:
     """Checks the intrinsics of a camera, and returns them as K = [fx, fy, cx, cy] [pixel].
 
     Args:
-        values: fx, fy, cx, cy, or a 3 x 3 camera matrix row by row.
+        values: fx, fy, cx, cy, or a 3 x 3 camera matrix, row by row or column by column.
         where: file and field, with which an error message begins.
 
     Raises:
@@ -307,7 +307,10 @@ def checked_intrinsics(values: Any, where: str) -> FloatArray:
     except (TypeError, ValueError):
         array = np.zeros(0)
     if array.size == 9:
-        array = array[[0, 4, 2, 5]]
+        rows = array.reshape(3, 3)
+        # Open3D writes the columns of the matrix one after the other.
+        rows = rows.T if rows[0, 2] == rows[1, 2] == 0.0 else rows
+        array = rows.ravel()[[0, 4, 2, 5]] if (rows[2] == [0.0, 0.0, 1.0]).all() else array
     if array.size != 4 or not np.isfinite(array).all() or (array[:2] <= 0.0).any():
         raise ValueError(
             f"{where}: intrinsics must be fx, fy, cx, cy [pixel] or a 3 x 3 camera matrix, "

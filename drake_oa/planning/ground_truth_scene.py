@@ -15,11 +15,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import OUT_OF_WORLD
 from drake_oa.common.ports import AbstractInput, valid_period
-from drake_oa.geometry.collision_scene import (
-    ENVIRONMENT,
-    CollisionScene,
-    read_geometry,
-)
+from drake_oa.geometry.collision_scene import ENVIRONMENT, CollisionScene, read_geometry
 
 _AT_REST = 1e-3
 """Speed below which a simulated body counts as at rest [m/s].

@@ -96,6 +96,8 @@ _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
 They are tried in this order until a path is found that the arm can execute."""
 _GOAL_SEEDS = 128
 """Number of random seeds of the inverse kinematics that computes configurations at the goal."""
+_SAME_ANGLE = 1e-6
+"""Maximum difference of the joints between two results that are the same configuration [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -565,7 +567,9 @@ class MotionSearch:
             for number in range(2):
                 if number == len(goals):
                     # Many seeds are slow: only if no path to the preferred configuration exists.
-                    goals.append(self._goal_configurations(inputs, _GOAL_SEEDS)[len(goals[0]) :])
+                    q = self._goal_configurations(inputs, _GOAL_SEEDS)
+                    is_known = (np.abs(q[:, None] - goals[0]) < _SAME_ANGLE).all(axis=2)
+                    goals.append(q[~is_known.any(axis=1)])
                 ends = goals[number]
                 model = self._collision_model(inputs, ends, fraction)
                 corners = plan_path(model, inputs.q, ends, max_configurations=max_count)

@@ -29,13 +29,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 
-from drake_oa.common.messages import (
-    BoolArray,
-    FloatArray,
-    Frozen,
-    ObstacleClouds,
-    TablePlane,
-)
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, ObstacleClouds, TablePlane
 from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, valid_period
 from drake_oa.geometry.collision_scene import (
     CollisionGeometry,

@@ -8,13 +8,7 @@ import logging
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    LeafSystem,
-    State,
-    ValueProducer,
-)
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, ValueProducer
 
 from drake_oa.common.messages import (
     CouplingParameters,

@@ -8,13 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    LeafSystem,
-    State,
-    ValueProducer,
-)
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, ValueProducer
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState, zeros

@@ -23,14 +23,7 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.files import cached_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.geometry.collision_scene import read_geometry
-from drake_oa.robot.arm import (
-    Chain,
-    Spheres,
-    axis_frame,
-    chain_poses,
-    joints_to,
-    make_chain,
-)
+from drake_oa.robot.arm import Chain, Spheres, axis_frame, chain_poses, joints_to, make_chain
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_cover import Cover, cover_key, load_cover

@@ -13,12 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from pydrake.geometry import (
-    GeometryId,
-    PenetrationAsPointPair,
-    QueryObject,
-    SceneGraphInspector,
-)
+from pydrake.geometry import GeometryId, PenetrationAsPointPair, QueryObject, SceneGraphInspector
 from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 

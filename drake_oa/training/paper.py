@@ -20,14 +20,7 @@ from drake_oa.common.files import provenance
 from drake_oa.common.messages import FloatArray
 from drake_oa.inference.regressor import TARGETS, ChainWeights, Network
 from drake_oa.training.lattice import ActionLevelName, PaperLattice, roll_out_lattice
-from drake_oa.training.networks import (
-    DECAY,
-    HIDDEN,
-    TRAIN_SHARE,
-    Round,
-    nmse,
-    train_network,
-)
+from drake_oa.training.networks import DECAY, HIDDEN, TRAIN_SHARE, Round, nmse, train_network
 from drake_oa.training.released_law import STEPS
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")

@@ -279,7 +279,8 @@ class DelayedCamera(TimedCamera):
         if not 0.0 <= delay < period:
             raise ValueError(f"delay must be between 0 and the period {period} s, not {delay}")
         self._camera, self._delay, self._dropouts = camera, delay, tuple(dropouts)
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._capture)
+        self._period = period
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._capture)
 
     def release(self) -> None:
@@ -305,13 +306,22 @@ class DelayedCamera(TimedCamera):
         """Checks whether a dropout of the camera is active at the time of a Context."""
         return any(is_active(fault, context) for fault in self._dropouts)
 
+    def _initialize(self, context: Context, state: State) -> None:
+        """Captures the first image of a simulation, and forgets earlier captures. If the Context
+        continues a simulation between two captures, nothing changes.
+        """
+        last = max(self._read(context).stamp, default=-np.inf)
+        if not 0.0 < context.get_time() - last < self._period:
+            state.get_mutable_abstract_state(self._state_index).set_value(_Captures())
+            self._capture(context, state)
+
     def _capture(self, context: Context, state: State) -> None:
         """Captures an image: stores the present time and plant state, and starts the rendering.
         During a dropout of the camera, nothing is captured.
         """
         if self._is_dropped_out(context):
             return
-        before = self._read(context)
+        before: _Captures = state.get_abstract_state(self._state_index).get_value()
         x = np.array(self._state_port.Eval(context))
         self._camera.request(x, context.get_time())
         after = _Captures((*before.stamp[-1:], context.get_time()), (*before.state[-1:], x))

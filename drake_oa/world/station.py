@@ -12,10 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from pydrake.geometry import CollisionFilterDeclaration, SceneGraph
-from pydrake.multibody.plant import (
-    AddMultibodyPlantSceneGraph,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.sensors import CameraConfig, CameraInfo
@@ -29,11 +26,7 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs, noise_seed
 from drake_oa.world.bag_images import BagCamera
-from drake_oa.world.cameras import (
-    Camera,
-    TimedCamera,
-    depth_intrinsics,
-)
+from drake_oa.world.cameras import Camera, TimedCamera, depth_intrinsics
 from drake_oa.world.delayed_camera import BackgroundCamera, DelayedCamera, Noise
 from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import add_depth_noise

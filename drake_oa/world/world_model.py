@@ -21,11 +21,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from drake_oa.common.config import ScenarioError, field_errors
-from drake_oa.robot.formats.model_file import (
-    add_installed_package,
-    check_links,
-    named_warnings,
-)
+from drake_oa.robot.formats.model_file import add_installed_package, check_links, named_warnings
 from drake_oa.robot.plant import add_robot, known_packages, make_parser
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.obstacles import add_obstacle

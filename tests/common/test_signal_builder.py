@@ -59,10 +59,11 @@ def test_a_replaced_system_keeps_its_connections(signals: SignalBuilder) -> None
 
 
 def test_inputs_without_a_source_stay_unconnected(signals: SignalBuilder) -> None:
-    signals.add("sum", Adder(2, 1), inputs={"u0": "x", "u1": None})
+    signals.add("sum", Adder(3, 1), inputs={"u0": "x", "u1": None, "u2": "x"})
     signals.add("read", source(1.0), outputs={"y0": "x"})
     signals.log("x", "absent")
-    assert connections(built(signals)) == [("read.y0", "log_x.data"), ("read.y0", "sum.u0")]
+    readers = ("log_x.data", "sum.u0", "sum.u2")
+    assert connections(built(signals)) == [("read.y0", reader) for reader in readers]
     assert "x" in signals
     assert "absent" not in signals
 
@@ -90,6 +91,12 @@ def test_errors_name_system_and_signal(signals: SignalBuilder) -> None:
         signals.replace("absent", source(4.0))
     with pytest.raises(ValueError, match=r"'bad' cannot be interposed on 'x': .* are y0, y1;"):
         signals.interpose("x", "bad", Demultiplexer(2, 1))
+    with pytest.raises(ValueError, match="several output ports of a system are one signal"):
+        signals.add("split", Demultiplexer(2, 1), outputs={"y0": "z", "y1": "z"})
+    signals.add("b", source(1.0), outputs={"y0": "w"})
+    with pytest.raises(ValueError, match="'w' already has a source"):
+        signals.replace("in", source(4.0), outputs={"y0": "w"})
+    assert "x" in signals
     signals.interpose("nowhere", "lost", Gain(2.0, 1))
     with pytest.raises(ValueError, match="'lost' is interposed on 'nowhere', which has no source"):
         signals.connect()

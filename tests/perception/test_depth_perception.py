@@ -61,6 +61,9 @@ def test_a_frame_without_depth_changes_only_the_note(caplog):
     context.SetTime(1.0)
     before = update(system, context)
     assert len(before) == 1
+    # The state does not contain the memory of the image.
+    (view,) = system.GetOutputPort("free_space_W").Eval(context).views
+    assert not np.shares_memory(view.z, system.GetInputPort("depth_image").Eval(context).data)
     context.SetTime(2.0)
     set_image(system, context, image=np.full_like(good, np.nan))
     with caplog.at_level(logging.INFO, logger="drake_oa"):
@@ -120,6 +123,9 @@ def test_the_stamp_is_that_of_the_oldest_camera(caplog):
     views = system.GetOutputPort("free_space_W").Eval(context).views
     assert views[0] is not None
     assert views[1] is None
+    # Late, with the stamp of the last frame.
+    set_image(system, context, "right", 0.3)
+    assert update(system, context).note == "no new image"
     set_image(system, context, "left", 0.4, table_with_block())
     set_image(system, context, "right", 0.4)
     again = update(system, context)

@@ -68,6 +68,8 @@ def test_all_formats_of_a_folder_are_read_in_order_of_stamp(tmp_path):
         ("intrinsics.yml", {"intrinsic_matrix": np.reshape(MATRIX, (3, 3)).tolist()}),
         ("camera_info.yaml", {"camera_matrix": {"rows": 3, "cols": 3, "data": MATRIX}}),
         ("scene.yaml", {"k": MATRIX}),
+        # Open3D writes the matrix by columns.
+        ("intrinsics.json", {"intrinsic_matrix": np.reshape(MATRIX, (3, 3)).T.ravel().tolist()}),
     ],
 )
 def test_intrinsics_and_scale_are_read_from_the_same_folder(image, name, content):

@@ -86,6 +86,12 @@ def test_image_is_output_after_the_delay_and_the_first_without_delay(
     assert stamp == pytest.approx(taken)
     assert state[0] == pytest.approx(READY[0] + taken)
     assert np.isfinite(image).mean() > 0.5
+    # A simulation that continues keeps the images, another one begins with its first.
+    simulator.Initialize()
+    assert outputs(diagram, simulator.get_context())[0] == pytest.approx(taken)
+    simulator.get_mutable_context().SetTime(0.0)
+    simulator.Initialize()
+    assert outputs(diagram, simulator.get_context())[0] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -30,11 +30,7 @@ from drake_oa.evaluation.mbm.problems import (
     parse_problem,
     read_archive,
 )
-from drake_oa.evaluation.panda.evaluation import (
-    Criteria,
-    PandaResults,
-    PandaSuite,
-)
+from drake_oa.evaluation.panda.evaluation import Criteria, PandaResults, PandaSuite
 from drake_oa.evaluation.panda.tables import ALL, methods_metrics
 from drake_oa.geometry.collision_scene import least_distances
 from drake_oa.perception.config import GroundTruth

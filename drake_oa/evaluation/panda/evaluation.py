@@ -52,12 +52,7 @@ from drake_oa.evaluation.panda.contacts import contact_events
 from drake_oa.evaluation.panda.differential_ik import simulate_differential_ik
 from drake_oa.evaluation.panda.drp_scenes import EPISODE
 from drake_oa.evaluation.panda.planner import CLEARANCE, STATES, run_planner
-from drake_oa.evaluation.panda.scenes import (
-    DRP,
-    KINDS,
-    draw_panda_scene,
-    with_perception,
-)
+from drake_oa.evaluation.panda.scenes import DRP, KINDS, draw_panda_scene, with_perception
 from drake_oa.evaluation.panda.true_world import make_true_world
 from drake_oa.evaluation.results import Task, resumed
 from drake_oa.inference.config import Paper, Verified

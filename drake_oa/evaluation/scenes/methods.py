@@ -22,12 +22,7 @@ from drake_oa.common.files import import_extra
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.evaluation.scenes.paper_method import run as run_paper
 from drake_oa.evaluation.scenes.paper_method import run_original
-from drake_oa.evaluation.scenes.scenes import (
-    DURATION,
-    Motions,
-    Scenes,
-    Setting,
-)
+from drake_oa.evaluation.scenes.scenes import DURATION, Motions, Scenes, Setting
 from drake_oa.inference.config import Verified
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.policy.config import Policy
