@@ -10,11 +10,7 @@ from numpy.typing import ArrayLike
 from pydrake.common.value import Value
 from pydrake.geometry import SceneGraph, Shape
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import (
-    AddMultibodyPlantSceneGraph,
-    CoulombFriction,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import RevoluteJoint, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 from pydrake.systems.sensors import ImageDepth32F

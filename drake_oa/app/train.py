@@ -34,7 +34,7 @@ def train(
     For example:
 
         drake-oa train --out weights
-        drake-oa train --iterations 500 --out trial
+        drake-oa train --iterations 20 --out trial
         drake-oa train --recipe paper --out weights --seed 1
 
     Args:

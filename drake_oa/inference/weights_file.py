@@ -55,9 +55,8 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]
     """
     if not path.is_file():
         raise FileNotFoundError(
-            f"no weights file {path}: train one with `drake-oa train --out {path.parent}`, "
-            "or use a shipped one, package://drake_oa/weights/paper_chain.safetensors or "
-            "paper_chain_running.safetensors"
+            f"no weights file {path}: train one with `drake-oa train --recipe paper_running --out "
+            f"{path.parent}`, or use package://drake_oa/weights/paper_chain_running.safetensors"
         )
     try:
         with safe_open(path, "numpy") as file:

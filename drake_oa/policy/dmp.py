@@ -44,7 +44,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, CubicHermiteSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, PchipInterpolator, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.compiled import compiled
@@ -303,12 +303,24 @@ def fit_forcing(
     return Dmp(alpha_x, beta_x, alpha_k, centers, widths, weights, duration)
 
 
-def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
+def interpolant(s: FloatArray, x: FloatArray) -> BSpline | PchipInterpolator:
     """Returns a spline through the samples x (T, D) of a demonstration at increasing times s (T,).
 
-    The degree is 5, or lower for fewer than six samples.
+    The degree is 5, or lower for fewer than six samples. At uneven times such a spline may
+    overshoot without limit; if it leaves the range of the samples by more than `_OVERSHOOT`, the
+    result is a monotone cubic interpolant.
     """
-    return make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
+    spline = make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
+    low, high = x.min(axis=0), x.max(axis=0)
+    margin = _OVERSHOOT * (high - low).max()
+    between = spline(np.linspace(s[0], s[-1], 20 * len(s)))
+    is_outside = (between < low - margin) | (between > high + margin)
+    return PchipInterpolator(s, x) if is_outside.any() else spline
+
+
+_OVERSHOOT = 0.2
+"""Maximum distance by which a spline through a demonstration may leave the range of its samples, as
+a ratio to their largest range [-]."""
 
 
 @lru_cache(maxsize=16)

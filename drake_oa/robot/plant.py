@@ -6,6 +6,7 @@ images, uses it for kinematics and shapes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,7 +16,12 @@ from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    Frame,
+    ModelInstanceIndex,
+    RevoluteJoint,
+)
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.config import ScenarioError, field_errors
@@ -140,7 +146,8 @@ def base_pose(robot: Robot | None) -> RigidTransform:
 
 def _url(url_or_file: str) -> str:
     """Returns the URL of a model file, given a URL, which is returned unchanged, or a file name."""
-    return url_or_file if "://" in url_or_file else Path(url_or_file).absolute().as_uri()
+    # Drake does not decode percent signs, as of `Path.as_uri`.
+    return url_or_file if "://" in url_or_file else f"file://{Path(url_or_file).absolute()}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +265,12 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
     """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    instance = add_robot(plant, robot, inertias=inertias)
-    plant.Finalize()
+    with field_errors("robot.base_link", RuntimeError):
+        instance = add_robot(plant, robot, inertias=inertias)
+        plant.Finalize()
     with field_errors("robot.model", ValueError):
         arm = joints_to(plant, plant.GetFrameByName(TOOL_FRAME))
+        _check_joints(plant, arm)
     if len(robot.q_seed) != len(arm):
         raise ScenarioError(
             f"robot.q_seed: expected {len(arm)} numbers, of "
@@ -269,6 +278,34 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
         )
     exclude_grasp_contacts(plant, scene_graph, robot)
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
+
+
+def _check_joints(plant: MultibodyPlant, arm: Sequence[RevoluteJoint]) -> None:
+    """Checks the joints of a robot's model.
+
+    Args:
+        plant: finalized plant of the robot.
+        arm: joints of the arm, from base to tool.
+
+    Raises:
+        ValueError: if no joint moves the tool, if the joints of the arm are not the first ones, or
+            if a joint has no actuator or no speed.
+    """
+    if not arm:
+        raise ValueError("no joint between robot.base_link and robot.hand_link moves")
+    for row, joint in enumerate(arm):
+        if joint.position_start() != row:
+            raise ValueError(f"joint '{joint.name()}' of the arm must precede all other joints")
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    actuated = {actuator.joint().index() for actuator in actuators}
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        if joint.num_velocities() and joint.index() not in actuated:
+            raise ValueError(
+                f"joint '{joint.name()}' moves without an actuator; add a transmission and an "
+                "effort limit above 0, or fix the joint"
+            )
+        if (joint.velocity_upper_limits() <= 0.0).any():
+            raise ValueError(f"joint '{joint.name()}' has no speed: its limit must be above 0")
 
 
 def tool_link_corners(robot: Robot) -> list[FloatArray]:

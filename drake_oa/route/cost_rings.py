@@ -281,7 +281,7 @@ def select_directions(
         booleans (M,), True for an obstacle of which every direction is forbidden.
 
     Raises:
-        ValueError: if the costs of a ring have another shape; names the ring.
+        ValueError: if the costs of a ring have another shape or are not finite; names the ring.
     """
     count, width = scene.detour.shape
     costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
@@ -291,6 +291,8 @@ def select_directions(
                 f"ring '{name}' returned shape {cost.shape}; it must be ({count}, {width}), "
                 "obstacles by directions"
             )
+        if not np.isfinite(cost).all():
+            raise ValueError(f"ring '{name}' returned costs that are not finite")
     index, blocked = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
     if not count:
         return index, costs, blocked

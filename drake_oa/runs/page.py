@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.inference.config import Paper
-from drake_oa.perception.config import CameraSource
+from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.planning.search import SOURCES
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import MotionLog
@@ -46,7 +46,9 @@ class PanelReadings:
         """
         self._method = motion_name(is_avoiding)
         if is_avoiding:
-            source = "camera" if isinstance(scenario.perception, CameraSource) else "ground truth"
+            source = type(scenario.perception).__name__
+            if isinstance(scenario.perception, CameraSource | GroundTruth):
+                source = "ground truth" if source == "GroundTruth" else "camera"
             chain = type(scenario.inference).__name__.lower()
             self._method += f": {chain}, obstacles from {source}"
         self._requested = [f", requested {scenario.task.clearance:g}", ""]

@@ -132,6 +132,7 @@ class PlaySession:
         self._sliders = self._add_controls()
         self._active_settings = self._tried_settings = self._settings_now = self._settings()
         self._rest_time = 0.0
+        self._returned: MotionMonitor | None = None
         self._start = tuple(self._scenario.task.start)
         self.is_returning = self.is_stopped = False
         self._reset_count = 0
@@ -155,7 +156,7 @@ class PlaySession:
             self.meshcat.AddButton(name, key)
         self.meshcat.AddSlider("speed", 0.1, 1.0, 0.1, 1.0)
         task = self._scenario.task
-        sliders = [("clearance [m]", 0.02, 0.30, 0.005, task.clearance)]
+        sliders = [("clearance [m]", 0.02, max(0.3, task.clearance), 0.005, task.clearance)]
         for axis, at in zip("xyz", task.goal, strict=True):
             sliders.append((f"goal {axis} [m]", at - 0.5, at + 0.5, 0.01, at))
         for name, X_WO in self._poses.items():
@@ -207,9 +208,17 @@ class PlaySession:
             self._begin(None)
         elif self._settings_now != self._tried_settings and self._rest_time >= SETTLING_TIME:
             self._begin(self._positions())
-        elif self._monitor.settled and self._monitor.outcome == GOAL_OUTCOME:
+        elif (
+            self._monitor.settled
+            and self._monitor.outcome == GOAL_OUTCOME
+            and self._returned is not self._monitor
+        ):
+            # A refused return is not tried again.
+            self._returned = self._monitor
             self.is_returning = not self.is_returning
             self._begin(self._positions())
+            if self._monitor is self._returned:
+                self.is_returning = not self.is_returning
         paused = self._clicks("pause") % 2 == 1
         if self._simulator and not self._monitor.settled and not paused:
             self._simulator.AdvanceTo(self._root().get_time() + TICK)
@@ -293,8 +302,10 @@ class PlaySession:
         task = scenario.task
         task.clearance = settings["clearance [m]"]
         task.goal = [settings[f"goal {axis} [m]"] for axis in "xyz"]
+        if not np.allclose(task.goal, self._scenario.task.goal, atol=0.01):
+            task.q_goal = None
         if self.is_returning:
-            task.goal = list(self._start)
+            task.goal, task.rpy_goal = list(self._start), task.rpy_start
         if q is not None:
             task.q_start, task.q_goal = q[: len(robot_of(scenario).q_seed)].tolist(), None
             task.goal_moves, task.demonstration = [], []

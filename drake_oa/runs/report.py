@@ -169,27 +169,31 @@ def _rows(**columns: Sequence[object]) -> list[dict[str, object]]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def latency_statistics(latencies: ArrayLike, period: float) -> dict[str, float] | None:
+def latency_statistics(
+    latencies: ArrayLike, period: float | None = None
+) -> dict[str, float] | None:
     """Computes statistics of the compute latencies of decisions.
 
     Args:
         latencies: (N,) latencies of decisions [s].
-        period: period of the perception [s].
+        period: period of the perception [s], or None.
 
     Returns:
-        Dictionary of "median", "p99" and "max" [s]; "fraction_over_period", the fraction of
-        latencies above the period; and "count". None without decisions.
+        Dictionary of "median", "p99" and "max" [s]; "count"; and, with a period,
+        "fraction_over_period", the fraction of latencies above it. None without decisions.
     """
     latencies = np.asarray(latencies, dtype=float)
     if not len(latencies):
         return None
-    return {
+    statistics = {
         "median": float(np.median(latencies)),
         "p99": float(np.percentile(latencies, 99.0)),
         "max": float(latencies.max()),
-        "fraction_over_period": float((latencies > period).mean()),
         "count": len(latencies),
     }
+    if period is not None:
+        statistics["fraction_over_period"] = float((latencies > period).mean())
+    return statistics
 
 
 def layer_latencies(log: MotionLog, layer: str = "verification") -> FloatArray:

@@ -418,9 +418,7 @@ def _last_change(scenario: Scenario, end_time: float) -> float:
     """
     changes = [last_change(scenario.obstacles), last_move_time(scenario.task)]
     for fault in scenario.faults:
-        if isinstance(fault, Push):
-            changes.append(fault.start + fault.duration)
-        elif isinstance(fault, CameraDropout | TorqueSaturation):
+        if isinstance(fault, CameraDropout | TorqueSaturation | Push):
             end = fault.start + fault.duration
             # A fault that outlasts the motion does not delay the end of the run.
             changes.append(end if end < end_time else 0.0)

@@ -32,7 +32,7 @@ class GuardParameters:
     acceleration_limit: float = Field(default=10.0, gt=0.0, le=1000.0)
     """Maximum joint acceleration of the command while it follows the verified motion (checked by
     simulation) [rad/s^2]. Raising it makes the command deviate less in sharp turns."""
-    margin_moving: float = Field(default=0.12, gt=0.0, le=1.0)
+    margin_moving: float = Field(default=0.12, gt=0.0, le=2.0)
     """Distance beyond the required clearance to moving obstacles within which a predicted
     trajectory is penalized for proximity [m]. Raising it makes the arm avoid moving obstacles at a
     larger distance."""

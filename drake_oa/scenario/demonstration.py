@@ -190,7 +190,9 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
         known = ("x y z", "t x y z", "x y z qw qx qy qz", "t x y z qw qx qy qz")
         if sorted(names) not in [sorted(columns.split()) for columns in known]:
             raise ValueError(f"its first line is {header[:80]!r}")
-        table = np.loadtxt(islice(file, MAX_SAMPLES + 1), delimiter=",", ndmin=2)
+        if not (lines := list(islice(file, MAX_SAMPLES + 1))):
+            raise ValueError("it has no line after the header")
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
     column = dict(zip(names, table.T, strict=True))
     groups = {"path": tuple("xyz"), "quaternion": _QUATERNION_COLUMNS}
     arrays = {

@@ -112,12 +112,12 @@ def parse_scenario(
         *obstacle_problems(scenario.obstacles),
         *_robot_problems(scenario),
         *_fault_problems(scenario),
-        *goal_problems(scenario.task),
     ]
-    if problems:
-        raise ScenarioError(*problems)
     stated = data.get("task") or {}
-    follow_joints(scenario, {name for name, value in stated.items() if value is not None})
+    if not problems:
+        follow_joints(scenario, {name for name, value in stated.items() if value is not None})
+    if problems := [*problems, *goal_problems(scenario.task)]:
+        raise ScenarioError(*problems)
     return scenario
 
 
@@ -168,15 +168,16 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
     URLs and other values remain unchanged. In `task.demonstration`, a single file becomes a list of
     one file, and an empty text becomes an empty list.
     """
-    for name, field in (
-        ("perception", "folder"),
-        ("perception", "path"),
-        ("task", "demonstration"),
-        ("inference", "weights"),
-        ("inference", "chain"),
-        ("robot", "model"),
+    faults = data.get("faults")
+    for block, field in (
+        (data.get("perception"), "folder"),
+        (data.get("perception"), "path"),
+        (data.get("task"), "demonstration"),
+        (data.get("inference"), "weights"),
+        (data.get("inference"), "chain"),
+        (data.get("robot"), "model"),
+        *((fault, "inertias") for fault in (faults if isinstance(faults, list) else ())),
     ):
-        block = data.get(name)
         if not isinstance(block, dict):
             continue
         files = block.get(field)
@@ -192,7 +193,7 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
                 file := _absolute(block.get("file"), base), str
             ):
                 # In directives that are parsed from text, Drake accepts model files as URLs only.
-                block["file"] = file if "://" in file else Path(file).as_uri()
+                block["file"] = file if "://" in file else f"file://{file}"
 
 
 def _absolute(file: Any, base: Path) -> Any:

@@ -2,6 +2,7 @@
 fields `cameras` and `perception` of a scenario.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated
 
@@ -58,6 +59,8 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
             pixels = getattr(camera, field)
             if not 1 <= pixels <= _MAX_PIXELS:
                 yield f"cameras[{row}].{field}: {pixels} is outside [1, {_MAX_PIXELS}] [pixel]"
+        if not 0.0 < camera.fps < math.inf:
+            yield f"cameras[{row}].fps: {camera.fps:g} must be positive and finite [Hz]"
     if isinstance(perception, CameraSource):
         yield from _camera_problems(perception, cameras)
         if type(perception) is not DepthCamera and perception.noise is not None:

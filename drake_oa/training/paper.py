@@ -230,7 +230,7 @@ def train_paper(
         metadata = {
             "inputs": f"lambda1'/L, lambda2'/L (semi-axes){more}",
             "units": {"kappa": "1/L^2", "psi": "rad", "alpha": alpha_unit},
-            "recipe": "paper",
+            "recipe": "paper" if recipe.action_level == "released" else "paper_running",
             "chain": name,
             "action_level": action_level,
             "seed": seed,

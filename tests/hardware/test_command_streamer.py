@@ -8,11 +8,7 @@ import pytest
 from drake import lcmt_panda_command, lcmt_panda_status
 from pydrake.manipulation import PandaControlMode
 
-from drake_oa.hardware.command_streamer import (
-    COMMAND_CHANNEL,
-    STATUS_CHANNEL,
-    STATUS_TIMEOUT,
-)
+from drake_oa.hardware.command_streamer import COMMAND_CHANNEL, STATUS_CHANNEL, STATUS_TIMEOUT
 from drake_oa.hardware.hardware_station import arm_of
 from drake_oa.hardware.robot_link import HardwareError
 from tests.hardware.lockstep import EPOCH, Lockstep, joints

@@ -117,7 +117,7 @@ def test_the_error_of_a_damaged_file_names_file_and_problem(tmp_path, key, value
 
 def test_the_error_of_a_missing_or_other_file_names_it(tmp_path):
     path = tmp_path / "noise.safetensors"
-    with pytest.raises(FileNotFoundError, match=r"noise.safetensors.*drake-oa train --out"):
+    with pytest.raises(FileNotFoundError, match=r"noise.safetensors.*--recipe paper_running"):
         load_chain(path)
     path.write_bytes(b"not weights at all")
     with pytest.raises(ValueError, match=r"noise.safetensors cannot be read"):

@@ -7,12 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.averaging import (
-    POINTS,
-    SPARSE,
-    average_orientations,
-    average_paths,
-)
+from drake_oa.policy.averaging import POINTS, SPARSE, average_orientations, average_paths
 from drake_oa.policy.dmp import imitate, minimum_jerk_profile, trajectory
 
 START, GOAL = np.array([0.4, -0.4, 0.2]), np.array([0.4, 0.4, 0.2])
@@ -77,6 +72,13 @@ def test_waypoints_are_interpolated_and_a_gap_of_a_recording_is_bridged() -> Non
     is_recorded = (t < 2.0) | (t > 2.8)
     mean, stamps = average_paths([arc(s), path[is_recorded]], [s, t[is_recorded]])
     assert np.linalg.norm(mean - arc(stamps / stamps[-1]), axis=1).max() < 5e-3
+
+
+def test_waypoints_at_uneven_times_are_not_overshot() -> None:
+    path = np.array([[0.45, y, z] for y, z in ((-0.45, 0.3), (-0.2, 0.5), (0.2, 0.5), (0.45, 0.3))])
+    mean, _ = average_paths([path], [np.array([0.0, 0.5, 1.0, 6.0])])
+    assert (mean >= path.min(axis=0) - 0.05).all()
+    assert (mean <= path.max(axis=0) + 0.05).all()
 
 
 def test_a_recording_that_returns_to_its_start_is_refused() -> None:

@@ -13,12 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.coupling import (
-    HEADING,
-    N_COLUMNS,
-    rotate,
-    turn_step,
-)
+from drake_oa.policy.coupling import HEADING, N_COLUMNS, rotate, turn_step
 from tests.reference.coupling import turning
 
 seeds = st.integers(0, 2**32 - 1)

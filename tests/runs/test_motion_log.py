@@ -9,12 +9,7 @@ import pytest
 
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.runs import motion_log
-from drake_oa.runs.motion_log import (
-    MotionLog,
-    load_logs,
-    pack_ellipsoids,
-    save_logs,
-)
+from drake_oa.runs.motion_log import MotionLog, load_logs, pack_ellipsoids, save_logs
 from tests.builders import balls
 
 LogOf = Callable[..., MotionLog]

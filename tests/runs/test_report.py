@@ -8,12 +8,7 @@ import pytest
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.report import (
-    TOLERANCE,
-    motion_report,
-    report_table,
-    run_report,
-)
+from drake_oa.runs.report import TOLERANCE, motion_report, report_table, run_report
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 
 LogOf = Callable[..., MotionLog]

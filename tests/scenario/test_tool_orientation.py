@@ -16,11 +16,7 @@ from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import tool_link_corners
 from drake_oa.scenario.demonstration import demonstrated_orientation
-from drake_oa.scenario.end_poses import (
-    end_rotations,
-    robots_along_motion,
-    tool_orientation,
-)
+from drake_oa.scenario.end_poses import end_rotations, robots_along_motion, tool_orientation
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 

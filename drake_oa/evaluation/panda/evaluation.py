@@ -301,6 +301,8 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
     """
     rows = log.t <= EPISODE
     q = log.q[rows]
+    if not len(q):
+        return "stopped"
     if contacts and robot_metrics(scenario, q, log.q_world[rows]).contacts:
         return "contact"
     (X_WE,) = make_robot_plant(robot_of(scenario)).tool_poses(q[-1:])

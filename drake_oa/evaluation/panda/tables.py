@@ -174,7 +174,7 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
         "shortfall_count": sum((run["clearance_shortfall"] or 0.0) > TOLERANCE for run in runs),
         "duration_median": of(np.median, "duration"),
-        "decision_latency": latency_statistics(latencies, np.inf),
+        "decision_latency": latency_statistics(latencies),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
         "robot_clearance_min": of(min, "robot_clearance_min"),

@@ -57,7 +57,8 @@ def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
                 # The complete folder is renamed, as another process may convert the same mesh.
                 folder = tempfile.mkdtemp(dir=target.parent)
                 for row, piece in enumerate(pieces):
-                    open3d.io.write_triangle_mesh(f"{folder}/{row:03d}.obj", piece)
+                    if not open3d.io.write_triangle_mesh(f"{folder}/{row:03d}.obj", piece):
+                        raise OSError(f"cannot write meshes to {folder}")
                 try:
                     Path(folder).rename(target)
                 except OSError:

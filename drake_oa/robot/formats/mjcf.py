@@ -92,8 +92,12 @@ def _motor(drive: Element, root: Element) -> Element:
         drive: element of the actuator.
         root: root element of the MJCF model, which contains the default classes.
     """
-    of_class = root.find(f".//default[@class='{drive.get('class', 'main')}']/{drive.tag}")
-    values = (of_class.attrib if of_class is not None else {}) | drive.attrib
+    where, values = "default", dict[str, str]()
+    if name := drive.get("class"):
+        where = f".//default[@class='{name}']"
+    # The tag <general> has the defaults of all kinds of actuators.
+    for part in [*root.findall(f"{where}/general"), *root.findall(f"{where}/{drive.tag}"), drive]:
+        values |= part.attrib
     motor = Element("motor", name=values.get("name", values["joint"]), joint=values["joint"])
     limit = values.get("forcerange") or (values.get("ctrlrange") if drive.tag == "motor" else None)
     if limit:

@@ -77,7 +77,7 @@ def _convert_meshes(link: Element, find: Callable[[str], Path]) -> None:
                 files = convert_to_objs(files[0], hulls=shape.tag == "collision")
         link.remove(shape)
         for file in files:
-            mesh.set("filename", file.absolute().as_uri())
+            mesh.set("filename", f"file://{file.absolute()}")
             link.append(copy.deepcopy(shape))
 
 

@@ -68,6 +68,8 @@ FINGER = """<link name="{0}">{1}</link><joint name="{0}" type="revolute"><parent
     <child link="{0}"/><axis xyz="0 0 1"/>{2}<limit effort="1" lower="0" upper="1" velocity="1"/>
     </joint>"""
 
+HEAD = FINGER.format("head", INERTIAL, "").replace("link6", "link0")
+
 
 def arm(folder: Path, mesh: str, more: str = "") -> Robot:
     """Writes an arm of six joints, fixed to a link `world`, without transmissions."""
@@ -96,7 +98,10 @@ def arm(folder: Path, mesh: str, more: str = "") -> Robot:
 def test_meshes_are_converted_joints_actuated_and_the_base_placed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = arm(tmp_path, stl(tmp_path / "link.stl").name)
+    # URLs of Drake contain paths as they are.
+    tmp_path = tmp_path / "my häuser"
+    tmp_path.mkdir()
+    config = arm(tmp_path, stl(tmp_path / "link 1.stl").name)
     config.X_WB.translation = [1.0, 2.0, 3.0]
     config.joint_speed = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     robot = make_robot_plant(config)
@@ -122,12 +127,13 @@ def test_transmissions_of_the_model_are_kept_and_a_linkage_is_fixed(tmp_path: Pa
     mesh = stl(tmp_path / "link.stl").name
     more = FINGER.format("left", INERTIAL, "")
     more += FINGER.format("right", INERTIAL, '<mimic joint="left"/>')
-    for joint in ("joint3", "left"):
+    for joint in (*(f"joint{k}" for k in range(1, 7)), "left"):
         more += f"""<transmission name="t{joint}">
         <type>transmission_interface/SimpleTransmission</type><joint name="{joint}"/>
         <actuator name="m{joint}"/></transmission>"""
     plant = make_robot_plant(arm(tmp_path, mesh, more)).plant
-    assert (plant.num_positions(), plant.num_actuators()) == (6, 1)
+    assert (plant.num_positions(), plant.num_actuators()) == (6, 6)
+    assert plant.HasJointActuatorNamed("mjoint3")
     for name in ("left", "right"):
         assert plant.GetJointByName(name).type_name() == "weld"
 
@@ -178,6 +184,25 @@ def test_error_of_an_unreadable_mesh_names_the_mesh(
         make_robot_plant(arm(tmp_path, name))
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('effort="10"', 'effort="0"', "'joint1' moves without an actuator"),
+        ('velocity="3"', 'velocity="0"', "'joint1' has no speed"),
+        ('<link name="link0">', f'{HEAD}<link name="link0">', "'joint1' .* must precede all other"),
+        ('type="revolute"', 'type="fixed"', "no joint between .* and robot.hand_link moves"),
+    ],
+)
+def test_error_of_joints_that_cannot_be_controlled(
+    tmp_path: Path, before: str, after: str, message: str
+) -> None:
+    robot = arm(tmp_path, stl(tmp_path / "link.stl").name)
+    file = Path(robot.model)
+    file.write_text(file.read_text().replace(before, after))
+    with pytest.raises(ScenarioError, match=f"^robot.model: .*{message}"):
+        make_robot_plant(robot)
+
+
 def test_errors_and_warnings_of_drake_name_the_file(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -194,8 +219,9 @@ def test_errors_and_warnings_of_drake_name_the_file(
 
 # The second joint inherits its axis from the outer class.
 _MJCF = """<mujoco model="two"><compiler angle="radian" autolimits="true" meshdir="meshes"/>
-<default><default class="arm"><joint axis="0 1 0" range="-2 2"/>
-<general forcerange="-150 150"/><default class="weak"><general forcerange="-28 28"/></default>
+<default><general forcerange="-150 150"/>
+<default class="arm"><joint axis="0 1 0" range="-2 2"/>
+<default class="weak"><general forcerange="-28 28"/></default>
 <default class="seen"><geom type="mesh" contype="0" conaffinity="0" group="2"/></default>
 </default></default>
 <asset><mesh file="box.stl"/></asset>
@@ -205,7 +231,7 @@ _MJCF = """<mujoco model="two"><compiler angle="radian" autolimits="true" meshdi
 <joint name="j1"/><geom class="seen" mesh="box"/><geom type="capsule" size="0.05 0.1"/>
 <body name="two" pos="0 0 0.5"><inertial mass="1" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>
 <joint name="j2" class="weak"/><geom type="mesh" mesh="box"/></body></body></body></worldbody>
-<actuator><general name="m1" class="arm" joint="j1"/><general name="m2" class="weak" joint="j2"/>
+<actuator><position name="m1" joint="j1"/><position name="m2" class="weak" joint="j2"/>
 </actuator><keyframe><key name="home" qpos="0 0"/></keyframe></mujoco>"""
 
 
