@@ -80,11 +80,10 @@ class RecordedPerception(LeafSystem):
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
         self._robot = robot
-        for frame in self._frames if robot is not None else []:
-            if (q := frame.robot_state) is not None and len(q) != robot.num_states:
-                raise ValueError(
-                    f"'robot_state' in '{frame.path}' has {len(q)} numbers, not {robot.num_states}"
-                )
+        count = robot.num_states if robot else 0
+        for frame in self._frames:
+            if count and frame.robot_state is not None and len(frame.robot_state) != count:
+                raise ValueError(f"'robot_state' in '{frame.path}' must have {count} numbers")
         self._state = PerceptionState(self)
         # Index of the last processed frame; -1 before the first one.
         self._last_frame = self.DeclareAbstractState(Value(-1))

@@ -568,8 +568,8 @@ class MotionSearch:
                 if number == len(goals):
                     # Many seeds are slow: only if no path to the preferred configuration exists.
                     q = self._goal_configurations(inputs, _GOAL_SEEDS)
-                    is_known = (np.abs(q[:, None] - goals[0]) < _SAME_ANGLE).all(axis=2)
-                    goals.append(q[~is_known.any(axis=1)])
+                    is_known = np.all(np.abs(q[:, None] - goals[0]) < _SAME_ANGLE, axis=2)
+                    goals.append(q[~np.any(is_known, axis=1)])
                 ends = goals[number]
                 model = self._collision_model(inputs, ends, fraction)
                 corners = plan_path(model, inputs.q, ends, max_configurations=max_count)
