@@ -1,5 +1,6 @@
 """Simulated station and command streamer in one process, with a clock advanced by tests."""
 
+import os
 from collections.abc import Callable
 from itertools import count
 from typing import Any
@@ -20,6 +21,11 @@ PRINTED_METRICS = ("contacts", "robot_clearance_min", "goal_error", "delay", "pa
 """Keys of the report of a run that are printed."""
 _numbers = count()
 """Numbers of the LCM buses of this process."""
+
+
+def own_bus() -> str:
+    """Returns the URL of an LCM bus that no other test process uses."""
+    return f"udpm://239.255.76.99:{7700 + os.getpid() % 10_000}?ttl=0&recv_buf_size=4000000"
 
 
 class Clock:

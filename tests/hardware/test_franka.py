@@ -23,7 +23,7 @@ from drake_oa.runs.hardware_run import drive, prepare_hardware
 from drake_oa.runs.simulation import MotionInterruptedError
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_messages import CHANNEL, lcm_bus
-from tests.hardware.lockstep import NO_CAMERAS, PRINTED_METRICS, STEP, Clock
+from tests.hardware.lockstep import NO_CAMERAS, PRINTED_METRICS, STEP, Clock, own_bus
 from tests.hardware.test_command_streamer import move
 
 pylibfranka = pytest.importorskip("pylibfranka")
@@ -40,7 +40,7 @@ class Simulation:
     def __init__(self, name: str, *overrides: str) -> None:
         from tests.hardware.franka_simulator import serve
 
-        self.url = f"udpm://239.255.76.99:{7700 + os.getpid() % 200}?ttl=0&recv_buf_size=4000000"
+        self.url = own_bus()
         self.scenario, self.clock = load_scenario(name, overrides), Clock()
         self._bus, self._image_count = lcm_bus(self.url), 0
         self._bus.Subscribe(CHANNEL.format("camera"), self._count_image)

@@ -27,7 +27,7 @@ from drake_oa.runs.hardware_run import drive, prepare_hardware, station_log
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
 from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
-from tests.hardware.lockstep import PRINTED_METRICS, Lockstep
+from tests.hardware.lockstep import PRINTED_METRICS, Lockstep, own_bus
 from tests.test_systems import checked_systems
 
 
@@ -125,7 +125,7 @@ def test_arm_slows_down_when_the_planning_process_ends(tmp_path: Path) -> None:
 
 def run_and_end(kind: int, tmp_path: Path) -> None:
     """Sends a signal to a planning process while the arm moves, and checks that the arm stops."""
-    url = f"udpm://239.255.76.99:{7700 + os.getpid() % 10_000}?ttl=0&recv_buf_size=4000000"
+    url = own_bus()
     truth, sent = tmp_path / f"truth{kind}.npz", tmp_path / f"sent{kind}.npz"
     arm = popen("station", "tabletop_box", "--lcm-url", url, *RATE, "--wait", "--log", str(truth))
     driver = popen(
@@ -173,7 +173,7 @@ def test_missing_arm_gives_a_one_line_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("drake_oa.hardware.robot_link.STARTUP_TIMEOUT", 0.5)
-    url = f"udpm://239.255.76.99:{7700 + os.getpid() % 10_000}?ttl=0"
+    url = own_bus()
     assert main(["run", "tabletop_box", "--hardware", "lcm", "--lcm-url", url, "--no-log"]) == 1
     error_text = capsys.readouterr().err
     assert "no status" in error_text
