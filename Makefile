@@ -57,16 +57,18 @@ docs: $(DEV)
 # A wheel for this version of Python and this architecture, with its kernels compiled: those that
 # these commands use. `x86-64-v3` is the processor that the package chooses itself where it can.
 DIST ?= $(CURDIR)/dist
+# Copy of the source in which kernels are compiled.
+WHEEL ?= $(CURDIR)/build/wheel
 COMPILED := "run tabletop_box" "run moving_obstacle --duration 3" "run paper_irregular --duration 2" \
   "run demonstrated_pour --duration 1" "run bookshelf --duration 1" "run free_space --duration 1"
 wheel: $(DEV)
-	rm -rf build/wheel && mkdir -p build/wheel
-	cp -r drake_oa diagrams models pyproject.toml README.md LICENSE build/wheel
-	find build/wheel -name '*.nb[ic]' -delete
-	ln -s ../diagrams ../models build/wheel/drake_oa
-	cd build/wheel && for command in $(COMPILED); do \
+	rm -rf $(WHEEL) && mkdir -p $(WHEEL)
+	cp -r drake_oa diagrams models pyproject.toml README.md LICENSE $(WHEEL)
+	find $(WHEEL) -name '*.nb[ic]' -delete
+	ln -s ../diagrams ../models $(WHEEL)/drake_oa
+	cd $(WHEEL) && for command in $(COMPILED); do \
 	  $(abspath $(VENV))/bin/python -m drake_oa.app.main $$command --no-log || exit 1; done
-	cd build/wheel && $(abspath $(VENV))/bin/python -m build --wheel --no-isolation --outdir $(DIST) \
+	cd $(WHEEL) && $(abspath $(VENV))/bin/python -m build --wheel --no-isolation --outdir $(DIST) \
 	  $$($(abspath $(VENV))/bin/python -c 'import sys, sysconfig; print(*( \
 	  f"-C--build-option={o}" for o in (f"--python-tag=cp{sys.version_info[0]}{sys.version_info[1]}", \
 	  f"--plat-name={sysconfig.get_platform()}")))')

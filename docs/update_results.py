@@ -28,12 +28,19 @@ BLOCK = re.compile(
 """A command with its output, or with the line `NOT_MEASURED`."""
 
 
+def current_digest() -> str:
+    """Returns the source digest of the files as they are now."""
+    source_digest.cache_clear()
+    return source_digest()
+
+
 def output(command: str, folder: Path) -> str:
     """Runs a shell command; returns the lines of a page that show its output."""
     folder.mkdir(parents=True, exist_ok=True)
     # The program `drake-oa` of this environment is found without an activated environment.
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
+    digest = current_digest()
     result = subprocess.run(
         command,
         shell=True,
@@ -43,8 +50,10 @@ def output(command: str, folder: Path) -> str:
         stdout=subprocess.PIPE,
         text=True,
     )
+    if current_digest() != digest:
+        raise RuntimeError(f"the source changed during the command: {command}")
     today = datetime.now(UTC)
-    measured = f"Measured on {today.day} {today:%B %Y}, source digest {source_digest()[:12]}."
+    measured = f"Measured on {today.day} {today:%B %Y}, source digest {digest[:12]}."
     return f"```text\n{result.stdout.strip()}\n```\n\n{measured}\n"
 
 

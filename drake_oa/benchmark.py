@@ -42,8 +42,8 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
 
     Returns:
         Dictionary of "machine" (processor and number of cores), "versions" (of the software) and
-        "scenarios". The latter has for each name {"run": {"real_time_factor", "layers"}}. "layers"
-        is the wall time per simulated second [s/s] of each system, by the name of the system.
+        "scenarios". The latter has for each name {"real_time_factor", "layers"}. "layers" is the
+        wall time per simulated second [s/s] of each system, by the name of the system.
     """
     metrics: dict[str, dict[str, Any]] = {}
     for name, scenario in scenarios.items():
@@ -55,7 +55,7 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
         longest_first = sorted(wall_times, key=wall_times.__getitem__, reverse=True)
         layers = {of: wall_times[of] / timed.simulated_time for of in longest_first}
         factor = log.simulated_time / log.wall_time
-        metrics[name] = {"run": {"real_time_factor": factor, "layers": layers}}
+        metrics[name] = {"real_time_factor": factor, "layers": layers}
     return {
         "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
         "versions": software_versions(),
@@ -67,9 +67,9 @@ def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
     """Returns the result of `run_benchmark` as a table, with a column for each scenario and a row
     for each system.
     """
-    runs = {name: item["run"] for name, item in metrics["scenarios"].items()}
-    rows = [{"name": name, **run, **run["layers"]} for name, run in runs.items()]
-    layers = dict.fromkeys(of for run in runs.values() for of in run["layers"])
+    scenarios = metrics["scenarios"]
+    rows = [{"name": name, **item, **item["layers"]} for name, item in scenarios.items()]
+    layers = dict.fromkeys(of for item in scenarios.values() for of in item["layers"])
     columns = [
         Column("name", ""),
         Column("real_time_factor", "real-time factor", "{:.2f}"),

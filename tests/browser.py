@@ -31,7 +31,11 @@ class Browser:
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._loop = asyncio.new_event_loop()
-        self._socket = self._loop.run_until_complete(self._connect())
+        try:
+            self._socket = self._loop.run_until_complete(self._connect())
+        except BaseException:
+            self._process.kill()
+            raise
 
     async def _connect(self) -> Any:
         """Connects to the page; raises TimeoutError after 60 s."""

@@ -2,16 +2,12 @@
 
 Summaries: the first paragraph of a docstring names its subject by a noun phrase (module, class,
 constant) or begins with a verb in the third person (function). A summary that defines its subject
-by a relative clause or a pronoun ("What is known of ...", "The same for ...") is reported, unless
-`language_allowed.txt` lists it: a line each, sorted, of qualified name and first words. The list
-only shrinks: a line without a case is an error, and so are lines for more than `MAX_ALLOWED` of the
-docstrings.
+by a relative clause or a pronoun ("What is known of ...", "The same for ...") is reported.
 
 Terms: docs and help must not contain the terms of `TERMS`, whose standard terms are in
 `docs/glossary.md`.
 
     python -m tests.language             check summaries and terms
-    python -m tests.language --shrink    remove list lines without a case first; never adds one
     python -m tests.language --draw 60 1000    print 60 docstrings, drawn with seed 1000, for review
 """
 
@@ -22,7 +18,6 @@ import inspect
 import random
 import re
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -35,12 +30,6 @@ HELP = ROOT / "drake_oa" / "app"
 """Folder of the command line; its strings are help and messages."""
 EXEMPT = ("CHANGELOG.md", "CONTRIBUTING.md", "docs/glossary.md")
 """Pages that may contain the terms of `TERMS`, to explain their replacement."""
-ALLOWED = Path(__file__).with_name("language_allowed.txt")
-"""List of the accepted summaries."""
-MAX_ALLOWED = 0.01
-"""Maximum number of accepted summaries, as a fraction of all docstrings."""
-KEY_WORDS = 6
-"""Number of words of a summary in its line of the list."""
 
 UNCLEAR = re.compile(
     r"^(What|Who|Whoever|Which|Where|When|How|Of|As|The same|That|Those|These|This|They|It|Its"
@@ -67,11 +56,6 @@ class Summary(NamedTuple):
     place: str
     name: str
     text: str
-
-    @property
-    def key(self) -> str:
-        """Line of the list: qualified name and first words."""
-        return f"{self.name}: {' '.join(self.text.split()[:KEY_WORDS])}"
 
 
 def product_files() -> list[Path]:
@@ -137,26 +121,11 @@ def wrong_terms() -> Iterator[str]:
             yield f"{path.relative_to(ROOT)}:{line}: {match[0]!r}: see docs/glossary.md"
 
 
-def wrong_summaries(shrink: bool) -> Iterator[str]:
-    """Yields a message for each unclear summary that is not listed, and each superfluous line.
-
-    Args:
-        shrink: whether lines without a case are removed from the list first.
-    """
-    everything = [summary for path in product_files() for summary in summaries(path)]
-    unclear = [summary for summary in everything if UNCLEAR.search(summary.text)]
-    cases = Counter(summary.key for summary in unclear)
-    allowed = Counter(ALLOWED.read_text().splitlines())
-    if shrink:
-        allowed &= cases
-        ALLOWED.write_text("".join(f"{key}\n" for key in sorted(allowed.elements())))
-    for summary in unclear:
-        if cases[summary.key] > allowed[summary.key]:
+def wrong_summaries() -> Iterator[str]:
+    """Yields a message for each unclear summary."""
+    for summary in (summary for path in product_files() for summary in summaries(path)):
+        if UNCLEAR.search(summary.text):
             yield f"{summary.place}: {summary.name}: {summary.text!r}: {REMEDY}"
-    for key in sorted(allowed - cases):
-        yield f"{ALLOWED.name}: no such summary, remove the line (--shrink): {key}"
-    if allowed.total() > MAX_ALLOWED * len(everything):
-        yield f"{ALLOWED.name}: {allowed.total()} lines for {len(everything)} docstrings: too many"
 
 
 def main() -> int:
@@ -164,7 +133,7 @@ def main() -> int:
     if "--draw" in sys.argv:
         print(drawn_docstrings(*map(int, sys.argv[2:4])))
         return 0
-    errors = [*wrong_summaries("--shrink" in sys.argv), *wrong_terms()]
+    errors = [*wrong_summaries(), *wrong_terms()]
     print("\n".join(errors), end="\n" if errors else "")
     return 1 if errors else 0
 

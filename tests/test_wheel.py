@@ -95,9 +95,8 @@ def test_installed_command_runs_without_writable_folders(site: Path, tmp_path: P
 def test_wheel_with_compiled_kernels_compiles_nothing(tmp_path: Path) -> None:
     """The new environment has the other packages of the present one, but not the checkout."""
     stamp = f"{sys.prefix}/.installed-dev"
-    quiet_run(
-        "make", "-C", str(ROOT), "wheel", f"VENV={sys.prefix}", "-o", stamp, f"DIST={tmp_path}"
-    )
+    folders = (f"VENV={sys.prefix}", f"DIST={tmp_path}", f"WHEEL={tmp_path / 'source'}")
+    quiet_run("make", "-C", str(ROOT), "wheel", "-o", stamp, *folders)
     (built,) = tmp_path.glob("*.whl")
     assert not built.name.endswith("-any.whl")
     venv.create(tmp_path / "env")

@@ -21,6 +21,7 @@ import errno
 import gc
 import logging
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any
@@ -122,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return BAD_INPUT
         if isinstance(error, ValueError | OSError):
             logging.getLogger(__name__).info("traceback of the error", exc_info=True)
-            complain(str(error))
+            complain(re.sub(r"^\[Errno \d+\] ", "", str(error)))
             return FAILED if isinstance(error, OutputError) else BAD_INPUT
         raise
 

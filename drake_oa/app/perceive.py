@@ -124,6 +124,8 @@ def perceive(
     for file in files:
         members = frame_files(file) if file.is_dir() else []
         frames = [path for path in members if path.suffix.lower() in SUFFIXES]
+        if file.is_dir() and not frames:
+            raise ValueError(f"folder '{file}' contains no {', '.join(SUFFIXES)} file")
         paths |= dict.fromkeys(frames or [file])
     check_outputs(json, read=paths)
     status = 0

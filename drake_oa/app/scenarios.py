@@ -148,8 +148,7 @@ def new(name: str, /, *, like: str | None = None) -> int:
     head = f"# yaml-language-server: $schema={SCHEMA}\n"
     replace_text(file, text if text.startswith(head) else head + text)
     schema = file.with_name(SCHEMA)
-    if not schema.exists():
-        replace_json(schema, scenario_schema())
+    replace_json(schema, scenario_schema())
     print(f"{file}\n{schema}")
     return 0
 

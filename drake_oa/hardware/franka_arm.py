@@ -139,7 +139,7 @@ class FrankaArm:
         """Waits until the arm is at rest, and ends the motion generator of the robot."""
         try:
             if self.handler:
-                self._wait(lambda state: np.abs(state.dq_d).max() < _REST_SPEED)
+                self._wait("at rest", lambda state: np.abs(state.dq_d).max() < _REST_SPEED)
                 self.handler.stop_control()
         except Exception as error:  # After a reflex, the library has ended the motion itself.
             _logger.warning("%s: %s", self.name, error)
@@ -170,17 +170,21 @@ class FrankaArm:
             self._robot.automatic_error_recovery()
         except Exception as error:
             raise ArmStoppedError(f"no recovery from {reasons}: {error}") from None
-        self._wait(lambda state: not _reasons(state))
+        self._wait("recovered", lambda state: not _reasons(state))
         _logger.warning("recovered from %s", reasons)
 
-    def _wait(self, is_reached: Callable[[Any], bool]) -> None:
+    def _wait(self, name: str, is_reached: Callable[[Any], bool]) -> None:
         """Reads states of the robot until a condition is reached, at most `_REST_STATES`.
+
+        Args:
+            name: name of the condition in the error.
+            is_reached: condition of a state.
 
         Raises:
             ArmStoppedError: if the connection is lost, or the condition is not reached.
         """
         if not any(is_reached(self._read()) for _ in range(_REST_STATES)):
-            raise ArmStoppedError(f"arm neither at rest nor recovered after {_REST_STATES} states")
+            raise ArmStoppedError(f"arm not {name} after {_REST_STATES} states")
 
     def _read(self) -> Any:
         """Reads and stores the newest state of the robot.

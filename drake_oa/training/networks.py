@@ -7,7 +7,7 @@ than the previous one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -110,14 +110,7 @@ def normal_equations(
     return J.T @ J, J.T @ error, float(error @ error)
 
 
-def fit(
-    network: nn.Module,
-    x: Tensor,
-    y: Tensor,
-    weight: Tensor,
-    iterations: int,
-    on_step: Callable[[float], None] = lambda loss: None,
-) -> None:
+def fit(network: nn.Module, x: Tensor, y: Tensor, weight: Tensor, iterations: int) -> None:
     """Fits a network to targets by weighted least squares (Levenberg 1944, Marquardt 1963).
 
     Args:
@@ -127,7 +120,6 @@ def fit(
         y: (N,) targets, about within [-1, 1].
         weight: (N,) nonnegative weights of the rows.
         iterations: maximum number of accepted steps.
-        on_step: callback with the loss after each accepted step.
     """
     best, damping = parameters_to_vector(network.parameters()).detach(), _DAMPING
     for _ in range(iterations):
@@ -143,7 +135,6 @@ def fit(
             after = float(weight @ error.square()) + DECAY * float(trial @ trial)
             if after < loss:
                 lower = trial
-                on_step(after)
             damping *= _INCREASE if lower is None else _DECREASE
         vector_to_parameters(best if lower is None else lower, network.parameters())
         if lower is None:

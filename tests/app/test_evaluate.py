@@ -34,7 +34,7 @@ def test_results_of_several_kinds_are_written_and_resumed(
     assert "2 results read from p.scenes" in capsys.readouterr().out
 
 
-def test_drp_levels_are_evaluated_by_their_rules() -> None:
+def test_level_and_cameras_select_scenes_of_drp() -> None:
     one = partial(run, "panda", "--suite", "drp", "--level", "floating1", "--method", "nominal")
     short = ("--scenes", "1", "--duration", "0.02", "--cameras", "2", "--json", "p.json")
     assert one(*short) == 0

@@ -20,19 +20,21 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         parse_scenario(SCENARIO), meshcat, open_page(meshcat, "played", "A post.")
     )
 
-    def move(name: str) -> None:
+    def move(name: str, value: float) -> None:
         """Moves a slider, and waits for the message of the page, which another thread receives."""
-        page.evaluate(f"viewer.gui_controllers[{name}, 0")
-        time.sleep(0.5)
+        page.evaluate(f"viewer.gui_controllers['{name}'].setValue({value}), 0")
+        deadline = time.monotonic() + 60.0
+        while abs(meshcat.GetSliderValue(name) - value) > 1e-6:
+            assert time.monotonic() < deadline, name
+            time.sleep(0.05)
 
     with Browser(session.page.url) as page:
         page.wait_for("'post: y [m]' in viewer.gui_controllers")
         ticks(session, 0.3)
-        move("'post: y [m]'].setValue(0.4)")
-        assert meshcat.GetSliderValue("post: y [m]") == pytest.approx(0.4)
+        move("post: y [m]", 0.4)
         ticks(session, 0.6)
         assert list(session.logs) == ["leg_1"]
-        move("'goal z [m]'].setValue(0.45)")
+        move("goal z [m]", 0.45)
         while not session.is_returning:
             session.tick()
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)

@@ -154,6 +154,7 @@ def run_and_end(kind: int, tmp_path: Path) -> None:
         arm.kill()
         driver.kill()
     assert "Traceback" not in output
+    assert arm.returncode == 0, error_text
     assert "no command for 0.1 s" in error_text
     (log,) = load_logs(truth).values()
     fast = np.abs(log.v[:, :7]).max(axis=1)

@@ -6,12 +6,11 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drake_oa.common.files import software_versions, source_digest
+from drake_oa.common.files import software_versions
 from drake_oa.evaluation.results import Task, resumed
 from tests.regression import comparison, runs
 
@@ -30,6 +29,8 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="replace the stored results")
     parser.add_argument("--jobs", type=int, default=_JOBS, help="worker processes")
     options = parser.parse_args()
+    if options.write and options.checks == "suites" and not runs.ARCHIVE.is_file():
+        parser.error(f"--write needs the MotionBenchMaker problems in {runs.ARCHIVE}")
     if options.checks == "scenarios":
         result_sets = {"scenarios": _results(runs.scenario_calls(), options.jobs)}
     else:
@@ -93,11 +94,7 @@ def _expand(results: Mapping[str, Mapping[str, list[Any]]]) -> dict[str, dict[st
 
 def _write(name: str, results: Mapping[str, Any]) -> None:
     """Replaces the stored results of a set, one result per line."""
-    head = {
-        "date": f"{datetime.now(UTC):%Y-%m-%d}",
-        "source_digest": source_digest(),
-        "versions": software_versions(),
-    }
+    head = {"versions": software_versions()}
     lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in results.items())
     text = f'{json.dumps(head)[:-1]}, "results": {{\n{lines}\n}}}}\n'
     (_HERE / f"{name}.json").write_text(text)

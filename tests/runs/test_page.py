@@ -60,9 +60,10 @@ def simulated(viewer: Meshcat) -> tuple[MotionLog, str]:
 
 
 def test_live_pages_and_recordings_have_the_same_panel(
-    simulated: tuple[MotionLog, str], page: LivePage
+    simulated: tuple[MotionLog, str], page: LivePage, viewer: Meshcat
 ) -> None:
     log, live = simulated
+    assert viewer.ws_url() in get(page, "/")
     recorded = label_page(PAGE, "mine", SCENARIO, log)
     for text in (recorded, get(page, "/")):
         assert "<title>mine: avoiding motion</title>" in text

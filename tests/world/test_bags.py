@@ -212,6 +212,10 @@ def test_bag_commands(
             assert {"/log/q", "/robot_clearance"} <= reader.topics.keys()
             assert IMAGE not in reader.topics
     assert command("run", "tabletop_box", "--hardware", "lcm", "--write-bag", bag) == 2
+    stored = bag.read_bytes()
+    wrong = ("--set", "faults=[!Push {body: tail}]", "--no-log", "--write-bag", bag)
+    assert command("run", "tabletop_box", *wrong) == 2
+    assert bag.read_bytes() == stored
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
     assert command("export", log, bag) == 2
     error = capsys.readouterr().err
