@@ -10,10 +10,7 @@ from functools import lru_cache
 import numpy as np
 from pydrake.geometry import Role
 from pydrake.systems.framework import LeafSystem
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    TrajectorySource,
-)
+from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 
 from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.config import ScenarioError, field_errors

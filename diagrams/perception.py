@@ -97,11 +97,7 @@ def _add_ground_truth(
 ) -> None:
     plant, inspector = station.plant, station.scene_graph.model_inspector()
     system = GroundTruthPerception(
-        plant,
-        inspector,
-        station.obstacles,
-        table=table_plane(scenario),
-        period=source.period,
+        plant, inspector, station.obstacles, table=table_plane(scenario), period=source.period
     )
     signals.add("perception", system)
     if not isinstance(scenario.inference, Verified):
@@ -119,13 +115,7 @@ def _add_ground_truth(
         for name, instance in enumerate(station.obstacles)
         for body in plant.GetBodyIndices(instance)
     }
-    collision_scene = GroundTruthScene(
-        plant,
-        inspector,
-        others,
-        names=names,
-        period=source.period,
-    )
+    collision_scene = GroundTruthScene(plant, inspector, others, names=names, period=source.period)
     signals.add("collision_scene", collision_scene)
 
 

@@ -18,12 +18,7 @@ project = "drake_oa"
 author = "The drake_oa maintainers"
 version = release = installed_version("drake_oa")
 # myst_nb includes myst_parser, and runs the tutorials.
-extensions = [
-    "myst_nb",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
-    "sphinx.ext.napoleon",
-]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["dollarmath"]
 myst_update_mathjax = False
 # KaTeX 0.16.47 (npm) and its fonts are in docs/_static/katex, so that formulas need no network;

@@ -116,10 +116,7 @@ def table3(
 
 
 def figure_familiar(
-    *,
-    methods: Methods = ("paper",),
-    scenes: Count = 100,
-    json: Path | None = None,
+    *, methods: Methods = ("paper",), scenes: Count = 100, json: Path | None = None
 ) -> None:
     """Reproduce the figure of familiar scenes of Pairet et al., RA-L 2019.
 
@@ -147,10 +144,7 @@ def figure_familiar(
 
 
 def figure_dead_zone(
-    *,
-    methods: Methods = ("original", "paper"),
-    scenes: Count = 41,
-    json: Path | None = None,
+    *, methods: Methods = ("original", "paper"), scenes: Count = 41, json: Path | None = None
 ) -> None:
     """Reproduce the dead-zone figure of Pairet et al., RA-L 2019: two coupling terms.
 

@@ -153,13 +153,7 @@ def new(name: str, /, *, like: str | None = None) -> int:
     return 0
 
 
-def check(
-    scenario: ScenarioName,
-    /,
-    *,
-    overrides: Overrides = (),
-    plot: Path | None = None,
-) -> int:
+def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | None = None) -> int:
     """Check a scenario for errors, and print its clearances at start and goal.
 
     Each error line names a field, the problem and the valid values. Without errors the command

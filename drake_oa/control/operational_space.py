@@ -19,11 +19,7 @@ from drake_oa.robot.config import Gains
 
 
 def operational_space_drive(
-    M: FloatArray,
-    J: FloatArray,
-    task: FloatArray,
-    posture: FloatArray,
-    gains: Gains,
+    M: FloatArray, J: FloatArray, task: FloatArray, posture: FloatArray, gains: Gains
 ) -> FloatArray:
     """Computes the joint torques for a commanded acceleration of the tool and a null-space posture.
 

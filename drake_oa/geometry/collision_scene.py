@@ -306,9 +306,7 @@ class RobotGeometries:
 
 
 def robot_geometries(
-    plant: MultibodyPlant,
-    inspector: drake.SceneGraphInspector,
-    model_instance: ModelInstanceIndex,
+    plant: MultibodyPlant, inspector: drake.SceneGraphInspector, model_instance: ModelInstanceIndex
 ) -> RobotGeometries:
     """Reads the collision geometries of a robot, a model instance, from the scene graph of its
     plant.
@@ -696,12 +694,7 @@ def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> flo
 
 @leaf
 def _interpolated(
-    x: float,
-    y: float,
-    z: float,
-    size: FloatArray,
-    span: IntArray,
-    voxels: NDArray[np.float32],
+    x: float, y: float, z: float, size: FloatArray, span: IntArray, voxels: NDArray[np.float32]
 ) -> float:
     """Interpolates a distance field at a point of its frame O [m]; outside the grid, the result is
     a lower bound of the distance.

@@ -48,9 +48,7 @@ class RegressorChain(LeafSystem):
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
         self._policy = AbstractInput(self, "policy_state", PolicyState)
         self.DeclareAbstractOutputPort(
-            "coupling_parameters",
-            lambda: Value(CouplingParameters()),
-            self._calc_parameters,
+            "coupling_parameters", lambda: Value(CouplingParameters()), self._calc_parameters
         )
 
     def _calc_parameters(self, context: Context, output: AbstractValue) -> None:

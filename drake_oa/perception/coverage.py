@@ -44,10 +44,7 @@ class ViewVolume(NamedTuple):
 
 
 def unobserved_fraction(
-    p_WS: FloatArray,
-    radius: FloatArray,
-    points: Sequence[FloatArray],
-    views: Sequence[ViewVolume],
+    p_WS: FloatArray, radius: FloatArray, points: Sequence[FloatArray], views: Sequence[ViewVolume]
 ) -> float:
     """Computes the fraction of the space near an arm that no camera observes.
 

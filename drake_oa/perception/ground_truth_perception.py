@@ -117,9 +117,7 @@ class GroundTruthPerception(LeafSystem):
 
 
 def _body_fixed_samples(
-    plant: MultibodyPlant,
-    inspector: SceneGraphInspector,
-    instance: ModelInstanceIndex,
+    plant: MultibodyPlant, inspector: SceneGraphInspector, instance: ModelInstanceIndex
 ) -> tuple[tuple[FrameId, FloatArray], ...]:
     """Samples points on the collision geometries of a model instance.
 

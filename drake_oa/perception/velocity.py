@@ -732,10 +732,7 @@ class Sides:
 
 
 def find_sides(
-    frame: Segmentation,
-    cluster_row: IntArray,
-    known_area: FloatArray,
-    voxel: float,
+    frame: Segmentation, cluster_row: IntArray, known_area: FloatArray, voxel: float
 ) -> Sides:
     """Finds the sides of tracked obstacles (their ends along the world axes) in all images of a
     frame.

@@ -409,9 +409,7 @@ class MotionSearch:
         scene = search.scene
         chain = _chain_command(inputs.coupling, route, scene)
         best = search.run(
-            guides=chain.guides,
-            seeds=_seeds(scene, chain),
-            source=max(command.source, NOMINAL),
+            guides=chain.guides, seeds=_seeds(scene, chain), source=max(command.source, NOMINAL)
         )
         source = int(best.source[0])
         if source == CHAIN:

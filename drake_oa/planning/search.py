@@ -221,11 +221,7 @@ def rows_of(terms: FloatArray) -> CouplingParameters:
     """
     alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
     return CouplingParameters(
-        alpha,
-        psi,
-        kappa,
-        center_W=terms[:, :3],
-        normal_W=terms[:, NORMAL : NORMAL + 3],
+        alpha, psi, kappa, center_W=terms[:, :3], normal_W=terms[:, NORMAL : NORMAL + 3]
     )
 
 

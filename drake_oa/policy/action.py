@@ -243,9 +243,7 @@ class CouplingInputs(Frozen):
 
     @staticmethod
     def of(
-        ellipsoids: EllipsoidSet | None,
-        coupling: CouplingParameters | None,
-        route: Route | None,
+        ellipsoids: EllipsoidSet | None, coupling: CouplingParameters | None, route: Route | None
     ) -> CouplingInputs:
         """Combines the values of three input ports of the policy into one object.
 

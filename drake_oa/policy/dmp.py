@@ -441,12 +441,7 @@ def roll_out(
 
 
 def trajectory(
-    dmp: Dmp,
-    start: ArrayLike,
-    goal: ArrayLike,
-    *,
-    steps: int = 500,
-    end: float = 1.0,
+    dmp: Dmp, start: ArrayLike, goal: ArrayLike, *, steps: int = 500, end: float = 1.0
 ) -> Trajectory:
     """Computes the nominal motion of a movement primitive, from rest and without avoidance.
 

@@ -91,13 +91,7 @@ class DmpIntegrator(LeafSystem):
     cases are listed in `drake_oa.policy.action.CouplingInputs.hold_at`.
     """
 
-    def __init__(
-        self,
-        dmp: Dmp,
-        start: FloatArray,
-        *,
-        config: Policy | None = None,
-    ) -> None:
+    def __init__(self, dmp: Dmp, start: FloatArray, *, config: Policy | None = None) -> None:
         """Declares ports, state and periodic update; the motion starts with the simulation.
 
         Args:

@@ -116,12 +116,7 @@ class OrientationIntegrator(LeafSystem):
     """
 
     def __init__(
-        self,
-        primitive: OrientationDmp,
-        start: ArrayLike,
-        goal: ArrayLike,
-        *,
-        period: float = 0.008,
+        self, primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike, *, period: float = 0.008
     ) -> None:
         """Declares ports and the periodic update, with the tool at rest in its start orientation.
 
@@ -221,12 +216,7 @@ class OrientationIntegrator(LeafSystem):
         goal, alpha_k = self._goal_now(context, before), before.primitive.dmp.alpha_k
         passed = normalized_time(policy.phase, alpha_k) - normalized_time(before.phase, alpha_k)
         after = roll_orientation(
-            before.primitive,
-            goal,
-            before.ends[1, 0],
-            before.z,
-            before.phase,
-            end=max(passed, 0.0),
+            before.primitive, goal, before.ends[1, 0], before.z, before.phase, end=max(passed, 0.0)
         )
         z = after.z[-1]
         state.get_mutable_abstract_state(self._segment).set_value(

@@ -41,13 +41,7 @@ class NominalPostureSource(LeafSystem):
     abstract state is the current `PostureTrajectory`.
     """
 
-    def __init__(
-        self,
-        q_rest: FloatArray,
-        alpha_k: float,
-        *,
-        period: float = 0.008,
-    ) -> None:
+    def __init__(self, q_rest: FloatArray, alpha_k: float, *, period: float = 0.008) -> None:
         """Declares the ports and the state, the current trajectory.
 
         Args:

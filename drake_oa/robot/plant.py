@@ -16,12 +16,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import (
-    FixedOffsetFrame,
-    Frame,
-    ModelInstanceIndex,
-    RevoluteJoint,
-)
+from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex, RevoluteJoint
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.config import ScenarioError, field_errors
@@ -107,9 +102,7 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
     plant.WeldFrames(plant.world_frame(), base, base_pose(robot))
     plant.AddFrame(
         FixedOffsetFrame(
-            TOOL_FRAME,
-            plant.GetFrameByName(robot.hand_link, instance),
-            RigidTransform(robot.p_HE),
+            TOOL_FRAME, plant.GetFrameByName(robot.hand_link, instance), RigidTransform(robot.p_HE)
         )
     )
     _limit_speed(plant, instance, robot)

@@ -88,10 +88,7 @@ def sphere_centers(chain: Chain, spheres: Spheres, q: FloatArray) -> FloatArray:
 
 
 def make_arm_spheres(
-    robot: RobotPlant,
-    q: FloatArray,
-    tool_links: Sequence[str],
-    parameters: SphereParameters,
+    robot: RobotPlant, q: FloatArray, tool_links: Sequence[str], parameters: SphereParameters
 ) -> ArmSpheres:
     """Computes the sphere model of a robot: the spheres that cover each body with collision
     geometry, and the self-collision pairs.

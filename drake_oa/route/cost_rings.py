@@ -257,10 +257,7 @@ def path_length(scene: RingScene, index: IntArray) -> float:
 
 
 def select_directions(
-    scene: RingScene,
-    rings: Mapping[str, Ring],
-    *,
-    previous: IntArray | None = None,
+    scene: RingScene, rings: Mapping[str, Ring], *, previous: IntArray | None = None
 ) -> tuple[IntArray, dict[str, FloatArray], BoolArray]:
     """Selects for each obstacle the passing direction omega_d, by the minimum total cost.
 

@@ -68,9 +68,7 @@ def achievable_clearance_of(scenario: Scenario) -> float:
 
 
 def motion_report(
-    scenario: Scenario,
-    log: MotionLog,
-    achievable_clearance: float | None = None,
+    scenario: Scenario, log: MotionLog, achievable_clearance: float | None = None
 ) -> dict[str, Any]:
     """Computes the metrics of one logged motion, in SI units, for the report of a run.
 

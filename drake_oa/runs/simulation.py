@@ -478,11 +478,7 @@ def simulate(
 
 
 def run_motion(
-    scenario: Scenario,
-    simulator: Simulator,
-    monitor: MotionMonitor,
-    *,
-    avoid_obstacles: bool,
+    scenario: Scenario, simulator: Simulator, monitor: MotionMonitor, *, avoid_obstacles: bool
 ) -> MotionLog:
     """Simulates a motion until its monitor ends the simulation, and returns the log of the motion.
 

@@ -282,10 +282,7 @@ def monitor_path(distance: float) -> SpeedLimit:
 
 
 def monitor_torque(
-    state: Supervision,
-    is_saturated: bool,
-    time: float,
-    elapsed: float,
+    state: Supervision, is_saturated: bool, time: float, elapsed: float
 ) -> tuple[Supervision, SpeedLimit]:
     """Limits the speed of the motion while joint torques are saturated; afterwards the limit rises
     linearly to full speed.

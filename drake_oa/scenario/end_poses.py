@@ -134,8 +134,7 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
         return [robot]
     return [
         dc.replace(
-            robot,
-            rpy_WE=RollPitchYaw(RotationMatrix.ProjectToRotationMatrix(R)).vector().tolist(),
+            robot, rpy_WE=RollPitchYaw(RotationMatrix.ProjectToRotationMatrix(R)).vector().tolist()
         )
         for R in orientation.samples()
     ]

@@ -86,16 +86,13 @@ class Obstacle:
     )
     """Red, green, blue and opacity of the obstacle in images and viewers [-]."""
     waypoints: Annotated[
-        list[Annotated[list[float], length(4)]],
-        AfterValidator(_check_trajectory),
+        list[Annotated[list[float], length(4)]], AfterValidator(_check_trajectory)
     ] = Field(default_factory=list)
     """Motion of the obstacle as rows t, x, y, z [s, m]: at time t, the obstacle is displaced from
     `translation` by x, y, z in the world. The displacement is interpolated linearly between rows,
     and constant before the first and after the last row. Empty: the obstacle does not move."""
     present: Annotated[
-        list[Annotated[float, Field(ge=0.0)]],
-        Field(max_length=2),
-        AfterValidator(_check_presence),
+        list[Annotated[float, Field(ge=0.0)]], Field(max_length=2), AfterValidator(_check_presence)
     ] = Field(default_factory=list)
     """List of one time, at which the obstacle appears, or of two times, at which it appears and
     vanishes [s]. Empty: the obstacle is always present."""

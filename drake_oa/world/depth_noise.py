@@ -89,11 +89,7 @@ _Image = NDArray[np.float32]
 
 
 def add_depth_noise(
-    depth: NDArray[np.floating],
-    time: float,
-    *,
-    K: Iterable[float],
-    seed: int = 0,
+    depth: NDArray[np.floating], time: float, *, K: Iterable[float], seed: int = 0
 ) -> _Image:
     """Computes the depth image that a structured-light camera would measure, including missing
     pixels, for a true depth image.

@@ -11,9 +11,7 @@ from tests.builders import command
 run = partial(command, "evaluate")
 
 
-def test_baselines_without_scenes_have_empty_cells(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_baselines_without_scenes_have_empty_cells(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("table2", "--scenes", "1") == 0
     lines = capsys.readouterr().out.splitlines()
     empty = next(line for line in lines if line.startswith("goal at 2 m"))

@@ -131,11 +131,7 @@ def test_replay_writes_identical_pages(box_log: Path, capsys: pytest.CaptureFixt
     ],
 )
 def test_unusable_log_is_reported_in_one_line(
-    command: str,
-    kind: str,
-    message: str,
-    point_log: Path,
-    capsys: pytest.CaptureFixture[str],
+    command: str, kind: str, message: str, point_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = Path("log.npz")
     log = load_logs(point_log)["avoiding"]

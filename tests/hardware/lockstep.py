@@ -80,11 +80,7 @@ class Lockstep:
         self.statuses: Any = LossyLcm(self.lcm)
         self.scenario = load_scenario(scenario, overrides if images else NO_CAMERAS)
         self.station = PandaStation(
-            self.scenario,
-            self.statuses,
-            clock=self.clock,
-            waits=True,
-            log=log,
+            self.scenario, self.statuses, clock=self.clock, waits=True, log=log
         )
         self.link = RobotLink(self.url, wait=self.step, clock=self.clock)
         self.streamer = CommandStreamer(self.link.trajectory, LcmArm(self.lcm), self.link.rate)

@@ -31,11 +31,7 @@ def around(azimuth, distance=2.0, **options):
 
 @pytest.mark.parametrize(
     "blind_view",
-    [
-        view((2.0, 0.0, 0.6), (4.0, 0.0, 0.6)),
-        around(0.0, near=3.0),
-        around(0.0, far=1.0),
-    ],
+    [view((2.0, 0.0, 0.6), (4.0, 0.0, 0.6)), around(0.0, near=3.0), around(0.0, far=1.0)],
     ids=["looks away", "too near", "too far"],
 )
 def test_a_camera_without_a_view_of_the_arm_observes_nothing(blind_view):

@@ -111,10 +111,7 @@ def test_a_goal_at_180_degrees_is_approached_in_the_demonstrated_direction() -> 
         ([[1.0, 0, 0, 0], [0, 0, 0, 0]], "quaternion of sample 1 is 0"),
         ([[1.0, 0, 0, 0], [np.nan, 0, 0, 0]], "sample 1 is not"),
         ([np.eye(3), 2.0 * np.eye(3)], "sample 1 is no rotation matrix"),
-        (
-            [np.eye(3), np.diag([1.0, -1.0, -1.0])],
-            "sample 0 and the next differ by 180 degrees",
-        ),
+        ([np.eye(3), np.diag([1.0, -1.0, -1.0])], "sample 0 and the next differ by 180 degrees"),
         (turned(np.outer(SHARE, [0.0, 0.0, 12.0])), "rotated by more than 300 degrees"),
     ],
 )

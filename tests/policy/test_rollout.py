@@ -40,11 +40,7 @@ def random_terms(seed: int, count: int) -> FloatArray:
 def test_the_integrator_executes_the_roll_out(seed: int, guided: bool) -> None:
     terms = random_terms(seed, 3)
     coupling = CouplingParameters(
-        *terms[:, ALPHA : KAPPA + 1].T,
-        np.ones(3, dtype=bool),
-        terms[:, :3],
-        tau=1.0,
-        verified=True,
+        *terms[:, ALPHA : KAPPA + 1].T, np.ones(3, dtype=bool), terms[:, :3], tau=1.0, verified=True
     )
     if guided:
         side = np.cross(terms[:, NORMAL:], SCENE.R_WL[:, 0])

@@ -57,10 +57,7 @@ def test_predicted_and_true_shortfalls_are_reported_separately(log_of: LogOf) ->
         "shortfall": np.array([0.0, 0.0123, 0.002]),
         "clearance_reduction": np.array([0.0, 0.02, 0.0]),
     }
-    logs = {
-        "nominal": log_of(THROUGH, inference=""),
-        "avoiding": log_of(AROUND, **predicted),
-    }
+    logs = {"nominal": log_of(THROUGH, inference=""), "avoiding": log_of(AROUND, **predicted)}
     report = run_report("free_space", FREE, logs)
     keys = ("inference", "predicted_shortfall", "clearance_reduction", "clearance_shortfall")
     # The true clearance exceeds the requested one, so the true shortfall is 0.
@@ -71,9 +68,7 @@ def test_predicted_and_true_shortfalls_are_reported_separately(log_of: LogOf) ->
     assert clearance_reduction.startswith("note: avoiding: requested clearance reduced by")
 
 
-def test_clearance_reduction_and_shortfall_are_noted(
-    log_of: LogOf,
-) -> None:
+def test_clearance_reduction_and_shortfall_are_noted(log_of: LogOf) -> None:
     far = parse_scenario(scenario_text(FREE), ["task.clearance=1.0"])
     report = run_report("far", far, {"avoiding": log_of(AROUND)})
     found = report["avoiding"]

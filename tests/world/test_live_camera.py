@@ -119,14 +119,8 @@ def test_capture_time_follows_to_simulated() -> None:
     ("send_invalid", "reason"),
     [
         (lambda setup: setup.send(0.0), "are more than 0.2 s old"),
-        (
-            lambda setup: setup.send(0.3, shape=(6, 9)),
-            "9 x 6 pixels, the scenario has 8 x 6",
-        ),
-        (
-            lambda setup: setup.bus.Publish(CHANNEL.format("eye"), b"noise"),
-            "no lcmt_image_array",
-        ),
+        (lambda setup: setup.send(0.3, shape=(6, 9)), "9 x 6 pixels, the scenario has 8 x 6"),
+        (lambda setup: setup.bus.Publish(CHANNEL.format("eye"), b"noise"), "no lcmt_image_array"),
     ],
 )
 def test_invalid_images_are_rejected_and_logged_once(

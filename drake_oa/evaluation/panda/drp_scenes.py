@@ -287,11 +287,7 @@ def _draw_goal_box(random: Generator, level: Level, motion: Motion) -> list[Obst
 
 
 def _draw_flying_boxes(
-    random: Generator,
-    level: Level,
-    motion: Motion,
-    *,
-    at_goal: bool,
+    random: Generator, level: Level, motion: Motion, *, at_goal: bool
 ) -> list[Obstacle]:
     """Draws boxes that fly to and fro along straight lines through the goal or a fixed target
     point.

@@ -167,11 +167,7 @@ def _familiar(_: Generator, count: int) -> Scenes:
 
 
 def _boxed(
-    rng: Generator,
-    count: int,
-    baseline: float,
-    posed: bool = False,
-    own_extent: bool = True,
+    rng: Generator, count: int, baseline: float, posed: bool = False, own_extent: bool = True
 ) -> Scenes:
     """Draws scenes with a random obstacle in the box of Pairet et al. around the line to the goal.
 
