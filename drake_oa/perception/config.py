@@ -30,11 +30,12 @@ class SegmentationConfig:
     """Maximum depth of the pixels that are used [m]. Raising it adds distant points, whose noise is
     larger."""
     table: bool = True
-    """Whether to search for a table. If false, or if the scenario and this block both leave
-    `table_height` null, every point that is not on the robot belongs to an obstacle."""
+    """Whether to search for a table. If false, every point that is not on the robot belongs to an
+    obstacle. A scenario in which `table_height` is null, both here and as its own field, has no
+    table either."""
     table_height: float | None = None
     """Expected height of the table in the world [m], near which the table is searched; null: the
-    scenario's field `table_height`."""
+    scenario's field `table_height`. Without a scenario, null searches at every height."""
     max_height: float = Field(default=1.2, gt=0.01, le=_FAR)
     """Maximum height of an obstacle's points above the table [m]. Raising it includes higher
     points, such as those on a ceiling."""

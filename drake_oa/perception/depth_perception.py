@@ -226,7 +226,7 @@ class DepthPerception(LeafSystem):
             camera: intrinsics of the depth camera; for several cameras a mapping from their names
                 to their intrinsics.
             config: parameters of the segmentation; `table_height` is the prior on the table. None:
-                defaults.
+                defaults, with a table that is searched at every height.
             robot: collision geometry from `robot_geometries`; None: no self filter.
             pixel_center: image coordinate of the center of the first pixel [pixel]. 0 is the
                 convention of CameraInfo. RenderEngineVtk of Drake 1.51 renders with 0.5; without
