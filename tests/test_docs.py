@@ -85,16 +85,13 @@ def test_imports_of_the_pages_succeed() -> None:
                 assert missing == [], page
 
 
-def test_the_python_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (example,) = (block for page, block in blocks("python") if page == "README.md")
-    exec(example, {})
-    assert re.search(r"of the arm 0\.\d+ m; contacts: \(\)", capsys.readouterr().out)
-
-
-def test_examples_of_the_theory_pages_have_the_printed_output(
-    capsys: pytest.CaptureFixture[str],
+def test_examples_of_the_pages_have_the_printed_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for page in sorted((ROOT / "docs" / "theory").glob("*.md")):
+    monkeypatch.chdir(tmp_path)
+    guides = (f"docs/guides/{name}.md" for name in ("customize", "scenario"))
+    pages = [ROOT / "README.md", *map(ROOT.joinpath, guides)]
+    for page in (*pages, *sorted((ROOT / "docs" / "theory").glob("*.md"))):
         for example, output in re.findall(
             r"^```python\n(.*?)^```\n\n```text\n(.*?)^```", page.read_text(), re.S | re.M
         ):

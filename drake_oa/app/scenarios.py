@@ -156,8 +156,12 @@ def new(name: str, /, *, like: str | None = None) -> int:
 def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | None = None) -> int:
     """Check a scenario for errors, and print its clearances at start and goal.
 
-    Each error line names a field, the problem and the valid values. Without errors the command
-    prints a table with a row for start and goal, and these columns:
+    Each error line names a field, the problem and the valid values. The check has passes, and ends
+    after the first pass with an error: YAML; all fields; fields that depend on others, such as
+    names of cameras; configurations at start and goal; models, directives and poses out of reach;
+    contacts at start and goal. Repeat it after each correction. Fields without a value have their
+    defaults, and are not reported. Without errors the command prints a table with a row for start
+    and goal, and these columns:
 
       tool clearance [m]   distance of hand and fingers to the nearest obstacle
       robot clearance [m]  distance of all links to the nearest obstacle
