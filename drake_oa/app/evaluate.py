@@ -73,6 +73,12 @@ def synthetic(
       novel      the paper's random obstacles, with start and goal at distances of 0.5 to 2 m (4000)
       hit        as novel, but the obstacles have random orientations and the straight line from
                  start to goal is in collision (1000)
+      familiar   the scenes of figure_familiar: ellipses of the paper's training set in the middle
+                 of a 1 m line; the number of scenes must be a square (100)
+      dead-zone  the scenes of figure_dead_zone: a sphere of 2.5 cm on or beside the middle of a
+                 1 m line (41)
+      demo       the scenes of table2: as novel, but the minimum distance of the obstacle's center
+                 to start and goal is that of the longest obstacle (4000)
 
     Methods (default: paper and verified):
 
@@ -96,7 +102,7 @@ def synthetic(
         suite: suite of scenes, see above.
         methods: method, see above; may be repeated.
         scenes: number of scenes (default: that of the suite).
-        seed: seed of the scenes.
+        seed: seed of the scenes; without effect for familiar and dead-zone.
         json: write the metrics to this file.
     """
     evaluate_points(suite, methods, scenes, seed, json)

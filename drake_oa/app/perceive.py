@@ -46,8 +46,9 @@ def perceive(
     has the minimum volume around the points dilated by the tool. Files, or folders of them:
 
       .npz        depth (H, W) [m] and K = [fx, fy, cx, cy], or points (N, 3) [m];
-                  optionally X_WC (4, 4)
-      .pcd .ply   a cloud [m]
+                  optionally X_WC (4, 4); empty arrays are invalid
+      .pcd .ply   a cloud [m] in the frame of its camera, or in the world frame with
+                  --pose 0 0 0 0 0 0
       .png        16-bit depth, 0 where missing; with --intrinsics, or a file in the same folder
                   (NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ...) with
                   fx, fy, cx, cy or K, camera_matrix (ROS), and optionally depth_scale
@@ -60,7 +61,8 @@ def perceive(
 
       file                   name of the file
       plane rms [mm]         RMS distance of the points of the table to its plane
-      cluster                number of the cluster; none: no cluster was found
+      cluster                number of the cluster; none: no cluster was found. A line below the
+                             table then names the clouds without a pose
       points                 number of pixels or points of the cluster
       largest semi-axis [m]  largest semi-axis of the ellipsoid
       inside                 all: the ellipsoid contains all dilated points; else NOT ALL
@@ -130,10 +132,14 @@ def perceive(
     check_outputs(json, read=paths)
     status = 0
     results: list[dict[str, Any]] = []
+    unposed: list[str] = []
     for path in paths:
         try:
             frame = read_frame(path, K=K, depth_scale=depth_scale)
             results.append(perceive_frame(frame, tool_W, SegmentationConfig(), X_WC=X_WC))
+            is_posed = pose or frame.depth is not None or frame.X_WC is not None
+            if not (is_posed or results[-1]["clusters"]):
+                unposed.append(path.name)
         except (ValueError, OSError) as error:
             complain(str(error))
             results.append({"file": str(path), "error": str(error)})
@@ -143,6 +149,9 @@ def perceive(
             complain(f"'{path}': {results[-1]['note']}")
             status = status or FAILED
     show(_table(results))
+    if unposed:
+        names = ", ".join(unposed)
+        print(f"{names}: read in the frame of a camera; in the world frame: --pose 0 0 0 0 0 0")
     header = {"tool": tool, "tool_W": tool_W.tolist(), "versions": software_versions()}
     replace_json(json, header | {"files": results})
     return status

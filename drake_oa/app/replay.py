@@ -39,6 +39,7 @@ def replay(
             motion of the log).
         speed: with --meshcat, simulated time over wall time.
     """
+    log.stat()  # A missing file is an OSError.
     if not (meshcat or html):
         raise ValueError("no output selected: add --meshcat, --html FILE or both")
     from pydrake.systems.analysis import Simulator
@@ -92,13 +93,13 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
 
     Args:
         log: log of `drake-oa run` or `drake-oa play`.
-        out: file of the figure, in a format of Matplotlib (default: LOG with the suffix .png).
+        out: file of the figure, in a format of Matplotlib (default: LOG with the suffix .plot.png).
     """
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import plot_run
     from drake_oa.runs.replay import choose_motion, logged_scenario
 
-    out = out or log.with_suffix(".png")
+    out = out or log.with_suffix(".plot.png")
     logs = load_logs(log)
     chosen = choose_motion(log, logs, None)
     logs = {name: of for name, of in logs.items() if len(of.t)}

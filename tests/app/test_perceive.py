@@ -78,6 +78,15 @@ def test_results_of_a_folder(depth, tmp_path, capsys):
     assert frame["clusters"][0]["ellipsoid"]["semi_axes"][0] < axes[0]
 
 
+def test_clouds_of_the_world_frame_without_a_pose_are_named(points, tmp_path, capsys):
+    file = str(tmp_path / "world.npz")
+    np.savez(file, points=points[np.isfinite(points).all(axis=1)] @ X_WC[:3, :3].T + X_WC[:3, 3])
+    assert main(["perceive", file]) == 0
+    assert "world.npz: read in the frame of a camera" in capsys.readouterr().out
+    assert main(["perceive", file, "--pose", *"000000"]) == 0
+    assert "read in" not in capsys.readouterr().out
+
+
 def test_invalid_file_is_reported_and_others_are_processed(depth, tmp_path, capsys):
     np.savez(tmp_path / "scan.npz", depth=depth, K=K)
     np.savez(tmp_path / "empty.npz", depth=np.full(SIZE, np.nan), K=K)
