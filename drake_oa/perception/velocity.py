@@ -37,12 +37,13 @@ from drake_oa.perception.segmentation import Segmentation
 SIDE_DEVIATION = 0.0015
 """Standard deviation of the measured position of an obstacle's side (end along an axis) or surface
 point, at depths up to 1.2 m [m]."""
-_ACCELERATION = 0.01
+_ACCELERATION = 0.001
 """Spectral density of the acceleration noise that the Kalman filter assumes for a resting obstacle,
-per axis [m^2/s^3]."""
-_MANEUVER = 0.05
-"""Spectral density of the acceleration noise that the Kalman filter assumes for a moving obstacle,
-per axis [m^2/s^3]."""
+per axis, and its minimum for a moving one [m^2/s^3]."""
+_MANEUVER, _FAST_SPEED = 0.05, 0.3
+"""Spectral density of the acceleration noise that the Kalman filter assumes for a fast obstacle, per
+axis [m^2/s^3], and the speed from which an obstacle is fast [m/s]. For a slower moving one it
+decreases with the square of the speed."""
 _START_SPEED = 0.03
 """Minimum speed of a tracked obstacle at which a frame can be evidence that the obstacle moves
 [m/s]."""
@@ -234,7 +235,8 @@ def predict_tracks(tracks: Tracks, dt: float) -> Tracks:
     dt = min(dt, MAX_GAP)
     F = np.array([[1.0, dt], [0.0, 1.0]])
     Q = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    q = np.where(is_moving, _MANEUVER, _ACCELERATION)[:, None, None, None]
+    share = np.minimum((tracks.v_W**2).sum(axis=1) / _FAST_SPEED**2, 1.0) * is_moving
+    q = np.maximum(share * _MANEUVER, _ACCELERATION)[:, None, None, None]
     state = state @ F.T
     step = np.where(is_moving[:, None], state[..., 0] - tracks.p_shift_W, 0.0)
     return replace(
@@ -259,9 +261,9 @@ def correct_tracks(
     tracks move.
 
     A position beyond the gate is an outlier, and is rejected. A second outlier in a row is a
-    maneuver and is accepted: the variance of the position grows by the square of the jump. The
-    velocity, unless measured too, becomes as uncertain as that of a new track. So does a velocity
-    before a measured one beyond the gate: an obstacle that rested has started to move.
+    maneuver and is accepted: the variance of the position grows by the square of the jump, and the
+    velocity becomes as uncertain as that of a new track. So does a velocity before a measured one
+    beyond the gate: an obstacle that rested has started to move.
 
     Args:
         tracks: predicted tracks.
@@ -284,7 +286,7 @@ def correct_tracks(
     P = np.array(tracks.covariance)
     P[is_maneuver, 0, 0] += jump[is_maneuver] ** 2
     P[is_maneuver, 0, 1] = P[is_maneuver, 1, 0] = 0.0
-    P[is_maneuver & ~has_velocity, 1, 1] = INITIAL_SPEED**2
+    P[is_maneuver, 1, 1] = INITIAL_SPEED**2
     p_W = np.where(is_outlier & ~is_maneuver, np.nan, p_W)
     is_measured = np.isfinite(p_W) | has_velocity
     tracks = kalman_update(replace(tracks, covariance=P), 0, p_W, variance)
