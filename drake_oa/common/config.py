@@ -265,8 +265,9 @@ def _descriptions(block: type) -> dict[str, str]:
     """
     descriptions: dict[str, str] = {}
     for base in filter(is_dataclass, reversed(block.__mro__)):
-        # A block that is defined in an interactive session has no source.
-        with suppress(OSError):
+        # A block that is defined in an interactive session or in a module that is no longer loaded
+        # has no source.
+        with suppress(OSError, TypeError):
             source: Any = ast.parse(textwrap.dedent(inspect.getsource(base)))
             for field, text in pairwise(source.body[0].body):
                 match field, text:

@@ -245,7 +245,7 @@ class SignalBuilder:
 
         Signals without a source are skipped.
         """
-        self._logged += signals
+        self._logged += [name for name in signals if name not in self._logged]
 
     def export(self, *signals: str) -> None:
         """Exports signals as output ports of the diagram; signals without a source are skipped."""

@@ -268,6 +268,7 @@ class PlaySession:
             monitor = MotionMonitor(diagram, scenario, math.inf)
             contacts = evaluator.metrics(*monitor.positions(simulator.get_context())).contacts
             if self._simulator is not None and not self._contacts().issuperset(contacts):
+                release_cameras(diagram)
                 raise ScenarioError(f"obstacle inside the robot ({', '.join(contacts)})")
         except (ScenarioError, ValueError, RuntimeError) as error:
             self._refusal = str(error)

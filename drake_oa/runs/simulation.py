@@ -520,8 +520,11 @@ def logged_signals(diagram: Diagram, root: Context) -> tuple[FloatArray, dict[st
         diagram: diagram with sinks that are named log_<signal>, at least one.
         root: root Context of the diagram.
     """
-    sinks = [system for system in diagram.GetSystems() if isinstance(system, VectorLogSink)]
-    signals = {sink.get_name().removeprefix("log_"): sink.FindLog(root) for sink in sinks}
+    signals = {
+        system.get_name().removeprefix("log_"): system.FindLog(root)
+        for system in diagram.GetSystems()
+        if isinstance(system, VectorLogSink) and system.get_name().startswith("log_")
+    }
     t = next(iter(signals.values())).sample_times().copy()
     return t, {name: log.data().T.copy() for name, log in signals.items()}
 

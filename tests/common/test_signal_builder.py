@@ -62,6 +62,7 @@ def test_inputs_without_a_source_stay_unconnected(signals: SignalBuilder) -> Non
     signals.add("sum", Adder(3, 1), inputs={"u0": "x", "u1": None, "u2": "x"})
     signals.add("read", source(1.0), outputs={"y0": "x"})
     signals.log("x", "absent")
+    signals.log("x")
     readers = ("log_x.data", "sum.u0", "sum.u2")
     assert connections(built(signals)) == [("read.y0", reader) for reader in readers]
     assert "x" in signals
