@@ -41,9 +41,9 @@ _ACCELERATION = 0.001
 """Spectral density of the acceleration noise that the Kalman filter assumes for a resting obstacle,
 per axis, and its minimum for a moving one [m^2/s^3]."""
 _MANEUVER, _FAST_SPEED = 0.05, 0.3
-"""Spectral density of the acceleration noise that the Kalman filter assumes for a fast obstacle, per
-axis [m^2/s^3], and the speed from which an obstacle is fast [m/s]. For a slower moving one it
-decreases with the square of the speed."""
+"""Spectral density of the acceleration noise that the Kalman filter assumes for a fast obstacle,
+per axis [m^2/s^3], and the speed from which an obstacle is fast [m/s]. For a slower moving one the
+density decreases with the square of the speed."""
 _START_SPEED = 0.03
 """Minimum speed of a tracked obstacle at which a frame can be evidence that the obstacle moves
 [m/s]."""
