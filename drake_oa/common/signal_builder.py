@@ -69,7 +69,15 @@ class _SignalSystem:
         Args:
             ports: all input ports or all output ports of the system.
             names: signal names of ports whose signal has another name than the port.
+
+        Raises:
+            ValueError: if `names` has a port that is not one of `ports`.
         """
+        valid = [port.get_name() for port in ports]
+        for port in names.keys() - valid:
+            name = self.system.get_name() or type(self.system).__name__
+            message = f"'{name}' has no port '{port}'; valid ports: {', '.join(valid) or 'none'}"
+            raise ValueError(message)
         if len(ports) == 1 == len(self.interposed) and not names:
             return [(self.interposed[0], ports[0])]
         signals = ((names.get(port.get_name(), port.get_name()), port) for port in ports)
@@ -157,7 +165,8 @@ class SignalBuilder:
             The argument `system`.
 
         Raises:
-            ValueError: if the name is in use, or a signal already has a source.
+            ValueError: if the name is in use, a signal already has a source, or the system lacks a
+                port named in `inputs` or `outputs`.
         """
         self._add(name, _SignalSystem(system, inputs or {}, outputs or {}))
         return system
@@ -176,21 +185,24 @@ class SignalBuilder:
             name: name of the subsystem to replace.
             system: new system.
             inputs: signal name by input port, for signals with another name than the port; None:
-                the names that the replaced system has.
+                the names that the replaced system has, for ports that both systems have.
             outputs: signal name by output port, with the same meaning as `inputs`.
 
         Returns:
             The argument `system`.
 
         Raises:
-            ValueError: if no system has that name, or a signal already has another source.
+            ValueError: if no system has that name, a signal already has another source, or the
+                system lacks a port named in `inputs` or `outputs`.
         """
         if name not in self._systems:
             raise ValueError(f"there is no system '{name}'; there are {', '.join(self._systems)}")
         systems = dict(self._systems)
         before = self._systems.pop(name)
-        inputs = before.inputs if inputs is None else inputs
-        outputs = before.outputs if outputs is None else outputs
+        own_inputs = {k: v for k, v in before.inputs.items() if system.HasInputPort(k)}
+        own_outputs = {k: v for k, v in before.outputs.items() if system.HasOutputPort(k)}
+        inputs = own_inputs if inputs is None else inputs
+        outputs = own_outputs if outputs is None else outputs
         try:
             self._add(name, _SignalSystem(system, inputs, outputs, before.interposed))
         except ValueError:
@@ -227,7 +239,8 @@ class SignalBuilder:
             The argument `system`.
 
         Raises:
-            ValueError: if the name is in use, or the system does not output the signal.
+            ValueError: if the name is in use, the system does not output the signal, or it lacks a
+                port named in `inputs` or `outputs`.
         """
         signals = (signal,) if isinstance(signal, str) else tuple(signal)
         entry = _SignalSystem(system, inputs or {}, outputs or {}, signals)
@@ -290,13 +303,15 @@ class SignalBuilder:
             entry: system with the signals of its ports.
 
         Raises:
-            ValueError: if the name is in use, or a signal that the system outputs already has a
-                source.
+            ValueError: if the name is in use, a signal that the system outputs already has a
+                source, or the system lacks a port for which a signal is given.
         """
         if name in self._systems or self.builder.HasSubsystemNamed(name):
             raise ValueError(
                 f"there is already a system '{name}'; use SignalBuilder.replace to replace it"
             )
+        entry.system.set_name(name)
+        _ = entry.input_ports  # Checks the names of input ports.
         for signal in entry.output_ports:
             if signal not in entry.interposed:
                 self._check_no_source(signal)

@@ -92,6 +92,9 @@ def test_errors_name_system_and_signal(signals: SignalBuilder) -> None:
         signals.replace("absent", source(4.0))
     with pytest.raises(ValueError, match=r"'bad' cannot be interposed on 'x': .* are y0, y1;"):
         signals.interpose("x", "bad", Demultiplexer(2, 1))
+    for names in ({"inputs": {"a": "x"}}, {"outputs": {"a": "z"}}):
+        with pytest.raises(ValueError, match=r"'p' has no port 'a'; valid ports: [uy]$"):
+            signals.add("p", PassThrough(1), **names)
     with pytest.raises(ValueError, match="several output ports of a system are one signal"):
         signals.add("split", Demultiplexer(2, 1), outputs={"y0": "z", "y1": "z"})
     signals.add("b", source(1.0), outputs={"y0": "w"})
