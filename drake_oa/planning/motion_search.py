@@ -486,9 +486,8 @@ class MotionSearch:
             _MIN_ACCEPTABLE_DISTANCE, self._self_distance(inputs.q) - self._parameters.slack
         ):
             note = "no motion that clears the arm itself found"
-        clearance_reduction = self._clearance - float(
-            requirements.of_geometries.max(initial=-np.inf)
-        )
+        is_obstacle = inputs.scene.geometries.layout[:, 5] != ENVIRONMENT
+        required = requirements.of_geometries[:, is_obstacle].max(initial=-np.inf)
         return current.with_changes(
             command={
                 "tau": max(1.0, (current.traveled + length) / max(search.planned_length, 1e-9)),
@@ -499,7 +498,9 @@ class MotionSearch:
                 "shortfall": max(-float(arm.min_margin[0]) - self._parameters.slack, 0.0),
                 "limiting_obstacle": limiting,
                 "can_follow": can_follow and reaches_goal,
-                "clearance_reduction": max(clearance_reduction, 0.0) if len(inputs.scene) else 0.0,
+                "clearance_reduction": max(self._clearance - float(required), 0.0)
+                if is_obstacle.any()
+                else 0.0,
             },
         )
 

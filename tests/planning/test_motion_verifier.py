@@ -151,7 +151,8 @@ def make(panda_arm: ArmAlone) -> Make:
 
 
 def test_without_obstacles_the_nominal_motion_is_selected(make: Make) -> None:
-    bench = make()
+    # The table is part of the environment.
+    bench = make(replace(TABLE, name=-1))
     found, motion = bench.decide(), bench.motion
     assert (len(found.alpha), found.note, found.hold) == (0, "", HoldReason.NONE)
     assert found.tau == pytest.approx(1.0, abs=2e-3)
