@@ -167,9 +167,9 @@ def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | 
       robot clearance [m]  distance of all links to the nearest obstacle
       contacts             pairs of a link and an object, or of two links, in contact
 
-    Lines below the table state the requested clearance, and the achievable clearance if that is
-    less. A last line states which fraction of the space near the arm's nominal motion is observed
-    by no camera.
+    Lines below the table state the requested clearance, the achievable clearance if that is less,
+    and joints whose speed or torque is not limited. A last line states which fraction of the space
+    near the arm's nominal motion is observed by no camera.
 
     Exit status: 0 without errors, 1 with errors or with a contact at start or goal, 2 if the file
     cannot be read.

@@ -187,6 +187,25 @@ def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
     return moving
 
 
+def check_actuated(plant: MultibodyPlant) -> None:
+    """Checks that every joint of a finalized plant that moves has an actuator.
+
+    Joints with an actuator have one degree of freedom. A body that is not welded has a floating
+    joint, which has none.
+
+    Raises:
+        ValueError: naming the first joint that moves without an actuator.
+    """
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    actuated = {actuator.joint().index() for actuator in actuators}
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        if joint.num_velocities() and joint.index() not in actuated:
+            raise ValueError(
+                f"joint '{joint.name()}' moves without an actuator; add a transmission and an "
+                "effort limit above 0, or fix the joint; the plant must have the robot alone"
+            )
+
+
 def axis_frame(joint: RevoluteJoint) -> RigidTransform:
     """Returns the pose, in the child body of a revolute joint, of a frame whose z axis is the joint
     axis.

@@ -6,6 +6,7 @@ images, uses it for kinematics and shapes.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ from drake_oa.common.files import package_file
 from drake_oa.common.messages import FloatArray, zeros
 from drake_oa.geometry.collision_scene import outline_corners, read_geometry
 from drake_oa.geometry.shapes import pose
-from drake_oa.robot.arm import joints_to
+from drake_oa.robot.arm import check_actuated, joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.model_file import (
     add_installed_package,
@@ -35,6 +36,7 @@ from drake_oa.robot.formats.model_file import (
 from drake_oa.robot.grasped_object import add_carried, exclude_grasp_contacts, tool_links
 from drake_oa.robot.inertias import set_inertias
 
+_logger = logging.getLogger("drake_oa")
 TOOL_FRAME = "tool_point"
 """Name of the tool frame E, at the tool point between the fingertips, in each plant with a
 robot."""
@@ -151,7 +153,7 @@ class RobotLimits:
         position_name: (nq,) names of the joint positions.
         position_lower: (nq,) lower position limits [rad, m].
         position_upper: (nq,) upper position limits [rad, m].
-        velocity_limit: (nv,) maximum speeds [rad/s, m/s].
+        velocity_limit: (nv,) maximum speeds [rad/s, m/s]; inf: no limit.
         actuator_name: (nu,) name of the joint of each actuator.
         effort_limit: (nu,) maximum actuation [N m, N]; inf: no limit.
     """
@@ -162,6 +164,15 @@ class RobotLimits:
     velocity_limit: FloatArray = zeros(0)
     actuator_name: tuple[str, ...] = ()
     effort_limit: FloatArray = zeros(0)
+
+    @property
+    def note(self) -> str:
+        """Warning that names joints without a limit of speed or torque; "" if there are none."""
+        names = [f"speed of {name}" for name in self.position_name]
+        names += [f"torque of {name}" for name in self.actuator_name]
+        is_unlimited = np.isinf(np.append(self.velocity_limit, self.effort_limit))
+        unlimited = ", ".join(np.array(names)[is_unlimited])
+        return f"robot.model: no limit of {unlimited}" if unlimited else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +257,7 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
 
 def _parse(robot: Robot, inertias: str) -> RobotPlant:
     """Builds the plant of a robot from its model file, and checks that `robot.q_seed` has a value
-    for each joint of the arm.
+    within the limits for each joint of the arm. Joints without limits are logged.
 
     Args:
         robot: configuration of the robot.
@@ -264,13 +275,18 @@ def _parse(robot: Robot, inertias: str) -> RobotPlant:
     with field_errors("robot.model", ValueError):
         arm = joints_to(plant, plant.GetFrameByName(TOOL_FRAME))
         _check_joints(plant, arm)
-    if len(robot.q_seed) != len(arm):
+    n = len(arm)
+    lower, upper = plant.GetPositionLowerLimits()[:n], plant.GetPositionUpperLimits()[:n]
+    if len(robot.q_seed) != n or np.clip(robot.q_seed, lower, upper).tolist() != robot.q_seed:
         raise ScenarioError(
-            f"robot.q_seed: expected {len(arm)} numbers, of "
-            f"{', '.join(joint.name() for joint in arm)}, not {len(robot.q_seed)}"
+            f"robot.q_seed: expected {n} numbers, of {', '.join(joint.name() for joint in arm)}, "
+            f"between {lower.tolist()} and {upper.tolist()} rad, not {robot.q_seed}"
         )
     exclude_grasp_contacts(plant, scene_graph, robot)
-    return RobotPlant(builder.Build(), plant, scene_graph, instance)
+    robot_plant = RobotPlant(builder.Build(), plant, scene_graph, instance)
+    if note := robot_plant.limits.note:
+        _logger.warning("%s", note)
+    return robot_plant
 
 
 def _check_joints(plant: MultibodyPlant, arm: Sequence[RevoluteJoint]) -> None:
@@ -282,23 +298,23 @@ def _check_joints(plant: MultibodyPlant, arm: Sequence[RevoluteJoint]) -> None:
 
     Raises:
         ValueError: if no joint moves the tool, if the joints of the arm are not the first ones, or
-            if a joint has no actuator or no speed.
+            if a joint has no actuator or no speed, or moves links without mass.
     """
     if not arm:
         raise ValueError("no joint between robot.base_link and robot.hand_link moves")
     for row, joint in enumerate(arm):
         if joint.position_start() != row:
             raise ValueError(f"joint '{joint.name()}' of the arm must precede all other joints")
-    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
-    actuated = {actuator.joint().index() for actuator in actuators}
+    check_actuated(plant)
+    massless: list[str] = []
     for joint in map(plant.get_joint, plant.GetJointIndices()):
-        if joint.num_velocities() and joint.index() not in actuated:
-            raise ValueError(
-                f"joint '{joint.name()}' moves without an actuator; add a transmission and an "
-                "effort limit above 0, or fix the joint"
-            )
         if (joint.velocity_upper_limits() <= 0.0).any():
             raise ValueError(f"joint '{joint.name()}' has no speed: its limit must be above 0")
+        links = plant.GetBodiesWeldedTo(joint.child_body()) if joint.num_velocities() else []
+        if not sum(link.default_mass() for link in links) > 0.0:
+            massless += [link.name() for link in links]
+    if massless:
+        raise ValueError(f"links move without mass: {', '.join(massless)}; add <inertial> elements")
 
 
 def tool_link_corners(robot: Robot) -> list[FloatArray]:
@@ -310,7 +326,8 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
     opened by `robot.finger_opening`. The corners of a rounded shape are those of its bounding box.
 
     Raises:
-        ScenarioError: for an unknown link, or if no tool link has collision geometry.
+        ScenarioError: for a link that the last joint of the arm does not move, or if no tool link
+            has collision geometry.
     """
     robot_plant = make_robot_plant(robot)
     plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
@@ -318,10 +335,13 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
     plant.SetPositions(context, robot_plant.instance, home_positions(robot))
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
     X_EW = robot_plant.tool_frame.CalcPoseInWorld(context).inverse()
+    last = joints_to(plant, robot_plant.tool_frame)[-1].index()
+    moved = [plant.get_body(i).name() for i in plant.GetBodiesKinematicallyAffectedBy([last])]
     corners = []
     for link in tool_links(robot):
-        if not plant.HasBodyNamed(link, robot_plant.instance):
-            raise ScenarioError(f"robot.tool_links: '{robot.model}' has no link '{link}'")
+        if link not in moved:
+            valid = ", ".join(moved)
+            raise ScenarioError(f"robot.tool_links: the last joint moves {valid}, but not '{link}'")
         body = plant.GetBodyByName(link, robot_plant.instance)
         X_EB = X_EW @ plant.EvalBodyPoseInWorld(context, body)
         with field_errors("robot.tool_links", ValueError):

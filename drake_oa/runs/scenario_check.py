@@ -12,11 +12,12 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.console import Column, TextTable
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import MotionMetrics, clearance_evaluator
 from drake_oa.runs.report import achievable_clearance_of
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.station import make_station
 
 
@@ -87,8 +88,8 @@ _COLUMNS = (
 def end_table(scenario: Scenario) -> TextTable:
     """Returns a table of the robot's clearances and contacts at start and goal of a scenario.
 
-    Notes below the table state the requested clearance, and the achievable clearance if that is
-    less.
+    Notes below the table state the requested clearance, the achievable clearance if that is less,
+    and joints without a limit of speed or torque.
     """
     rows = [
         {
@@ -103,4 +104,5 @@ def end_table(scenario: Scenario) -> TextTable:
     notes = [f"requested clearance: {requested:g} m"]
     if achievable < requested - 1e-4:
         notes.append(f"achievable clearance: {achievable:.3f} m, limited by start or goal")
+    notes += filter(None, [make_robot_plant(robot_of(scenario)).limits.note])
     return TextTable(_COLUMNS, rows, notes)

@@ -189,6 +189,7 @@ def test_error_of_an_unreadable_mesh_names_the_mesh(
     [
         ('effort="10"', 'effort="0"', "'joint1' moves without an actuator"),
         ('velocity="3"', 'velocity="0"', "'joint1' has no speed"),
+        (INERTIAL, "", "move without mass: link1, .* link6;"),
         ('<link name="link0">', f'{HEAD}<link name="link0">', "'joint1' .* must precede all other"),
         ('type="revolute"', 'type="fixed"', "no joint between .* and robot.hand_link moves"),
     ],
@@ -246,6 +247,7 @@ def test_mjcf_keeps_inherited_attributes(tmp_path: Path) -> None:
     config.X_WB.translation = [1.0, 0.0, 0.0]
     robot = make_robot_plant(config)
     np.testing.assert_allclose(robot.limits.effort_limit, [150.0, 28.0])
+    assert robot.limits.note == "robot.model: no limit of speed of j1, speed of j2"
     np.testing.assert_allclose(robot.limits.position_upper, [2.0, 2.0])
     # Both joints rotate about y.
     x, z = 0.5 * np.sin(0.3) + 0.1 * np.sin(0.7), 0.5 + 0.5 * np.cos(0.3) + 0.1 * np.cos(0.7)
