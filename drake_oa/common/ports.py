@@ -70,9 +70,22 @@ def valid_period(period: float) -> float:
     Raises:
         ValueError: if the period is not positive and finite.
     """
-    if not 0.0 < period < math.inf:
-        raise ValueError(f"period must be positive and finite [s], not {period}")
-    return float(period)
+    return positive(period, "period [s]")
+
+
+def positive(value: float, name: str) -> float:
+    """Checks that a constructor argument is positive and finite, and returns it.
+
+    Args:
+        value: value of the argument.
+        name: name and unit of the argument.
+
+    Raises:
+        ValueError: if the value is not positive and finite.
+    """
+    if not 0.0 < value < math.inf:
+        raise ValueError(f"{name} must be positive and finite, not {value}")
+    return float(value)
 
 
 def declare_state_outputs(

@@ -7,7 +7,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, PolicyState
-from drake_oa.common.ports import AbstractInput
+from drake_oa.common.ports import AbstractInput, positive
 from drake_oa.inference.regressor import ChainWeights, section_extents
 
 
@@ -42,9 +42,13 @@ class RegressorChain(LeafSystem):
         Args:
             weights: trained chain, as read by `drake_oa.inference.regressor.load_chain`.
             requested_clearance: requested clearance Delta between tool and obstacles [m].
+
+        Raises:
+            ValueError: if the requested clearance is not finite and positive.
         """
         super().__init__()
-        self._weights, self._requested_clearance = weights, requested_clearance
+        self._weights = weights
+        self._requested_clearance = positive(requested_clearance, "requested_clearance [m]")
         self._ellipsoids = AbstractInput(self, "ellipsoids_W", EllipsoidSet)
         self._policy = AbstractInput(self, "policy_state", PolicyState)
         self.DeclareAbstractOutputPort(

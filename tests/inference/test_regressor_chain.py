@@ -1,6 +1,7 @@
 """Tests of the system `RegressorChain`."""
 
 import numpy as np
+import pytest
 
 from drake_oa.common.files import package_file
 from drake_oa.common.messages import PolicyState
@@ -31,3 +32,8 @@ def test_without_a_motion_the_strength_is_zero():
     assert output.alpha.tolist() == [0.0, 0.0]
     assert not output.in_range.any()
     assert np.isfinite(output.as_array()).all()
+
+
+def test_an_invalid_clearance_is_refused():
+    with pytest.raises(ValueError, match=r"requested_clearance \[m\] must be positive and finite"):
+        RegressorChain(WEIGHTS, np.nan)
