@@ -51,9 +51,10 @@ ECHOES = {
     "MotionGuard.path_state",
     "MotionGuard.tracking_error",
     "MotionGuard.orientation_error",
+    "MotionVerifier.decision",
 }
-"""Outputs that may be NaN or inf: copies of inputs that no torque depends on, and the time of a
-contact that is not predicted."""
+"""Outputs that may be NaN or inf: copies of inputs that no torque depends on, and the times of a
+contact that is not predicted and of a decision that has not started."""
 
 
 Parts = list[tuple[LeafSystem, Context]]

@@ -91,11 +91,14 @@ class ObstacleClouds(Frozen):
     Attributes:
         stamp: time of the observation [s]; -inf before the first observation.
         clouds_W: for each obstacle an (N_i, 3) array of surface points in the world frame [m].
-        ids: (M,) track IDs of the obstacles.
+        ids: (M,) distinct track IDs of the obstacles.
         table: support plane of the objects; None if no plane was detected.
         note: reason why this observation is degraded, such as "no valid pixel"; otherwise empty.
         v_WO: (M, 3) velocities of the obstacles in the world frame [m/s], exactly zero for an
             obstacle without significant motion; zeros by default.
+
+    Raises:
+        ValueError: if a field is not an array of this shape, or IDs repeat.
     """
 
     stamp: float = -np.inf
@@ -106,9 +109,18 @@ class ObstacleClouds(Frozen):
     v_WO: FloatArray = zeros(0, 3)
 
     def __post_init__(self) -> None:
-        if not len(self.v_WO) and len(self.clouds_W):
-            object.__setattr__(self, "v_WO", np.zeros((len(self.clouds_W), 3)))
+        count = len(self.clouds_W)
+        if not len(self.v_WO) and count:
+            object.__setattr__(self, "v_WO", np.zeros((count, 3)))
         super().__post_init__()
+        for cloud in self.clouds_W:
+            if getattr(cloud, "ndim", 0) != 2 or cloud.shape[1] != 3 or cloud.dtype.kind != "f":
+                actual = f"{type(cloud).__name__} {np.shape(cloud)} of {np.asarray(cloud).dtype}"
+                raise ValueError(f"clouds_W: must be (N, 3) arrays of floats, not {actual}")
+        shapes = [getattr(array, "shape", None) for array in (self.ids, self.v_WO)]
+        if shapes != [(count,), (count, 3)] or len(set(self.ids.tolist())) < count:
+            expected = f"({count},) of distinct integers and ({count}, 3) of floats"
+            raise ValueError(f"ids, v_WO: must be arrays {expected}, not {self.ids}, {shapes[1]}")
 
     def __len__(self) -> int:
         return len(self.clouds_W)
@@ -158,6 +170,9 @@ class HoldReason(StrEnum):
     SUPERVISOR = "supervisor"
     """Hold because the motion guard has set the speed scale to 0, in logs and reports; the policy
     itself reports SPEED_SCALE."""
+    GOAL = "goal"
+    """Hold because the input port `goal` of the policy is not finite; its last finite value remains
+    the goal."""
     OBSTACLES = "obstacles"
     """Hold because obstacles are not observed, contain the tool or goal, or cannot be passed."""
 

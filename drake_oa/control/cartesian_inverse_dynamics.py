@@ -131,7 +131,7 @@ class CartesianInverseDynamics(InverseDynamics):
             (self.DeclareVectorInputPort(f"desired_{name}", len(default)), default)
             for name, default in defaults.items()
         ]
-        self.DeclareDiscreteState(6)
+        self.DeclareDiscreteState(6 + 1)
         self._declare_output("tracking_error", 3, lambda command: command.error[3:])
         self._declare_output("orientation_error", 3, lambda command: command.error[:3])
 

@@ -12,6 +12,7 @@ with desired joint positions q_d, velocities v_d and accelerations a_d, and inte
 
 from __future__ import annotations
 
+import logging
 import math
 from abc import abstractmethod
 from collections.abc import Callable
@@ -26,9 +27,10 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, Value
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, zeros
 from drake_oa.common.ports import valid_period
-from drake_oa.robot.arm import joints_to
+from drake_oa.robot.arm import check_actuated, joints_to
 from drake_oa.robot.config import Gains
 
+_logger = logging.getLogger("drake_oa")
 LARGEST_ERROR = 0.02
 """Position error of a joint above which the controller's integral action pauses [rad].
 
@@ -88,9 +90,10 @@ class InverseDynamics(LeafSystem):
 
     With the arm's equation of motion M dv/dt + h = tau (mass matrix M, gravity and velocity terms
     h), a subclass computes tau - h and the control error. The subclass also declares a discrete
-    state of the same size as the error. This state is `ki_position` times the integral of the
-    error, an acceleration. The control law is evaluated once for all outputs. The Context of the
-    robot's plant is a cache entry.
+    state of the size of the error plus 1: `ki_position` times the integral of the error, an
+    acceleration, and 1 while the arm is braked. When braking begins, a warning names the invalid
+    inputs. The control law is evaluated once for all outputs. The Context of the robot's plant is a
+    cache entry.
     """
 
     largest_error: FloatArray | float
@@ -119,8 +122,12 @@ class InverseDynamics(LeafSystem):
             finger_opening: set point of each finger joint, a joint that does not move E [m].
             period: period with which the integral is updated [s].
 
+        Raises:
+            ValueError: if a joint that moves has no actuator, no joint moves E, or the period is
+                not positive.
         """
         super().__init__()
+        check_actuated(plant)
         self._plant, self._frame = plant, plant.GetFrameByName(tool_frame)
         self._gains, self._opening = gains or Gains(), finger_opening
         self._period, self._m = valid_period(period), plant.num_velocities()
@@ -137,7 +144,7 @@ class InverseDynamics(LeafSystem):
             ValueProducer(lambda: Value(plant.CreateDefaultContext()), ValueProducer.NoopCalc),
             {self.nothing_ticket()},
         )
-        self.DeclarePeriodicDiscreteUpdateEvent(self._period, self._period, self._integrate)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._period, self._period, self._update)
         self._command = self.DeclareCacheEntry(
             "joint torques",
             ValueProducer(allocate=lambda: Value(Command()), calc=self._calc_command),
@@ -185,19 +192,27 @@ class InverseDynamics(LeafSystem):
             input is not; and control error (k,) [rad or m].
         """
 
-    def _integrate(self, context: Context, values: DiscreteValues) -> None:
-        error = self._evaluate(context).error
-        integrand = np.where(np.abs(error) <= self.largest_error, error, 0.0)
-        rate = self._period * self._gains.ki_position
-        correction = context.get_discrete_state_vector().value() + rate * integrand
-        values.set_value(np.clip(correction, -self.max_correction, self.max_correction))
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        """Updates the integral of the error, and logs the invalid inputs when braking begins."""
+        command, state = self._evaluate(context), context.get_discrete_state_vector().value()
+        integrand = np.where(np.abs(command.error) <= self.largest_error, command.error, 0.0)
+        correction = state[:-1] + self._period * self._gains.ki_position * integrand
+        correction = np.clip(correction, -self.max_correction, self.max_correction)
+        values.set_value(np.append(correction, command.stopping))
+        if command.stopping and not state[-1]:
+            ports = [self.get_input_port(i) for i in range(self.num_input_ports())]
+            inputs = {p.get_name(): p.Eval(context) for p in ports if p.HasValue(context)}
+            names = [name for name, x in inputs.items() if not np.abs(x).max() < LARGEST_STATE]
+            invalid = ", ".join(names) or "the rotation of a zero quaternion"
+            message = "t=%.3f s: the arm is braked; not finite: %s"
+            _logger.warning(message, context.get_time(), invalid)
 
     # Inputs that are not finite are expected, and detected by the sum of the drive.
     @np.errstate(over="ignore", invalid="ignore")
     def _calc_command(self, context: Context, value: AbstractValue) -> None:
         plant, arm, hand, effort = self._plant, self._arm, self._hand, self._effort
         q, v = np.split(self._state.Eval(context), 2)
-        correction = context.get_discrete_state_vector().value()
+        correction = context.get_discrete_state_vector().value()[:-1]
         unknown = np.full(len(correction), np.inf)
         tau, saturated, stopping, error = np.zeros(self._m), False, True, unknown
         spring = FINGER_STIFFNESS * (self._opening - q[hand]) - FINGER_DAMPING * v[hand]
@@ -267,7 +282,7 @@ class JointInverseDynamics(InverseDynamics):
         super().__init__(plant, **options)
         self._desired = self.DeclareVectorInputPort("desired_joint_state", 2 * self._n)
         self._acceleration = self.DeclareVectorInputPort("desired_joint_acceleration", self._n)
-        self.DeclareDiscreteState(self._n)
+        self.DeclareDiscreteState(self._n + 1)
 
     def _drive(
         self, context: Context, model: Context, M: FloatArray, correction: FloatArray

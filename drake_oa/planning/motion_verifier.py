@@ -159,8 +159,8 @@ class MotionVerifier(LeafSystem):
         previous: PendingDecision[SelectedMotion] = value.get_value()
         time = context.get_time()
         policy = self._policy.read(context)
-        if policy.baseline == 0.0:
-            # The policy has no start and goal yet.
+        if policy.baseline == 0.0 or not np.isfinite(self._goal.Eval(context)).all():
+            # The policy has no start and goal yet, or is held because the goal is not finite.
             return EventStatus.DidNothing()
         inputs = self._inputs(context)
         decision = previous.start(

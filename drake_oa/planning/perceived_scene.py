@@ -381,8 +381,9 @@ class PerceivedScene(LeafSystem):
         previous = self._read(context)
         current = self._updated(context, previous)
         if current.scene.note == _NOT_FINITE != previous.scene.note:
-            message = "t=%.3f s: %s; the previous collision scene remains in use"
-            _logger.warning(message, context.get_time(), _NOT_FINITE)
+            scene = "no" if previous.scene.stamp == -math.inf else "the previous"
+            message = "t=%.3f s: %s; %s collision scene remains in use"
+            _logger.warning(message, context.get_time(), _NOT_FINITE, scene)
         state.get_mutable_abstract_state(self._scene_state).set_value(current)
 
     def _updated(self, context: Context, previous: PerceivedSceneState) -> PerceivedSceneState:

@@ -34,9 +34,6 @@ from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL
 from drake_oa.policy.dmp import Dmp, local_frame
 from drake_oa.policy.guidance import NO_OBSTACLES, Obstacles
 
-SCALED_TO_REST = "speed_scale is 0"
-"""Note in `PolicyState` while the motion is held because the input port `speed_scale` is 0."""
-
 
 @dataclass(frozen=True, eq=False)
 class Segment(Frozen):
@@ -112,7 +109,8 @@ def take_step(
 
     Args:
         before: motion in the previous step, from the end of which the motion continues.
-        p_WG: (3,) current goal in the world frame [m].
+        p_WG: (3,) current goal in the world frame [m]. While it is not finite, the motion is held,
+            and the previous goal remains.
         inputs: obstacles and coupling terms (turning rates that avoid them).
         time: current time [s].
         step: length of the step [s].
@@ -120,8 +118,8 @@ def take_step(
         config: constants of coupling terms and holds.
         speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T), with normalized time
             s, demonstrated duration T and temporal scaling tau. The speed changes toward this
-            fraction at the rate given by `config.hold_time`. Values are clipped to [0, 1]; NaN
-            counts as 0.
+            fraction at the rate given by `config.hold_time`; a motion at its start begins at most
+            at this fraction. Values are clipped to [0, 1]; NaN counts as 0.
         evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], which
             displaces p_WE in addition to the primitive, without effect on scaled velocity and
             phase. It is linear in time within the step. None or not finite: 0.
@@ -133,19 +131,22 @@ def take_step(
         ValueError: if start and goal coincide, or the step is negative or not finite.
     """
     state, dmp = before.end, before.primitive or dmp
-    if not np.array_equal(state.p_WG, p_WG):
-        state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
+    hold, note = HoldReason.GOAL, "the input port goal is not finite"
+    if math.isfinite(p_WG.sum()):
+        if not np.array_equal(state.p_WG, p_WG):
+            state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
+        hold, note = inputs.hold_at(state, time, config.max_observation_age)
     baseline = state.baseline
-    hold, note = inputs.hold_at(state, time, config.max_observation_age)
     is_held = hold is not HoldReason.NONE
     scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 and not is_held else 0.0
     if scale == 0.0 and not is_held:
-        hold, note = HoldReason.SPEED_SCALE, SCALED_TO_REST
+        hold, note = HoldReason.SPEED_SCALE, f"speed_scale is {max(speed_scale, 0.0):g}"
     tau = inputs.tau or state.tau
     if not inputs.tau and inputs.path_length is not None:
-        tau = max(1.0, inputs.path_length / baseline)
+        # The baseline is 0 until the first finite goal.
+        tau = max(1.0, inputs.path_length / (baseline or 1.0))
     # A motion that is held at its start must not move at all.
-    speed = 0.0 if is_held and state.phase == 1.0 else state.speed
+    speed = min(state.speed, scale / dmp.duration) if state.phase == 1.0 else state.speed
     max_change = step / (dmp.duration * config.hold_time)
     after = speed + min(max(scale / (tau * dmp.duration) - speed, -max_change), max_change)
     ds = 0.5 * (speed + after) * step
@@ -248,8 +249,8 @@ class CouplingInputs(Frozen):
         """Combines the values of three input ports of the policy into one object.
 
         Args:
-            ellipsoids: M obstacles; None: there is no perception, and the coupling terms do not
-                act.
+            ellipsoids: M obstacles; None: there is no perception, and only verified coupling terms,
+                which have their own centers, act.
             coupling: parameters of M coupling terms; None: no coupling terms. Normals, temporal
                 scaling and hold of these parameters take precedence over those of the route.
             route: sides on which the M obstacles are passed, toward which guidance turns the motion
@@ -275,7 +276,7 @@ class CouplingInputs(Frozen):
         )
         # The ellipsoids of verified terms determine guidance headings only, and hold nothing.
         shapes = coupling.ellipsoids if coupling.verified else ellipsoids
-        if ellipsoids is None or shapes is None:
+        if shapes is None:
             return combined
         return replace(combined, obstacles=_coupled(shapes, coupling, route))
 
@@ -296,7 +297,7 @@ class CouplingInputs(Frozen):
         """
         obstacles = self.ellipsoids
         if obstacles is None:
-            return HoldReason.NONE, ""
+            return self.hold, self.note
         cause = f" ({obstacles.note})" if obstacles.note else ""
         if obstacles.stamp == -math.inf:
             return HoldReason.OBSTACLES, f"no observation yet{cause}"
@@ -330,14 +331,15 @@ def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | 
             range.
     """
     count = len(coupling) if coupling.verified else len(shapes)
-    sizes = {"coupling_parameters": len(coupling), "center_W": len(coupling.center_W) or count}
-    sizes["normal_W"] = len(coupling.normal_W) or count
+    sizes = {"coupling_parameters": len(coupling), "normal_W": len(coupling.normal_W) or count}
+    sizes["center_W"] = len(coupling.center_W) or len(shapes)
     if route is not None:
         sizes["route"] = len(route.direction_W)
     for name, rows in sizes.items():
         if rows != count:
             raise ValueError(
-                f"{name} has {rows} rows; it must have {count}, the number of ellipsoids"
+                f"{name} has {rows} rows; it must have {count}, the number of "
+                + ("verified coupling terms" if coupling.verified else "ellipsoids")
             )
     terms, sides, clearance = np.zeros((count, N_COLUMNS)), np.zeros((count, 3)), np.zeros(count)
     terms[:, :3] = coupling.center_W if len(coupling.center_W) else shapes.p_WO
@@ -349,13 +351,14 @@ def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | 
     if len(coupling.normal_W):
         nonzero = np.asarray(coupling.normal_W.any(axis=1))
         normal[nonzero], clearance[nonzero] = coupling.normal_W[nonzero], 0.0
-    alpha, psi, kappa = coupling.as_array().T
-    is_valid = np.isfinite(terms).all(axis=1) & (alpha >= 0.0) & (psi > 0.0) & (kappa >= 0.0)
+    is_valid = np.isfinite(terms)
+    is_valid[:, ALPHA : KAPPA + 1] &= terms[:, ALPHA : KAPPA + 1] >= (0.0, 1e-300, 0.0)
     if not is_valid.all():
-        row = int(is_valid.argmin())
+        row, column = np.argwhere(~is_valid)[0]
+        names = np.repeat(("center_W", "alpha", "psi", "kappa", "", "normal_W"), (3, 1, 1, 1, 3, 3))
         raise ValueError(
-            f"coupling term {row}: alpha, psi, kappa must be >= 0, > 0, >= 0 and all values "
-            f"finite, not {terms[row].tolist()}"
+            f"coupling term {row}: {names[column]} = {terms[row, column]}; alpha and kappa must "
+            "be at least 0, psi above 0, and all values finite"
         )
     p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
     return Obstacles(p_WO, R_WO, semi_axes, terms, sides, clearance)

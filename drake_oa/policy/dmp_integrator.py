@@ -48,18 +48,20 @@ class DmpIntegrator(LeafSystem):
       - phase
       - policy_state
 
-    - goal: (3,) goal of the motion in the world frame [m]; it may move.
+    - goal: (3,) goal of the motion in the world frame [m]; it may move. While it is not finite, the
+      motion is held.
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the obstacles dilated by the tool.
       Not connected: nominal motion without avoidance.
     - coupling_parameters (optional): abstract `CouplingParameters`, one row per ellipsoid. Normals
       and a temporal scaling tau in this message take precedence over those of the route. While
-      `hold` is set in the message, the motion is held. Not connected: no coupling terms.
+      `hold` is set in the message, the motion is held. Verified terms have their own centers, and
+      act without ellipsoids_W. Not connected: no coupling terms.
     - route (optional): abstract `Route` of `CostRingSelector`, one row per ellipsoid: the side on
       which each obstacle is passed. The guidance headings toward these sides are computed at each
       step. Not connected: no guidance term, and no temporal scaling by the path length.
     - speed_scale (optional): (1,) requested fraction of full speed in [0, 1], from
-      `MotionGuard`. The speed changes toward it within `policy.hold_time` and the path does
-      not change; at 0 the motion is held. Not connected: 1.
+      `MotionGuard`. The motion begins at this fraction; later the speed changes toward it within
+      `policy.hold_time`. The path does not change; at 0 the motion is held. Not connected: 1.
     - evasion_velocity (optional): (3,) velocity in the world frame [m/s] from `MotionGuard` that
       displaces p_WE in addition to the primitive. It does not change phase and scaled velocity;
       the spring acts from the displaced position. It should be continuous, because the desired
@@ -147,10 +149,11 @@ class DmpIntegrator(LeafSystem):
         return context.get_abstract_state(self._segment).get_value()
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
-        if self._read_segment(context).state.baseline > 0.0:
-            # The Context contains a motion of an earlier simulator, which continues.
-            return EventStatus.DidNothing()
         p_WS, p_WG = self._start, self._goal.Eval(context)
+        if self._read_segment(context).state.baseline > 0.0 or not np.isfinite(p_WG).all():
+            # The Context contains a motion of an earlier simulator, which continues, or the motion
+            # starts at the first step with a finite goal.
+            return EventStatus.DidNothing()
         state.get_mutable_abstract_state(self._segment).set_value(
             make_segment(
                 PolicyState(
@@ -178,7 +181,7 @@ class DmpIntegrator(LeafSystem):
         before = self._read_segment(context)
         inputs = self._coupling_inputs.Eval(context)
         goal = self._goal.Eval(context)
-        if inputs.restart:
+        if inputs.restart and np.isfinite(goal).all():
             demonstration = self._demonstration.find(context)
             primitive = None if demonstration is None else demonstration.position
             before = restart(before, goal, context.get_time(), primitive)

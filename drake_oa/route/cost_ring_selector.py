@@ -19,7 +19,7 @@ from drake_oa.common.messages import (
     Route,
     TablePlane,
 )
-from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, valid_period
+from drake_oa.common.ports import DECISION_OFFSET, AbstractInput, positive, valid_period
 from drake_oa.policy.dmp import local_frame
 from drake_oa.route.cost_rings import (
     FORBIDDEN,
@@ -100,11 +100,11 @@ class CostRingSelector(LeafSystem):
                 path length over the distance from start to goal [-].
 
         Raises:
-            ValueError: if the period is not finite and positive.
+            ValueError: if requested clearance or period are not finite and positive.
         """
         super().__init__()
         period = valid_period(period)
-        self._requested_clearance = requested_clearance
+        self._requested_clearance = positive(requested_clearance, "requested_clearance [m]")
         self._rings: dict[str, Ring] = {
             "table": partial(table_ring, height=table_height),
             "length": length_ring,
@@ -184,8 +184,10 @@ class CostRingSelector(LeafSystem):
 
     def _decide(self, context: Context, state: State) -> None:
         before: Route = context.get_abstract_state(self._decided).get_value()
-        policy = self._policy.read(context)
-        route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
+        policy, goal = self._policy.read(context), self._goal.Eval(context)
+        if not math.isfinite(goal.sum()):
+            return
+        route = self._weigh(context, policy.p_WS, goal)
         if route.blocked and route.note != before.note:
             _logger.info("t=%.3f s: %s", context.get_time(), route.note)
         state.get_mutable_abstract_state(self._decided).set_value(route)
@@ -200,7 +202,7 @@ class CostRingSelector(LeafSystem):
         if decided.baseline == 0.0:
             policy = self._policy.read(context)
             goal = self._goal.Eval(context)
-            ready = math.dist(policy.p_WS, goal) > 0.0
+            ready = 0.0 < math.dist(policy.p_WS, goal) < math.inf
             return self._weigh(context, policy.p_WS, goal) if ready else decided
         if np.array_equal(decided.ids, ellipsoids.ids):
             return decided

@@ -197,6 +197,7 @@ class MotionGuard(LeafSystem):
       - free_space_W (optional)
       - demonstration (optional)
       - torque_saturation (optional)
+      - stopping (optional)
       output_ports:
       - desired_joint_state
       - path_state
@@ -228,6 +229,8 @@ class MotionGuard(LeafSystem):
       the duration of the motion is the constructor's.
     - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0. Not
       connected: never saturated.
+    - stopping (optional): (1,) 1 while the controller brakes the arm because one of its inputs is
+      not finite, else 0; the motion is then stopped. Not connected: never.
     - desired_joint_state: (2n,) commanded state of the arm's joints [rad, rad/s].
     - desired_joint_acceleration: (n,) commanded acceleration of the arm's joints [rad/s^2].
     - speed_scale: (1,) speed scale for `DmpIntegrator`, in [0, 1].
@@ -329,6 +332,7 @@ class MotionGuard(LeafSystem):
         self._free_space = AbstractInput(self, "free_space_W", FreeSpace)
         self._demonstration = AbstractInput(self, "demonstration", Demonstration)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
+        self._stopping = self.DeclareVectorInputPort("stopping", 1)
 
         rest_state = np.append(q_start, np.zeros(n))
         self._state = self.DeclareAbstractState(
@@ -427,9 +431,13 @@ class MotionGuard(LeafSystem):
         current: GuardState = value.get_value()
         time = context.get_time()
         q, v = self._arm_state(context)
-        if not math.isfinite(self._robot.Eval(context).sum()):
-            supervision = current.supervision.latch_fault("the robot state is not finite", time)
-            value.set_value(replace(current, supervision=supervision))
+        is_finite = math.isfinite(self._robot.Eval(context).sum())
+        if not is_finite or (self._stopping.HasValue(context) and self._stopping.Eval(context)[0]):
+            source = "an input of the controller" if is_finite else "the robot state"
+            supervision = current.supervision.latch_fault(f"{source} is not finite", time)
+            # A braked arm continues from rest when the input is finite again.
+            x = np.append(q, np.zeros(self._n)) if is_finite else current.x
+            value.set_value(replace(current, supervision=supervision, x=x))
             return
         if current.pending.result_at(time) is not None:
             current = self._activate(replace(current, pending=current.pending.activate()), time)
@@ -520,7 +528,7 @@ class MotionGuard(LeafSystem):
             is_saturated = bool(self._saturation.Eval(context)[0] > 0.0)
             previous, limit = monitor_torque(previous, is_saturated, time, self._step_length)
             limits.append(limit)
-        is_waiting = policy.hold in (HoldReason.DECIDING, HoldReason.OBSTACLES)
+        is_waiting = policy.hold not in (HoldReason.NONE, HoldReason.SPEED_SCALE)
         result = supervise(previous, limits, time, self._step_length, is_waiting=is_waiting)
         last = state.supervision
         if (result.action, result.cause) != (last.action, last.cause):

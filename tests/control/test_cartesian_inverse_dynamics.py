@@ -14,6 +14,7 @@ from pydrake.systems.primitives import Demultiplexer, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
+from drake_oa.control.joint_inverse_dynamics import JointInverseDynamics
 from drake_oa.robot.config import Gains, Robot
 from drake_oa.robot.plant import RobotPlant, add_robot
 from tests.builders import fix, read
@@ -92,7 +93,7 @@ def test_the_torque_causes_the_commanded_acceleration(panda: RobotPlant, make: C
     ],
 )
 def test_an_input_that_is_not_finite_brakes_the_arm(
-    panda: RobotPlant, make: Callable, name: str, bad: np.ndarray
+    panda: RobotPlant, make: Callable, name: str, bad: np.ndarray, caplog: pytest.LogCaptureFixture
 ) -> None:
     system, model = make(), panda.plant.CreateDefaultContext()
     context = fixed(system, **{name: np.array(bad)})
@@ -102,6 +103,9 @@ def test_an_input_that_is_not_finite_brakes_the_arm(
     expected = 0.0 * gravity if name == "robot_state" else -gravity
     np.testing.assert_allclose(read(system, context, "actuation")[:7], expected, atol=1e-9)
     assert read(system, context, "stopping") == 1.0
+    Simulator(system, context).AdvanceTo(0.03)
+    assert len(caplog.messages) == 1
+    assert name in caplog.text or not any(bad)
     for error in ("tracking_error", "orientation_error"):
         assert np.isinf(read(system, context, error)).all()
 
@@ -111,6 +115,11 @@ def test_errors_of_wrong_arguments_name_valid_values(make: Callable) -> None:
         Gains(ki_position=16000.0)
     with pytest.raises(ValueError, match="joints that move 'panda_link0'"):
         make(tool_frame="panda_link0")
+    plant = MultibodyPlant(0.0)
+    plant.AddRigidBody("free")
+    plant.Finalize()
+    with pytest.raises(ValueError, match="'free' moves without an actuator"):
+        JointInverseDynamics(plant, tool_frame="free")
 
 
 @pytest.mark.parametrize("factor", [1.0, -7.5, 1e-180])

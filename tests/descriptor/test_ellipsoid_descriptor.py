@@ -37,6 +37,14 @@ def test_accepts_empty_sets_points_lines_and_planes(method):
         np.testing.assert_allclose(np.linalg.det(ellipsoids.R_WO), 1.0)
 
 
+def test_errors_of_invalid_clouds_name_the_field_and_its_shape():
+    with pytest.raises(ValueError, match=r"clouds_W: .* \(N, 3\) .* \(3, 300\)"):
+        clouds(CLOUD.T)
+    for ids in ([], [4, 4], [[1], [2]]):
+        with pytest.raises(ValueError, match=r"ids, .* arrays \(2,\) of distinct"):
+            ObstacleClouds(clouds_W=(CLOUD, CLOUD), ids=np.array(ids))
+
+
 def test_least_squares_is_smaller_and_leaves_points_outside():
     close, enclosing = (evaluate(clouds(CLOUD), method=m) for m in ("least_squares", "enclosing"))
     assert np.prod(close.semi_axes) < np.prod(enclosing.semi_axes)

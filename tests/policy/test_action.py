@@ -147,11 +147,19 @@ def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
         np.testing.assert_array_equal(segment.end.p_WE, still[0].state.p_WE)
     # A motion held at its start does not move.
     never_started = run(CouplingInputs(EllipsoidSet()), 10)
+    never_started += run(CouplingInputs(), 10, speed_scale=np.zeros(10))
     assert all((one.end.phase, one.end.speed) == (1.0, 0.0) for one in never_started)
     # The speed decreases without a jump.
     speed = np.linalg.norm([segment.velocity[1] for segment in segments[first:]], axis=1)
     assert speed[0] > 0.1
     assert (np.diff(speed) <= 1e-9).all()
+
+
+def test_a_goal_that_is_not_finite_holds_the_motion() -> None:
+    (moving,) = run(CouplingInputs(), 1)
+    held = STEPPED(moving, GOAL * np.nan, CouplingInputs(), STEP, STEP)
+    assert (held.end.hold, held.end.p_WG.tolist()) == (HoldReason.GOAL, GOAL.tolist())
+    assert STEPPED(held, GOAL, CouplingInputs(), 2 * STEP, STEP).end.hold is HoldReason.NONE
 
 
 # Compiled step and reference.
@@ -183,8 +191,8 @@ def test_the_compiled_step_equals_the_reference(seed: int) -> None:
     ("coupling", "route", "message"),
     [
         (replace(COUPLED, normal_W=np.zeros((9, 3))), None, "normal_W has 9 rows; it must have 1"),
-        (replace(COUPLED, psi=np.zeros(1)), None, "alpha, psi, kappa must be"),
-        (replace(COUPLED, alpha=np.full(1, np.nan)), None, "finite"),
+        (replace(COUPLED, psi=np.zeros(1)), None, r"term 0: psi = 0\.0; .* psi above 0"),
+        (replace(COUPLED, alpha=np.full(1, np.nan)), None, "alpha = nan; .* finite"),
         (CouplingParameters(), None, "coupling_parameters has 0 rows; it must have 1"),
         (COUPLED, Route(direction_W=np.zeros((3, 3))), "route has 3 rows; it must have 1"),
     ],

@@ -157,13 +157,15 @@ def test_the_command_restarts_at_a_pushed_arm(panda: ArmAlone) -> None:
     assert point_speed.max() <= GuardParameters().v_unseen + 1e-6
 
 
-def test_a_robot_state_that_is_not_finite_is_a_fault(panda: ArmAlone) -> None:
+@pytest.mark.parametrize("name", ["robot_state", "stopping"])
+def test_an_input_that_is_not_finite_is_a_fault(panda: ArmAlone, name: str) -> None:
     bench = Bench(panda)
     bench.run(0.2)
-    bench.fix(robot_state=np.full(2 * bench.size, np.nan))
+    bench.fix(**{name: np.full(2 * bench.size, np.nan) if name == "robot_state" else np.ones(1)})
     bench.simulator.AdvanceTo(bench.context.get_time() + 2 * STEP)
     supervision = bench.system.GetOutputPort("supervision").Eval(bench.context)
-    assert (supervision.action, supervision.reason) == ("stop", "the robot state is not finite")
+    source = "the robot state" if name == "robot_state" else "an input of the controller"
+    assert (supervision.action, supervision.reason) == ("stop", f"{source} is not finite")
     assert bench.read("speed_scale")[0] == 0.0
 
 
