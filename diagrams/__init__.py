@@ -25,7 +25,8 @@ the tag `inference: !Paper` in a scenario, motions are not verified by roll-outs
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
     desired_posture                                        nominal_posture_source
     desired_joint_state, speed_scale, evasion_velocity     motion_guard
-    actuation, tracking_error, torque_saturation           controller
+    actuation, tracking_error,                             controller
+    torque_saturation, stopping
 
 The files `*.scenario.yaml` in the folder of this package are the shipped scenarios.
 

@@ -67,9 +67,9 @@ class Layers:
     safety            collision_scene_W, free_space_W,             desired_joint_state,
                       robot_state, motion, policy_state,           desired_joint_acceleration,
                       desired_posture, torque_saturation,          path_state, speed_scale,
-                      desired motion of the tool                   evasion_velocity
+                      stopping, desired motion of the tool         evasion_velocity
     control           robot_state, desired motion of the joints    actuation, torque_saturation,
-                      or of the tool                               tracking_error
+                      or of the tool                               stopping, tracking_error
     ================= ============================================ ================================
 
     With `perception: !GroundTruth` the perception layer outputs collision_scene_W, too, and with
