@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 import time
 import urllib.request
+import weakref
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -31,11 +32,9 @@ class Browser:
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._loop = asyncio.new_event_loop()
-        try:
-            self._socket = self._loop.run_until_complete(self._connect())
-        except BaseException:
-            self._process.kill()
-            raise
+        # Also if the connection fails.
+        weakref.finalize(self, self._process.kill)
+        self._socket = self._loop.run_until_complete(self._connect())
 
     async def _connect(self) -> Any:
         """Connects to the page; raises TimeoutError after 60 s."""

@@ -35,9 +35,8 @@ def test_results_of_several_kinds_are_written_and_resumed(
 
 
 def test_level_and_cameras_select_scenes_of_drp() -> None:
-    one = partial(run, "panda", "--suite", "drp", "--level", "floating1", "--method", "nominal")
-    short = ("--scenes", "1", "--duration", "0.02", "--cameras", "2", "--json", "p.json")
-    assert one(*short) == 0
+    chosen = "--suite drp --level floating1 --method nominal --scenes 1 --cameras 2"
+    assert run("panda", *chosen.split(), "--duration", "0.02", "--json", "p.json") == 0
     metrics = json.loads(Path("p.json").read_text())["methods"]["nominal"]
     assert metrics["drp_success"] == metrics["drp_contacts"] == 0
 
