@@ -30,7 +30,7 @@ pylibfranka = pytest.importorskip("pylibfranka")
 pytest.importorskip("franky_sim")
 pytest.importorskip("ruckig")
 
-CLEARANCES = {"fr3_box": 0.160, "fr3_moving": 0.153}
+CLEARANCES = {"fr3_box": 0.160, "fr3_moving": 0.129}
 """Minimum clearances of scenarios in one process [m]."""
 
 
