@@ -166,6 +166,7 @@ def run(  # noqa: PLR0913
     """
     from drake_oa.common.bags import new_bag
     from drake_oa.diagrams.avoidance import build_avoidance
+    from drake_oa.world.station import release_cameras
 
     loaded_scenario = open_scenario(scenario, overrides, html, json, log, write_bag)
     if hardware:
@@ -181,7 +182,7 @@ def run(  # noqa: PLR0913
     if write_bag:
         # A bag is opened before its cameras are built, and replaces a file with its name.
         with build_errors(), quiet():
-            build_avoidance(loaded_scenario)
+            release_cameras(build_avoidance(loaded_scenario))
     viewer = None
     if meshcat or html:
         from drake_oa.viewing.viewer import start_viewer
