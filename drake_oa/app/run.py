@@ -25,7 +25,6 @@ from drake_oa.app.scenarios import (
     build_errors,
     check_end_contacts,
     open_scenario,
-    quiet,
     scenario_name,
 )
 from drake_oa.common.console import FAILED, TERMINATED, complain, is_interrupt, progress_bar, show
@@ -165,8 +164,6 @@ def run(  # noqa: PLR0913
         rate: with --hardware, simulated time over wall time, at most 1.
     """
     from drake_oa.common.bags import new_bag
-    from drake_oa.diagrams.avoidance import build_avoidance
-    from drake_oa.world.station import release_cameras
 
     loaded_scenario = open_scenario(scenario, overrides, html, json, log, write_bag)
     if hardware:
@@ -179,10 +176,6 @@ def run(  # noqa: PLR0913
         raise ValueError("--hardware franka requires --host ADDRESS, and only it uses --host")
     if not hardware:
         check_end_contacts(loaded_scenario)
-    if write_bag:
-        # A bag is opened before its cameras are built, and replaces a file with its name.
-        with build_errors(), quiet():
-            release_cameras(build_avoidance(loaded_scenario))
     viewer = None
     if meshcat or html:
         from drake_oa.viewing.viewer import start_viewer

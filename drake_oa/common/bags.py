@@ -7,7 +7,7 @@ whole nanoseconds.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,17 +53,24 @@ def quaternion(R: RotationMatrix) -> dict[str, float]:
 
 
 class BagWriter:
-    """Writer of ROS 2 messages to a bag, which `new_bag` creates."""
+    """Writer of ROS 2 messages to a bag, which `new_bag` creates.
 
-    def __init__(self, writer: Any, path: Path) -> None:
+    The first message creates the file. A run that fails before it replaces no earlier bag.
+    """
+
+    def __init__(self, path: Path) -> None:
         """Initializes the writer without topics.
 
         Args:
-            writer: open `mcap_ros2.writer.Writer`.
-            path: file of the bag, for messages to the user.
+            path: MCAP file of the bag, which is replaced; its folder exists.
+
+        Raises:
+            ValueError: if an optional package is not installed; names the extra that installs it.
         """
-        self._writer, self._path = writer, path
+        self._mcap = import_extra("mcap_ros2.writer", "bags")
+        self._path, self._closing = path, contextlib.ExitStack()
         self._schemas: dict[str, Any] = {}
+        self._writer: Any = None
 
     def write(self, topic: str, kind: str, time: float, frame: str = WORLD, **values: Any) -> None:
         """Writes a message.
@@ -79,6 +86,8 @@ class BagWriter:
         Raises:
             OutputError: if the file cannot be written.
         """
+        if self._writer is None:
+            self._open()
         if kind not in self._schemas:
             definition, _ = typestore().generate_msgdef(kind, ros_version=2)
             self._schemas[kind] = self._writer.register_msgdef(kind, definition)
@@ -87,9 +96,26 @@ class BagWriter:
         with output_errors(self._path):
             self._writer.write_message(topic, self._schemas[kind], message, round(time * SECOND))
 
+    def _open(self) -> None:
+        """Creates the file and its writer."""
+        with output_errors(self._path):
+            file = self._closing.enter_context(self._path.open("wb"))
+            # Compressed images and checksums would multiply the time to write and to read them.
+            none = self._mcap.CompressionType.NONE
+            self._writer = self._mcap.Writer(file, compression=none, enable_crcs=False)
+        self._closing.callback(self._writer.finish)
 
-@contextlib.contextmanager
-def new_bag(path: Path) -> Iterator[BagWriter]:
+    def close(self) -> None:
+        """Completes the file.
+
+        Raises:
+            OutputError: if the file cannot be written.
+        """
+        with output_errors(self._path):
+            self._closing.close()
+
+
+def new_bag(path: Path) -> contextlib.closing[BagWriter]:
     """Provides the writer of a bag, which is completed at the end of the `with` block, also after
     an exception.
 
@@ -97,16 +123,6 @@ def new_bag(path: Path) -> Iterator[BagWriter]:
         path: MCAP file of the bag, which is replaced; its folder exists.
 
     Raises:
-        OSError: if the file cannot be opened.
-        OutputError: if the file cannot be written.
         ValueError: if an optional package is not installed; names the extra that installs it.
     """
-    mcap = import_extra("mcap_ros2.writer", "bags")
-    file = path.open("wb")
-    # Compressed images and checksums would need several times the time to be written and read.
-    writer = mcap.Writer(file, compression=mcap.CompressionType.NONE, enable_crcs=False)
-    try:
-        yield BagWriter(writer, path)
-    finally:
-        with output_errors(path), file:
-            writer.finish()
+    return contextlib.closing(BagWriter(path))

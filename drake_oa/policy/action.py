@@ -278,6 +278,9 @@ class CouplingInputs(Frozen):
         shapes = coupling.ellipsoids if coupling.verified else ellipsoids
         if shapes is None:
             return combined
+        if route is not None and not len(route.direction_W) and route.baseline == 0.0:
+            # No side is selected before the first finite goal.
+            route = None
         return replace(combined, obstacles=_coupled(shapes, coupling, route))
 
     def hold_at(self, state: PolicyState, time: float, max_age: float) -> tuple[HoldReason, str]:

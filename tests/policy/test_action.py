@@ -157,7 +157,8 @@ def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
 
 def test_a_goal_that_is_not_finite_holds_the_motion() -> None:
     (moving,) = run(CouplingInputs(), 1)
-    held = STEPPED(moving, GOAL * np.nan, CouplingInputs(), STEP, STEP)
+    waiting = CouplingInputs.of(ball(), COUPLED, Route())
+    held = STEPPED(moving, GOAL * np.nan, waiting, STEP, STEP)
     assert (held.end.hold, held.end.p_WG.tolist()) == (HoldReason.GOAL, GOAL.tolist())
     assert STEPPED(held, GOAL, CouplingInputs(), 2 * STEP, STEP).end.hold is HoldReason.NONE
 

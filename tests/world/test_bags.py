@@ -144,8 +144,8 @@ def write_backward(bag: BagWriter) -> None:
 ERRORS: dict[str, tuple[str, Callable[[BagWriter], None], str]] = {
     "topics": (
         "",
-        lambda bag: None,
-        r"depth_topic: /camera/\S+ has no messages, not .*Image.*(?s:.*)joint_topic: .* no topics",
+        lambda bag: bag.write("/clock", "std_msgs/msg/Header", 1.0),
+        r"depth_topic: /camera/\S+ has no messages, not .*Image.*(?s:.*)joint_topic: .* /clock",
     ),
     "backward": (POSE, write_backward, "go backward, from 1000000000 to 9"),
     "size": (POSE, lambda bag: write_frame(bag, 1.0, width=2), "are 2 x 2 16UC1; .* of 3 x 2"),
