@@ -111,7 +111,7 @@ class Arm(BaseRobot):
         if not self.errors:
             self._commands = commands
             self._out.pass_to_input(self.input) if self.motion != "direct" else None
-        super().joint_position_control(self._commands[-1], has_new_command)
+        super().joint_position_control(self._commands[-1])
 
     def desired(self, now: float) -> tuple[np.ndarray, np.ndarray]:
         """Returns desired positions (7,) [rad], and velocities (7,) by the wall clock [rad/s]."""
