@@ -24,7 +24,7 @@ demo: $(STAMP)
 test: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 
-# Longer experiments: whole runs from depth, the gallery's figures, real scans.
+# Longer tests: runs of scenarios from depth, hardware in lockstep, searches, real scans.
 slow: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal -m slow
 
