@@ -204,7 +204,7 @@ def test_franka_second_client_and_wrong_host_are_refused(
     robot: Simulation, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot.connect()
-    monkeypatch.setattr(robot_link, "STARTUP_TIMEOUT", 5.0)
+    monkeypatch.setattr(robot_link, "STARTUP_TIMEOUT", 3.0)
     words = ["run", "fr3_box", "--no-log", "--hardware", "franka"]
     assert main([*words, "--host", robot.host]) == 1
     assert "does not answer: activate FCI, and end its other clients" in capsys.readouterr().err
@@ -235,6 +235,7 @@ def test_franka_run_arrives_without_contacts(name: str) -> None:
     assert report["delay"] <= 5
 
 
+@pytest.mark.slow
 def test_franka_run_that_is_stopped_has_a_log() -> None:
     robot = Simulation("fr3_box")
     setup = prepare_hardware(robot.scenario, robot.connect())

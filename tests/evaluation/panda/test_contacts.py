@@ -129,7 +129,7 @@ def test_velocity_is_correct_within_20_percent(struck, error, aside, is_known):
 
 
 def test_contacts_of_a_nominal_run_are_evaluated_end_to_end():
-    scenario = with_perception(draw_panda_scene(0, 0, kind="moving_hard"), "truth")
+    scenario = with_perception(draw_panda_scene(0, 0, kind="moving"), "truth")
     touched = run_and_evaluate(scenario, "nominal", "truth", criteria=Criteria(has_drp_rules=True))
     # Also by the rules of DRPBench.
     assert touched["outcome"] == touched["drp_outcome"] == "contact"
