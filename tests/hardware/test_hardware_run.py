@@ -33,14 +33,9 @@ from tests.test_systems import checked_systems
 def kernel_count() -> int:
     """Counts the kernels that are loaded, once for each combination of argument types."""
     # References to all objects, as from `gc.get_objects`, would fail checks of pydrake's threads.
-    kernels = {
-        kernel
-        for name, module in list(sys.modules.items())
-        if name.startswith("drake_oa")
-        for kernel in vars(module).values()
-        if isinstance(kernel, Dispatcher)
-    }
-    return sum(len(kernel.signatures) for kernel in kernels)
+    modules = [vars(each) for name, each in sys.modules.copy().items() if "drake_oa" in name]
+    values = [value for module in modules for value in module.values()]
+    return sum(len(value.signatures) for value in values if isinstance(value, Dispatcher))
 
 
 def run(lockstep: Lockstep, duration: float | None = None) -> MotionLog:
