@@ -123,7 +123,11 @@ def _public_classes(module: str) -> dict[str, str]:
 
 def _write_gallery(app: Sphinx) -> None:
     """Writes a page with every shipped scenario, its description and its recording."""
-    text = "# Gallery\n\nBy `drake-oa run NAME --meshcat`; with a robot, `drake-oa play NAME`.\n"
+    text = (
+        "# Gallery\n\nEach recording shows the avoiding motion of a shipped scenario. "
+        "`drake-oa run NAME --meshcat` shows it live; with a robot, `drake-oa play NAME` adds "
+        "controls. `gen3_*` and `ur5e_*` need `pip install 'drake_oa[robots]'`.\n"
+    )
     for name, file in shipped_scenarios().items():
         text += f"\n## {name}\n\n{description(file)}\n"
         recording = _HERE / "results" / "recordings" / f"{name}.webp"
