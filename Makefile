@@ -24,7 +24,7 @@ demo: $(STAMP)
 test: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 
-# Longer tests: runs of scenarios from depth, hardware in lockstep, searches, real scans.
+# Golden logs, runs with faults, moving obstacles or hardware in lockstep, the installed wheel.
 slow: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal -m slow
 
