@@ -9,7 +9,7 @@ as long as it explains the new cloud:
   is at least three standard deviations of a camera's noise at 1 m.
 - All but 5 % of the points from which the field was computed have a new point nearby.
 - The occluded part is unchanged: same view direction, same table, same maximum depth.
-- With several cameras, at most 5 % of the field's inner nodes are observed as free.
+- With several cameras, at most 5 % of the field's nodes deeper than a voxel are observed as free.
 
 The approximation is conservative: small parts that are no longer occupied may remain occupied.
 """
@@ -82,8 +82,8 @@ class PerceivedField(Frozen):
         points: (N, 3) observed points in the world frame [m].
         view_W: (n, 3) unit directions from each camera to the obstacle.
         max_depth: maximum depth of the occluded part, which is filled [m].
-        inside: (K, 3) sampled nodes inside the field that no image observed as free, in the frame
-            O of the obstacle [m]; (0, 3) with one camera.
+        inside: (K, 3) sampled nodes, more than a voxel below the field's surface, that no image
+            observed as free, in the frame O of the obstacle [m]; (0, 3) with one camera.
     """
 
     geometry: CollisionGeometry
@@ -203,7 +203,8 @@ def _create_field(
         seen_free=partial(seen_free, views) if views else None,
     )
     geometry = cloud_geometry(grid, name=name, label=f"obstacle {name}")
-    nodes = np.flatnonzero((grid.values < 0.0) & (len(viewpoints_W) > 1))
+    # Noise, and errors of the velocity, move the surface by less than a voxel.
+    nodes = np.flatnonzero((grid.values < -grid.voxel) & (len(viewpoints_W) > 1))
     nodes = nodes[:: max(1, len(nodes) // _MAX_INSIDE_NODES)]
     inside = grid.voxel * np.array(np.unravel_index(nodes, grid.values.shape), dtype=float).T
     # By noise, some nodes at the surface are in front of the measured depth: leave them out.

@@ -150,6 +150,16 @@ def test_space_occluded_from_all_cameras_is_filled():
     assert distance(found.scene.geometries, 0, CENTER) <= 0.0
 
 
+def test_fields_are_reused_under_noise_of_two_cameras():
+    eyes, now, grids = np.stack([CAMERA, OTHER]), PerceivedSceneState(), set()
+    images = [image(eye, BOARD) for eye in eyes]
+    for stamp in range(1, 6):
+        views = [x._replace(z=x.z + 0.01 * RNG.normal(size=x.z.shape)) for x in images]
+        now = update_scene(now, clouds(box(THIN), stamp=float(stamp)), eyes, views)
+        grids.add(id(now.fields[0].grid))
+    assert len(grids) == 1
+
+
 def test_a_truncated_obstacle_is_extended_unless_observed_as_free():
     X_WC = image(CAMERA).X_WC
     last = (post(0.2)[-1] - X_WC[:3, 3]) @ X_WC[:3, :3]

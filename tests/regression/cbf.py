@@ -379,16 +379,11 @@ def run_suite(
 
 def _row(kind: str, results: Sequence[dict[str, Any]]) -> str:
     """Returns a table's row with the numbers of outcomes of a kind of scenes."""
-    outcomes = [result["outcome"] for result in results]
-    has_drp_rules = [result["drp_outcome"] for result in results]
-    counts = [outcomes.count(name) for name in ("contact", "success", "stopped")]
-    at_rest = sum(
-        result["outcome"] != "contact"
-        and bool(result["settled"])
-        and result["at_rest_error"] <= AT_GOAL
-        for result in results
-    )
-    counts += [at_rest, has_drp_rules.count("contact"), has_drp_rules.count("success")]
+    names = ("contact", "success", "stopped")
+    counts = [sum(result["outcome"] == name for result in results) for name in names]
+    resting = [row for row in results if row["outcome"] != "contact" and row["settled"]]
+    counts.append(sum(row["at_rest_error"] <= AT_GOAL for row in resting))
+    counts += [sum(row["drp_outcome"] == name for row in results) for name in names[:2]]
     return f"| {kind} | {len(results)} | {' | '.join(map(str, counts))} |"
 
 
