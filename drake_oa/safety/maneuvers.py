@@ -114,10 +114,13 @@ _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
-_MAX_CLAIM_WORK = 46
+_RETURN_FRACTIONS = (1.0, 0.6, 0.3)
+"""Fractions of the highest speed at which candidate maneuvers return to the verified motion
+(checked by simulation), besides the slow return [-]."""
+_MAX_CLAIM_WORK = 42
 """Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
-decision checks no further trajectories except braking, so that its simulated latency is below the
-period of 33 ms [-]."""
+decision checks only braking and the slow return to the verified motion (checked by simulation), so
+that its simulated latency is below the period of 33 ms [-]."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
 """Additional cost of a trajectory that violates claim "A" or "B" of passive motion safety [s]; less
 than the cost of any predicted contact.
@@ -332,23 +335,34 @@ class GuardSearch:
             model: collision models of the decision.
             options: first M of N candidate trajectories: the verified motion (checked by
                 simulation) at several speeds, the active maneuver, and braking.
-            evasions: the other N - M candidates, with the times at which their second legs start.
+            evasions: the other N - M candidates, with the times at which their second legs start;
+                first the slow and the fastest return to the verified motion.
             q: (N, T, n) configurations along the trajectories [rad].
             cost: (N,) costs of the trajectories without the costs of violated claims [s].
         """
         inputs, min_cost = model.inputs, math.inf
         claim: Claim = ""
+        claims: dict[int, Claim] = {}
         selected = self.brake(inputs.q, inputs.v)
-        brakes = [row for row, option in enumerate(options) if option.action == "brake"]
+        always = [row for row, option in enumerate(options) if option.action == "brake"]
+        slow, reduction = len(options), 0.0
+        if len(q) > slow:
+            always.append(slow)
+            delay = self._delay(q[slow : slow + 2], inputs)
+            reduction = float(delay[0] - delay[1])
         with counted() as work:
-            for row in [*cost.argsort().tolist(), *brakes]:
-                is_skipped = work["claims"] > _MAX_CLAIM_WORK and row not in brakes
-                if is_skipped or cost[row] >= min_cost:
+            for row in [*cost.argsort().tolist(), *always]:
+                is_skipped = work["claims"] > _MAX_CLAIM_WORK and row not in always
+                # Claim (B) forbids the fastest return; then the slow one counts as no later.
+                row_cost = cost[row] - (reduction if row == slow and claim == "B" else 0.0)
+                if is_skipped or row_cost >= min_cost:
                     continue
-                violation = self._find_violated_claim(q[row], inputs)
+                if row not in claims:
+                    claims[row] = self._find_violated_claim(q[row], inputs)
+                violation = claims[row]
                 claim = claim or violation
-                if cost[row] + _VIOLATION_COSTS[violation] < min_cost:
-                    min_cost = cost[row] + _VIOLATION_COSTS[violation]
+                if row_cost + _VIOLATION_COSTS[violation] < min_cost:
+                    min_cost = row_cost + _VIOLATION_COSTS[violation]
                     k = row - len(options)
                     selected = options[row] if k < 0 else _evasion(evasions, k)
         return replace(selected, claim=claim, obstacle=model.nearest)
@@ -413,14 +427,23 @@ class GuardSearch:
             model: collision models of the decision.
             q: (N, T, n) configurations along the maneuvers [rad].
         """
-        horizon, deviation = self._times[-1], np.abs(q - model.inputs.q_path) / self.speed
-        return_time, angle = deviation.max(axis=2), self._turns(q, model.inputs)
-        delay = horizon + return_time[:, -1] + 0.3 * deviation[:, -1].mean(axis=1)
-        delay += self._interval * return_time.sum(axis=1)
-        turn = horizon * angle.mean(axis=1)
-        cost = self._obstacle_cost(model, q) + delay + _TURN_WEIGHT * turn
+        angle = self._turns(q, model.inputs)
+        turn = self._times[-1] * angle.mean(axis=1)
+        cost = self._obstacle_cost(model, q) + self._delay(q, model.inputs) + _TURN_WEIGHT * turn
         limit = np.maximum(self._turn_limit, angle[:, 0]) + _DISTANCE_SLACK
         return np.where(angle[:, 1:].max(axis=1) > limit, math.inf, cost)
+
+    def _delay(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
+        """Computes the term `delay` (N,) of the costs of N maneuvers [s].
+
+        Args:
+            q: (N, T, n) configurations along the maneuvers [rad].
+            inputs: inputs of the decision.
+        """
+        deviation = np.abs(q - inputs.q_path) / self.speed
+        return_time = deviation.max(axis=2)
+        delay = self._times[-1] + return_time[:, -1] + 0.3 * deviation[:, -1].mean(axis=1)
+        return np.asarray(delay + self._interval * return_time.sum(axis=1))
 
     def _turns(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
         """Computes the angles between the tool's orientation along N trajectories and its
@@ -533,7 +556,9 @@ class GuardSearch:
         p, max_speed = self._parameters, self.speed * inputs.speed_fraction
         q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
         rows = [(m.target, m.speed, m.switch - inputs.begin) for m in maneuvers]
-        for fraction in (1.0, 0.6, 0.3, 0.12):
+        fastest = _synchronized_speeds(inputs.q, q_path, max_speed, 1.0)
+        slow = p.v_unseen / max(float(fastest @ self._chain.reach), p.v_unseen)
+        for fraction in (slow, *_RETURN_FRACTIONS):
             speed = _synchronized_speeds(inputs.q, q_path, max_speed, fraction)
             rows.append((np.array([q_path, q_path]), np.array([speed, speed]), math.inf))
         speed = np.array([max_speed, _synchronized_speeds(q_rest, q_path, max_speed, 0.9)])

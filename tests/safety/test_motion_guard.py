@@ -18,6 +18,7 @@ from drake_oa.geometry.collision_scene import (
     geometries_of,
     geometry_of,
 )
+from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.planning.collision_model import group_distances
 from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import tool_poses
@@ -34,7 +35,7 @@ LIMIT = GuardParameters().acceleration_limit
 class Bench:
     """`MotionGuard` at rest on its path, with a robot that follows its command exactly."""
 
-    def __init__(self, panda: ArmAlone, turn_limit: float | None = None) -> None:
+    def __init__(self, panda: ArmAlone, limit: float | None = None, **fields: float) -> None:
         self.arm, self.q, self.size = panda, np.array(panda.q), len(panda.q_full)
         self.index = panda.chain.q_index
         self.X_WE = panda.X_WE
@@ -46,9 +47,9 @@ class Bench:
             5.0,
             self.q,
             config=Policy(alpha_k=0.5, period=STEP),
-            parameters=GuardParameters(),
+            parameters=GuardParameters(**fields),
             period=FRAME,
-            turn_limit=turn_limit,
+            turn_limit=limit,
         )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
@@ -120,6 +121,14 @@ def test_the_arm_evades_a_ball_and_returns(panda: ArmAlone, v_WO: tuple[float, .
     after = bench.run(2.0)
     np.testing.assert_allclose(after["x"][-1, :7], bench.q, atol=2e-3)
     assert (after["action"][-1], after["scale"][-1]) == (0.0, 1.0)
+
+
+def test_the_arm_returns_through_unobserved_space(panda: ArmAlone) -> None:
+    bench = Bench(panda, obstacle_speed=0.8, seed=3)
+    bench.fix(free_space_W=FreeSpace((None,), 0.0))
+    found = bench.run(1.8, bench.arriving(1.2, 0.0, -0.5, 0.0))
+    assert np.abs(found["x"][:, :7] - bench.q).max() > 0.2
+    np.testing.assert_allclose(bench.run(4.0)["x"][-1, :7], bench.q, atol=2e-3)
 
 
 def test_the_desired_position_moves_to_an_arm_that_cannot_return(panda: ArmAlone) -> None:
