@@ -37,7 +37,7 @@ from drake_oa.planning.collision_model import (
 )
 from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import Chain, tool_poses
-from drake_oa.robot.spheres import ArmSpheres
+from drake_oa.robot.spheres import ArmSpheres, sphere_centers
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.joint_motions import (
     Legs,
@@ -117,6 +117,9 @@ _N_PARENTS = 8
 _RETURN_FRACTIONS = (1.0, 0.6, 0.3)
 """Fractions of the highest speed at which candidate maneuvers return to the verified motion
 (checked by simulation), besides the slow return [-]."""
+_SLOW_RETURN_FRACTION = 0.9
+"""Fraction of `v_unseen` at which the fastest point of the arm begins the slow return to the
+verified motion (checked by simulation), since its speed changes on the way [-]."""
 _MAX_CLAIM_WORK = 42
 """Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
 decision checks only braking and the slow return to the verified motion (checked by simulation), so
@@ -557,7 +560,10 @@ class GuardSearch:
         q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
         rows = [(m.target, m.speed, m.switch - inputs.begin) for m in maneuvers]
         fastest = _synchronized_speeds(inputs.q, q_path, max_speed, 1.0)
-        slow = p.v_unseen / max(float(fastest @ self._chain.reach), p.v_unseen)
+        begin = np.array([inputs.q, inputs.q + self._step * np.sign(q_path - inputs.q) * fastest])
+        step = np.diff(sphere_centers(self._chain, self._arm_spheres.arrays, begin), axis=0)
+        point_speed = float(np.linalg.norm(step, axis=2).max()) / self._step
+        slow = _SLOW_RETURN_FRACTION * p.v_unseen / max(point_speed, p.v_unseen)
         for fraction in (slow, *_RETURN_FRACTIONS):
             speed = _synchronized_speeds(inputs.q, q_path, max_speed, fraction)
             rows.append((np.array([q_path, q_path]), np.array([speed, speed]), math.inf))

@@ -128,7 +128,7 @@ def test_the_arm_returns_through_unobserved_space(panda: ArmAlone) -> None:
     bench.fix(free_space_W=FreeSpace((None,), 0.0))
     found = bench.run(1.8, bench.arriving(1.2, 0.0, -0.5, 0.0))
     assert np.abs(found["x"][:, :7] - bench.q).max() > 0.2
-    np.testing.assert_allclose(bench.run(4.0)["x"][-1, :7], bench.q, atol=2e-3)
+    np.testing.assert_allclose(bench.run(2.0)["x"][-1, :7], bench.q, atol=2e-3)
 
 
 def test_the_desired_position_moves_to_an_arm_that_cannot_return(panda: ArmAlone) -> None:
