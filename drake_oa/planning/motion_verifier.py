@@ -216,7 +216,8 @@ class MotionVerifier(LeafSystem):
             context: context of the system, from which the current state is read.
         """
         is_infeasible = active.prediction.shortfall > 0.0 or active.command.note
-        if is_infeasible or not active.scene.same_as(result.scene):
+        # A motion that restarts is predicted from the rest in which the arm still is.
+        if is_infeasible or result.command.restart or not active.scene.same_as(result.scene):
             return False
         inputs, is_valid = self._inputs(context), self._search.is_still_valid
         # Both may be invalid during a maneuver of MotionGuard: the new decision is kept then.

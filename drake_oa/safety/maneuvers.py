@@ -492,8 +492,12 @@ class GuardSearch:
         motion = inputs.motion
         if not len(motion.q):
             return np.tile(inputs.q, (_SAMPLES, 1))
-        s = inputs.s + self._interval * np.cumsum(self._rates(inputs, scale))
-        offset = inputs.q - motion.joints(inputs.s)
+        begin, deviation = inputs.s, np.abs(motion.q - inputs.q).max(axis=1)
+        if 2.0 * deviation.min() < np.abs(inputs.q - motion.joints(begin)).max():
+            # The arm is late on its path: it is there at another time than predicted.
+            begin = motion.s[deviation.argmin()]
+        s = begin + self._interval * np.cumsum(self._rates(inputs, scale))
+        offset = inputs.q - motion.joints(begin)
         return np.asarray(motion.joints(s) + np.exp(-_OFFSET_DECAY * self._times)[:, None] * offset)
 
     def _roll_out(self, legs: Legs, inputs: GuardInputs) -> FloatArray:

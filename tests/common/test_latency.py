@@ -42,14 +42,8 @@ class Bench:
     """Simulation of a `MotionVerifier` with a scripted search."""
 
     def __init__(self, search: Scripted, compute_latency: LatencyModel | None = SLOW) -> None:
-        self.system = MotionVerifier(
-            search,  # type: ignore[arg-type]
-            (0,),
-            2,
-            period=PERIOD,
-            compute_latency=compute_latency,
-            step=STEP,
-        )
+        times = {"period": PERIOD, "compute_latency": compute_latency, "step": STEP}
+        self.system = MotionVerifier(search, (0,), 2, **times)  # type: ignore[arg-type]
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.policy = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL, speed=0.2)
@@ -124,3 +118,11 @@ def test_a_pending_decision_is_discarded_after_a_change(change: str) -> None:
     assert bench.at(0.245).tau == 1.1
     assert search.requested[2].command.tau == 1.1
     assert bench.at(0.27).tau == 1.3
+
+
+def test_a_pending_restart_of_a_resting_motion_is_not_discarded() -> None:
+    restart = SelectedMotion().with_changes(command={"tau": 1.2, "restart": True})
+    search = Scripted(2, *choices(1.1), restart)
+    search.invalid_taus, bench = (1.2,), Bench(search)
+    bench.fix(policy_state=replace(bench.policy, speed=0.0))
+    assert bench.at(0.195).tau == 1.2
