@@ -208,7 +208,8 @@ class MotionVerifier(LeafSystem):
     ) -> bool:
         """Checks whether a completed decision is no longer valid while the active decision is.
 
-        A motion is valid if it still achieves its predicted clearance from the current state.
+        A motion is valid if it still achieves its predicted clearance from the current state. A
+        motion that restarts begins at rest, and is not compared.
 
         Args:
             result: completed decision.
@@ -216,7 +217,6 @@ class MotionVerifier(LeafSystem):
             context: context of the system, from which the current state is read.
         """
         is_infeasible = active.prediction.shortfall > 0.0 or active.command.note
-        # A motion that restarts is predicted from the rest in which the arm still is.
         if is_infeasible or result.command.restart or not active.scene.same_as(result.scene):
             return False
         inputs, is_valid = self._inputs(context), self._search.is_still_valid

@@ -206,7 +206,8 @@ class GuardInputs(Frozen):
         q, v: (n,) predicted positions [rad] and velocities [rad/s] of the joints at `begin`.
         q_path: (n,) configuration on the verified motion at the current phase [rad].
         is_on_path: whether the arm follows the verified motion, or rests on it.
-        s: normalized time of the verified motion at `begin`.
+        s: normalized time at which the arm is predicted to be where it is at `begin`
+            (`time_on_path`).
         rate, full_rate: ds/dt at the current and at full speed [1/s].
         motion: verified motion; without configurations: no motion is verified.
         scene: collision scene, all collision geometry except the robot's.
@@ -228,6 +229,25 @@ class GuardInputs(Frozen):
     speed_fraction: float
     decision_count: int
     free_space: FreeSpace | None
+
+
+def time_on_path(motion: PlannedMotion, q: FloatArray, s: float) -> float:
+    """Returns the normalized time at which the arm is predicted to be at a configuration.
+
+    An arm may be late on its path, so that it is there at another time than predicted. The result
+    is then the time of the nearest sample of the motion, if this sample is less than half as far
+    away as the configuration at the predicted time.
+
+    Args:
+        motion: verified motion (checked by simulation); without configurations, the result is s.
+        q: (n,) configuration of the arm [rad].
+        s: normalized time at which the arm is predicted to be at `q`.
+    """
+    if not len(motion.q):
+        return s
+    deviation = np.abs(motion.q - q).max(axis=1)
+    is_late = 2.0 * deviation.min() < np.abs(q - motion.joints(s)).max()
+    return float(motion.s[deviation.argmin()]) if is_late else s
 
 
 class GuardSearch:
@@ -348,16 +368,16 @@ class GuardSearch:
         claims: dict[int, Claim] = {}
         selected = self.brake(inputs.q, inputs.v)
         always = [row for row, option in enumerate(options) if option.action == "brake"]
-        slow, reduction = len(options), 0.0
-        if len(q) > slow:
-            always.append(slow)
-            delay = self._delay(q[slow : slow + 2], inputs)
-            reduction = float(delay[0] - delay[1])
+        slow = len(options)
+        always += [slow] if len(q) > slow else []
         with counted() as work:
             for row in [*cost.argsort().tolist(), *always]:
                 is_skipped = work["claims"] > _MAX_CLAIM_WORK and row not in always
-                # Claim (B) forbids the fastest return; then the slow one counts as no later.
-                row_cost = cost[row] - (reduction if row == slow and claim == "B" else 0.0)
+                row_cost = float(cost[row])
+                if row == slow and claim == "B":
+                    # The claim forbids the fastest return; the slow one counts as no later.
+                    slow_delay, fastest_delay = self._delay(q[slow : slow + 2], inputs).tolist()
+                    row_cost -= slow_delay - fastest_delay
                 if is_skipped or row_cost >= min_cost:
                     continue
                 if row not in claims:
@@ -492,12 +512,8 @@ class GuardSearch:
         motion = inputs.motion
         if not len(motion.q):
             return np.tile(inputs.q, (_SAMPLES, 1))
-        begin, deviation = inputs.s, np.abs(motion.q - inputs.q).max(axis=1)
-        if 2.0 * deviation.min() < np.abs(inputs.q - motion.joints(begin)).max():
-            # The arm is late on its path: it is there at another time than predicted.
-            begin = motion.s[deviation.argmin()]
-        s = begin + self._interval * np.cumsum(self._rates(inputs, scale))
-        offset = inputs.q - motion.joints(begin)
+        s = inputs.s + self._interval * np.cumsum(self._rates(inputs, scale))
+        offset = inputs.q - motion.joints(inputs.s)
         return np.asarray(motion.joints(s) + np.exp(-_OFFSET_DECAY * self._times)[:, None] * offset)
 
     def _roll_out(self, legs: Legs, inputs: GuardInputs) -> FloatArray:

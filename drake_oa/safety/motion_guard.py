@@ -45,6 +45,7 @@ from drake_oa.safety.maneuvers import (
     GuardDecision,
     GuardInputs,
     GuardSearch,
+    time_on_path,
 )
 from drake_oa.safety.supervision import (
     Supervision,
@@ -681,7 +682,7 @@ class MotionGuard(LeafSystem):
             v=x[n:],
             q_path=x[:n] if decision.follows else state.path[:n],
             is_on_path=state.is_on_path,
-            s=s + policy.speed * (begin - policy.stamp),
+            s=time_on_path(motion, x[:n], s + policy.speed * (begin - policy.stamp)),
             rate=policy.speed,
             full_rate=1.0 / (policy.tau * duration),
             motion=motion,

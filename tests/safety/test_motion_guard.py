@@ -35,7 +35,7 @@ LIMIT = GuardParameters().acceleration_limit
 class Bench:
     """`MotionGuard` at rest on its path, with a robot that follows its command exactly."""
 
-    def __init__(self, panda: ArmAlone, limit: float | None = None, **fields: float) -> None:
+    def __init__(self, panda: ArmAlone, turn_limit: float | None = None, **fields: float) -> None:
         self.arm, self.q, self.size = panda, np.array(panda.q), len(panda.q_full)
         self.index = panda.chain.q_index
         self.X_WE = panda.X_WE
@@ -49,7 +49,7 @@ class Bench:
             config=Policy(alpha_k=0.5, period=STEP),
             parameters=GuardParameters(**fields),
             period=FRAME,
-            turn_limit=limit,
+            turn_limit=turn_limit,
         )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()

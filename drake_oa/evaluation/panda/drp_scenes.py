@@ -320,7 +320,7 @@ def _draw_flying_boxes(
         box.present = [0.0, end]
         if min(-back, ahead) < 2.0 * _SPACING or not _is_clear(box, motion, _MIN_DISTANCE):
             return []
-        # A turn less than a step before the end would have the end's time.
+        # A turn just before the end would have the same rounded time as the end.
         turned = np.arange(ahead, speed * (end - _STEP), line_length) / speed
         t = np.array([0.0, *turned, end])
         # Distance flown without reversal, folded between both ends of the line.
