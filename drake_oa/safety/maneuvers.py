@@ -26,7 +26,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from drake_oa.common.latency import counted
-from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion, zeros
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, PlannedMotion, zeros
 from drake_oa.geometry.collision_scene import CollisionScene
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.planning.collision_model import (
@@ -214,6 +214,7 @@ class GuardInputs(Frozen):
         speed_fraction: fraction of the maneuvers' speed limits that may be used.
         decision_count: number of previous decisions, which seeds the random candidates.
         free_space: space observed as free; None: all space outside collision geometry.
+        may_move: (K,) whether each geometry of the scene moves, or paused a short time ago.
     """
 
     begin: float
@@ -229,6 +230,7 @@ class GuardInputs(Frozen):
     speed_fraction: float
     decision_count: int
     free_space: FreeSpace | None
+    may_move: BoolArray
 
 
 def time_on_path(motion: PlannedMotion, q: FloatArray, s: float) -> float:
@@ -417,7 +419,7 @@ class GuardSearch:
         motion = np.concatenate([followed[: m + 1], braking[0]])
         return violated_claim(
             self._chain, self._arm_spheres.arrays, t, motion, inputs.scene, inputs.free_space,
-            V=p.obstacle_speed, v_unseen=p.v_unseen,
+            V=p.obstacle_speed, v_unseen=p.v_unseen, may_move=inputs.may_move,
         )  # fmt: skip
 
     def _evaluate(self, model: _GuardModel, q: FloatArray) -> MotionCosts:

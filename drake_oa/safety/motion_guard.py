@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 from pydrake.common.value import Value
@@ -88,6 +90,9 @@ that of the joint error [-]."""
 _MAX_PERIODS = 3.0
 """Number of periods without a newer decision of the motion guard after which the motion is held, or
 a maneuver is replaced by braking [-]."""
+_PAUSE = 2.0
+"""Time for which claim (A) of passive motion safety applies to an obstacle that has come to rest,
+because it may move again [s]."""
 _VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
 """Verbs for the supervisor's actions (slow, hold, stop) in log messages."""
 
@@ -117,6 +122,8 @@ class GuardState(Frozen):
             held [s].
         decision_count: number of decisions so far.
         supervision: state of the supervisor, which scales the speed of the motion.
+        last_moved: label of each geometry that moved less than `_PAUSE` ago -> stamp of the last
+            observation in which it moved [s].
     """
 
     end: float = -math.inf
@@ -133,6 +140,7 @@ class GuardState(Frozen):
     slow_until: float = -math.inf
     decision_count: int = 0
     supervision: Supervision = field(default_factory=Supervision)
+    last_moved: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def decision(self) -> GuardDecision:
@@ -453,8 +461,7 @@ class MotionGuard(LeafSystem):
         """Returns the guard state in which the arm starts to brake from a joint state x (2n,) [rad,
         rad/s], and older decisions are discarded.
         """
-        maneuver = self._search.brake(*np.split(x, 2))
-        pending = replace(state.pending.discard(), active=maneuver)
+        pending = replace(state.pending.discard(), active=self._search.brake(*np.split(x, 2)))
         return replace(state, pending=pending, expiry=math.inf)
 
     def _activate(self, state: GuardState, time: float) -> GuardState:
@@ -520,7 +527,7 @@ class MotionGuard(LeafSystem):
         is_late = state.decision.follows and time > state.expiry
         limits = [
             monitor_observation(scene, time, self._max_fresh_age, self._config.max_observation_age),
-            monitor_guard(state.decision, time, is_late=is_late, has_moving=scene.moves),
+            monitor_guard(state.decision, time, is_late=is_late, has_moving=bool(state.last_moved)),
             monitor_contact(time < state.slow_until),
         ]
         if state.decision.follows:
@@ -533,11 +540,9 @@ class MotionGuard(LeafSystem):
         result = supervise(previous, limits, time, self._step_length, is_waiting=is_waiting)
         last = state.supervision
         if (result.action, result.cause) != (last.action, last.cause):
-            message = (
-                f"{_VERBS[result.action]}: {result.reason}"
-                if result.reason
-                else "resumes full speed"
-            )
+            message = "resumes full speed"
+            if result.reason:
+                message = f"{_VERBS[result.action]}: {result.reason}"
             _logger.warning("t=%.3f s: supervisor %s", time, message)
         return replace(state, supervision=result)
 
@@ -606,7 +611,8 @@ class MotionGuard(LeafSystem):
             state: state of the guard.
             deviation: maximum joint deviation from the verified motion [rad].
             time: current time [s].
-            has_moving: whether an obstacle moves; a moving arm then may still be evading.
+            has_moving: whether an obstacle moves; a moving arm then may still be evading. Beside an
+                obstacle that pauses, a resting arm may wait.
 
         Returns:
             Time since which there is no progress [s], inf if the arm is on the motion; and minimum
@@ -618,7 +624,8 @@ class MotionGuard(LeafSystem):
         if state.is_stuck:
             return state.stuck_since, state.min_deviation
         is_at_rest = time > state.slow_until and state.speed <= _REST_SPEED
-        if (has_moving and not is_at_rest) or deviation < state.min_deviation - _MIN_PROGRESS:
+        may_progress = not is_at_rest if has_moving else bool(state.last_moved)
+        if may_progress or deviation < state.min_deviation - _MIN_PROGRESS:
             return time, deviation
         return min(state.stuck_since, time), state.min_deviation
 
@@ -631,6 +638,10 @@ class MotionGuard(LeafSystem):
         scene = self._scene(context)
         if current.pending.pending is not None or -math.inf in (scene.stamp, current.end):
             return EventStatus.DidNothing()
+        moving, begin = compress(scene.labels, scene.geometries.moving), scene.stamp - _PAUSE
+        last_moved = {**current.last_moved, **dict.fromkeys(moving, scene.stamp)}
+        last_moved = {label: stamp for label, stamp in last_moved.items() if stamp > begin}
+        current = replace(current, last_moved=last_moved)
         inputs = self._inputs(context, current, scene, time)
         pending = current.pending.start(
             lambda decision: self._search.decide(decision, inputs), time, self._compute_latency
@@ -690,6 +701,7 @@ class MotionGuard(LeafSystem):
             speed_fraction=self._slow_fraction if time < state.slow_until else 1.0,
             decision_count=state.decision_count,
             free_space=self._free_space.find(context),
+            may_move=np.isin(scene.labels, list(state.last_moved)),
         )
 
 

@@ -7,8 +7,8 @@ than V can touch sphere i at time t only if at s it was within the distance
 
     rho_i(t) = r_i + V (t - s)
 
-of the position c_i(t). Let d_i(t) be the distance of c_i(t) to the moving obstacles at their
-positions at s. A trajectory violates claim
+of the position c_i(t). Let d_i(t) be the distance of c_i(t) to the obstacles that move, or
+have come to rest a short time before s, at their positions at s. A trajectory violates claim
 
     (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases faster than 0.02 m/s
     (B)  if u_i(t) . n > v_unseen for a direction n from c_i(t) to a point within rho_i(t) that is
@@ -29,7 +29,7 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.latency import count
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.collision_scene import (
     CollisionGeometries,
     CollisionScene,
@@ -72,6 +72,7 @@ def violated_claim(
     *,
     V: float,
     v_unseen: float,
+    may_move: BoolArray | None = None,
 ) -> Claim:
     """Finds the first claim of passive motion safety that a trajectory of the arm violates: "A",
     "B", or "" for none.
@@ -88,14 +89,16 @@ def violated_claim(
             claim B always holds.
         V: maximum speed of obstacles [m/s].
         v_unseen: maximum speed toward unobserved space [m/s].
+        may_move: (K,) geometries to which claim A applies; None: those that move.
     """
     geometries = scene.geometries
+    may_move = geometries.moving if may_move is None else may_move
     p_WS = sphere_centers(chain, spheres, np.ascontiguousarray(q))
     dt = np.diff(t)[:, None]
     reach = spheres.radius + V * (t[:-1] - scene.stamp)[:, None]
     count(claims=1)
-    if scene.moves:
-        moving = geometries.select(geometries.moving)
+    if may_move.any():
+        moving = geometries.select(may_move)
         # Within a step rho grows and the distance decreases: check the end of each step.
         if _is_any_approaching(p_WS, reach + V * dt, np.diff(t), moving, scene.stamp):
             return "A"

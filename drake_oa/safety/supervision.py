@@ -231,7 +231,7 @@ def monitor_guard(
         decision: active decision of the guard.
         time: current time [s].
         is_late: whether the decision has expired because no newer one was completed in time.
-        has_moving: whether an obstacle moves; then a wait is expected to end by itself.
+        has_moving: whether an obstacle moves or pauses; then a wait is expected to end by itself.
     """
     if is_late:
         return SpeedLimit(

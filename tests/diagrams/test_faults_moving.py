@@ -51,9 +51,7 @@ CASES = {
     ),
     "a camera stops for good": Case((dropouts(1.0, duration=1000.0),), None, SAFE, UNSEEN),
     "delayed observations": Case(customize=delayed_observations(0.2), logs=UNSEEN),
-    "a step in the table's height": Case(
-        customize=raised_table(1.5, 0.3), ends=SAFE, logs="brakes for an obstacle"
-    ),
+    "a raised table": Case(customize=raised_table(1.5, 0.3), ends=SAFE, logs="contact with table"),
     "collision scene with NaN": Case(
         customize=nan_geometries(1.0, 2.0), logs="the collision scene is not finite"
     ),

@@ -39,24 +39,17 @@ class Bench:
         self.arm, self.q, self.size = panda, np.array(panda.q), len(panda.q_full)
         self.index = panda.chain.q_index
         self.X_WE = panda.X_WE
-        self.p_WE = self.X_WE[9:]
+        self.p_WE = p_WE = self.X_WE[9:]
         self.system = MotionGuard(
-            panda.robot,
-            panda.chain,
-            panda.arm_spheres,
-            5.0,
-            self.q,
-            config=Policy(alpha_k=0.5, period=STEP),
-            parameters=GuardParameters(**fields),
-            period=FRAME,
-            turn_limit=turn_limit,
-        )
+            panda.robot, panda.chain, panda.arm_spheres, 5.0, self.q,
+            config=Policy(alpha_k=0.5, period=STEP), parameters=GuardParameters(**fields),
+            period=FRAME, turn_limit=turn_limit,
+        )  # fmt: skip
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.x = np.zeros(2 * self.size)
         self.x[self.index] = self.q
         quaternion = RotationMatrix(self.X_WE[:9].reshape(3, 3)).ToQuaternion().wxyz()
-        p_WE = self.X_WE[9:]
         policy = PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE, speed=0.0, phase=0.2)
         motion = PlannedMotion(np.array([3.0, 4.0]), np.tile(p_WE, (2, 1)), np.tile(self.q, (2, 1)))
         self.fix = partial(fix, self.system, self.context)
@@ -129,6 +122,16 @@ def test_the_arm_returns_through_unobserved_space(panda: ArmAlone) -> None:
     found = bench.run(1.8, bench.arriving(1.2, 0.0, -0.5, 0.0))
     assert np.abs(found["x"][:, :7] - bench.q).max() > 0.2
     np.testing.assert_allclose(bench.run(2.0)["x"][-1, :7], bench.q, atol=2e-3)
+
+
+def test_the_arm_does_not_approach_an_obstacle_that_pauses(panda: ArmAlone) -> None:
+    bench = Bench(panda, obstacle_speed=0.8)
+    bench.run(1.2, bench.arriving(1.2, -0.5, 0.0, 0.0))
+    # The ball pauses 0.15 m from the previous position of the hand.
+    paused = replace(bench.arriving(0.3, -0.5, 0.0, 0.0), v_WO=np.zeros(3))
+    deviation = np.abs(bench.run(5.0, paused)["x"][:, :7] - bench.q).max(axis=1)
+    assert deviation[: round(1.9 / STEP)].min() > 0.05
+    assert deviation[-1] < 2e-3
 
 
 def test_the_desired_position_moves_to_an_arm_that_cannot_return(panda: ArmAlone) -> None:

@@ -25,9 +25,9 @@ their poses of time s. The claims are violated at t_k if for some i
 
 with e = 0.02 m/s.
 
-On (A): an object moves at s if its trajectory displaces it by more than 1 mm from s - 33 ms to s +
-33 ms. The claim assumes that an object observed at rest stays at rest for the time in which the arm
-stops.
+On (A): an object moves at s if its speed exceeded 1 mm/s at some time from s - 2 s to s, since an
+object that pauses may move again. The claim assumes that an object at rest for 2 s stays at rest
+for the time in which the arm stops.
 
 On (B): only the speed toward unobserved places is limited. The arm occludes space behind it in
 every image, so that unobserved space is near each of its points at all times.
@@ -72,12 +72,11 @@ _MAX_DISTANCE = 1e3
 _SURFACE_MARGIN = 0.01
 """Distance from a surface up to which a place counts as occupied, since the pixels of depth images
 have a finite size [m]."""
-_MIN_DISPLACEMENT = 1e-3
-"""Displacement of an object in 66 ms, twice `_DISPLACEMENT_TIME`, above which the object counts as
-moving [m]."""
-_DISPLACEMENT_TIME = 0.033
-"""Time before and after the measurement of an observation between which the displacement of an
-object is evaluated, to decide whether it moves [s]."""
+_MIN_SPEED, _MAX_SPEED = 1e-3, 100.0
+"""Speeds between which an object counts as moving [m/s]. A faster one appears or vanishes."""
+_PAUSE = 2.0
+"""Time for which an object that has come to rest still counts as moving, since it may move again
+[s]."""
 _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
 """Places (53, 3) in the unit ball, scaled to the surroundings of each point of the arm to check
 which space is observed: the center, and 26 directions at half and at full radius."""
@@ -151,10 +150,12 @@ def _row(world: TrueWorld, time: float) -> int:
 
 
 def _moves_at(world: TrueWorld, time: float) -> BoolArray:
-    """Computes a mask (K,) of those collision geometries of `world` that move at a time [s]."""
-    rows = [_row(world, time + offset) for offset in (-_DISPLACEMENT_TIME, _DISPLACEMENT_TIME)]
-    before, after = world.ball[rows, :, :3]
-    return np.asarray(np.linalg.norm(after - before, axis=1) > _MIN_DISPLACEMENT)
+    """Computes a mask (K,) of those collision geometries of `world` that move at a time [s], or
+    moved less than `_PAUSE` before.
+    """
+    position = world.ball[_row(world, time - _PAUSE) : _row(world, time) + 1, :, :3]
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=2) / STEP
+    return np.asarray(((speed > _MIN_SPEED) & (speed < _MAX_SPEED)).any(axis=0))
 
 
 def _geometries_at(world: TrueWorld, time: float) -> CollisionGeometries:
