@@ -343,13 +343,15 @@ class MotionMonitor:
         """Sets `settled` if the motion has terminated and the world has been at rest long enough.
 
         The required time of rest is `REST_TIME`. It is `MAX_HOLD_TIME` for a stopped or held motion
-        that may continue, because a decision may have a compute latency of seconds.
+        that may continue, because a decision may have a compute latency of seconds, and for an arm
+        that has left the goal and may return.
         """
         if now < self.world_end or not self.outcome or self._max_speed(root) > AT_REST:
             self._rest_since, self.settled = math.inf, False
             return
         self._rest_since = min(self._rest_since, now)
-        rest = MAX_HOLD_TIME if self.outcome.may_continue else REST_TIME
+        has_left = self.outcome == GOAL_OUTCOME and self._goal_error(root) > AT_GOAL
+        rest = MAX_HOLD_TIME if has_left or self.outcome.may_continue else REST_TIME
         self.settled = now - self._rest_since >= rest
 
     def _max_speed(self, root: Context) -> float:
@@ -369,8 +371,7 @@ class MotionMonitor:
         if self._plant is None:
             return self._policy(root).p_WE
         context = self._plant.GetMyContextFromRoot(root)
-        p_WE: FloatArray = self._tool_frame.CalcPoseInWorld(context).translation()
-        return p_WE
+        return np.asarray(self._tool_frame.CalcPoseInWorld(context).translation())
 
     def _goal_error(self, root: Context) -> float:
         """Returns the distance of the tool point to the final position of the goal [m]."""

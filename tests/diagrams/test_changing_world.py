@@ -5,7 +5,7 @@ import pytest
 
 from drake_oa.diagrams.motion import make_dmp
 from drake_oa.runs.report import motion_report
-from drake_oa.runs.simulation import AT_GOAL, REST_TIME, simulate
+from drake_oa.runs.simulation import AT_GOAL, MAX_HOLD_TIME, simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.task import goal_at
 from tests.builders import ball_scene
@@ -68,7 +68,7 @@ def test_obstacle_that_arrives_at_the_goal_later_ends_the_success() -> None:
     scenario = ball_scene([0.45, 1.2, 0.3], radius=0.08, waypoints=waypoints)
     log = simulate(scenario)
     assert log.motion_end < 8.0
-    assert log.simulated_time >= 8.8 + REST_TIME
+    assert log.simulated_time >= 8.8 + MAX_HOLD_TIME
     # The arm has to leave the goal, as the ball stays there.
     assert log.stop_reason.startswith("goal left by")
     assert motion_report(scenario, log)["goal_error"] > AT_GOAL
