@@ -117,9 +117,10 @@ _N_PARENTS = 8
 _RETURN_FRACTIONS = (1.0, 0.6, 0.3)
 """Fractions of the highest speed at which candidate maneuvers return to the verified motion
 (checked by simulation), besides the slow return [-]."""
-_SLOW_RETURN_FRACTION = 0.9
-"""Fraction of `v_unseen` at which the fastest point of the arm begins the slow return to the
-verified motion (checked by simulation), since its speed changes on the way [-]."""
+_SLOW_FRACTION = 0.9
+"""Fraction of `v_unseen` at which the fastest point of the arm follows the verified motion (checked
+by simulation) or begins to return to it, in the candidates for unobserved space; less than 1, since
+the speed changes on the way [-]."""
 _MAX_CLAIM_WORK = 42
 """Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
 decision checks only braking and the slow return to the verified motion (checked by simulation), so
@@ -318,6 +319,10 @@ class GuardSearch:
             if is_clear and not self._find_violated_claim(verified, inputs):
                 return decision
         options = [GuardDecision(*option) for option in _FOLLOW_OPTIONS if inputs.is_on_path]
+        if inputs.is_on_path and inputs.free_space is not None and len(inputs.motion.q):
+            # The fastest motion that claim (B) allows in unobserved space.
+            s = inputs.s + inputs.full_rate * np.array([0.0, self._step])
+            options.append(GuardDecision("slow", self._slow_fraction(inputs.motion.joints(s))))
         q_followed = [self._followed_motion(inputs, option.scale) for option in options]
         q = np.array(q_followed).reshape(-1, _SAMPLES, len(inputs.q))
         progress = [self._rates(inputs, option.scale).sum() for option in options]
@@ -583,10 +588,7 @@ class GuardSearch:
         rows = [(m.target, m.speed, m.switch - inputs.begin) for m in maneuvers]
         fastest = _synchronized_speeds(inputs.q, q_path, max_speed, 1.0)
         begin = np.array([inputs.q, inputs.q + self._step * np.sign(q_path - inputs.q) * fastest])
-        step = np.diff(sphere_centers(self._chain, self._arm_spheres.arrays, begin), axis=0)
-        point_speed = float(np.linalg.norm(step, axis=2).max()) / self._step
-        slow = _SLOW_RETURN_FRACTION * p.v_unseen / max(point_speed, p.v_unseen)
-        for fraction in (slow, *_RETURN_FRACTIONS):
+        for fraction in (self._slow_fraction(begin), *_RETURN_FRACTIONS):
             speed = _synchronized_speeds(inputs.q, q_path, max_speed, fraction)
             rows.append((np.array([q_path, q_path]), np.array([speed, speed]), math.inf))
         speed = np.array([max_speed, _synchronized_speeds(q_rest, q_path, max_speed, 0.9)])
@@ -609,6 +611,17 @@ class GuardSearch:
         switch = np.where(returns[:, 0], rng.uniform(0.1, 0.9, N), math.inf)
         first = [np.array(column) for column in zip(*rows, strict=True)]
         return Legs(*map(np.concatenate, zip(first, (targets, speeds, switch), strict=True)))
+
+    def _slow_fraction(self, q: FloatArray) -> float:
+        """Computes the fraction of the present speed at which no point of the arm is faster than
+        0.9 `v_unseen`; at most 0.9.
+
+        Args:
+            q: (2, n) configurations at the present speed, one time step apart [rad].
+        """
+        step = np.diff(sphere_centers(self._chain, self._arm_spheres.arrays, q), axis=0)
+        point_speed = float(np.linalg.norm(step, axis=2).max()) / self._step
+        return _SLOW_FRACTION * min(1.0, self._parameters.v_unseen / max(point_speed, 1e-9))
 
     def _refine(self, legs: Legs, cost: FloatArray, inputs: GuardInputs) -> Legs:
         """Generates random variations of the `_N_PARENTS` maneuvers of least cost, as further

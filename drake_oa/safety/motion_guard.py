@@ -94,7 +94,7 @@ _PAUSE = 2.0
 """Time for which claim (A) of passive motion safety applies to an obstacle that has come to rest,
 because it may move again [s]."""
 _VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
-"""Verbs for the supervisor's actions (slow, hold, stop) in log messages."""
+"""Verbs of the actions slow, hold and stop in log messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -543,7 +543,7 @@ class MotionGuard(LeafSystem):
             message = "resumes full speed"
             if result.reason:
                 message = f"{_VERBS[result.action]}: {result.reason}"
-            _logger.warning("t=%.3f s: supervisor %s", time, message)
+            _logger.warning("t=%.3f s: motion guard %s", time, message)
         return replace(state, supervision=result)
 
     def _advance(
@@ -566,7 +566,9 @@ class MotionGuard(LeafSystem):
         V_WE = np.append(self._angular.Eval(context), self._velocity.Eval(context))
         q, v = np.array(state.path[:n]), np.zeros(n)
         if math.isfinite(X_WE.sum() + V_WE.sum() + posture.sum()):
-            q, v = track(chain, q, X_WE, V_WE, posture, step, _NULL_SPACE_RATE)
+            # The null space rests during a maneuver, so that the arm does not chase it.
+            rate = _NULL_SPACE_RATE if state.decision.follows else 0.0
+            q, v = track(chain, q, X_WE, V_WE, posture, step, rate)
         elif not state.supervision.is_faulted:
             supervision = state.supervision.latch_fault("the desired motion is not finite", time)
             state = replace(state, supervision=supervision)
@@ -588,8 +590,7 @@ class MotionGuard(LeafSystem):
                 shift_velocity = error[:3] / _SHIFT_TIME
             if state.speed <= _REST_SPEED and np.abs(error).max() <= _POSE_TOLERANCE:
                 stuck_since, shift_velocity = math.inf, np.zeros(3)
-            else:
-                path = np.append(command[:n], np.zeros(n))
+            path = np.append(command[:n], np.zeros(n))
         return replace(
             state,
             end=time + step,

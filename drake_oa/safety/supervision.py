@@ -161,11 +161,8 @@ def supervise(
     if previous.is_faulted or (is_held and previous.action == "stop"):
         return previous
     has_lasting_cause = any(limit.is_lasting and limit.scale < _RESUME_ABOVE for limit in limits)
-    blocked_since = (
-        min(previous.blocked_since, time)
-        if is_held and has_lasting_cause and not is_waiting
-        else math.inf
-    )
+    is_blocked = is_held and has_lasting_cause and not is_waiting
+    blocked_since = min(previous.blocked_since, time) if is_blocked else math.inf
     target = 0.0 if is_held else tightest.scale
     scale = min(target, previous.speed_scale + elapsed / RECOVERY_TIME)
     is_early = time - previous.since < _MIN_EVENT_DURATION
@@ -234,9 +231,8 @@ def monitor_guard(
         has_moving: whether an obstacle moves or pauses; then a wait is expected to end by itself.
     """
     if is_late:
-        return SpeedLimit(
-            0.0, "late decision", "no decision of the motion guard in time", is_lasting=True
-        )
+        reason = "no decision of the motion guard in time"
+        return SpeedLimit(0.0, "late decision", reason, is_lasting=True)
     if decision.action == "follow":
         return NO_LIMIT
     obstacle = decision.obstacle or "an obstacle"

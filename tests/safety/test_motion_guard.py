@@ -22,6 +22,7 @@ from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.planning.collision_model import group_distances
 from drake_oa.policy.config import Policy
 from drake_oa.robot.arm import tool_poses
+from drake_oa.robot.spheres import sphere_centers
 from drake_oa.safety.config import GuardParameters
 from drake_oa.safety.maneuvers import achievable_distance
 from drake_oa.safety.motion_guard import MotionGuard
@@ -124,6 +125,19 @@ def test_the_arm_returns_through_unobserved_space(panda: ArmAlone) -> None:
     np.testing.assert_allclose(bench.run(2.0)["x"][-1, :7], bench.q, atol=2e-3)
 
 
+def test_the_motion_through_unobserved_space_is_as_fast_as_claim_b_allows(panda: ArmAlone) -> None:
+    bench, v_unseen = Bench(panda, obstacle_speed=0.8), GuardParameters().v_unseen
+    bench.fix(free_space_W=FreeSpace((None,), 0.0))
+    # The base turns by 0.8 rad/s at full speed.
+    q = bench.q + np.outer([0.0, 4.0], np.eye(7)[0])
+    motion = PlannedMotion(np.array([0.0, 1.0]), np.zeros((2, 3)), q)
+    bench.fix(motion=motion, policy_state=PolicyState(speed=0.08, phase=1.0))
+    scale = bench.run(0.1)["scale"][-1]
+    centers = sphere_centers(panda.chain, panda.arm_spheres.arrays, bench.q[None])[0]
+    speed = 0.8 * scale * np.hypot(*centers[:, :2].T).max()
+    assert 0.8 * v_unseen < speed <= v_unseen
+
+
 def test_the_arm_does_not_approach_an_obstacle_that_pauses(panda: ArmAlone) -> None:
     bench = Bench(panda, obstacle_speed=0.8)
     bench.run(1.2, bench.arriving(1.2, -0.5, 0.0, 0.0))
@@ -135,15 +149,20 @@ def test_the_arm_does_not_approach_an_obstacle_that_pauses(panda: ArmAlone) -> N
 
 
 def test_the_desired_position_moves_to_an_arm_that_cannot_return(panda: ArmAlone) -> None:
-    bench = Bench(panda)
+    bench = Bench(panda, seed=1)
     bench.run(0.2)
     bench.run(1.2, bench.arriving(1.2, -0.5, 0.0, 0.0))
     # The ball rests at the previous position of the hand.
-    found = bench.run(5.0, bench.arriving(0.0, 0.0, 0.0, 0.0))
-    p_WE = tool_poses(panda.chain, found["x"][-1:, :7].copy())[0, 9:]
-    assert np.linalg.norm(p_WE - bench.X_WE[9:]) > 0.03
-    np.testing.assert_allclose(bench.p_WE, p_WE, atol=1e-3)
+    ball = bench.arriving(0.0, 0.0, 0.0, 0.0)
+    found = bench.run(5.0, ball)
+    X_WE = tool_poses(panda.chain, found["x"][-1:, :7].copy())[0]
+    assert np.linalg.norm(X_WE[9:] - bench.X_WE[9:]) > 0.03
+    np.testing.assert_allclose(bench.p_WE, X_WE[9:], atol=1e-3)
     np.testing.assert_array_equal(bench.read("evasion_velocity"), 0.0)
+    # A new motion begins at the tool; the null space of the arm is not at the nominal posture.
+    quaternion = RotationMatrix(X_WE[:9].reshape(3, 3)).ToQuaternion().wxyz()
+    bench.fix(desired_orientation=quaternion, motion=PlannedMotion())
+    assert bench.run(1.0, ball)["action"].max() == 0.0
 
 
 @pytest.mark.parametrize("limit", [0.1, None])
