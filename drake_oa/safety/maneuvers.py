@@ -319,7 +319,8 @@ class GuardSearch:
             if is_clear and not self._find_violated_claim(verified, inputs):
                 return decision
         options = [GuardDecision(*option) for option in _FOLLOW_OPTIONS if inputs.is_on_path]
-        if inputs.is_on_path and inputs.free_space is not None and len(inputs.motion.q):
+        has_claim_b = self._parameters.obstacle_speed > 0.0 and inputs.free_space is not None
+        if inputs.is_on_path and has_claim_b and len(inputs.motion.q):
             # The fastest motion that claim (B) allows in unobserved space.
             s = inputs.s + inputs.full_rate * np.array([0.0, self._step])
             options.append(GuardDecision("slow", self._slow_fraction(inputs.motion.joints(s))))

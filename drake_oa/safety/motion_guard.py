@@ -522,7 +522,7 @@ class MotionGuard(LeafSystem):
             scene: collision scene.
             time: current time [s].
         """
-        previous = state.supervision
+        previous = last = state.supervision
         policy = self._policy.read(context)
         is_late = state.decision.follows and time > state.expiry
         limits = [
@@ -538,7 +538,6 @@ class MotionGuard(LeafSystem):
             limits.append(limit)
         is_waiting = policy.hold not in (HoldReason.NONE, HoldReason.SPEED_SCALE)
         result = supervise(previous, limits, time, self._step_length, is_waiting=is_waiting)
-        last = state.supervision
         if (result.action, result.cause) != (last.action, last.cause):
             message = "resumes full speed"
             if result.reason:
