@@ -17,17 +17,8 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.perception.coverage import points_near, unobserved_fraction
-from drake_oa.runs.camera_placement import spheres_along, view_volumes
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-
-
-def unseen_near(scenario: Scenario) -> float:
-    """Returns the fraction of the space near the arm that no camera of a scenario observes."""
-    views = view_volumes(scenario, scenario.perception)
-    spheres = spheres_along(scenario)
-    return unobserved_fraction(*spheres, points_near(*spheres, scenario.table_height), views)
 
 
 def balls(

@@ -39,15 +39,15 @@ from drake_oa.scenario.scenario import Scenario
 
 WORKSPACE_CENTER = np.array([0.4, 0.0, 0.3])
 """Position (3,) in the world at which the cameras that observe the workspace look [m]."""
-ONE_CAMERA = {"camera": (0.0, 35.0)}
-"""Place of a single camera in front of the robot: name -> azimuth and elevation [degrees].
+ONE_CAMERA = {"camera": (0.0, 80.0)}
+"""Place of a single camera above the table: name -> azimuth and elevation [degrees].
 
-Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`."""
-TWO_CAMERAS = {"left": (90.0, 20.0), "right": (-90.0, 20.0)}
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. A camera that looks
+flatter has pixels without depth, since their background is too far away."""
+TWO_CAMERAS = {"left": (90.0, 60.0), "right": (-90.0, 60.0)}
 """Places of two cameras beside the robot: name -> azimuth and elevation [degrees].
 
-Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. For this pair 1 % of
-the space near the arm is occluded."""
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`."""
 MAX_DEPTH = 3.5
 """Maximum depth of points that perception uses from cameras that observe the workspace [m]."""
 TABLE_MARGIN = 0.6

@@ -13,11 +13,11 @@ touch the point only if at the stamp it was within the reach
 
 of the point's position c_i(t_k). The ball of radius rho_i around c_i(t_k) is sampled at the places
 p_ij = c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place
-is observed free if some camera has it in its image, at a depth that perception uses and at most at
-the true depth of its pixel. A place is unobserved if at s it was neither observed free nor occupied
-by true collision geometry or the arm. The point is fully observed if none of its places is
-unobserved. Let d_i(t) be the distance of c_i(t) to the collision geometries that move at s, at
-their poses of time s. The claims are violated at t_k if for some i
+is observed free if some camera has it in its image, at a depth that perception uses and less than
+the true depth of its pixel, which must be within the camera's range. A place is unobserved if at s
+it was neither observed free nor occupied by true collision geometry or the arm. The point is fully
+observed if none of its places is unobserved. Let d_i(t) be the distance of c_i(t) to the collision
+geometries that move at s, at their poses of time s. The claims are violated at t_k if for some i
 
     (A)  the point is fully observed,  d_i(t_k) <= rho_i,
          and  (d_i(t_k) - d_i(t_k+1)) / (t_k+1 - t_k) > e
@@ -39,10 +39,9 @@ reported violation of (B) is a violation, but a run without reports is not prove
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from drake_oa.common.messages import BoolArray, FloatArray
@@ -50,11 +49,10 @@ from drake_oa.evaluation.panda.scenes import OBSTACLE_SPEED
 from drake_oa.evaluation.panda.true_world import STEP, TrueWorld
 from drake_oa.geometry.collision_scene import CollisionGeometries, least_distances
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.pinhole import pixel_at
 from drake_oa.perception.config import CameraSource
-from drake_oa.perception.coverage import ViewVolume
+from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.spheres import sphere_centers
-from drake_oa.runs.camera_placement import view_volumes
+from drake_oa.runs.camera_placement import free_space_of
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs
@@ -82,19 +80,12 @@ _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
 which space is observed: the center, and 26 directions at half and at full radius."""
 
 
-DepthView = tuple[NDArray[np.float32], ViewVolume]
-"""Type of a camera's view at one time: its true depth image, and its pose, intrinsics and depth
-range.
-
-The depth image (H, W) is in meters, 0 below the camera's depth range and inf above it."""
-
-
 def claim_violations(
     world: TrueWorld,
     t: FloatArray,
     q: FloatArray,
     stamp: FloatArray,
-    views: Callable[[float], Sequence[DepthView]] | None = None,
+    free_space: Callable[[float], FreeSpace] | None = None,
 ) -> dict[str, BoolArray]:
     """Finds the logged instants that violate claim (A) or (B) of passive motion safety, by the
     inequalities in the module's docstring.
@@ -108,8 +99,9 @@ def claim_violations(
         q: (T, n) joint positions [rad].
         stamp: (T,) time of measurement of the newest observation at each instant [s]; -inf without
             one.
-        views: function from a time of measurement [s] to the depth images of all cameras, called
-            only if a claim depends on them; None: all space is observed.
+        free_space: function from a time of measurement [s] to the space that the true depth images
+            of all cameras show to be free, called only if a claim depends on it; None: all space is
+            observed.
 
     Returns:
         "A" and "B" -> (T,) whether the claim is violated at each instant.
@@ -134,11 +126,11 @@ def claim_violations(
         toward = velocity @ DIRECTIONS.T
         is_fast = np.concatenate([speed[..., None], toward, toward], axis=2) > V_UNSEEN
         unseen, requested = np.zeros_like(is_fast), is_fast | is_closing[..., None]
-        if views is not None and requested.any():
+        if free_space is not None and requested.any():
             row, point, sample = np.nonzero(requested)
             places = now[row, point] + reach[row, point, None] * _SAMPLES[sample]
             arm = centers[np.searchsorted(t, s)], radius
-            unseen[requested] = is_unobserved(places, geometries, arm, views(float(s)))
+            unseen[requested] = is_unobserved(places, geometries, arm, free_space(float(s)))
         A[k] = (is_closing & ~unseen.any(axis=2)).any(axis=1)
         B[k] = (is_fast & unseen).any(axis=(1, 2))
     return {"A": A, "B": B}
@@ -168,7 +160,7 @@ def is_unobserved(
     places: FloatArray,
     geometries: CollisionGeometries,
     arm: tuple[FloatArray, FloatArray],
-    views: Sequence[DepthView],
+    free_space: FreeSpace,
 ) -> BoolArray:
     """Finds places that, at one time, no camera observes as free and no object or link occupies.
 
@@ -176,17 +168,12 @@ def is_unobserved(
         places: (N, 3) positions in the world [m].
         geometries: true collision geometries at that time.
         arm: (S, 3) centers and (S,) radii of the arm's spheres at that time [m].
-        views: depth images of the cameras at that time.
+        free_space: space that the cameras observe to be free at that time.
 
     Returns:
         (N,) whether each place is unobserved.
     """
-    unseen = np.ones(len(places), dtype=bool)
-    for depth, (X_WC, K, shape, near, far) in views:
-        p_C = (places - X_WC[:3, 3]) @ X_WC[:3, :3]
-        pixel, z = pixel_at(p_C, shape, K), p_C[:, 2]
-        seen = np.minimum(depth.ravel()[pixel], far)
-        unseen &= ~((pixel >= 0) & (near <= z) & (z <= seen))
+    unseen = ~free_space.contains(places)
     remaining = np.flatnonzero(unseen)
     # Compute distances in parts, since all at once would require gigabytes of memory.
     for rows in np.array_split(remaining, len(remaining) // 10_000 + 1):
@@ -213,13 +200,14 @@ def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict
     q, source = log.q[:, world.arm.chain.q_index], scenario.perception
     if not isinstance(source, CameraSource):
         return claim_violations(world, log.t, q, stamp)
-    volumes = view_volumes(scenario, source)
-    cameras = [BackgroundCamera(scenario, config) for config in camera_configs(scenario, source)]
+    configs = camera_configs(scenario, source)
+    cameras = [BackgroundCamera(scenario, config) for config in configs]
 
-    def render_views(time: float) -> list[DepthView]:
+    def observe(time: float) -> FreeSpace:
         q_world = log.q_world[np.searchsorted(log.t, time)]
         state = np.append(q_world, np.zeros_like(q_world))
-        images = [camera.request(state, time).result().depth for camera in cameras]
-        return list(zip(images, volumes, strict=True))
+        return free_space_of(
+            source, configs, [one.request(state, time).result() for one in cameras]
+        )
 
-    return claim_violations(world, log.t, q, stamp, render_views)
+    return claim_violations(world, log.t, q, stamp, observe)

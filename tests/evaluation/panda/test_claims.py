@@ -7,7 +7,8 @@ from drake_oa.evaluation.panda.claims import claim_violations
 from drake_oa.evaluation.panda.evaluation import run_and_evaluate
 from drake_oa.evaluation.panda.scenes import draw_panda_scene
 from drake_oa.evaluation.panda.true_world import make_true_world
-from drake_oa.perception.coverage import ViewVolume
+from drake_oa.geometry.pinhole import View
+from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.spheres import sphere_centers
 from tests.builders import ball_scene
 
@@ -76,7 +77,7 @@ def test_claim_a_holds_for_a_resting_arm_or_resting_obstacles(ahead, rate, waypo
     assert claim_violations(world, t + 3.0, q, t + 2.5)["A"].any() == violated
 
 
-_NO_DEPTH_AHEAD = np.where(np.arange(120)[:, None] < 52, 0.0, np.inf)
+_NO_DEPTH_AHEAD = np.where(np.arange(120)[:, None] < 52, 0.0, 4.0)
 
 
 def _overhead(value):
@@ -84,15 +85,15 @@ def _overhead(value):
     X_WC = np.diag([1.0, -1.0, -1.0, 1.0])
     X_WC[:3, 3] = [0.3, 0.0, 2.5]
     image = np.full((120, 120), value, dtype=np.float32)
-    return image, ViewVolume(X_WC, np.array([60.0, 60.0, 59.5, 59.5]), image.shape, 0.5, 5.0)
+    return View(image, np.array([60.0, 60.0, 59.5, 59.5]), X_WC)
 
 
 @pytest.mark.parametrize(
     ("rate", "views", "violated"),
     [
-        (1.5, [np.inf], False),
+        (1.5, [4.0], False),
         (1.5, [0.0], True),
-        (1.5, [0.0, np.inf], False),
+        (1.5, [0.0, 4.0], False),
         (1.5, [1.0], True),
         (0.2, [0.0], False),
         (1.5, [_NO_DEPTH_AHEAD], True),
@@ -104,11 +105,11 @@ def test_claim_b_limits_the_speed_toward_unobserved_space(rate, views, violated)
     world, (t, q) = _world([2.0, 0.0, 0.5]), _turning(rate)
     requested = []
 
-    def images(time):
+    def free_space(time):
         requested.append(time)
-        return [_overhead(value) for value in views]
+        return FreeSpace(tuple(map(_overhead, views)), time, 0.5, 5.0)
 
-    violations = claim_violations(world, t, q, np.zeros(len(t)), images)
+    violations = claim_violations(world, t, q, np.zeros(len(t)), free_space)
     assert violations["B"].any() == violated
     assert not violations["A"].any()
     # Images are requested only for a fast arm, once per stamp.
