@@ -37,7 +37,6 @@ def test_suggested_camera_pose_has_the_stated_unobserved_fraction():
     assert before == pytest.approx(unobserved_near_arm(scenario), abs=0.005)
     assert after < MAX_UNOBSERVED_FRACTION < before
     pose = re.search(r"X_PB: (\{.*\}) and segmentation", note)
-    assert pose is not None
     text = scenario_text(scenario).replace("far: 2.5", "far: 3.5")
     begin, end = text.index("  X_PB:"), text.index("  background:")
     moved = parse_scenario(f"{text[:begin]}  X_PB: {pose[1]}\n{text[end:]}")
