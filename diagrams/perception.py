@@ -164,7 +164,6 @@ def _add_depth_camera(
             outputs={"y0": at_image},
         )
         inputs[source.signal("robot_state", name)] = at_image
-    configs = camera_configs(scenario, source)
     intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
@@ -175,10 +174,7 @@ def _add_depth_camera(
         delay=first.delay,
         sync_tolerance=live.sync_tolerance if live else 0.0,
         missing_image_timeout=getattr(source, "max_age", 0.0),
-        depth_range=(
-            max(config.z_near for config in configs),
-            min(config.z_far for config in configs),
-        ),
+        depth_ranges=[(config.z_near, config.z_far) for config in camera_configs(scenario, source)],
     )
     signals.add("perception", perception, inputs=inputs)
 

@@ -169,7 +169,7 @@ def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | 
 
     Lines below the table state the requested clearance, the achievable clearance if that is less,
     and joints whose speed or torque is not limited. A last line states which fraction of the space
-    near the arm's nominal motion is observed by no camera.
+    near the arm, along its nominal motion, no camera observes to be free.
 
     Exit status: 0 without errors, 1 with errors or with a contact at start or goal, 2 if the file
     cannot be read.

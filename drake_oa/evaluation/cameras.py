@@ -42,8 +42,8 @@ WORKSPACE_CENTER = np.array([0.4, 0.0, 0.3])
 ONE_CAMERA = {"camera": (0.0, 80.0)}
 """Place of a single camera above the table: name -> azimuth and elevation [degrees].
 
-Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. A camera that looks
-flatter has pixels without depth, since their background is too far away."""
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. A camera at a lower
+elevation has pixels without depth, since their background is beyond its range."""
 TWO_CAMERAS = {"left": (90.0, 60.0), "right": (-90.0, 60.0)}
 """Places of two cameras beside the robot: name -> azimuth and elevation [degrees].
 

@@ -1,5 +1,5 @@
 """Coverage of an arm's workspace by depth cameras: the fraction of the space near the arm that no
-camera observes.
+camera observes to be free.
 """
 
 from __future__ import annotations

@@ -104,30 +104,29 @@ class FreeSpace(Frozen):
         views: image of each camera, in the order of the cameras; None for a camera without a
             usable image of that instant.
         stamp: time of the images [s].
-        near, far: minimum and maximum depth that the cameras measure [m].
+        ranges: minimum and maximum depth that each camera measures [m]; empty: not limited.
     """
 
     views: tuple[View | None, ...] = ()
     stamp: float = -np.inf
-    near: float = 0.0
-    far: float = np.inf
+    ranges: tuple[tuple[float, float], ...] = ()
 
     def contains(self, p_WQ: FloatArray) -> BoolArray:
         """Checks for each of N points (N, 3) in the world [m] whether any camera observed it to be
         free.
 
         Points between the minimum depth and the measured surface are free. A pixel without depth
-        observes no free space. A pixel with a depth beyond the range observes free space up to
-        `far`.
+        observes no free space. A pixel with a depth beyond the range of its camera observes free
+        space up to the maximum depth.
         """
         free = np.zeros(len(p_WQ), dtype=bool)
-        for view in self.views:
+        ranges = self.ranges or ((0.0, np.inf),) * len(self.views)
+        for view, (near, far) in zip(self.views, ranges, strict=True):
             if view is None:
                 continue
             p_CQ = (p_WQ - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
             pixel, z = pixel_at(p_CQ, view.z.shape, view.K), p_CQ[:, 2]
-            depth = np.minimum(view.z.ravel()[pixel], self.far)
-            free |= (pixel >= 0) & (self.near <= z) & (z < depth)
+            free |= (pixel >= 0) & (near <= z) & (z < np.minimum(view.z.ravel()[pixel], far))
         return free
 
 
@@ -218,7 +217,7 @@ class DepthPerception(LeafSystem):
         delay: float = 0.0,
         sync_tolerance: float = 0.0,
         missing_image_timeout: float = 0.0,
-        depth_range: tuple[float, float] = (0.0, np.inf),
+        depth_ranges: Sequence[tuple[float, float]] = (),
     ) -> None:
         """Declares the ports, the state and the update events of depth perception.
 
@@ -236,7 +235,7 @@ class DepthPerception(LeafSystem):
             sync_tolerance: maximum difference of the stamps of images that form one frame [s].
             missing_image_timeout: age of the last image of a camera above which `note` reports a
                 missing image [s]. An unsynchronized camera occasionally has none in a period.
-            depth_range: minimum and maximum depth that all cameras measure [m].
+            depth_ranges: minimum and maximum depth that each camera measures [m]; empty: no limits.
 
         Raises:
             ValueError: for a period that is not positive.
@@ -256,7 +255,7 @@ class DepthPerception(LeafSystem):
         several = len(cameras) > 1
         self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
         self._state = PerceptionState(self)
-        self._range = depth_range
+        self._ranges = tuple(depth_ranges)
         self._free_space = self.DeclareAbstractState(Value(FreeSpace()))
         self.DeclareStateOutputPort("free_space_W", self._free_space)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
@@ -312,7 +311,7 @@ class DepthPerception(LeafSystem):
             ]
             view_of = dict(zip(usable, frame.views, strict=True))
             views = tuple(map(view_of.get, range(count)))
-            free_space = FreeSpace(views, newest, *self._range)
+            free_space = FreeSpace(views, newest, self._ranges)
             state.get_mutable_abstract_state(self._free_space).set_value(free_space)
             obstacles = tracker.obstacles
             if missing:

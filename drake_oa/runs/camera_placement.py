@@ -1,13 +1,13 @@
-"""Check of a scenario's cameras: fraction of the space near the arm that no camera observes, and a
-better camera pose.
+"""Check of a scenario's cameras: fraction of the space near the arm that no camera observes to be
+free, and a better camera pose.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -19,7 +19,7 @@ from pydrake.systems.sensors import CameraConfig
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.pinhole import View, look_at_pose, pinhole
-from drake_oa.perception.config import CameraSource
+from drake_oa.perception.config import CameraSource, DepthCamera, RecordedBag
 from drake_oa.perception.coverage import REACH, points_near, unobserved_fraction
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.arm import make_chain
@@ -33,8 +33,8 @@ from drake_oa.world.delayed_camera import Rendered
 from drake_oa.world.world_model import add_world
 
 MAX_UNOBSERVED_FRACTION = 0.15
-"""Maximum fraction of the space near the arm that no camera observes; above it `view_note` suggests
-a camera pose."""
+"""Maximum fraction of unobserved space near the arm, above which `view_note` suggests a camera
+pose."""
 _DISTANCE = 2.1
 """Distance of a suggested camera from its target, the mean position of the arm along the nominal
 motion [m]."""
@@ -67,30 +67,32 @@ def _motion_space(scenario: Scenario) -> tuple[FloatArray, list[FloatArray], Flo
     return q, points_near(p_WS, spheres.radius, scenario.table_height), p_WS.mean(axis=(0, 1))
 
 
-def free_space_of(
+def observed_free_space(
     source: CameraSource, configs: Sequence[CameraConfig], images: Sequence[Rendered]
 ) -> FreeSpace:
-    """Returns the space that rendered images of one instant show to be free.
+    """Computes the space that the cameras of a scenario observe to be free at one instant, from
+    rendered depth images.
 
-    A pixel without a surface in the camera's range has no depth, and shows no free space.
+    A pixel without a surface in the range of its camera observes no free space, as in images of
+    structured-light cameras, unless perception uses exact images (`noise: null`).
 
     Args:
-        source: perception block of a scenario, with the range of depth that perception uses.
+        source: perception block of the scenario.
         configs: configurations of the cameras.
-        images: image of each camera.
+        images: rendered image of each camera.
     """
+    too_far = np.inf if isinstance(source, DepthCamera) and source.noise is None else np.nan
     views = []
     for config, (depth, X_WC) in zip(configs, images, strict=True):
         K = np.array(pinhole(depth_intrinsics(config))) - [0.0, 0.0, PIXEL_CENTER, PIXEL_CENTER]
-        views.append(View(np.where(np.isinf(depth), np.nan, depth), K, X_WC.GetAsMatrix4()))
-    near = max(source.segmentation.near, *(config.z_near for config in configs))
-    far = min(source.segmentation.far, *(config.z_far for config in configs))
-    return FreeSpace(tuple(views), 0.0, near, far)
+        views.append(View(np.where(np.isinf(depth), too_far, depth), K, X_WC.GetAsMatrix4()))
+    ranges = tuple((config.z_near, config.z_far) for config in configs)
+    return FreeSpace(tuple(views), ranges=ranges)
 
 
 def _render(
     scenario: Scenario, config: CameraConfig, q: FloatArray, poses: Sequence[RigidTransform] = ()
-) -> list[list[Rendered]]:
+) -> Iterator[list[Rendered]]:
     """Renders depth images of a camera in the initial world of a scenario.
 
     Args:
@@ -99,12 +101,13 @@ def _render(
         q: (T, n) configurations of the robot [rad, m].
         poses: poses of the camera in the world; empty: its own pose.
 
-    Returns:
+    Yields:
         For each pose, the images in the T configurations.
     """
     plant, builder = MultibodyPlant(time_step=scenario.plant_step), DiagramBuilder()
+    scene_graph = SceneGraph()
     # Obstacles have visual geometry.
-    plant.RegisterAsSourceForSceneGraph(builder.AddSystem(SceneGraph()))
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
     robot = add_world(plant, scenario)
     plant.Finalize()
     sensor = add_camera(builder, scenario, config)
@@ -114,17 +117,16 @@ def _render(
     image, pose = sensor.depth_image_32F_output_port(), sensor.body_pose_in_world_output_port()
     if poses:
         sensor.SetParentFrameId(sensor_context, SceneGraph.world_frame_id())
-    images: list[list[Rendered]] = []
     for X_PB in poses or [sensor.GetX_PB(sensor_context)]:
         sensor.SetX_PB(sensor_context, X_PB)
-        images.append([])
+        images = []
         for positions in q:
             plant.SetPositions(plant_context, robot, positions)
             state = plant.GetPositionsAndVelocities(plant_context)
             diagram.get_input_port().FixValue(context, state)
             depth = np.array(image.Eval(sensor_context).data[:, :, 0])
-            images[-1].append(Rendered(depth, RigidTransform(pose.Eval(sensor_context))))
-    return images
+            images.append(Rendered(depth, RigidTransform(pose.Eval(sensor_context))))
+        yield images
 
 
 def camera_pose_around(
@@ -147,48 +149,70 @@ def camera_pose_around(
 
 
 def unobserved_near_arm(scenario: Scenario) -> float:
-    """Computes the fraction of the space near the arm, along its nominal motion, that none of the
-    cameras of a scenario observes to be free; obstacles are at their initial poses.
+    """Computes the fraction of the space near the arm, along the nominal motion, that none of the
+    cameras that perception uses observes to be free.
 
-    Raises:
-        ValueError: if the scenario's perception uses no cameras.
+    The fraction is that of `drake_oa.perception.coverage.unobserved_fraction`, for images without
+    noise; obstacles are at their initial poses.
+
+    Args:
+        scenario: scenario with a robot and perception by cameras.
     """
-    source = scenario.perception
-    if not isinstance(source, CameraSource):
-        raise ValueError("perception: must use cameras, such as !DepthCamera")
-    (q, points, _), configs = _motion_space(scenario), camera_configs(scenario, source)
-    images = zip(*(_render(scenario, config, q)[0] for config in configs), strict=True)
-    return unobserved_fraction(points, [free_space_of(source, configs, one) for one in images])
+    return next(_unobserved_fractions(scenario, *_motion_space(scenario)[:2]))
+
+
+def _unobserved_fractions(
+    scenario: Scenario,
+    q: FloatArray,
+    points: Sequence[FloatArray],
+    poses: Sequence[RigidTransform] = (),
+) -> Iterator[float]:
+    """Computes the fraction of points that no camera observes to be free, for several poses of the
+    first camera that perception uses.
+
+    Args:
+        scenario: scenario with perception by cameras.
+        q: (T, n) configurations of the robot [rad, m].
+        points: for each configuration, points (N, 3) in the world [m].
+        poses: poses of the first camera in the world; empty: its own pose.
+
+    Yields:
+        For each pose, the fraction of the points.
+    """
+    source: Any = scenario.perception
+    configs = camera_configs(scenario, source)
+    others = [next(_render(scenario, config, q)) for config in configs[1:]]
+    for first in _render(scenario, configs[0], q, poses):
+        images = zip(first, *others, strict=True)
+        spaces = [observed_free_space(source, configs, one) for one in images]
+        yield unobserved_fraction(points, spaces)
 
 
 def view_note(scenario: Scenario) -> str:
-    """Returns one line of text with the fraction of the space near the arm that no camera observes.
+    """Returns one line of text with the fraction of the space near the arm that no camera observes
+    to be free.
 
-    Above `MAX_UNOBSERVED_FRACTION`, the line also suggests the pose of a single camera that
-    observes more of the space, or states that there is none. The line is empty if the perception
-    uses no cameras.
+    Above `MAX_UNOBSERVED_FRACTION`, the line also suggests a pose of the first camera with which
+    more of the space is observed, or states that there is none. The line is empty if the perception
+    uses no cameras, or recorded images.
     """
     source = scenario.perception
-    if not isinstance(source, CameraSource):
+    if not isinstance(source, CameraSource) or isinstance(source, RecordedBag):
         return ""
-    share = unobserved_near_arm(scenario)
+    q, points, center = _motion_space(scenario)
+    share = next(_unobserved_fractions(scenario, q, points))
     note = f"cameras: {share:.0%} of the space within {REACH:g} m of the arm is unobserved"
     if share <= MAX_UNOBSERVED_FRACTION:
         return note
-    (q, points, center), camera = _motion_space(scenario), camera_configs(scenario, source)[0]
     directions = product(_AZIMUTHS, _ELEVATIONS)
     poses = [camera_pose_around(center, *direction, _DISTANCE) for direction in directions]
-    source = replace(source, segmentation=replace(source.segmentation, far=camera.z_far))
-    shares = [
-        unobserved_fraction(points, [free_space_of(source, [camera], [one]) for one in images])
-        for images in _render(scenario, camera, q, poses)
-    ]
-    best = int(np.argmin(shares))
+    shares = list(_unobserved_fractions(scenario, q, points, poses))
+    best, camera = int(np.argmin(shares)), camera_configs(scenario, source)[0]
     if shares[best] >= share:
-        return f"{note}; no single camera at a distance of {_DISTANCE:g} m observes more"
-    X_WC = poses[best]
-    position = np.round(X_WC.translation(), 2).tolist()
-    angles = (np.round(np.degrees(RollPitchYaw(X_WC.rotation()).vector()), 1) + 0.0).tolist()
+        return f"{note}; no pose of '{camera.name}' at a distance of {_DISTANCE:g} m observes more"
+    position = np.round(poses[best].translation(), 2).tolist()
+    rpy = np.degrees(RollPitchYaw(poses[best].rotation()).vector())
+    angles = (np.round(rpy, 1) + 0.0).tolist()
     return (
         f"{note}; {shares[best]:.0%} with '{camera.name}' at X_PB: {{translation: {position}, "
         f"rotation: !Rpy {{deg: {angles}}}}} and segmentation: {{far: {camera.z_far:g}}}"

@@ -202,7 +202,7 @@ def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig
     builder.ExportInput(poses.get_input_port(), "state")
     # Drake would render delayed images in another thread, in which its render engines fail.
     config = copy.copy(config)
-    config.output_delay = 0.0
+    config.output_delay, config.rgb, config.depth = 0.0, False, True
     with field_errors(f"cameras: camera '{config.name}'", RuntimeError, ValueError):
         # With a null message queue Drake adds no publisher, which would render each image again.
         ApplyCameraConfig(

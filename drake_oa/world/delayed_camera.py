@@ -89,7 +89,8 @@ class _CameraWorld:
         image = self._diagram.get_output_port().Eval(context)
         pose = self._sensor.body_pose_in_world_output_port()
         X_WC = pose.Eval(self._sensor.GetMyContextFromRoot(context))
-        return Rendered(np.array(image.data[:, :, 0]), X_WC)
+        # The next rendering changes the pose to which the port refers.
+        return Rendered(np.array(image.data[:, :, 0]), RigidTransform(X_WC))
 
 
 class BackgroundCamera:

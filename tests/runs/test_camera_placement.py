@@ -5,14 +5,18 @@ import re
 import numpy as np
 import pytest
 from pydrake.common.schema import Transform
+from pydrake.systems.analysis import Simulator
 
+from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.runs.camera_placement import (
     MAX_UNOBSERVED_FRACTION,
     camera_pose_around,
+    observed_free_space,
     unobserved_near_arm,
     view_note,
 )
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.world.delayed_camera import BackgroundCamera
 
 
 def test_cameras_of_a_moving_scenario_observe_most_of_the_space():
@@ -24,6 +28,23 @@ def test_cameras_of_a_moving_scenario_observe_most_of_the_space():
     X_WC = camera_pose_around(np.array([0.4, 0.0, 0.3]), 0.0, 0.6, 2.1)
     scenario.cameras[0].X_PB = Transform(X_WC)
     assert unobserved_near_arm(scenario) > 3.0 * above
+
+
+@pytest.mark.parametrize(("noise", "tolerance"), [("null", 0.0), ("{}", 0.05)])
+def test_rendered_free_space_agrees_with_that_of_perception(noise, tolerance):
+    scenario = load_scenario("tabletop_box", [f"perception.noise={noise}"])
+    simulator = Simulator(build_avoidance(scenario))
+    simulator.Initialize()
+    system, context = simulator.get_system(), simulator.get_context()
+    perceived = system.GetSubsystemByName("perception").GetOutputPort("free_space_W")
+    plant = system.GetSubsystemByName("plant")
+    state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(context))
+    image = BackgroundCamera(scenario, scenario.cameras[0]).request(state, 0.0).result()
+    rendered = observed_free_space(scenario.perception, scenario.cameras, [image])
+    places = np.random.default_rng(0).uniform([-0.2, -0.7, 0.0], [1.0, 0.7, 1.0], (5000, 3))
+    is_free = perceived.Eval(perceived.get_system().GetMyContextFromRoot(context)).contains(places)
+    assert 0.2 < is_free.mean() < 0.9
+    assert np.mean(is_free != rendered.contains(places)) <= tolerance
 
 
 def test_view_note_is_empty_without_cameras():

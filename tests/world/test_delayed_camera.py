@@ -1,9 +1,11 @@
 """DelayedCamera: time, state and depths of the output image, with and without delay."""
 
+import copy
 from functools import partial
 
 import numpy as np
 import pytest
+from pydrake.common.schema import Transform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
@@ -143,6 +145,15 @@ def test_repeated_requests_give_the_same_image_also_after_a_release(
     assert not np.array_equal(first[0], first[-1])
     camera.release()
     np.testing.assert_array_equal(camera.request(states[0], 0.0).result().depth, first[0])
+
+
+def test_image_of_a_camera_on_the_hand_keeps_its_pose() -> None:
+    config = copy.copy(CAMERA)
+    config.X_PB = Transform(base_frame="panda_hand")
+    states = [np.concatenate([READY + change, np.zeros(9)]) for change in (0.0, 0.1)]
+    camera = BackgroundCamera(SCENARIO, config)
+    first, second = [camera.request(state, 0.0).result() for state in states]
+    assert not first.X_WC.IsNearlyEqualTo(second.X_WC, 0.01)
 
 
 def test_delay_must_be_shorter_than_the_period(camera: BackgroundCamera) -> None:

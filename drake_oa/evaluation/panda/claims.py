@@ -13,11 +13,12 @@ touch the point only if at the stamp it was within the reach
 
 of the point's position c_i(t_k). The ball of radius rho_i around c_i(t_k) is sampled at the places
 p_ij = c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place
-is observed free if some camera has it in its image, at a depth that perception uses and less than
-the true depth of its pixel, which must be within the camera's range. A place is unobserved if at s
-it was neither observed free nor occupied by true collision geometry or the arm. The point is fully
-observed if none of its places is unobserved. Let d_i(t) be the distance of c_i(t) to the collision
-geometries that move at s, at their poses of time s. The claims are violated at t_k if for some i
+is observed free if for some camera it is in the image, and its depth is at least the minimum depth
+and less than the true depth of its pixel; in noisy images, a pixel without a surface in the range
+of the camera observes nothing. A place is unobserved if at s it was neither observed free nor
+occupied by true collision geometry or the arm. The point is fully observed if none of its places is
+unobserved. Let d_i(t) be the distance of c_i(t) to the collision geometries that move at s, at
+their poses of time s. The claims are violated at t_k if for some i
 
     (A)  the point is fully observed,  d_i(t_k) <= rho_i,
          and  (d_i(t_k) - d_i(t_k+1)) / (t_k+1 - t_k) > e
@@ -52,7 +53,7 @@ from drake_oa.geometry.directions import DIRECTIONS
 from drake_oa.perception.config import CameraSource
 from drake_oa.perception.depth_perception import FreeSpace
 from drake_oa.robot.spheres import sphere_centers
-from drake_oa.runs.camera_placement import free_space_of
+from drake_oa.runs.camera_placement import observed_free_space
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs
@@ -206,8 +207,7 @@ def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict
     def observe(time: float) -> FreeSpace:
         q_world = log.q_world[np.searchsorted(log.t, time)]
         state = np.append(q_world, np.zeros_like(q_world))
-        return free_space_of(
-            source, configs, [one.request(state, time).result() for one in cameras]
-        )
+        images = [camera.request(state, time).result() for camera in cameras]
+        return observed_free_space(source, configs, images)
 
     return claim_violations(world, log.t, q, stamp, observe)

@@ -205,7 +205,8 @@ def run_and_evaluate(
         - contact_events: contacts and their causes, see `contacts.contact_events`; None if no
           obstacle moves or appears.
         - claim_violations: number of logged instants, and of those that violate each claim of
-          passive motion safety, see the module `claims`; None if no obstacle moves or appears.
+          passive motion safety, see the module `claims`; None if no obstacle moves or appears, or
+          without observations.
     """
     scenario = with_method(with_perception(scenario, perception), method)
     has_failed, log, result = False, None, _without_motion(scenario)
@@ -268,10 +269,11 @@ def _evaluate_run(scenario: Scenario, log: MotionLog, criteria: Criteria) -> dic
         result["drp_outcome"] = drp_outcome(scenario, log, result["contacts"])
     if len(log.t) and last_change(scenario.obstacles) > 0.0:
         world = make_true_world(scenario)
-        violated = run_violations(scenario, log, world)
-        counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
         result["contact_events"] = contact_events(scenario, log, world)
-        result["claim_violations"] = {"instants": len(log.t), **counts}
+        if len(log.observation_stamp):
+            violated = run_violations(scenario, log, world)
+            counts = {claim: int(instants.sum()) for claim, instants in violated.items()}
+            result["claim_violations"] = {"instants": len(log.t), **counts}
     return result | {
         # Rounded to 0.1 ms; statistics over all scenes are computed from these values.
         "decision_latencies": np.round(layer_latencies(log), 4).tolist(),

@@ -107,7 +107,7 @@ def test_claim_b_limits_the_speed_toward_unobserved_space(rate, views, violated)
 
     def free_space(time):
         requested.append(time)
-        return FreeSpace(tuple(map(_overhead, views)), time, 0.5, 5.0)
+        return FreeSpace(tuple(map(_overhead, views)), time)
 
     violations = claim_violations(world, t, q, np.zeros(len(t)), free_space)
     assert violations["B"].any() == violated

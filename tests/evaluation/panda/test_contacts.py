@@ -138,6 +138,5 @@ def test_contacts_of_a_nominal_run_are_evaluated_end_to_end():
     assert [event["time"] for event in events] == sorted(event["time"] for event in events)
     assert events[0]["avoidable_by_physics"]
     assert not events[0]["avoidable_by_view"]
-    # Without observations, the arm is faster than 0.25 m/s.
-    claims = touched["claim_violations"]
-    assert claims["A"] == 0 < claims["B"] < claims["instants"]
+    # No claim is checked without observations.
+    assert touched["claim_violations"] is None
