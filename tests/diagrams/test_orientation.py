@@ -26,7 +26,6 @@ def test_tool_reaches_the_goal_orientation_and_the_error_is_reported() -> None:
     assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)
     assert "orientation error [deg]" in str(report_table(report))
     down = load_scenario("tabletop_box").robot
-    assert down is not None
     before = RollPitchYaw(down.rpy_WE).ToRotationMatrix().matrix()
     turned = goal_vector(before, rotation_matrix(log.desired_orientation[-1]))
     # 40 degrees about the vertical and 20 of tilt.
@@ -46,7 +45,6 @@ def test_arm_follows_a_demonstration() -> None:
     path = trajectory(dmp, task.start, task.goal, steps=5000).p
     assert KDTree(path).query(log.p_WE)[0].max() < 2e-3
     assert KDTree(log.p_WE).query(path)[0].max() < 2e-3
-    assert tool is not None
     last = goal_vector(rotation_matrix(log.desired_orientation[-1]), tool.R_WG)
     assert np.linalg.norm(last) < np.radians(0.5)
     assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)

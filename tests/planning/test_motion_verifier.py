@@ -242,8 +242,6 @@ def test_a_joint_space_path_is_imitated_without_a_feasible_term(
     assert found.note == ""
     assert "motion restarts and imitates a joint-space path" in caplog.text
     demo: Demonstration = bench.output("demonstration")
-    assert demo.position is not None
-    assert demo.orientation is not None
     np.testing.assert_allclose(demo.q[0], bench.arm.q, atol=1e-9)
     tool_pose = tool_poses(bench.arm.chain, demo.q[-1:])[0]
     np.testing.assert_allclose(tool_pose, np.append(bench.arm.X_WE[:9], GOAL), atol=2e-3)

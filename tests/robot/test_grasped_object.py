@@ -22,7 +22,6 @@ STEM = Box(size=[0.02, 0.012, 0.05], translation=[0.0, 0.0, 0.1])
 def scenario() -> Scenario:
     """Returns a scenario with a long bar and a stem as grasped object."""
     scenario = Scenario()
-    assert scenario.robot is not None
     scenario.robot.carried = [BAR, STEM]
     scenario.robot.carried_mass = 0.6
     return scenario

@@ -86,14 +86,12 @@ def test_demonstration_gives_orientations_at_start_goal_and_in_between(
         write_demonstration(tmp_path, **{kind: q if kind == "quaternion" else R})
     )
     orientation = tool_orientation(demonstrated)
-    assert orientation is not None
     way = orientation_along(orientation.primitive, orientation.R_WS, orientation.R_WG, S)
     assert max(np.linalg.norm(goal_vector(a, b)) for a, b in zip(way, R, strict=True)) < 5e-3
     # Fields of the scenario replace the demonstrated orientations at the ends.
     other = tool_orientation(
         scenario(write_demonstration(tmp_path, R=R), "task.rpy_goal=[3.0, 0.0, 0.5]")
     )
-    assert other is not None
     np.testing.assert_allclose(other.R_WS, R[0], atol=1e-5)
     np.testing.assert_allclose(other.R_WG, matrix([3.0, 0.0, 0.5]), atol=1e-12)
 
@@ -133,7 +131,6 @@ def test_inconsistent_orientations_are_rejected() -> None:
 
 def test_obstacles_are_dilated_by_the_tool_in_each_orientation_of_the_motion() -> None:
     turning = scenario(name="tilted_goal")
-    assert turning.robot is not None
     robots = robots_along_motion(turning)
     assert len(robots) >= 5
     ends = [matrix(robot.rpy_WE) for robot in (robots[0], robots[-1])]

@@ -49,8 +49,8 @@ def test_scenes_have_the_stored_digests(scenes):
 def test_cameras_of_moving_scenes_observe_most_space_near_the_arm(scenes, kind):
     # Obstacles in front of the goal occlude space.
     by_one, by_two = (0.35, 0.2) if "goal_blocked" in kind else (0.2, 0.12)
-    two = with_perception(scenes[kind], "depth2")
-    for scene, max_share in ((scenes[kind], by_one), (two, by_two)):
+    for perception, max_share in (("depth", by_one), ("depth2", by_two)):
+        scene = with_perception(scenes[kind], perception)
         assert unobserved_near_arm(scene) < max_share
         # The only model is the table, which occludes nothing above it.
         assert len(scene.directives) == 1
