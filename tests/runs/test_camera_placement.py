@@ -25,8 +25,7 @@ def test_cameras_of_a_moving_scenario_observe_most_of_the_space():
     assert f" {above:.0%} of the space within 0.4 m of the arm " in view_note(scenario)
     assert 0.02 < above < 0.15
     # Behind most of the space that a camera observes from the front, no surface is in its range.
-    X_WC = camera_pose_around(np.array([0.4, 0.0, 0.3]), 0.0, 0.6, 2.1)
-    scenario.cameras[0].X_PB = Transform(X_WC)
+    scenario.cameras[0].X_PB = Transform(camera_pose_around(np.r_[0.4, 0.0, 0.3], 0.0, 0.6, 2.1))
     assert unobserved_near_arm(scenario) > 3.0 * above
 
 

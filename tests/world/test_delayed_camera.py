@@ -155,6 +155,11 @@ def test_image_of_a_camera_on_the_hand_keeps_its_pose() -> None:
     assert not first.X_WC.IsNearlyEqualTo(second.X_WC, 0.01)
 
 
+def test_delay_must_be_shorter_than_the_period(camera: BackgroundCamera) -> None:
+    with pytest.raises(ValueError, match="delay must be between 0 and the period"):
+        camera_diagram(camera, PERIOD)
+
+
 def test_noise_depends_on_the_capture_time(camera: BackgroundCamera) -> None:
     noise = partial(add_depth_noise, K=[60.0, 60.0, 31.5, 23.5], seed=3)
     state = np.concatenate([READY, np.zeros(9)])
