@@ -25,11 +25,13 @@ def with_ring(signals) -> None:
 
 
 def main(duration: float | None = None) -> None:
-    """Prints the maximum height of the tool and the sources of the motion."""
+    """Prints the largest detour from the baseline, which is parallel to y, and motion sources."""
     for label, change in {"shipped": None, "ring": with_ring}.items():
         log = simulate(SCENARIO, duration=duration, customize=change)
         sources = [SOURCES[int(code)] for code in np.unique(log.motion_source) if code >= 0]
-        print(f"{label:>7}: highest {log.p_WE[:, 2].max():.3f} m, {log.stop_reason}, {sources}")
+        detours = log.p_WE - SCENARIO.task.start
+        x, _, z = detours[np.linalg.norm(detours[:, [0, 2]], axis=1).argmax()]
+        print(f"{label:>7}: x {x:+.2f} m, z {z:+.2f} m, {log.stop_reason}, {sources}")
 
 
 if __name__ == "__main__":

@@ -168,8 +168,9 @@ def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | 
       contacts             pairs of a link and an object, or of two links, in contact
 
     Lines below the table state the requested clearance, the achievable clearance if that is less,
-    and joints whose speed or torque is not limited. A last line states which fraction of the space
-    near the arm, along its nominal motion, no camera observes to be free.
+    joints whose speed or torque is not limited, models that are not obstacles, and the field of
+    view of each camera. A last line states which fraction of the space near the arm, along its
+    nominal motion, no camera observes to be free.
 
     Exit status: 0 without errors, 1 with errors or with a contact at start or goal, 2 if the file
     cannot be read.
@@ -187,6 +188,8 @@ def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | 
     if not problems:
         from drake_oa.runs.camera_placement import view_note
         from drake_oa.runs.scenario_check import build_problems, end_contacts, end_table
+        from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
+        from drake_oa.world.world_model import flat_directives
 
         chosen = open_scenario(scenario, overrides, plot)
         with quiet():
@@ -202,6 +205,13 @@ def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | 
         table, contacts = end_table(chosen), end_contacts(chosen)
         view = view_note(chosen)
     show(table)
+    models = [item.add_model.name for item in flat_directives(chosen.directives) if item.add_model]
+    if others := [name for name in models if not name.startswith(OBSTACLE_PREFIX)]:
+        print(f"not obstacles, since not named {OBSTACLE_PREFIX}...: {', '.join(others)}")
+    for camera in chosen.cameras:
+        sizes = (camera.width, camera.focal_x()), (camera.height, camera.focal_y())
+        x, y = (2.0 * math.degrees(math.atan2(size / 2, focal)) for size, focal in sizes)
+        print(f"camera '{camera.name}': field of view {x:.0f} x {y:.0f} deg")
     if view:
         print(view)
     if plot is not None:

@@ -324,7 +324,8 @@ class CouplingParameters(Frozen):
             ellipsoids.
         normal_W: (M, 3) normals of the planes in which the obstacles are passed. A nonzero row
             replaces the row of `Route.normal_W` and switches off heading guidance for this
-            obstacle; (0, 3): no normals.
+            obstacle; (0, 3): no normals. The motion turns away from the center for both signs of a
+            normal. The sign determines the side only for a heading straight toward the center.
         tau: temporal scaling of the motion, which replaces the scaling by the route's path length;
             0: not set.
         hold: reason for holding the motion; NONE: the motion is not held.

@@ -277,7 +277,9 @@ class JointInverseDynamics(InverseDynamics):
 
         Args:
             plant: plant of the robot, with the requirements of `InverseDynamics`.
-            options: keyword arguments of `InverseDynamics`.
+            options: keyword arguments of `InverseDynamics`; `tool_frame` is required. For a plant
+                of `make_robot_plant` it is `robot_plant.tool_frame.name()`, and `finger_opening`
+                the field of the block `robot`.
         """
         super().__init__(plant, **options)
         self._desired = self.DeclareVectorInputPort("desired_joint_state", 2 * self._n)
