@@ -15,4 +15,4 @@ LONG = ("03_swap_perception", "04_own_cost_ring", "06_put_a_system_between")
 def test_example_runs_and_is_short(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     load_module(path).main(**({"duration": 0.05} if path.stem in LONG else {}))
     assert capsys.readouterr().out.strip()
-    assert len(path.read_text().splitlines()) <= 85
+    assert len(path.read_text().splitlines()) <= 60

@@ -29,7 +29,7 @@ def test_new_scenario_has_no_errors_and_can_be_simulated(
     assert main(["check", "mine.scenario.yaml", "--plot", "mine.png"]) == 0
     out = capsys.readouterr().out
     assert "requested clearance: 0.1 m\nnot obstacles, since not named obstacle...: table" in out
-    assert "field of view 58 x 45 deg\ncameras: " in out
+    assert "of the space within 0.4 m of the arm is unobserved" in out.split("58 x 45 deg\n")[1]
     assert Path("mine.png").stat().st_size > 20_000
     log = simulate(load_scenario("mine.scenario.yaml"), duration=0.05)
     assert log.stop_reason == "time limit of 0.05 s"
