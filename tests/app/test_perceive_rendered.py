@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.perception.segmentation import Segmentation, segment_depth
 from drake_oa.world import depth_noise
-from drake_oa.world.depth_noise import add_depth_noise
 from tests.reference.depth_images import look_at, rays_of
 
 SIZE = (480, 640)
@@ -106,7 +105,7 @@ def make_scene(kind: str, seed: int) -> Scene:
     hit = caster.cast_rays(np.concatenate([origin, rays], axis=-1).astype(np.float32))
     exact = hit["t_hit"].numpy().astype(float)
     label = names[np.minimum(hit["geometry_ids"].numpy(), len(meshes))]
-    depth = add_depth_noise(exact, 0.0, K=K, seed=int(rng.integers(2**31)))
+    depth = depth_noise.add_depth_noise(exact, 0.0, K=K, seed=int(rng.integers(2**31)))
     if ranges["cropped"]:
         depth = np.where((label != TABLE) & (label < FIRST), np.nan, depth)
     return Scene(depth.astype(np.float32), exact, label, X_WC)

@@ -6,7 +6,6 @@ from pydrake.common.value import Value
 
 from drake_oa.common.messages import EllipsoidSet, ObstacleClouds, TablePlane
 from drake_oa.descriptor import ellipsoid_descriptor
-from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.geometry.ellipsoid import signed_distance
 
 TOOL_W = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in (-0.01, 0.15)])
@@ -18,7 +17,7 @@ def clouds(*arrays: np.ndarray, **kwargs: object) -> ObstacleClouds:
 
 
 def evaluate(obstacles: object, tool: np.ndarray = TOOL_W, **options: object) -> EllipsoidSet:
-    system = EllipsoidDescriptor(tool, **options)
+    system = ellipsoid_descriptor.EllipsoidDescriptor(tool, **options)
     context = system.CreateDefaultContext()
     system.GetInputPort("obstacles_W").FixValue(context, Value(obstacles))
     return system.GetOutputPort("ellipsoids_W").Eval(context)
@@ -74,7 +73,7 @@ def test_output_is_computed_once_for_each_input_with_the_goal_as_free_point(monk
         return real(*args, **kwargs)
 
     monkeypatch.setattr(ellipsoid_descriptor, "describe", counted)
-    system = EllipsoidDescriptor(TOOL_W, free_W=[[1.0, 0.0, 0.2]])
+    system = ellipsoid_descriptor.EllipsoidDescriptor(TOOL_W, free_W=[[1.0, 0.0, 0.2]])
     context = system.CreateDefaultContext()
     system.GetInputPort("obstacles_W").FixValue(context, Value(clouds(CLOUD)))
     for time in (0.0, 0.1, 0.2):

@@ -29,7 +29,6 @@ from drake_oa.inference.regressor import ChainWeights, load_chain
 from drake_oa.inference.regressor_chain import RegressorChain
 from drake_oa.planning import motion_search, search
 from drake_oa.planning.collision_model import group_distances
-from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimum_jerk
@@ -67,7 +66,7 @@ class Bench:
         self.arm, self.start = arm, arm.X_WE[9:].copy()
         self.dmp: Dmp = imitate(*minimum_jerk(self.start, GOAL, duration=5.0))
         R_WE = arm.X_WE[:9].reshape(3, 3)
-        self.search = MotionSearch(
+        self.search = motion_search.MotionSearch(
             self.dmp,
             CLEARANCE,
             arm.chain,

@@ -8,14 +8,6 @@ import pytest
 from drake_oa.evaluation.scenes import paper_method
 from drake_oa.evaluation.scenes.ground_truth import evaluate_motions
 from drake_oa.evaluation.scenes.methods import Setting
-from drake_oa.evaluation.scenes.paper_method import (
-    ARRIVED,
-    SHIPPED,
-    paper_chain,
-    released_motions,
-    run,
-    time_scale,
-)
 from drake_oa.evaluation.scenes.scenes import make_scenes
 from drake_oa.evaluation.scenes.suites import draw_scenes
 from drake_oa.training import released_law
@@ -46,26 +38,29 @@ def test_trajectories_of_the_released_code_are_reproduced(reference, name, monke
         parameters = np.array([data[key][row] for key in ("alpha", "psi", "kappa")])
         if original:
             parameters = np.array((1000.0, 20.0 / math.pi, 0.0))
-        motions = released_motions(scenes, Setting(), parameters, original=original, steps=DEMO)
+        motions = paper_method.released_motions(
+            scenes, Setting(), parameters, original=original, steps=DEMO
+        )
         np.testing.assert_allclose(motions.path[0, 1:501], data[name][row], atol=1e-9)
 
 
 def test_tau_of_one_obstacle():
     scenes = make_scenes(1.0, [[0.5, 0.12, 0.0]], [[0.1, 0.2, 0.05]], clearance=0.15)
     way = 2.0 * math.hypot(0.5, 0.12) + 2.0 * (0.2 + 0.15)
-    assert time_scale(scenes)[0] == pytest.approx(way)
+    assert paper_method.time_scale(scenes)[0] == pytest.approx(way)
 
 
 @pytest.mark.parametrize("constrained", [True, False])
 def test_paper_method_ends_on_arrival_or_at_the_time_limit(constrained):
-    assert len(paper_chain(SHIPPED[0] if constrained else SHIPPED[1]).lower) == 2 + constrained
+    chain = paper_method.paper_chain(paper_method.SHIPPED[not constrained])
+    assert len(chain.lower) == 2 + constrained
     scenes, number = draw_scenes("novel", 40, seed=0), STEPS.number
-    motions = run(scenes, Setting(constrained=constrained))
+    motions = paper_method.run(scenes, Setting(constrained=constrained))
     steps = motions.path.shape[1] - 1
     assert number <= steps <= 2 * number
     np.testing.assert_allclose(motions.duration, STEPS.length * steps)
     assert evaluate_motions(scenes, motions).collided.mean() < 0.1
     error = np.linalg.norm(motions.path - scenes.goal[:, None], axis=2)
-    has_arrived = error[:, -1] <= ARRIVED
+    has_arrived = error[:, -1] <= paper_method.ARRIVED
     assert has_arrived.mean() > 0.4
-    assert (error[~has_arrived, number:] > ARRIVED).all()
+    assert (error[~has_arrived, number:] > paper_method.ARRIVED).all()
