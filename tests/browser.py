@@ -9,7 +9,6 @@ import time
 import urllib.request
 import weakref
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from tornado.websocket import websocket_connect
@@ -28,9 +27,8 @@ class Browser:
         """Starts the browser with the page of a URL."""
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         command = [str(PROGRAM), *_FLAGS, f"--user-data-dir={self._folder.name}", url]
-        self._process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        self._process = subprocess.Popen(command, **quiet)
         self._loop = asyncio.new_event_loop()
         # Also if the connection fails.
         weakref.finalize(self, self._process.kill)
@@ -54,9 +52,8 @@ class Browser:
         """Calls a method of the DevTools protocol, and returns its result."""
 
         async def request() -> Any:
-            await self._socket.write_message(
-                json.dumps({"id": 1, "method": method, "params": parameters})
-            )
+            content = {"id": 1, "method": method, "params": parameters}
+            await self._socket.write_message(json.dumps(content))
             while True:
                 message = json.loads(await self._socket.read_message())
                 # Messages without this ID are events.
@@ -81,12 +78,7 @@ class Browser:
     def __enter__(self) -> "Browser":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._socket.close()
         self._process.terminate()
         self._process.wait(20.0)

@@ -39,11 +39,8 @@ PAGES = [page for page in PAGES if page.parent.name not in ("api", "_build", "tu
 
 def blocks(kind: str) -> list[tuple[str, str]]:
     """Returns (page, text) of each fenced block of a kind, for example "python"."""
-    result = []
-    for page in PAGES:
-        for block in re.findall(rf"^```{kind}\n(.*?)^```", page.read_text(), re.S | re.M):
-            result.append((page.name, block))
-    return result
+    pattern = re.compile(rf"^```{kind}\n(.*?)^```", re.S | re.M)
+    return [(page.name, text) for page in PAGES for text in pattern.findall(page.read_text())]
 
 
 def commands() -> list[tuple[str, str]]:

@@ -64,13 +64,10 @@ Parts = list[tuple[LeafSystem, Context]]
 def system_classes() -> dict[str, type[LeafSystem]]:
     """Returns the classes of all systems of the package by name."""
     classes = {}
-    for module in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
-        for name, member in vars(importlib.import_module(module.name)).items():
-            if (
-                inspect.isclass(member)
-                and issubclass(member, LeafSystem)
-                and member.__module__ == module.name
-            ):
+    for info in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
+        module = importlib.import_module(info.name)
+        for name, member in inspect.getmembers(module, inspect.isclass):
+            if issubclass(member, LeafSystem) and member.__module__ == info.name:
                 classes[name] = member
     return classes
 

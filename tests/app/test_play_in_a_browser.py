@@ -5,26 +5,20 @@ import time
 
 import pytest
 
-from drake_oa.runs.play import PlaySession
-from drake_oa.scenario.loading import parse_scenario
-from drake_oa.viewing.viewer import open_page, start_viewer
 from tests.browser import PROGRAM, Browser
-from tests.runs.test_play import SCENARIO, ticks
+from tests.runs.test_play import SCENARIO, play, ticks
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
 def test_slider_in_the_browser_moves_the_arm() -> None:
-    meshcat = start_viewer(browser=False)
-    session = PlaySession(
-        parse_scenario(SCENARIO), meshcat, open_page(meshcat, "played", "A post.")
-    )
+    session = play(SCENARIO, "A post.")
 
     def move(name: str, value: float) -> None:
         """Moves a slider, and waits for the message of the page, which another thread receives."""
         page.evaluate(f"viewer.gui_controllers['{name}'].setValue({value}), 0")
         deadline = time.monotonic() + 60.0
-        while abs(meshcat.GetSliderValue(name) - value) > 1e-6:
+        while abs(session.meshcat.GetSliderValue(name) - value) > 1e-6:
             assert time.monotonic() < deadline, name
             time.sleep(0.05)
 
@@ -43,10 +37,8 @@ def test_slider_in_the_browser_moves_the_arm() -> None:
         assert controls.index("stop") < controls.index("speed") < controls.index("post: x [m]")
         # The motion back starts without an executed path.
         ticks(session, 0.5)
-        deadline, text = time.monotonic() + 60.0, ""
-        while "executed path" not in text:
-            assert time.monotonic() < deadline, text
-            text = page.evaluate("document.getElementById('drake-oa').innerText")
-            time.sleep(0.2)
+        panel = "document.getElementById('drake-oa').innerText"
+        page.wait_for(f"{panel}.includes('executed path')")
+        text = page.evaluate(panel)
         assert re.search(r"played A post.\nt = .*\ntool: clearance 0", text, re.DOTALL)
     session.finish()

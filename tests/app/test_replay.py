@@ -25,14 +25,6 @@ def box_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture(scope="module")
-def point_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Log of a motion without a robot."""
-    file = tmp_path_factory.mktemp("logs") / "point.npz"
-    assert run("run", "free_space", "--duration", "0.5", "--log", file) == 0
-    return file
-
-
 def test_each_run_writes_a_new_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(2):
         assert run("run", "free_space", "--duration", "0.1", "--set", "seed=5") == 0
@@ -97,7 +89,6 @@ def test_stopped_run_logs_the_motion_in_progress(
         text=True,
     )
     try:
-        assert process.stdout is not None
         assert process.stdout.readline() == "simulating\n"
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
@@ -131,12 +122,12 @@ def test_replay_writes_identical_pages(box_log: Path, capsys: pytest.CaptureFixt
     ],
 )
 def test_unusable_log_is_reported_in_one_line(
-    command: str, kind: str, message: str, point_log: Path, capsys: pytest.CaptureFixture[str]
+    command: str, kind: str, message: str, box_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = Path("log.npz")
-    log = load_logs(point_log)["avoiding"]
+    log = load_logs(box_log)["avoiding"]
     if kind == "cut off":
-        file.write_bytes(point_log.read_bytes()[:3000])
+        file.write_bytes(box_log.read_bytes()[:3000])
     else:
         text = "{robot: {model: package://none/x.urdf}, perception: !GivenEllipsoids {}}"
         save_logs(file, {"avoiding": replace(log, scenario=text)})

@@ -14,9 +14,14 @@ from drake_oa.hardware.robot_link import HardwareError
 from tests.hardware.lockstep import EPOCH, Lockstep, joints
 
 
+@pytest.fixture
+def lockstep() -> Lockstep:
+    """Simulation of `tabletop_box` at its start."""
+    return Lockstep()
+
+
 def ready(lockstep: Lockstep) -> np.ndarray:
     """Waits until the arm can start at its present positions; returns them (7,) [rad]."""
-    assert lockstep.scenario.robot is not None
     _, limits = arm_of(lockstep.scenario)
     return lockstep.link.ready_arm(joints(lockstep.station), limits)
 
@@ -30,8 +35,7 @@ def move(lockstep: Lockstep, q: np.ndarray, duration: float, begin: float = 0.0)
     return goal
 
 
-def test_arm_follows_the_written_positions_and_rests_at_their_end() -> None:
-    lockstep = Lockstep()
+def test_arm_follows_the_written_positions_and_rests_at_their_end(lockstep: Lockstep) -> None:
     q = ready(lockstep)
     goal = move(lockstep, q, 2.0)
     lockstep.link.close()
@@ -45,8 +49,7 @@ def test_arm_follows_the_written_positions_and_rests_at_their_end() -> None:
     assert lockstep.clock.now - EPOCH < 2.0 + 0.2 + 2 * STATUS_TIMEOUT
 
 
-def test_arm_moved_after_the_check_is_not_commanded() -> None:
-    lockstep = Lockstep()
+def test_arm_moved_after_the_check_is_not_commanded(lockstep: Lockstep) -> None:
     q = ready(lockstep)
     with pytest.raises(HardwareError, match=r"0\.05 rad from its planned position"):
         move(lockstep, q + 0.05, 2.0)
@@ -63,8 +66,9 @@ def test_arm_moved_after_the_check_is_not_commanded() -> None:
         ({"joint_position": [np.nan] * 7}, "must hold 7 finite positions"),
     ],
 )
-def test_error_of_an_invalid_status_names_the_problem(changes: dict[str, Any], reason: str) -> None:
-    lockstep = Lockstep()
+def test_error_of_an_invalid_status_names_the_problem(
+    lockstep: Lockstep, changes: dict[str, Any], reason: str
+) -> None:
     status, lockstep.station_runs = lockstep.station.status(lockstep.clock.now), False
 
     def send() -> None:
@@ -79,8 +83,7 @@ def test_error_of_an_invalid_status_names_the_problem(changes: dict[str, Any], r
         ready(lockstep)
 
 
-def test_arm_slows_down_and_waits_at_the_end_of_the_written_positions() -> None:
-    lockstep = Lockstep()
+def test_arm_slows_down_and_waits_at_the_end_of_the_written_positions(lockstep: Lockstep) -> None:
     q = ready(lockstep)
     for t in np.arange(0.0, 0.6, 0.004):
         lockstep.link.write(t, q + 0.5 * t)
@@ -99,8 +102,7 @@ def test_arm_slows_down_and_waits_at_the_end_of_the_written_positions() -> None:
     assert lockstep.link.trajectory.note == ""
 
 
-def test_arm_holds_while_statuses_are_lost_and_resumes() -> None:
-    lockstep = Lockstep()
+def test_arm_holds_while_statuses_are_lost_and_resumes(lockstep: Lockstep) -> None:
     q = ready(lockstep)
     notes: list[str] = []
 
@@ -119,8 +121,7 @@ def test_arm_holds_while_statuses_are_lost_and_resumes() -> None:
     assert [note for _, note in lockstep.link.events] == [f"arm holds: {silent}", "arm resumed"]
 
 
-def test_arm_stops_for_another_command_source() -> None:
-    lockstep = Lockstep()
+def test_arm_stops_for_another_command_source(lockstep: Lockstep) -> None:
     q = ready(lockstep)
     other = lcmt_panda_command()
     other.utime = round(1e6 * EPOCH)
@@ -133,9 +134,7 @@ def test_arm_stops_for_another_command_source() -> None:
         move(lockstep, q, 2.0)
 
 
-def test_motion_does_not_start_away_from_its_start_or_beyond_limits() -> None:
-    lockstep = Lockstep()
-    assert lockstep.scenario.robot is not None
+def test_motion_does_not_start_away_from_its_start_or_beyond_limits(lockstep: Lockstep) -> None:
     _, limits = arm_of(lockstep.scenario)
     with pytest.raises(HardwareError, match="move the arm to"):
         lockstep.link.ready_arm(joints(lockstep.station) + 0.2, limits)

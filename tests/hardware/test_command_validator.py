@@ -16,7 +16,8 @@ LIMITS = RobotLimits(
 )
 
 
-def make_validator() -> CommandValidator:
+@pytest.fixture
+def validator() -> CommandValidator:
     """Returns a validator of an arm at zero positions."""
     return CommandValidator(np.zeros(N), LIMITS)
 
@@ -40,8 +41,7 @@ def follow(validator: CommandValidator, steps: int = 20) -> tuple[float, float]:
     return START + (steps - 1) * PERIOD, (steps - 1) * PERIOD
 
 
-def test_arm_holds_without_commands_and_follows_again_later() -> None:
-    validator = make_validator()
+def test_arm_holds_without_commands_and_follows_again_later(validator: CommandValidator) -> None:
     now, q = follow(validator)
     positions, speeds = validator.desired(now + 0.11)
     np.testing.assert_allclose(positions, q)
@@ -59,15 +59,13 @@ def test_arm_holds_without_commands_and_follows_again_later() -> None:
         (0.1, {"joint_position": [np.nan] * N}, "joint0 at nan rad is outside [-2, 2]"),
         (0.1, {"control_mode_expected": 4}, "not 7 positions in position mode"),
         (0.1, {"num_joint_torque": N, "joint_torque": [0.0] * N}, "not 7 positions"),
-        (
-            0.1,
-            {"utime": round(1e6 * (START + 0.09))},
-            "a second command source: its stamp is 5.0 ms",
-        ),
+        # 5 ms before the previous command, at START + 95 ms.
+        (0.1, {"utime": 1_000_090_000}, "a second command source: its stamp is 5.0 ms"),
     ],
 )
-def test_invalid_command_is_rejected(q: float, fields: dict[str, object], reason: str) -> None:
-    validator = make_validator()
+def test_invalid_command_is_rejected(
+    validator: CommandValidator, q: float, fields: dict[str, object], reason: str
+) -> None:
     now, before = follow(validator)
     now += PERIOD
     assert not validator.receive(command(q, now, **fields), now)
@@ -80,8 +78,7 @@ def test_invalid_command_is_rejected(q: float, fields: dict[str, object], reason
 
 
 @pytest.mark.parametrize("shift", [-1.0, -0.2, 0.2, 1e9])
-def test_old_and_future_commands_are_rejected(shift: float) -> None:
-    validator = make_validator()
+def test_old_and_future_commands_are_rejected(validator: CommandValidator, shift: float) -> None:
     assert not validator.receive(command(0.0, START + shift), START)
     assert validator.is_holding
     assert "before the wall clock" in validator.events[-1]

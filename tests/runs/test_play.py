@@ -19,10 +19,10 @@ obstacles:
 """
 
 
-def play(text: str) -> PlaySession:
+def play(text: str, description: str = "") -> PlaySession:
     """Starts an interactive run of a scenario's YAML text."""
     meshcat = start_viewer(browser=False)
-    return PlaySession(parse_scenario(text), meshcat, open_page(meshcat, "played", ""))
+    return PlaySession(parse_scenario(text), meshcat, open_page(meshcat, "played", description))
 
 
 def ticks(session: PlaySession, seconds: float) -> None:

@@ -48,9 +48,8 @@ def rows(*columns: FloatArray) -> list[str]:
 def test_columns_of_a_csv_follow_its_header(header: str, tmp_path: Path) -> None:
     columns = {"t": 3.0 * S, "x": PATH[:, 0], "y": PATH[:, 1], "z": PATH[:, 2]}
     names = [name.strip("\ufeff ") for name in header.split(",")]
-    demonstration = read_demonstration(
-        csv(tmp_path, header, *rows(*(columns[n] for n in names)), "", "")
-    )
+    lines = rows(*(columns[name] for name in names))
+    demonstration = read_demonstration(csv(tmp_path, header, *lines, "", ""))
     np.testing.assert_allclose(demonstration.path, PATH, atol=1e-8)
     np.testing.assert_allclose(demonstration.t, 3.0 * S, atol=1e-8)
     assert demonstration.orientations is None
@@ -68,8 +67,6 @@ def test_csv_and_npz_give_the_same_primitives(tmp_path: Path) -> None:
     np.testing.assert_allclose(a.weights, b.weights, atol=1e-4)
     assert a.duration == b.duration == one.task.duration
     r, s = (demonstrated_orientation(each) for each in (one, other))
-    assert r is not None
-    assert s is not None
     np.testing.assert_allclose(r.total, [0.0, 0.0, 0.4], atol=1e-6)
     np.testing.assert_allclose(r.dmp.weights, s.dmp.weights, atol=1e-3)
 
@@ -120,17 +117,15 @@ def test_error_names_the_invalid_file_of_several(tmp_path: Path) -> None:
     np.savez(tmp_path / "good.npz", path=PATH)
     np.savez(tmp_path / "nan.npz", path=np.where(S[:, None] == S[4], np.nan, PATH))
     np.savez(tmp_path / "turns.npz", path=PATH, R=np.tile(np.eye(3), (11, 1, 1)))
-    with pytest.raises(ScenarioError, match=r"nan\.npz': path and t must be finite: sample 4 is"):
-        demonstrated_path(scenario_with_demonstrations(tmp_path / "good.npz", tmp_path / "nan.npz"))
-    with pytest.raises(ScenarioError, match=r"good\.npz' has no orientations, other files have"):
-        demonstrated_path(
-            scenario_with_demonstrations(tmp_path / "turns.npz", tmp_path / "good.npz")
-        )
     np.savez(tmp_path / "back.npz", path=PATH * np.sin(np.pi * S)[:, None])
-    with pytest.raises(ScenarioError, match=r"good\.npz', '.*back\.npz': the path must end"):
-        demonstrated_path(
-            scenario_with_demonstrations(tmp_path / "good.npz", tmp_path / "back.npz")
-        )
+    for one, other, message in (
+        ("good", "nan", r"nan\.npz': path and t must be finite: sample 4 is"),
+        ("turns", "good", r"good\.npz' has no orientations, other files have"),
+        ("good", "back", r"good\.npz', '.*back\.npz': the path must end"),
+    ):
+        files = (tmp_path / f"{name}.npz" for name in (one, other))
+        with pytest.raises(ScenarioError, match=message):
+            demonstrated_path(scenario_with_demonstrations(*files))
 
 
 @pytest.mark.parametrize("kind", ["npz", "csv"])

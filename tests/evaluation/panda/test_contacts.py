@@ -12,7 +12,6 @@ from drake_oa.evaluation.panda.scenes import draw_panda_scene, with_perception
 from drake_oa.evaluation.panda.true_world import make_true_world
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import pack_ellipsoids
-from drake_oa.runs.simulation import make_log
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import load_scenario
 from tests.builders import ball_scene, balls
@@ -24,40 +23,32 @@ KEYS = (
 """Keys of a contact event."""
 
 
-def _log(scenario, q, v, frames=()):
-    """Returns the log of a robot at q (T, nq) and v (T, nq), an instant every 4 ms."""
-    evaluator, t = clearance_evaluator(scenario), 0.004 * np.arange(len(q))
-    world = np.array([evaluator.positions_at(time) for time in t])
-    observed = {"observation_time": np.array([frame.stamp + 0.05 for frame in frames])}
-    return make_log(
-        scenario,
-        t,
-        {"robot_state": np.hstack([q, v])},
-        q_world=world,
-        stop_reason="",
-        ended="goal",
-        wall_time=1.0,
-        avoid_obstacles=True,
-        inference="",
-        **(observed | pack_ellipsoids(list(frames))),
-        out_of_range=np.zeros(len(frames), dtype=np.int64),
-    )
+@pytest.fixture(scope="module")
+def struck():
+    """Scenario of an arm at rest that a ball touches at 1 m/s and then leaves."""
+    p_WE = load_scenario("tabletop_box").task.start
+    waypoints = [[0, 0, 0, 0], [0.75, 0, 0.75, 0], [1.5, 0, 0, 0]]
+    return ball_scene(np.subtract(p_WE, [0.0, 0.8, 0.0]), waypoints=waypoints)
 
 
 @pytest.fixture(scope="module")
-def struck():
-    """Scenario and positions of an arm at rest that a ball touches at 1 m/s and then leaves."""
-    p_WE = load_scenario("tabletop_box").task.start
-    waypoints = [[0, 0, 0, 0], [0.75, 0, 0.75, 0], [1.5, 0, 0, 0]]
-    scenario = ball_scene(np.subtract(p_WE, [0.0, 0.8, 0.0]), waypoints=waypoints)
-    q = np.tile(end_positions(scenario)[0], (500, 1))
-    return scenario, q
+def log_of(struck, straight_log):
+    """Function from observations and speed of joint 1 [rad/s] to a log of the resting arm."""
+    evaluator, t = clearance_evaluator(struck), 0.004 * np.arange(500)
+    world = np.array([evaluator.positions_at(time) for time in t])
+    q = np.tile(end_positions(struck)[0], (500, 1))
+
+    def make(*frames, speed=0.0):
+        v = speed * np.tile(np.eye(len(q[0]))[0], (500, 1))
+        observed = {"observation_time": np.array([frame.stamp + 0.05 for frame in frames])}
+        observed |= pack_ellipsoids(frames)
+        return straight_log(500, t=t, q=q, v=v, q_world=world, **observed)
+
+    return make
 
 
-def test_contact_with_a_resting_arm(struck):
-    scenario, q = struck
-    log = _log(scenario, q, 0.0 * q)
-    events = contact_events(scenario, log, make_true_world(scenario))
+def test_contact_with_a_resting_arm(struck, log_of):
+    events = contact_events(struck, log_of(), make_true_world(struck))
     assert events
     for event in events:
         assert " ".join(event) == KEYS
@@ -73,13 +64,9 @@ def test_contact_with_a_resting_arm(struck):
     assert json.loads(json.dumps(events)) == events
 
 
-def test_closing_speed_is_the_speed_of_the_arm_along_the_normal(struck):
-    scenario, q = struck
-    world, speeds = make_true_world(scenario), {}
-    for rate in (-0.2, 0.2):
-        v = 0.0 * q
-        v[:, 0] = rate
-        speeds[rate] = contact_events(scenario, _log(scenario, q, v), world)[0]
+def test_closing_speed_is_the_speed_of_the_arm_along_the_normal(struck, log_of):
+    world = make_true_world(struck)
+    speeds = {v: contact_events(struck, log_of(speed=v), world)[0] for v in (-0.2, 0.2)}
     # The ball pushes the hand along +y, the direction of a positive rate of joint 1.
     assert speeds[0.2]["receding"]
     assert not speeds[-0.2]["receding"]
@@ -93,17 +80,15 @@ def test_closing_speed_is_the_speed_of_the_arm_along_the_normal(struck):
     ("late", "wrong_after", "is_known"), [(0.0, 9.0, True), (0.0, 0.15, False), (9.0, 9.0, False)]
 )
 def test_contact_is_avoidable_by_view_if_the_velocity_is_correct_at_the_deadline(
-    struck, late, wrong_after, is_known
+    struck, log_of, late, wrong_after, is_known
 ):
-    scenario, q = struck
-    (ball,) = scenario.obstacles
+    (ball,) = struck.obstacles
     frames = [
         _observation(ball, stamp, [0.0, 1.0 if stamp < wrong_after else 0.0, 0.0])
         for stamp in (0.0, 0.1, 0.2, 0.3, 0.4)
         if stamp >= late
     ]
-    log = _log(scenario, q, 0.0 * q, frames)
-    (event, *_) = contact_events(scenario, log, make_true_world(scenario))
+    (event, *_) = contact_events(struck, log_of(*frames), make_true_world(struck))
     assert event["avoidable_by_view"] == is_known
     assert event["parked_contact"] == ["start", *["first_sight"] * bool(frames)]
 
@@ -117,13 +102,12 @@ def _observation(obstacle, stamp, velocity):
 @pytest.mark.parametrize(
     ("error", "aside", "is_known"), [(0.19, 0.0, True), (-0.21, 0.0, False), (0.0, 0.15, False)]
 )
-def test_velocity_is_correct_within_20_percent(struck, error, aside, is_known):
-    scenario, q = struck
-    (ball,) = scenario.obstacles
+def test_velocity_is_correct_within_20_percent(struck, log_of, error, aside, is_known):
+    (ball,) = struck.obstacles
     wrong = _observation(ball, 0.1, [0.0, -1.0, 0.0])
     right = _observation(ball, 0.3, [0.0, 1.0 + error, 0.0])
     right = replace(right, p_WO=right.p_WO + [aside, 0.0, 0.0])
-    seen, known = observation_times(_log(scenario, q[:2], 0.0 * q[:2], [wrong, right]), ball)
+    seen, known = observation_times(log_of(wrong, right), ball)
     assert seen == pytest.approx(0.15)
     assert known == pytest.approx([0.35] if is_known else [])
 
