@@ -21,9 +21,8 @@ def test_benchmark_measures_runs_and_their_systems():
         assert item["real_time_factor"] > 0.0
         assert all(0.0 <= seconds < math.inf for seconds in item["layers"].values())
     layers = metrics["scenarios"]["tabletop_box"]["layers"]
-    assert {REMAINDER, "perception", "motion_verifier", "dmp_integrator", "controller"} <= set(
-        layers
-    )
+    listed = {REMAINDER, "perception", "motion_verifier", "dmp_integrator", "controller"}
+    assert listed <= layers.keys()
     table = str(benchmark_table(metrics))
     assert table.splitlines()[0].split() == list(scenarios)
     assert all(name in table for name in (*layers, metrics["machine"]["cpu"]))

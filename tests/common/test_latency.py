@@ -94,7 +94,6 @@ def test_a_decision_is_active_after_its_latency() -> None:
 
 def test_without_a_latency_model_a_decision_is_active_at_once() -> None:
     bench = Bench(Scripted(12, *choices(1.1, 1.2)), compute_latency=None)
-    bench.simulator.Initialize()
     output = bench.at(0.0)
     assert (output.tau, output.note) == (1.1, "")
     assert bench.at(0.102).tau == 1.2

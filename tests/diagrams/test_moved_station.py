@@ -79,7 +79,6 @@ def station(X_WN: RigidTransform, blocks: str) -> Scenario:
     )
     scenario = parse_scenario(text + blocks)
     task, robot = scenario.task, scenario.robot
-    assert robot is not None
     # Otherwise inverse kinematics would compute the start to its own tolerance.
     task.q_start = start_positions(scenario)[: len(robot.q_seed)].tolist()
     task.start, task.goal = ((X_WN @ np.array(place)).tolist() for place in (task.start, task.goal))

@@ -38,11 +38,7 @@ PAPER = "inference.weights=package://drake_oa/weights/paper_chain.safetensors"
         (BOX, ["robot.base_link=base"], ["robot.base_link", "'base'", "panda_link0"]),
         (BOX, ["robot.hand_link=palm"], ["robot.hand_link", "'palm'", "panda_hand"]),
         (BOX, [*UNSEEN, MODEL.format("obstacles/cardboard_box")], ["directives", "can move"]),
-        (
-            BOX,
-            ["directives=[{add_model: {name: a, file: package://drake_oa/no.sdf}}]"],
-            ["directives", "no.sdf"],
-        ),
+        (BOX, [MODEL.format("no")], ["directives", "no.sdf"]),
         (BOX, ["obstacles=[{name: box, shapes: [!Sphere {}]}]"], ["obstacle_box"]),
         (BOX, ["cameras=[{name: camera, output_delay: 0.5}]"], ["camera 'camera'"]),
         ("free_space", [PAPER], ["inference.weights: ", "rad/s", "paper_running"]),

@@ -57,10 +57,7 @@ SHAPES = {
 def test_distances_equal_those_of_drake(name):
     shape = drake.Box(*np.ptp(CUBE, axis=0)) if name == "cube" else SHAPES[name]
     reference = World([shape])
-    half_space = [replace(geom.geometry_of(drake.HalfSpace()), X_WO=X_WG)]
-    scene = geometries_of(
-        half_space if name == "half-space" else World([SHAPES[name]]).geometries()
-    )
+    scene = geometries_of(World([SHAPES[name]]).geometries())
     # Distances to ellipsoids in Drake are iterative, with errors up to 0.6 mm.
     tolerance = 1e-3 if name == "ellipsoid" else 1e-9
     for p in POINTS:
@@ -90,7 +87,7 @@ def test_coplanar_points_have_a_hull():
     assert geom.geometry_distance(scene, 0, 0.0, 0.5, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
 
 
-def scene_of_all(**more):
+def scene_of_all():
     """Returns one moving geometry of each kind in a row along x, and the ground."""
     cloud = np.concatenate([CUBE, 0.5 * CUBE]) + [3.5, 0.0, 0.0]
     names = ("sphere", "box", "capsule", "cylinder", "ellipsoid")
@@ -101,10 +98,9 @@ def scene_of_all(**more):
         X[:3, :3] = X_WG[:3, :3]
         X[:3, 3] = 0.5 * number, 0.0, 0.0
         v_WO = RNG.uniform(-0.3, 0.3, 3)
-        items.append(replace(kind, X_WO=X, v_WO=v_WO, stamp=1.0, name=10 + number, **more))
-    items.append(
-        geom.cloud_geometry(field_of(cloud), v_WO=np.array([0.1, 0.2, -0.1]), stamp=2.0, name=16)
-    )
+        items.append(replace(kind, X_WO=X, v_WO=v_WO, stamp=1.0, name=10 + number))
+    v_WO = np.array([0.1, 0.2, -0.1])
+    items.append(geom.cloud_geometry(field_of(cloud), v_WO=v_WO, stamp=2.0, name=16))
     ground = np.eye(4)
     ground[2, 3] = -0.3
     items.append(replace(geom.geometry_of(drake.HalfSpace()), X_WO=ground, name=17))
@@ -118,10 +114,8 @@ def test_geometries_move_with_their_velocity():
         for k, item in enumerate(items):
             for p in 5.0 * POINTS[:40]:
                 shift = item.v_WO * (t - item.stamp)
-                there = geom.geometry_distance(scene, k, *p, t)
-                assert there == pytest.approx(
-                    geom.geometry_distance(scene, k, *(p - shift), item.stamp), abs=1e-12
-                )
+                then = geom.geometry_distance(scene, k, *(p - shift), item.stamp)
+                assert geom.geometry_distance(scene, k, *p, t) == pytest.approx(then, abs=1e-12)
 
 
 def test_least_distances_are_those_of_the_nearest_geometry_with_any_culling():
@@ -130,10 +124,9 @@ def test_least_distances_are_those_of_the_nearest_geometry_with_any_culling():
     points = RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3))
     each = [[geom.geometry_distance(scene, k, *p, t) for k in range(len(items))] for p in points]
     least = np.min(each, axis=1)
-    np.testing.assert_array_equal(geom.least_distances(scene, points, t, np.inf, -np.inf), least)
-    np.testing.assert_array_equal(
-        geom.least_distances(scene, points, t, 0.1, -np.inf), np.minimum(least, 0.1)
-    )
+    for bound in (np.inf, 0.1):
+        found = geom.least_distances(scene, points, t, bound, -np.inf)
+        np.testing.assert_array_equal(found, np.minimum(least, bound))
     bounds = [[geom.ball_bound(scene, k, *p, t) for k in range(len(items))] for p in points]
     # A field's distance is up to a voxel and an offset less than that of its points.
     assert (np.array(bounds) <= np.array(each) + 0.01).all()
@@ -170,9 +163,8 @@ def test_geometries_of_a_robot_have_the_poses_of_the_scene_graph():
     for state in states:
         world.plant.SetPositionsAndVelocities(world.inner, state)
         query = world.plant.get_geometry_query_input_port().Eval(world.inner)
-        reference.append(
-            [[d.distance for d in query.ComputeSignedDistanceToPoint(p)] for p in POINTS]
-        )
+        found = (query.ComputeSignedDistanceToPoint(p) for p in POINTS)
+        reference.append([[each.distance for each in row] for row in found])
     result = geom.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
     # Distances to ellipsoids in Drake are iterative.
     np.testing.assert_allclose(result, np.min(reference, axis=(0, 2)), atol=1e-3)
@@ -203,9 +195,8 @@ def test_shapes_of_a_scenario_have_their_poses():
 
 def test_a_scene_at_rest_has_no_moving_geometry():
     resting = replace(geom.geometry_of(drake.Box(0.1, 0.1, 0.1)), label="box")
-    moving = replace(
-        geom.geometry_of(drake.Sphere(0.1)), label="ball", v_WO=np.array([0.0, 0.1, 0.0])
-    )
+    v_WO = np.array([0.0, 0.1, 0.0])
+    moving = replace(geom.geometry_of(drake.Sphere(0.1)), label="ball", v_WO=v_WO)
     scene = geom.CollisionScene.of(1.0, [moving, resting])
     rest = scene.at_rest()
     assert (rest.labels, rest.stamp, rest.moves) == (("box",), 1.0, False)

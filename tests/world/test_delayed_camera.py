@@ -81,7 +81,6 @@ def test_image_is_output_after_the_delay_and_the_first_without_delay(
 ) -> None:
     diagram = camera_diagram(camera, delay)
     simulator = Simulator(diagram)
-    simulator.Initialize()
     simulator.AdvanceTo(time)
     stamp, state, image = outputs(diagram, simulator.get_context())
     assert stamp == pytest.approx(taken)

@@ -78,7 +78,6 @@ class LiveCameraSetup:
 
 def test_time_and_state_are_those_when_the_image_was_taken() -> None:
     setup = LiveCameraSetup()
-    setup.simulator.Initialize()
     setup.advance(0.195)
     setup.send(0.153, 2.0)
     setup.advance(0.2)
@@ -92,7 +91,6 @@ def test_time_and_state_are_those_when_the_image_was_taken() -> None:
 
 def test_capture_times_are_correct_while_the_simulation_falls_behind() -> None:
     setup = LiveCameraSetup()
-    setup.simulator.Initialize()
     setup.advance(0.3)
     # The simulation paused for 50 ms, in which an image was received.
     setup.clock_offset = 0.05
@@ -107,7 +105,6 @@ def test_capture_times_are_correct_while_the_simulation_falls_behind() -> None:
 
 def test_capture_time_follows_to_simulated() -> None:
     setup = LiveCameraSetup(to_simulated=lambda stamp: 0.5 * (stamp - EPOCH))
-    setup.simulator.Initialize()
     setup.advance(0.195)
     setup.send(0.18)
     setup.advance(0.2)
@@ -128,7 +125,6 @@ def test_invalid_images_are_rejected_and_logged_once(
 ) -> None:
     caplog.set_level(logging.INFO)
     setup = LiveCameraSetup()
-    setup.simulator.Initialize()
     setup.advance(0.2)
     setup.send(0.2, 2.0)
     for end in (0.25, 0.31, 0.32):

@@ -84,28 +84,19 @@ def test_inconsistent_fields_are_rejected(field: str, message: str) -> None:
 def test_trajectory_is_linear_between_waypoints_and_constant_outside() -> None:
     waypoints = [[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]]
     ball = Obstacle(name="ball", shapes=[Sphere()], waypoints=waypoints)
-    for time, offset in (
-        (0.0, [0.0, 0.0, 1.0]),
-        (1.5, [0.5, -1.0, 1.0]),
-        (3.0, [1.0, 0.0, 1.0]),
-        (9.0, [1.0, 2.0, 1.0]),
-    ):
-        np.testing.assert_allclose(ball.offset_at(time), offset)
+    found = [ball.offset_at(time) for time in (0.0, 1.5, 3.0, 9.0)]
+    expected = [[0.0, 0.0, 1.0], [0.5, -1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 2.0, 1.0]]
+    np.testing.assert_allclose(found, expected)
 
 
 def test_obstacles_do_not_collide_with_each_other_or_the_table():
     text = _TEXT + "  waypoints: [[0, 0, 0, 0], [1, 0.2, 0.4, -0.1]]\n"
     station, _ = _station(text)
     inspector, plant = station.scene_graph.model_inspector(), station.plant
-    pile, ball, table, hand = (
-        plant.GetCollisionGeometriesForBody(body)[0]
-        for body in (
-            plant.GetBodyByName("body", station.obstacles[0]),
-            plant.GetBodyByName("body", station.obstacles[1]),
-            plant.GetBodyByName("body", plant.GetModelInstanceByName("table")),
-            plant.GetBodyByName("panda_hand"),
-        )
-    )
+    models = (*station.obstacles, plant.GetModelInstanceByName("table"))
+    bodies = [plant.GetBodyByName("body", model) for model in models]
+    bodies.append(plant.GetBodyByName("panda_hand"))
+    pile, ball, table, hand = (plant.GetCollisionGeometriesForBody(body)[0] for body in bodies)
     assert inspector.CollisionFiltered(pile, ball)
     assert inspector.CollisionFiltered(table, ball)
     for other in (pile, ball, table):
@@ -138,13 +129,10 @@ def simulate_obstacle(
     blocks = plant.AddModelInstance("block")
     inertia = SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1)
     block_body = plant.AddRigidBody("block", blocks, inertia)
-    for body, z, size in (
-        (plant.world_body(), -0.5, [2.0, 2.0, 1.0]),
-        (block_body, 0.0, [0.1] * 3),
-    ):
-        if floor or body is block_body:
-            shape = geometry.Box(*size)
-            plant.RegisterCollisionGeometry(body, RigidTransform([0, 0, z]), shape, "c", friction)
+    parts = [(plant.world_body(), -0.5, [2.0, 2.0, 1.0])] * floor + [(block_body, 0.0, [0.1] * 3)]
+    for body, z, size in parts:
+        X_BG, shape = RigidTransform([0, 0, z]), geometry.Box(*size)
+        plant.RegisterCollisionGeometry(body, X_BG, shape, "c", friction)
     plant.SetDefaultFloatingBaseBodyPose(block_body, RigidTransform(block))
     plant.set_gravity_enabled(blocks, floor)
     plant.Finalize()

@@ -25,9 +25,8 @@ def scene(*overrides: str) -> Scenario:
 
 
 def test_follows_the_nominal_motion_without_obstacles_and_repeats_exactly() -> None:
-    scenario = scene(
-        "task.duration=1.5", "task.start=[0.45,-0.15,0.3]", "task.goal=[0.45,0.15,0.3]"
-    )
+    ends = "task.start=[0.45,-0.15,0.3]", "task.goal=[0.45,0.15,0.3]"
+    scenario = scene("task.duration=1.5", *ends)
     log, repeated = simulate_differential_ik(scenario), simulate_differential_ik(scenario)
     assert log.stop_reason == "goal"
     assert log.inference == METHOD
@@ -60,5 +59,4 @@ def test_tracks_orientation_and_posture_to_the_goal_joints() -> None:
     assert log.stop_reason == "goal"
     assert np.linalg.norm(log.orientation_error, axis=1).max() < 0.04
     assert np.linalg.norm(log.orientation_error[-1]) < 2e-3
-    assert scenario.task.q_goal is not None
     np.testing.assert_allclose(log.q[-1, :7], scenario.task.q_goal, atol=0.1)
