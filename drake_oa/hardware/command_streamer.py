@@ -293,7 +293,7 @@ class CommandStreamer:
             self._step(now, now if tick is None else tick)
         except ArmStoppedError as error:
             self._trajectory.note, self._trajectory.is_stopped = str(error), 1.0
-            _logger.warning("stopped: %s", error)
+            _logger.warning("arm stopped: %s", error)
 
     def _step(self, now: float, tick: float) -> None:
         """Checks the received messages, and sends the next command of the shared trajectory to the
@@ -317,7 +317,7 @@ class CommandStreamer:
         if problem != trajectory.note:
             trajectory.note = problem
             if self._sent:
-                _logger.warning("holding: %s" if problem else "resumed%s", problem)
+                _logger.warning("arm holds: %s" if problem else "arm resumed%s", problem)
         elapsed, self._step_tick = tick - self._step_tick, tick
         if not self._sent and (problem or trajectory.planned_until < 0.5 * LEAD):
             return
@@ -406,7 +406,7 @@ def stream_commands(
     # A signal to the process group would end the streamer, and stop the arm from full speed.
     for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(kind, signal.SIG_IGN)
-    logging.basicConfig(format="%(levelname)s: arm: %(message)s")
+    logging.basicConfig(format="%(levelname)s: %(message)s")
     gc.disable()
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)

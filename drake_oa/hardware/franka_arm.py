@@ -142,7 +142,7 @@ class FrankaArm:
                 self._wait("at rest", lambda state: np.abs(state.dq_d).max() < _REST_SPEED)
                 self.handler.stop_control()
         except Exception as error:  # After a reflex, the library has ended the motion itself.
-            _logger.warning("%s: %s", self.name, error)
+            _logger.warning("%s: stopping the motion generator failed: %s", self.name, error)
 
     def _target(self, q: FloatArray) -> FloatArray:
         """Returns the next target (7,) [rad], for the planned positions q (7,) [rad] at the
@@ -171,7 +171,7 @@ class FrankaArm:
         except Exception as error:
             raise ArmStoppedError(f"no recovery from {reasons}: {error}") from None
         self._wait("recovered", lambda state: not _reasons(state))
-        _logger.warning("recovered from %s", reasons)
+        _logger.warning("robot recovered from %s", reasons)
 
     def _wait(self, name: str, is_reached: Callable[[Any], bool]) -> None:
         """Reads states of the robot until a condition is reached, at most `_REST_STATES`.

@@ -301,8 +301,8 @@ class CommandStream(LeafSystem):
             check_table(perceived, self._table)
 
     def _publish(self, context: Context) -> None:
-        """Writes the present positions of the simulated arm's joints to the link, as planned
-        positions of the arm.
+        """Writes the simulated joint positions of the arm to the link, from where the command
+        streamer sends them to the real arm as commands.
         """
         q = self._state.Eval(context)[self._arm]
         self._link.write(context.get_time(), q)
