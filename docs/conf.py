@@ -80,11 +80,13 @@ def _write_api(app: Sphinx) -> None:
     folder = _HERE / "api"
     folder.mkdir(exist_ok=True)
     pages: dict[str, str] = {}
-    packages = []
+    # An editable install has this package outside the folder of drake_oa, where no walk finds it.
+    found = {"drake_oa.diagrams"}
     for info in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
         # Commands have their help in the terminal; methods of the results are in results/method.
         if info.ispkg and not {"models", "app", "evaluation"} & set(info.name.split(".")):
-            packages.append(info.name)
+            found.add(info.name)
+    packages = sorted(found)
     for package in packages:
         path = importlib.import_module(package).__path__
         text = f"{package}\n{'=' * len(package)}\n\n.. automodule:: {package}\n   :no-members:\n\n"
