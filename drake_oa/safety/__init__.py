@@ -17,7 +17,7 @@ System
 Method
     While no contact is predicted on the verified motion at full speed, the arm follows it, with the
     tool at the desired pose. Otherwise a decision compares it with slower motions and with evasive
-    maneuvers. A maneuver is a joint trajectory of two legs over 1.4 s, among obstacles at constant
+    maneuvers. A maneuver is a joint trajectory of two legs over 1.34 s, among obstacles at constant
     velocity. The phase of the movement primitive rests during a maneuver. Old observations and
     saturated torques slow the motion down. A contact, detected by the joint error, restarts the
     command at the measured configuration.

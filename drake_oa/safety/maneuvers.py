@@ -2,7 +2,7 @@
 moving obstacles.
 
 The verified motion is the joint motion q(s) over normalized time s that MotionVerifier predicted
-and checked. Each decision compares joint trajectories over a horizon of 1.4 s. They are the
+and checked. Each decision compares joint trajectories over a horizon of 1.34 s. They are the
 verified motion at several speeds (follow, slow, wait), and evasive maneuvers of two legs: brake,
 return to the verified motion, random targets and via points, and refinements of the best of these.
 The trajectory with the least cost
@@ -57,7 +57,8 @@ _FOLLOW_OPTIONS: tuple[tuple[Action, float], ...] = (
 """Actions of the motion guard that follow the verified motion (checked by simulation), each with
 its speed scale: the fraction of full speed."""
 HORIZON = 1.4
-"""Time over which the motion guard predicts the trajectories of the arm and of obstacles [s]."""
+"""Time over which the motion guard predicts the trajectories of the arm and of obstacles [s],
+reduced to whole steps between two samples: 1.34 s with steps of 8 ms."""
 _SAMPLES = 28
 """Number of configurations at which each predicted trajectory of the arm is checked for contact and
 proximity [-]."""
