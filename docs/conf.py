@@ -126,9 +126,12 @@ def _public_classes(module: str) -> dict[str, str]:
 def _write_gallery(app: Sphinx) -> None:
     """Writes a page with every shipped scenario, its description and its recording."""
     text = (
-        "# Gallery\n\nEach recording shows the avoiding motion of a shipped scenario. "
-        "`drake-oa run NAME --meshcat` shows it live; with a robot, `drake-oa play NAME` adds "
-        "controls. `gen3_*` and `ur5e_*` need `pip install 'drake_oa[robots]'`.\n"
+        "# Gallery\n\nYou will be able to select a shipped scenario and to run it.\n\n"
+        "```sh\ndrake-oa run tabletop_irregular --meshcat\n```\n\n"
+        "```text\nviewer: http://localhost:8000\n...\n```\n\n"
+        "This address shows the avoiding motion in a browser; with a robot, "
+        "`drake-oa play NAME` adds controls. Each recording on this page shows the avoiding motion "
+        "of a shipped scenario. `gen3_*` and `ur5e_*` need `pip install 'drake_oa[robots]'`.\n"
     )
     for name, file in shipped_scenarios().items():
         text += f"\n## {name}\n\n{description(file)}\n"
