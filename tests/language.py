@@ -41,11 +41,11 @@ REMEDY = "begin with a noun phrase (class, constant, module) or a verb (function
 """Remedy that is printed with an unclear summary."""
 
 TERMS = re.compile(
-    r"\b(asked clearance|clearance asked|feasible clearance|kept clearance|short by|pre-?planned"
-    r"|(un)?modulated|(the|its|in|than) print|round (obstacles?|it|them|the|a)|(goes|way) round"
+    r"(?i)\b((asked|feasible|kept) clearance|clearance asked|short by|pre-?planned|(un)?modulated"
+    r"|(the|its|in|than) print|round (obstacles?|it|them|the|a)|(goes|way) round|cut short|led by"
     r"|of (one's|your) own|anew|afresh|besides|whoever|turn error|ended by|judge[ds]?|things?"
-    r"|peers?|studies|(centre|metre|colour|neighbour|behaviour)s?)\b",
-    re.IGNORECASE,
+    r"|solids|thinking|surroundings|lookout|in force|rehears\w*|commander|tally|hopeless|towards"
+    r"|looked at|evading|under way|peers?|studies|(centre|metre|colour|neighbour|behaviour)s?)\b"
 )
 """Home-made terms, whose standard terms are in `docs/glossary.md`."""
 
