@@ -57,7 +57,8 @@ def pushed(scenario: Scenario, link: str, speed: float) -> Scenario:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("link", "speed"), [("panda_link3", 0.8), ("panda_hand", 0.3)])
+@pytest.mark.parametrize("speed", [0.3, 0.8])
+@pytest.mark.parametrize("link", ["panda_link3", "panda_link5", "panda_hand"])
 def test_command_yields_to_the_push_and_the_arm_returns(link: str, speed: float) -> None:
     scenario = pushed(parse_scenario(REST), link, speed)
     diagram = build_avoidance(scenario, customize=blind)

@@ -1,15 +1,22 @@
-"""Tests of faults among moving obstacles: no link moves into an obstacle."""
+"""Tests of faults among moving obstacles: claim (A) holds, and no link moves into an obstacle."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from drake_oa.evaluation.panda.claims import run_violations
+from drake_oa.evaluation.panda.true_world import make_true_world
+from drake_oa.geometry.shapes import Box, Sphere
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import clearance_evaluator
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from tests.diagrams.fault_systems import (
     Customize,
@@ -24,6 +31,8 @@ AT_REST = 0.05
 """Maximum joint speed of an arm at rest [rad/s]."""
 APPROACH = 0.02
 """Maximum speed of a link toward an obstacle at a contact [m/s]."""
+LATENCY = 0.033
+"""Bound of the simulated latency of 99 % of the motion guard's decisions [s]."""
 SAFE = (MotionEnd.STOPPED, MotionEnd.HELD)
 """Ends of a motion that a fault prevents from reaching the goal."""
 
@@ -72,18 +81,81 @@ def approach_at_contacts(scenario: Scenario, log: MotionLog) -> list[float]:
     return ((distance[rows] - moved) / (log.t[rows + 1] - log.t[rows])).tolist()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_no_link_moves_into_a_moving_obstacle(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    case = CASES[name]
+def assert_safe(
+    case: Case, caplog: pytest.LogCaptureFixture, obstacles: tuple[Obstacle, ...] = ()
+) -> dict:
+    """Simulates `moving_obstacle` with a fault and more obstacles, checks the motion, and returns
+    its report.
+    """
     scenario = load_scenario("moving_obstacle", list(case.overrides))
+    scenario.obstacles += obstacles
     log = simulate(scenario, customize=case.customize)
     report = motion_report(scenario, log)
     for key in ("q", "v", "torque", "desired_position", "desired_velocity"):
         assert np.isfinite(getattr(log, key)).all(), key
     assert max(approach_at_contacts(scenario, log), default=0.0) <= APPROACH
+    violations = run_violations(scenario, log, make_true_world(scenario))
+    assert not violations["A"].any()
     assert case.logs in "; ".join((*log.supervision_reason, *log.event, caplog.text))
     assert report["ended"] in case.ends, report["stop_reason"]
     if report["ended"] == MotionEnd.GOAL:
         assert report["goal_error"] <= 1e-3
     assert np.abs(log.v[-1]).max() <= AT_REST
+    return report
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_no_link_moves_into_a_moving_obstacle(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    assert_safe(CASES[name], caplog)
+
+
+@pytest.mark.slow
+def test_an_obstacle_touches_the_hand_at_the_start(caplog: pytest.LogCaptureFixture) -> None:
+    plate = Obstacle(
+        name="plate",
+        shapes=[Box(size=[0.05, 0.006, 0.03])],
+        stiffness=1000.0,
+        translation=[0.45, -0.4845, 0.37015],
+    )
+    report = assert_safe(Case(ends=(MotionEnd.GOAL, *SAFE)), caplog, (plate,))
+    assert report["initial_contacts"]
+    assert report["new_contacts"] == []
+
+
+@pytest.mark.slow
+def test_decisions_among_thirty_moving_obstacles_are_in_time(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    rng, obstacles = np.random.default_rng(0), []
+    for row in range(28):
+        size, waypoints = rng.uniform(0.05, 0.15, 3).tolist(), np.zeros((5, 4))
+        waypoints[:, 0] = np.linspace(0.0, 10.0, 5)
+        waypoints[:, 1:] = rng.uniform(-1.0, 1.0, (5, 3)) * [0.09, 0.3, 0.09]
+        obstacles.append(
+            Obstacle(
+                name=f"crowd{row}",
+                shapes=[Box(size=size) if row % 2 else Sphere(radius=0.5 * size[0])],
+                translation=rng.uniform([0.7, -0.8, 0.15], [1.1, 0.8, 0.9]).tolist(),
+                waypoints=waypoints.tolist(),
+            )
+        )
+    report = assert_safe(Case(ends=(MotionEnd.GOAL, *SAFE)), caplog, tuple(obstacles))
+    assert report["new_contacts"] == []
+    assert report["guard_latency"]["p99"] <= LATENCY
+
+
+@pytest.mark.slow
+def test_inertial_parameters_of_the_controller_are_thirty_percent_too_large(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plant = make_robot_plant(load_scenario("moving_obstacle").robot).plant
+    context, links, file = plant.CreateDefaultContext(), {}, tmp_path / "inertias.yaml"
+    for name in (f"panda_link{row}" for row in range(8)):
+        M = plant.GetBodyByName(name).CalcSpatialInertiaInBodyFrame(context)
+        about_com = M.Shift(M.get_com()).CalcRotationalInertia()
+        inertia = 1.3 * np.concatenate([about_com.get_moments(), about_com.get_products()])
+        mass, com = 1.3 * M.get_mass(), M.get_com().tolist()
+        links[name] = {"mass": mass, "com": com, "inertia": inertia.tolist()}
+    file.write_text(yaml.safe_dump(links))
+    assert_safe(Case((GROUND_TRUTH, f"faults=[!ModelError {{inertias: {file}}}]")), caplog)

@@ -23,7 +23,7 @@ from drake_oa.evaluation.panda.tables import panda_metrics, panda_table
 from drake_oa.scenario.loading import scenario_text
 
 VARIANTS: dict[str, dict[str, dict[str, float]]] = {
-    "all": {},
+    "unchanged": {},
     "without claims": {"guard": {"obstacle_speed": 0.0}},
     "without contact reaction": {"guard": {"contact_error": 1.0}},
     "fixed orientation": {"task": {"turn_limit": 0.05}},
