@@ -158,7 +158,7 @@ def message_parts(module: str) -> set[str]:
     placeholder = r"(?:t=)?%[.\d]*[sdf](?: s:)?|\{\}"
     parts = {part.strip(" :;,('") for text in texts for part in re.split(placeholder, text)}
     # Lists of names of one and two letters, such as columns of a file, are no messages.
-    return {part for part in parts if re.match(r"(?=.*\w{3}).*\w \w+ \w", part)} - NO_MESSAGES
+    return {part for part in parts if re.search(r"(?s)(?=.*\w{3}).*\w \w+ \w", part)} - NO_MESSAGES
 
 
 def test_troubleshooting_explains_each_message() -> None:

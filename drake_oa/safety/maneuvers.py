@@ -58,7 +58,7 @@ _FOLLOW_OPTIONS: tuple[tuple[Action, float], ...] = (
 its speed scale: the fraction of full speed."""
 HORIZON = 1.4
 """Time over which the motion guard predicts the trajectories of the arm and of obstacles [s],
-reduced to whole steps between two samples: 1.34 s with steps of 8 ms."""
+rounded to whole steps between two samples: 1.34 s with steps of 8 ms."""
 _SAMPLES = 28
 """Number of configurations at which each predicted trajectory of the arm is checked for contact and
 proximity [-]."""

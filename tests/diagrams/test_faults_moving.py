@@ -118,7 +118,8 @@ def test_an_obstacle_touches_the_hand_at_the_start(caplog: pytest.LogCaptureFixt
         stiffness=1000.0,
         translation=[0.45, -0.4845, 0.37015],
     )
-    report = assert_safe(Case(ends=(MotionEnd.GOAL, *SAFE)), caplog, (plate,))
+    # The guard evades the plate, so that the motion does not reach the goal.
+    report = assert_safe(Case(ends=SAFE), caplog, (plate,))
     assert report["initial_contacts"]
     assert report["new_contacts"] == []
 

@@ -61,9 +61,8 @@ def test_connections_equal_the_golden_file(name: str) -> None:
 def assert_tool_at_desired_pose(log: MotionLog) -> None:
     """Checks that the arm has the tool at its desired pose while no maneuver is active."""
     is_following = log.guard_action < ACTIONS.index("evade")
-    assert log.tracking_error[: len(is_following)][is_following].max(initial=0.0) <= 1e-3
-    angle = np.linalg.norm(log.orientation_error[: len(is_following)][is_following], axis=1)
-    assert angle.max(initial=0.0) <= np.radians(0.5)
+    assert log.tracking_error[is_following].max() <= 1e-3
+    assert np.linalg.norm(log.orientation_error[is_following], axis=1).max() <= np.radians(0.5)
 
 
 @pytest.mark.slow
@@ -77,7 +76,7 @@ def test_tool_of_other_robots_is_at_its_desired_pose(name: str) -> None:
 def test_motion_equals_the_golden_log(name: str) -> None:
     scenario = _scenario(name)
     log = simulate(scenario, duration=2.0)
-    if not scenario.faults:
+    if not scenario.faults and len(log.guard_action):
         assert_tool_at_desired_pose(log)
     result = {"processor": np.array(_PROCESSOR)}
     for key, value in log.arrays().items():
