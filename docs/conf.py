@@ -81,13 +81,12 @@ def _write_api(app: Sphinx) -> None:
     folder.mkdir(exist_ok=True)
     pages: dict[str, str] = {}
     # An editable install has this package outside the folder of drake_oa, where no walk finds it.
-    found = {"drake_oa.diagrams"}
+    packages = {"drake_oa.diagrams"}
     for info in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
         # Commands have their help in the terminal; methods of the results are in results/method.
         if info.ispkg and not {"models", "app", "evaluation"} & set(info.name.split(".")):
-            found.add(info.name)
-    packages = sorted(found)
-    for package in packages:
+            packages.add(info.name)
+    for package in sorted(packages):
         path = importlib.import_module(package).__path__
         text = f"{package}\n{'=' * len(package)}\n\n.. automodule:: {package}\n   :no-members:\n\n"
         for name in [m.name for m in pkgutil.iter_modules(path) if not m.ispkg]:
@@ -103,7 +102,7 @@ def _write_api(app: Sphinx) -> None:
                 )
             text += "\n"
         pages[package] = text
-    toc = "\n".join(f"   {package}" for package in packages)
+    toc = "\n".join(f"   {package}" for package in sorted(packages))
     title = "API\n===\n\nOne package per layer, and a page for each class with its ports.\n"
     pages["index"] = f"{title}\n.. toctree::\n   :maxdepth: 1\n\n{toc}\n"
     for name, page in pages.items():

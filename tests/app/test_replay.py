@@ -89,6 +89,7 @@ def test_stopped_run_logs_the_motion_in_progress(
         text=True,
     )
     try:
+        assert process.stdout is not None
         assert process.stdout.readline() == "simulating\n"
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)

@@ -25,6 +25,7 @@ from tests.diagrams.fault_systems import (
     nan_geometries,
     raised_table,
 )
+from tests.diagrams.test_faults import PLATE
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 AT_REST = 0.05
@@ -112,14 +113,9 @@ def test_no_link_moves_into_a_moving_obstacle(name: str, caplog: pytest.LogCaptu
 
 @pytest.mark.slow
 def test_an_obstacle_touches_the_hand_at_the_start(caplog: pytest.LogCaptureFixture) -> None:
-    plate = Obstacle(
-        name="plate",
-        shapes=[Box(size=[0.05, 0.006, 0.03])],
-        stiffness=1000.0,
-        translation=[0.45, -0.4845, 0.37015],
-    )
+    plate = load_scenario("tabletop_box", [PLATE]).obstacles
     # The guard evades the plate, so that the motion does not reach the goal.
-    report = assert_safe(Case(ends=SAFE), caplog, (plate,))
+    report = assert_safe(Case(ends=SAFE), caplog, tuple(plate))
     assert report["initial_contacts"]
     assert report["new_contacts"] == []
 

@@ -125,8 +125,8 @@ def test_least_distances_are_those_of_the_nearest_geometry_with_any_culling():
     each = [[geom.geometry_distance(scene, k, *p, t) for k in range(len(items))] for p in points]
     least = np.min(each, axis=1)
     for bound in (np.inf, 0.1):
-        found = geom.least_distances(scene, points, t, bound, -np.inf)
-        np.testing.assert_array_equal(found, np.minimum(least, bound))
+        distances = geom.least_distances(scene, points, t, bound, -np.inf)
+        np.testing.assert_array_equal(distances, np.minimum(least, bound))
     bounds = [[geom.ball_bound(scene, k, *p, t) for k in range(len(items))] for p in points]
     # A field's distance is up to a voxel and an offset less than that of its points.
     assert (np.array(bounds) <= np.array(each) + 0.01).all()
@@ -163,8 +163,8 @@ def test_geometries_of_a_robot_have_the_poses_of_the_scene_graph():
     for state in states:
         world.plant.SetPositionsAndVelocities(world.inner, state)
         query = world.plant.get_geometry_query_input_port().Eval(world.inner)
-        found = (query.ComputeSignedDistanceToPoint(p) for p in POINTS)
-        reference.append([[each.distance for each in row] for row in found])
+        rows = (query.ComputeSignedDistanceToPoint(p) for p in POINTS)
+        reference.append([[each.distance for each in row] for row in rows])
     result = geom.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
     # Distances to ellipsoids in Drake are iterative.
     np.testing.assert_allclose(result, np.min(reference, axis=(0, 2)), atol=1e-3)

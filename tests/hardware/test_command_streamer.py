@@ -22,6 +22,7 @@ def lockstep() -> Lockstep:
 
 def ready(lockstep: Lockstep) -> np.ndarray:
     """Waits until the arm can start at its present positions; returns them (7,) [rad]."""
+    assert lockstep.scenario.robot is not None
     _, limits = arm_of(lockstep.scenario)
     return lockstep.link.ready_arm(joints(lockstep.station), limits)
 
@@ -135,6 +136,7 @@ def test_arm_stops_for_another_command_source(lockstep: Lockstep) -> None:
 
 
 def test_motion_does_not_start_away_from_its_start_or_beyond_limits(lockstep: Lockstep) -> None:
+    assert lockstep.scenario.robot is not None
     _, limits = arm_of(lockstep.scenario)
     with pytest.raises(HardwareError, match="move the arm to"):
         lockstep.link.ready_arm(joints(lockstep.station) + 0.2, limits)

@@ -59,8 +59,11 @@ def test_arm_holds_without_commands_and_follows_again_later(validator: CommandVa
         (0.1, {"joint_position": [np.nan] * N}, "joint0 at nan rad is outside [-2, 2]"),
         (0.1, {"control_mode_expected": 4}, "not 7 positions in position mode"),
         (0.1, {"num_joint_torque": N, "joint_torque": [0.0] * N}, "not 7 positions"),
-        # 5 ms before the previous command, at START + 95 ms.
-        (0.1, {"utime": 1_000_090_000}, "a second command source: its stamp is 5.0 ms"),
+        (
+            0.1,
+            {"utime": round(1e6 * (START + 0.09))},
+            "a second command source: its stamp is 5.0 ms",
+        ),
     ],
 )
 def test_invalid_command_is_rejected(

@@ -81,6 +81,7 @@ def test_nominal_path_is_that_of_the_nominal_motion(straight_log: LogOf) -> None
     assert nominal_path(scenario, {"nominal": straight_log()}) is None
     scenario.task.demonstration = ["path.npz"]
     path = nominal_path(scenario, {"nominal": straight_log(450)})
+    assert path is not None
     assert 100 < len(path) <= 200
     assert nominal_path(scenario, {"nominal": straight_log(ended="interrupted")}) is None
 

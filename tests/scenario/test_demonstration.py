@@ -67,6 +67,8 @@ def test_csv_and_npz_give_the_same_primitives(tmp_path: Path) -> None:
     np.testing.assert_allclose(a.weights, b.weights, atol=1e-4)
     assert a.duration == b.duration == one.task.duration
     r, s = (demonstrated_orientation(each) for each in (one, other))
+    assert r is not None
+    assert s is not None
     np.testing.assert_allclose(r.total, [0.0, 0.0, 0.4], atol=1e-6)
     np.testing.assert_allclose(r.dmp.weights, s.dmp.weights, atol=1e-3)
 

@@ -135,6 +135,7 @@ FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "infe
 
 def files(scenario: Scenario) -> set[str]:
     """Returns the files named in perception, task and inference."""
+    assert isinstance(scenario.perception, RecordedClouds)
     return {scenario.perception.folder, *scenario.task.demonstration, scenario.inference.chain}
 
 
@@ -159,4 +160,5 @@ def test_camera_pose_of_recorded_clouds_is_read_and_written() -> None:
     scenario = parse_scenario(f"perception: {block}")
     for one in (scenario, parse_scenario(scenario_text(scenario))):
         assert isinstance(one.perception, RecordedClouds)
+        assert one.perception.X_WC is not None
         assert one.perception.X_WC.translation.tolist() == [1.0, 2.0, 3.0]

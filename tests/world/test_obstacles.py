@@ -84,9 +84,9 @@ def test_inconsistent_fields_are_rejected(field: str, message: str) -> None:
 def test_trajectory_is_linear_between_waypoints_and_constant_outside() -> None:
     waypoints = [[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]]
     ball = Obstacle(name="ball", shapes=[Sphere()], waypoints=waypoints)
-    found = [ball.offset_at(time) for time in (0.0, 1.5, 3.0, 9.0)]
+    offsets = [ball.offset_at(time) for time in (0.0, 1.5, 3.0, 9.0)]
     expected = [[0.0, 0.0, 1.0], [0.5, -1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 2.0, 1.0]]
-    np.testing.assert_allclose(found, expected)
+    np.testing.assert_allclose(offsets, expected)
 
 
 def test_obstacles_do_not_collide_with_each_other_or_the_table():

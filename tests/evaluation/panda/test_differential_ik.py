@@ -59,4 +59,5 @@ def test_tracks_orientation_and_posture_to_the_goal_joints() -> None:
     assert log.stop_reason == "goal"
     assert np.linalg.norm(log.orientation_error, axis=1).max() < 0.04
     assert np.linalg.norm(log.orientation_error[-1]) < 2e-3
+    assert scenario.task.q_goal is not None
     np.testing.assert_allclose(log.q[-1, :7], scenario.task.q_goal, atol=0.1)

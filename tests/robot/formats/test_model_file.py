@@ -166,7 +166,11 @@ def test_mesh_is_split_if_one_hull_would_add_much_volume(tmp_path: Path) -> None
         ("link.stl", "no mesh", "of link0: .*cannot be read as a mesh"),
         ("link.stl", None, "of link0: .*No such file"),
         ("link.dae", "<a/>", "of link0: .*cannot be read as a mesh"),
-        ("package://none/link.stl", None, r"'none' is neither .* pip install 'drake_oa\[robots\]'"),
+        (
+            "package://nowhere/link.stl",
+            None,
+            r"'nowhere' is neither .* pip install 'drake_oa\[robots\]'",
+        ),
     ],
 )
 def test_error_of_an_unreadable_mesh_names_the_mesh(
