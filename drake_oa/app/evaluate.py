@@ -105,6 +105,10 @@ def synthetic(
         seed: seed of the scenes; without effect for familiar and dead-zone.
         json: write the metrics to this file.
     """
+    from drake_oa.common.config import check_choice
+    from drake_oa.evaluation.scenes.suites import SUITES
+
+    check_choice("suite or subcommand", [*SUITES, *(n for n in evaluate if n[0] != "-")], suite)
     evaluate_points(suite, methods, scenes, seed, json)
 
 
@@ -238,9 +242,10 @@ def panda(
       contacts                     number of scenes with a contact of the robot with an obstacle,
                                    the table or itself, by SceneGraph, until the world is at rest
       avoidable by physics, by view
-                                   number of contacts with moving objects that at least one of 500
-                                   joint motions avoids from the state 0.2 s before the contact; and
-                                   of those with an obstacle whose velocity was observed in time
+                                   numbers of contacts with moving objects that at least one of 500
+                                   joint motions avoids: from the state 0.2 s before the contact;
+                                   and from one of five states 0.05 to 0.5 s before it, with the
+                                   obstacle's velocity observed in time
       success                      number of scenes without contact and with the tool within 5 mm of
                                    the goal at the end
       violations of claims A, B    number of logged instants that violate a claim of passive motion
@@ -276,10 +281,12 @@ def panda(
             workspace.
         runs: options of the runs.
     """
+    from drake_oa.common.config import check_choice
     from drake_oa.evaluation.panda.evaluation import panda_suite
-    from drake_oa.evaluation.panda.scenes import suite_kinds
+    from drake_oa.evaluation.panda.scenes import DRP, KINDS, suite_kinds
     from drake_oa.evaluation.panda.tables import kinds_metrics
 
+    check_choice("suite", [DRP, *KINDS], *kinds)
     if cameras == 2 and perception != "depth":
         raise ValueError(f"--cameras 2 requires --perception depth, not {perception}")
     source = "depth2" if cameras == 2 else perception
@@ -287,8 +294,7 @@ def panda(
         panda_suite(kind, scenes, seed, methods, source, runs.duration)
         for kind in suite_kinds(kinds, levels)
     ]
-    heading = f"panda: {scenes} scenes of seed {seed}"
-    return run_suites(runs, suites, heading, kinds_metrics)
+    return run_suites(runs, suites, f"panda: {scenes} scenes of seed {seed}", kinds_metrics)
 
 
 @evaluate.command
@@ -394,8 +400,7 @@ def sources(
     suites = [panda_suite(kind, scenes, seed, methods, "depth", runs.duration) for kind in kinds]
     if problems is not None:
         suites += mbm_suites(problems, None, (), methods, count, "truth", runs.duration)
-    heading = f"sources: seed {seed}"
-    return run_suites(runs, suites, heading, kinds_metrics)
+    return run_suites(runs, suites, f"sources: seed {seed}", kinds_metrics)
 
 
 def run_suites(
@@ -431,8 +436,7 @@ def run_suites(
         import_extra("ompl.base", "baselines")
     default = RESULTS if runs.json is None else runs.json.with_name(f"{runs.json.stem}.scenes")
     folder = runs.results or default
-    folders = filter(None, (folder, runs.write_scenes))
-    check_outputs(runs.json, *(each / ".writable" for each in folders))
+    check_outputs(runs.json, *(f / ".writable" for f in (folder, runs.write_scenes) if f))
     workers = runs.scheduler or runs.jobs or cpu_count()
     results = [evaluate_panda(suite, workers=workers, folder=folder) for suite in suites]
     metrics = [panda_metrics(result, workers) for result in results]

@@ -62,8 +62,7 @@ def replay(
     check_outputs(html, read=[log])
     viewer = start_viewer(browser=meshcat)
     with build_errors():
-        nominal_W = nominal_path(scenario, logs)
-        diagram = build_replay(scenario, motion_log, viewer, nominal_W=nominal_W)
+        diagram = build_replay(scenario, motion_log, viewer, nominal_W=nominal_path(scenario, logs))
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(speed)

@@ -34,6 +34,16 @@ def test_results_of_several_kinds_are_written_and_resumed(
     assert "2 results read from p.scenes" in capsys.readouterr().out
 
 
+def test_unknown_suites_give_an_error_that_lists_suites_and_subcommands(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("pnda") == run("panda", "--suite", "maze") == 2
+    points, panda = capsys.readouterr().err.splitlines()
+    assert "unknown suite or subcommand 'pnda'; valid: novel," in points
+    assert "panda, mbm, sources" in points
+    assert "unknown suite 'maze'; valid: drp, tabletop," in panda
+
+
 def test_level_and_cameras_select_scenes_of_drp() -> None:
     chosen = "--suite drp --level floating1 --method nominal --scenes 1 --cameras 2"
     assert run("panda", *chosen.split(), "--duration", "0.02", "--json", "p.json") == 0
