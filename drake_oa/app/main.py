@@ -99,6 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Modules and diagrams have many permanent objects. With the default threshold of 700 new
     # objects, garbage collection costs a tenth of the start time.
     gc.set_threshold(50_000)
+    # OpenBLAS starts its threads, which first wait actively, as soon as NumPy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         status = _run(tokens)
         sys.stdout.flush()
@@ -188,7 +190,8 @@ def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
     from drake_oa.common.numba_tools import announced_compilation
 
     logging.getLogger("drake").setLevel(level)
-    # With small matrices, more BLAS threads only wait for each other.
+    # With small matrices, more BLAS threads only wait for each other. The limit applies to every
+    # BLAS library, also if NumPy was imported before.
     with threadpool_limits(limits=1), announced_compilation():
         yield
 

@@ -218,13 +218,12 @@ def perceive_frame(
                 "mask": [[int(run[0]), len(run)] for run in runs],
             }
         )
-    is_valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
     return {
         "file": str(frame.path),
         "size": None if frame.depth is None else list(frame.depth.shape),
         "K": None if frame.K is None else frame.K.tolist(),
         "count": len(points),
-        "valid": int(np.count_nonzero(is_valid)),
+        "valid": int((np.isfinite(points).all(axis=1) & points.any(axis=1)).sum()),
         "X_WC": X_WC.tolist() if plane else None,
         "plane": plane,
         "clusters": clusters,
