@@ -63,11 +63,10 @@ def register_source(block: type, add: AddSource) -> None:
         block: dataclass with a field `period`, the time between observations [s]. A scenario file
             selects it by `perception: !<name of the class> {<field>: <value>}`.
         add: function (signals, block, scenario, station), as `AddSource`, that adds the systems of
-            the source to the signals. The systems output
-            obstacles_W (`ObstacleClouds`). Optional outputs are cloud for the viewer,
-            collision_scene_W (`CollisionScene`) in place of the scene estimated from obstacles_W,
-            and free_space_W (`FreeSpace`), without which all space outside collision geometry
-            counts as free.
+            the source to the signals. The systems output obstacles_W (`ObstacleClouds`). Optional
+            outputs are cloud for the viewer, collision_scene_W (`CollisionScene`) in place of the
+            scene estimated from obstacles_W, and free_space_W (`FreeSpace`), without which all
+            space outside collision geometry counts as free.
     """
     allow_perception(block)
     SOURCES[block] = add

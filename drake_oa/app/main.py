@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Modules and diagrams have many permanent objects. With the default threshold of 700 new
     # objects, garbage collection costs a tenth of the start time.
     gc.set_threshold(50_000)
-    # OpenBLAS starts its threads, which first wait actively, as soon as NumPy is imported.
+    # OpenBLAS starts its threads, which busy-wait, as soon as NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         status = _run(tokens)
