@@ -50,7 +50,7 @@ def main() -> None:
     motion = verifier.GetOutputPort("motion").Eval(context)
     q_motion = np.tile(q, (len(motion), 1))
     q_motion[:, chain.q_index] = motion.q
-    verified = [X_WE.translation() for X_WE in plant.tool_poses(q_motion)]
+    verified = [pose.translation() for pose in plant.tool_poses(q_motion)]
     for name, path in {"nominal": np.linspace(start, goal, 100), "verified": verified}.items():
         distance = np.linalg.norm(path - X_WO.translation(), axis=1).min() - RADIUS
         print(f"{name} motion: minimum distance of ball and tool point {distance:.3f} m")

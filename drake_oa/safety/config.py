@@ -34,8 +34,9 @@ class GuardParameters:
     simulation) [rad/s^2]. Raising it makes the command deviate less in sharp turns."""
     margin_moving: float = Field(default=0.12, gt=0.0, le=2.0)
     """Distance beyond the required clearance to moving obstacles within which a predicted
-    trajectory is penalized for proximity [m]; `task.clearance` if that is larger. Raising it makes
-    the arm avoid moving obstacles at a larger distance."""
+    trajectory is penalized for proximity [m]. The diagram of a scenario replaces it by
+    `task.clearance` if that is larger. Raising it makes the arm avoid moving obstacles at a larger
+    distance."""
     contact_error: float = Field(default=0.05, gt=0.0, le=1.0)
     """Error between measured and commanded position of a joint above which a contact is detected
     [rad]. A contact is also detected above the feedback torque that corresponds to 0.6 times this
