@@ -16,6 +16,7 @@ from drake_oa.scenario.shipped import description, shipped_scenarios
 
 project = "drake_oa"
 author = "The drake_oa maintainers"
+project_copyright = "2026, the drake_oa maintainers"
 version = release = installed_version("drake_oa")
 # myst_nb includes myst_parser, and runs the tutorials.
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
