@@ -1,27 +1,29 @@
 """Claims of passive motion safety, checked at every logged instant of a run against ground truth.
 
-Claim (A): before an object slower than V, `OBSTACLE_SPEED`, can reach a point of the arm, the point
-is at rest or moves away. Claim (B): no point of the arm is faster than v_unseen = 0.25 m/s toward a
-place that may contain an object that no camera has observed.
+Claim (A): before an object slower than V = 0.8 m/s (`OBSTACLE_SPEED`) can reach a point of the
+arm, the point is at rest or moves away. Claim (B): no point of the arm is faster than v_unseen =
+0.25 m/s toward a place that may contain an object that no camera has observed.
 
 At the logged instant t_k let s be the stamp (time of measurement) of the newest observation that
-has arrived. A point i of the arm is the center c_i of an enclosing sphere of radius r_i, and u_i
-its velocity. Since the stamp, an object slower than V has traveled at most V (t_k - s). It can
-touch the point only if at the stamp it was within the reach
+has arrived. A point i of the arm is the center c_i of one of the spheres that enclose the links,
+r_i the radius of the sphere, and u_i the velocity of its center. Since the stamp, an object slower
+than V has traveled at most V (t_k - s). It can touch the sphere only if at the stamp it was within
+the reach
 
     rho_i = r_i + V (t_k - s)
 
 of the point's position c_i(t_k). The ball of radius rho_i around c_i(t_k) is sampled at the places
-p_ij = c_i + a_j rho_i n_j: its center, and in 26 directions n_j at half and at full radius. A place
-is observed free if for some camera it is in the image, and its depth is at least the minimum depth
-and less than the true depth of its pixel; in noisy images, a pixel without a surface in the range
-of the camera observes nothing. A place is unobserved if at s it was neither observed free nor
-occupied by true collision geometry or the arm. The point is fully observed if none of its places is
-unobserved. Let d_i(t) be the distance of c_i(t) to the collision geometries that move at s, at
-their poses of time s. The claims are violated at t_k if for some i
+p_ij = c_i + a_j rho_i n_j: its center (a_j = 0), and in 26 directions n_j at half and at full
+radius (a_j = 1/2 and 1). A place is observed free if for some camera it is in the image, its depth
+is within the camera's range, and its depth is less than the true depth of its pixel; in noisy
+images, a pixel without a surface in the range of the camera observes nothing. A place is unobserved
+if at s it was neither observed free nor occupied by true collision geometry or the arm. The point
+is fully observed if none of its places is unobserved. Let d_i(t) be the distance of c_i(t) to the
+collision geometries that move at s, at their poses of time s. The claims are violated at t_k, with
+the next logged instant t_(k+1), if for some i
 
     (A)  the point is fully observed,  d_i(t_k) <= rho_i,
-         and  (d_i(t_k) - d_i(t_k+1)) / (t_k+1 - t_k) > e
+         and  (d_i(t_k) - d_i(t_(k+1))) / (t_(k+1) - t_k) > e
     (B)  u_i . n_j > v_unseen at an unobserved place j; at its center: |u_i| > v_unseen
 
 with e = 0.02 m/s.
@@ -64,21 +66,22 @@ V_UNSEEN = 0.25
 of passive motion safety [m/s]."""
 _MAX_REST_SPEED = 0.02
 """Speed e toward an obstacle up to which a point of the arm counts as at rest in claim (A) of
-passive motion safety [m/s]."""
+passive motion safety [m/s]: a point rests or recedes before a moving obstacle can reach it."""
 _MAX_DISTANCE = 1e3
-"""Upper bound of the distances from the arm to moving collision geometry, reported if none moves
-[m]."""
+"""Upper bound of the computed distances from the arm to moving collision geometry, and their value
+if no geometry moves [m]."""
 _SURFACE_MARGIN = 0.01
-"""Distance from a surface up to which a place counts as occupied, since the pixels of depth images
-have a finite size [m]."""
+"""Distance from the surface of an object or the arm up to which a place counts as occupied, since
+the pixels of depth images have a finite size [m]."""
 _MIN_SPEED, _MAX_SPEED = 1e-3, 100.0
 """Speeds between which an object counts as moving [m/s]. A faster one appears or vanishes."""
 _PAUSE = 2.0
 """Time for which an object that has come to rest still counts as moving, since it may move again
 [s]."""
 _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
-"""Places (53, 3) in the unit ball, scaled to the surroundings of each point of the arm to check
-which space is observed: the center, and 26 directions at half and at full radius."""
+"""Sample points (53, 3) in the unit ball [-]: the center, and 26 directions at half and at full
+radius. Scaled and moved to a point of the arm, they are the places near the point at which it is
+checked whether a camera has observed them."""
 
 
 def claim_violations(
@@ -88,11 +91,11 @@ def claim_violations(
     stamp: FloatArray,
     free_space: Callable[[float], FreeSpace] | None = None,
 ) -> dict[str, BoolArray]:
-    """Finds the logged instants that violate claim (A) or (B) of passive motion safety, by the
-    inequalities in the module's docstring.
+    """Finds the logged instants that violate claim (A) or (B) of passive motion safety.
 
-    By (A), the arm rests or recedes before an obstacle can reach it. By (B), it is slow toward
-    places that no camera observes as free.
+    By (A), each point of the arm rests or recedes before an observed obstacle slower than 0.8 m/s
+    can reach it. By (B), no point is faster than 0.25 m/s toward a place that no camera observes as
+    free. The module's docstring has the inequalities.
 
     Args:
         world: the arm, and the true collision geometries along their trajectories.
@@ -105,7 +108,8 @@ def claim_violations(
             observed.
 
     Returns:
-        "A" and "B" -> (T,) whether the claim is violated at each instant.
+        "A" and "B" -> (T,) whether the claim is violated at each instant; False at the last one,
+        where no velocity is known.
     """
     radius = world.arm.spheres.radius
     centers = sphere_centers(world.arm.chain, world.arm.spheres, q)
@@ -138,13 +142,15 @@ def claim_violations(
 
 
 def _row(world: TrueWorld, time: float) -> int:
-    """Returns the index of the ground-truth sample in `world` that is nearest to a time [s]."""
+    """Returns the index of the sample of the true trajectories in `world` that is nearest to a time
+    [s].
+    """
     return round(min(max(time / STEP, 0.0), len(world.ball) - 1.0))
 
 
 def _moves_at(world: TrueWorld, time: float) -> BoolArray:
-    """Computes a mask (K,) of those collision geometries of `world` that move at a time [s], or
-    moved less than `_PAUSE` before.
+    """Computes a mask (K,) of those of the K collision geometries of `world` that move at a time
+    [s], or moved less than 2 s (`_PAUSE`) before.
     """
     position = world.ball[_row(world, time - _PAUSE) : _row(world, time) + 1, :, :3]
     speed = np.linalg.norm(np.diff(position, axis=0), axis=2) / STEP
@@ -168,7 +174,7 @@ def is_unobserved(
     Args:
         places: (N, 3) positions in the world [m].
         geometries: true collision geometries at that time.
-        arm: (S, 3) centers and (S,) radii of the arm's spheres at that time [m].
+        arm: (S, 3) centers in the world and (S,) radii of the arm's spheres at that time [m].
         free_space: space that the cameras observe to be free at that time.
 
     Returns:
@@ -185,8 +191,11 @@ def is_unobserved(
 
 
 def run_violations(scenario: Scenario, log: MotionLog, world: TrueWorld) -> dict[str, BoolArray]:
-    """Finds the instants of a logged run that violate a claim of passive motion safety, see
-    `claim_violations`.
+    """Finds the instants of a logged run that violate a claim of passive motion safety.
+
+    By claim (A), each point of the arm rests or recedes before an observed obstacle slower than 0.8
+    m/s can reach it. By claim (B), no point is faster than 0.25 m/s toward a place that no camera
+    observes as free. If perception knows the obstacles exactly, all space counts as observed.
 
     Args:
         scenario: scenario of the run; true depth images of its cameras are rendered.

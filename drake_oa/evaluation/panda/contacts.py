@@ -8,14 +8,15 @@ computed from the logged velocities one instant earlier, before the impact has c
 - Avoidable by physics: at least one of 500 joint motions from the logged joint state 0.2 s before
   the contact is collision-free until 1.5 s after it. A motion has one or two legs, each
   time-optimal to a random configuration within the limits of position, velocity and acceleration.
-  Collisions are checked with the enclosing spheres of `true_world`. Such a motion is a proof; its
-  absence proves nothing.
-- Avoidable by view: a collision-free motion exists from one of the times `LEADS` before the
-  contact, and the obstacle's velocity was observed in time, within 20 % of the true one. In time
-  means in the 0.2 s before a deadline, which is 0.1 s before the latest start of such a motion.
+  Collisions are checked with spheres that enclose the links. Such a motion is a proof; its absence
+  proves nothing.
+- Avoidable by view: a collision-free motion exists from one of the joint states 0.05 to 0.5 s
+  (`LEADS`) before the contact, and the obstacle's velocity was observed in time, within 20 % of the
+  true one or 0.02 m/s. In time means in the 0.2 s before a deadline, which is 0.1 s before the
+  latest start of such a motion.
 
-A contact that begins within 1 s after the end of another one is as avoidable as that one, since the
-obstacle may still press the arm.
+A contact that begins within 1 s after the end of another one is not assessed itself: it has the
+same avoidability, since the obstacle may still press the arm.
 """
 
 from __future__ import annotations
@@ -47,23 +48,25 @@ CLEAR_TIME = 1.5
 """Time after a contact until which a random joint motion must be collision-free to prove that the
 contact was avoidable [s]."""
 WARNING = 0.1
-"""Minimum time between the observation of an obstacle and a motion that avoids it, for a contact to
-count as avoidable by view [s]."""
+"""Minimum time between the observation of an obstacle's velocity and the start of a motion that
+avoids the obstacle, for a contact to count as avoidable by view [s]."""
 VELOCITY_AGE = 0.2
-"""Maximum age of a useful observed obstacle velocity [s]. It is measured `WARNING` before the last
-motion that avoids the contact."""
+"""Maximum age of an observed obstacle velocity for a contact to count as avoidable by view [s]. The
+age is that at the deadline, 0.1 s (`WARNING`) before the latest start of a motion that avoids the
+contact."""
 VELOCITY_TOLERANCE = 0.2
 """Maximum error of an observed obstacle velocity that counts as correct, as a fraction of the true
 speed [-]."""
 AT_REST = 0.02
-"""Joint speed below which the arm counts as at rest [rad/s]. It is also the permitted error of a
-correctly observed velocity if the obstacle is slow [m/s]."""
+"""Joint speed below which the arm counts as at rest [rad/s]. It is also the error up to which an
+observed obstacle velocity counts as correct even if it is more than 20 % of the true speed [m/s].
+"""
 _SEPARATION_TIME = 0.1
 """Time without contact after which a new touch of the same link and object is another contact [s].
 """
 _EVENT_DURATION = 1.0
-"""Time after the end of a contact in which further contacts are not assessed, but have the same
-avoidability [s]."""
+"""Time after the end of a contact in which a further contact is not assessed itself, but counts as
+avoidable if the earlier one does [s]."""
 
 
 def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list[dict[str, Any]]:
@@ -80,17 +83,19 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
 
         - time: time of the first touch [s].
         - link: name of the robot's link.
-        - obstacle: name of the touched model instance.
+        - obstacle: name of the touched model instance, for example "obstacle_box".
         - closing_speed, closing_speed_max: speed of the arm's contact point into the object at the
           first touch, and its maximum during the contact [m/s].
-        - arm_at_rest: whether all joints are slower than 0.02 rad/s.
-        - receding: whether the closing speed is not positive.
-        - energy: kinetic energy of the robot [J].
-        - avoidable_by_physics: whether a joint motion from 0.2 s before the contact avoids it.
-        - avoidable_by_view: whether a joint motion avoids it, and the obstacle's velocity was
-          observed in time, as defined in the module's docstring.
-        - parked_contact: configurations at which an arm at rest would be touched, out of "start",
-          "goal" and "first_sight" (at the first observation of the obstacle, from then on).
+        - arm_at_rest: whether all joints are slower than 0.02 rad/s at the first touch.
+        - receding: whether the closing speed at the first touch is not positive.
+        - energy: kinetic energy of the robot at the first touch [J].
+        - avoidable_by_physics: whether one of 500 random joint motions from the joint state 0.2 s
+          before the contact avoids it.
+        - avoidable_by_view: whether such a motion from 0.05 to 0.5 s before the contact avoids it,
+          and the obstacle's velocity was observed 0.1 to 0.3 s before the latest such start.
+        - parked_contact: names of those configurations at which an arm that stays at rest would be
+          touched by an object: "start", "goal" (both from time 0 on), and "first_sight" (that at
+          the first observation of the obstacle, from then on).
     """
     end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     trajectories = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
@@ -124,8 +129,9 @@ def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[s
         log: log of the run.
 
     Returns:
-        For each contact the keys of `contact_events` from `time` to `energy`, and `end`, its last
-        instant [s].
+        For each contact a dictionary with the keys time, link, obstacle, closing_speed,
+        closing_speed_max, arm_at_rest, receding and energy of `contact_events`, and end, the last
+        instant of the contact [s].
     """
     events = list[dict[str, Any]]()
     current: dict[str, dict[str, Any]] = {}
@@ -152,13 +158,13 @@ def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[s
 
 
 def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray) -> bool:
-    """Checks whether an object touches the arm, at rest at a configuration, at any of several
-    times.
+    """Checks whether an object on its true trajectory touches the arm, at rest at a configuration,
+    at any of several times.
 
     Args:
         evaluator: evaluator of contacts for the scenario of the run.
-        q: (nq,) positions of the robot.
-        times: times [s].
+        q: (nq,) positions of the robot [rad, m].
+        times: (T,) times in the simulation [s].
     """
     return any(
         evaluator.contact_speeds(q, 0.0 * q, evaluator.positions_at(time))[0] for time in times
@@ -175,11 +181,12 @@ def _assess_avoidability(
         world: arm and true collision geometries of the scenario.
         log: log of the run.
         time: time of the contact [s].
-        known: times at which correct velocities of the obstacle were observed [s].
+        known: (N,) times at which correct velocities of the obstacle were observed [s].
 
     Returns:
-        "avoidable_by_physics" and "avoidable_by_view" -> whether the contact was avoidable, as
-        defined in the module's docstring.
+        Two keys. "avoidable_by_physics": whether a random joint motion from the joint state 0.2 s
+        before the contact is collision-free. "avoidable_by_view": whether one from 0.05 to 0.5 s
+        before the contact is, and `known` has a time 0.1 to 0.3 s before the latest such start.
     """
     index, counts = world.arm.chain.q_index, {}
     for lead in LEADS:
@@ -205,11 +212,12 @@ def count_escapes(
     half are near the configuration at which the arm would stop.
 
     Args:
-        world: the arm, its required clearance, and the collision geometries.
+        world: the arm, its required clearance, and the collision geometries along their
+            trajectories, sampled every `STEP` (8 ms).
         q: (n,) joint positions at the start [rad].
         v: (n,) joint velocities at the start [rad/s].
         first: index of the sample of `world` at the start.
-        steps: number of steps for which a motion must be collision-free.
+        steps: number of steps of 8 ms for which a motion must be collision-free.
         seed: seed of the random targets.
     """
     random, chain, shape = np.random.default_rng(seed), world.arm.chain, (MOTION_COUNT, 2, len(q))

@@ -4,19 +4,21 @@ collision constraints.
     goal -> dmp_integrator [-> orientation_integrator] -> commanded_joints
     commanded_joints -> differential_ik -> commanded_joints -> controller -> plant
 
-The baseline replaces the layer `safety` of a diagram without perception
-(`drake_oa.diagrams.avoidance`); it knows the obstacles exactly. At each step of
-`DifferentialInverseKinematicsSystem` a quadratic program computes the joint velocity v, at the
-commanded positions, that moves the tool best toward the desired pose. The program is subject to
-joint velocity limits. For every pair (robot link, object) with distance d and padding p, whose
-padded distance phi = d - p is below the influence distance, it is also subject to
+The baseline takes the place of the layer `safety`, the systems that turn the desired tool motion
+into joint commands, in a diagram without perception (`drake_oa.diagrams.avoidance`). It knows the
+obstacles exactly. At each step of `DifferentialInverseKinematicsSystem` a quadratic program
+computes the joint velocity v, at the commanded positions, that moves the tool best toward the
+desired pose. The program is subject to joint velocity limits. For every pair of a robot link and
+an object, or of two links, with distance d and padding p, whose padded distance phi = d - p is
+below the influence distance, it is also subject to
 
     phi + (dphi/dq) v dt >= s.
 
 Hence the minimum clearance of a pair is s + p. The safety distance s is the smaller of the minimum
-clearances of tool and arm, and the padding p is the remainder. Between d = 0 and d = p the gradient
-of Drake 1.51 has the wrong sign (RobotLocomotion/drake#25016), which would increase a penetration.
-Since s > 0, this region begins at a distance s below the minimum clearance.
+clearances of tool and other links, and the padding p of a pair is the remainder of the minimum
+clearance of this pair. Between d = 0 and d = p the gradient of Drake 1.51 has the wrong sign
+(RobotLocomotion/drake#25016), which would increase a penetration. Since s > 0, this region begins
+at a distance s below the minimum clearance.
 """
 
 from __future__ import annotations
@@ -65,8 +67,8 @@ SELF_DISTANCE = 0.005
 It is above 0, where the gradient of Drake's distances changes its sign. It is below 13 mm, the
 distance between links of the UR5 that cannot move apart."""
 INFLUENCE = 0.2
-"""Excess of a pair's distance over the safety distance above which the differential IK baseline
-ignores the pair of link and object [m]."""
+"""Excess of the distance between link and object over the minimum clearance of this pair, above
+which the differential IK baseline ignores the pair [m]."""
 HORIZON = 0.3
 """Time dt in which a link may consume its clearance margin, in the collision constraint of the
 differential IK baseline [s].
@@ -84,7 +86,7 @@ ANGULAR_LIMIT = 2.5
 [rad/s]."""
 WEIGHT = 100.0
 """Weight of the tool's velocity error in the differential IK baseline, relative to the weight of
-the posture [-]."""
+the cost that attracts the arm to its nominal posture [-]."""
 KP = 2500.0
 """Stiffness of the joint controller that tracks the commands of the differential IK baseline
 [1/s^2]."""
@@ -109,11 +111,11 @@ def make_collision_checker(
     self_padding: float = 0.0,
 ) -> SceneGraphCollisionChecker:
     """Makes Drake's collision checker of a scenario's world, with one padding for each kind of
-    pairs.
+    pairs of bodies.
 
     A padding is subtracted from the distance of a pair. The world contains the same robot,
-    obstacles and environment as the simulated station. Fixed links are left out, since no joint
-    velocity changes their distances.
+    obstacles and environment (table, for example) as the simulated station. Fixed links are left
+    out, since no joint velocity changes their distances.
 
     Args:
         scenario: scenario with a robot.
@@ -202,7 +204,8 @@ class CommandedJoints(LeafSystem):
       - position
       - nominal_posture
 
-    - joint_velocity: (n,) joint velocity computed by the differential IK system [rad/s, m/s].
+    - joint_velocity: (n,) velocity of the robot's n joints, fingers included, computed by the
+      differential IK system [rad/s, m/s].
     - desired_position: (3,) tool position p_WE of the nominal motion [m].
     - desired_velocity: (3,) tool velocity v_WE of the nominal motion [m/s].
     - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Not connected: the
@@ -338,17 +341,20 @@ def _without_solver_messages() -> Iterator[None]:
 
 
 def simulate_differential_ik(scenario: Scenario, duration: float | None = None) -> MotionLog:
-    """Simulates a motion with the differential IK baseline until it terminates, as `simulate` does.
+    """Simulates a motion with the differential IK baseline until it terminates and the world is at
+    rest.
 
     The desired tool pose follows the nominal motion and then stays at the goal. While the quadratic
     program is infeasible the robot is held.
 
     The minimum clearance of the tool is the achievable clearance: the requested one, limited by the
-    clearances at start and goal. The minimum clearance of other links is at most `ARM_DISTANCE`.
+    clearances at start and goal. The minimum clearance of other links is the requested one, at most
+    2 cm (`ARM_DISTANCE`).
 
     Args:
         scenario: scenario with a robot; its perception and inference are not used.
-        duration: time limit [s]; None: that of `simulate`.
+        duration: time limit [s]; None: six times the demonstrated duration after the last move of
+            the goal, as in `simulate`.
 
     Returns:
         The log, without observations; its `inference` is `METHOD`.

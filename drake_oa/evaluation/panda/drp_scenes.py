@@ -1,10 +1,12 @@
-"""Random scenes by the parameters of DRPBench, the benchmark of Deep Reactive Policy.
+"""Random scenes by the parameters of DRPBench, the benchmark of Deep Reactive Policy (Yang et al.,
+CoRL 2025).
 
-Kinds, levels, sizes, speeds and times of the moving boxes are those of its authors' program, with
-an episode of 1,000 steps of 1/60 s:
+A level of the benchmark is one set of parameters, for example `sudden2`. Kinds, levels, sizes,
+speeds and times of the moving boxes are those of its authors' program, with an episode (one trial)
+of 1,000 steps of 1/60 s:
 
-- `sudden`: a box appears at step 30 on the nominal path of the tool, at the first position 0.1 m
-  from the robot; it disappears 100 steps before the end;
+- `sudden`: a box appears at step 30 on the nominal path of the tool, at the first position at least
+  0.1 m from the robot; it disappears 100 steps before the end;
 - `floating`: three boxes start 0.8 to 1.0 m from the point (0.15, 0, 0.5), fly toward it (within
   0.2 m along each axis), and reverse at 1.2 m from it; they disappear 300 steps before the end;
 - `goal_blocked`: a box appears at the goal when the nominal tool position is 0.5 m from it; it
@@ -18,17 +20,17 @@ module draws static objects and nominal motions (tool motions without avoidance)
 DRPBench:
 
 - Boxes depend on the nominal motion, not on the executed one, so that a scene is the same for all
-  methods. A box keeps its distance to the robot along the nominal motion until it appears. A sudden
-  box does not appear a second time 200 steps later.
+  methods. The robot on its nominal motion keeps the minimum distance to the place of a box at all
+  times until the box appears. A sudden box does not appear a second time 200 steps later.
 - Flying boxes also reverse at the table.
 - In `moving_goal_blocked` the robot starts 5 cm from the goal, since start and goal of a task must
   differ.
 - The tool points down; in the shelf it points forward, tilted down by 20 degrees.
 
 Static objects are an open box on the table, and a shelf: a raised box that is open at its front. If
-start and goal are outside a static object, the robot's clearance at both to the closed object is at
-least 5 cm. If they are inside, its clearance to the boards is at least 5 cm. Flying boxes pass
-through static objects and each other.
+start and goal are outside a static object, the robot's clearance at both is at least 5 cm to the
+object with its open face closed. If they are inside, its clearance to the boards is at least 5 cm.
+Flying boxes pass through static objects and each other.
 """
 
 from __future__ import annotations
@@ -70,12 +72,12 @@ class Level:
     """Parameters of one level of the benchmark DRPBench.
 
     Attributes:
-        draw_boxes: function that draws the moving or appearing boxes from a source of random
+        draw_boxes: function that draws the flying or appearing boxes from a source of random
             numbers, a level and a nominal motion; it returns no boxes if they cannot be placed.
-        size: range of the edge lengths of a box [m].
+        size: range of the edge lengths of a flying or appearing box [m].
         count: number of flying boxes.
         speed: range of the speeds of flying boxes [m/s].
-        world: names of the static objects, from `_CASES`.
+        world: names of the static objects, "open_box" or "shelf".
         inside: whether start and goal are inside the static object.
         draw_motion: function that draws the nominal motion from a source of random numbers; it
             returns None if a draw is rejected.
@@ -91,14 +93,16 @@ class Level:
 
 
 def drp_objects(random: Generator, *, level: Level) -> DrawObjects:
-    """Returns a function that draws the static objects and the boxes of a DRPBench level.
+    """Returns a function that draws the static objects and the moving or appearing boxes of a level
+    of the benchmark DRPBench.
 
     Args:
         random: source of random numbers.
         level: parameters of the level.
 
     Returns:
-        Function from a nominal motion to obstacles; it returns None if an object cannot be placed.
+        Function from a nominal motion to obstacles, boxes first; it returns None if an object
+        cannot be placed.
     """
 
     def draw(motion: Motion) -> list[Obstacle] | None:
@@ -124,8 +128,8 @@ _FORWARD = [0.0, math.radians(110.0), 0.0]
 """Roll, pitch and yaw in the world of a tool that points forward into the shelf, tilted down by 20
 degrees [rad]."""
 _GOALS = (0.40, -0.40, 0.30), (0.60, 0.40, 0.55)
-"""Lower and upper corner of the box from which goals of the DRPBench levels `moving_goal_blocked`
-are drawn, in the world [m]."""
+"""Lower and upper corner (x, y, z) in the world of the box from which goals of the DRPBench levels
+`moving_goal_blocked` are drawn [m]."""
 
 
 def _draw_hold(random: Generator, *, forward: bool = False) -> Motion | None:
@@ -153,8 +157,8 @@ _CASES = {
     "shelf": (0, (0.10, 0.27, 0.15, 0.32), (0.15, 0.37, 0.30, 0.40)),
 }
 """Name of a static object -> index of its open face (0 to 2: at the minimum of x, y, z; 3 to 5: at
-the maximum), and minima and maxima of half depth, half width, height above the table, and inner
-height [m]."""
+the maximum), and minima and maxima of half depth (along x), half width (along y), height of the
+lower face above the table, and inner height [m]."""
 
 
 def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | None) -> Obstacle:
@@ -162,11 +166,11 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
 
     Args:
         random: source of random numbers.
-        name: name of the object in `_CASES`.
+        name: "open_box" or "shelf".
         number: number of the obstacle, which determines its name and color.
         inside: (3,) tool point that is to be inside the object, 6 to 10 cm behind its front, in the
             world [m]; the object then has a yaw of 0. None: the object is anywhere on the table and
-            faces the robot's base.
+            its front faces the robot's base.
     """
     opening, smallest, largest = _CASES[name]
     x, y, low, height = random.uniform(smallest, largest)
@@ -189,25 +193,28 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
 # Boxes that move or appear --------------------------------------------------------------
 
 _FLOATING_TARGET = np.array([0.15, 0.0, 0.5])
-"""Target point of the boxes in the DRPBench levels `floating`, in the world [m]."""
+"""Point in the world toward which the boxes of the DRPBench levels `floating` fly [m]."""
 _FLOATING_RANGES = (0.8, 1.0), 1.2, 0.2
-"""Distances from boxes to their target point in the DRPBench levels `floating`: range at the start,
-distance of reversal, and maximum miss along each axis [m]."""
+"""Distances between flying boxes and the point toward which they fly in the DRPBench levels
+`floating`: range at the start, distance at which a box reverses, and maximum error of the direction
+of flight, as an offset of the point along each axis [m]."""
 _GOAL_RANGES = (0.5, 0.6), 1.0, 0.01
-"""Distances from flying boxes to the goal in the DRPBench levels `moving_goal_blocked`: range at
-the start, distance of reversal, and maximum miss along each axis [m]."""
+"""Distances between flying boxes and the goal in the DRPBench levels `moving_goal_blocked`: range
+at the start, distance at which a box reverses, and maximum error of the direction of flight, as an
+offset of the goal along each axis [m]."""
 _BASE_RADIUS = 0.25
 """Radius of a vertical cylinder around the robot's base at which flying boxes reverse [m]."""
 _MIN_X = 0.1
 """Minimum x coordinate of flying boxes in the world, at which they reverse [m]."""
 _MIN_DISTANCE = 0.01
-"""Minimum distance between a box and the robot when the box starts to fly or appears at the goal
-[m]."""
+"""Minimum distance between the robot and the place of a box, at all times until the box starts to
+fly or appears at the goal [m]."""
 _MIN_SUDDEN_DISTANCE = 0.1
-"""Minimum distance between a box and the robot when the box appears on the tool's path [m]."""
+"""Minimum distance between the robot and the place of a box that appears on the tool's path, at all
+times until it appears [m]."""
 _SPACING = 0.005
-"""Distance between neighboring points on a flying box's line, at which the conditions of reversal
-are evaluated [m]."""
+"""Distance between neighboring points on the line of a flying box, at which it is checked whether
+the box must reverse [m]."""
 
 
 def _draw_box(random: Generator, level: Level, number: int, p_WB: FloatArray) -> Obstacle:
@@ -215,7 +222,7 @@ def _draw_box(random: Generator, level: Level, number: int, p_WB: FloatArray) ->
 
     Args:
         random: source of random numbers.
-        level: DRPBench level with the range of edge lengths.
+        level: level of the benchmark DRPBench, with the range of edge lengths.
         number: number of the obstacle, which determines its name and color.
         p_WB: (3,) position of the box's center in the world [m].
     """
@@ -242,11 +249,11 @@ def _place_box(box: Obstacle, p_WB: FloatArray, present: list[float]) -> Obstacl
 
 
 def _is_clear(box: Obstacle, motion: Motion, distance: float) -> bool:
-    """Checks whether the robot on its nominal motion keeps a minimum distance to the place of a box
-    until the box appears.
+    """Checks whether the robot on its nominal motion keeps a minimum distance to the place at which
+    a box will appear, at all times until then.
 
     Args:
-        box: box with its times of presence; a flying box is present from time 0.
+        box: box with the time at which it appears; a flying box appears at time 0.
         motion: nominal motion.
         distance: minimum distance [m].
     """
@@ -261,8 +268,8 @@ def _tool_path(motion: Motion) -> FloatArray:
 
 
 def _draw_sudden_box(random: Generator, level: Level, motion: Motion) -> list[Obstacle]:
-    """Draws a box that appears on the tool's nominal path, at the first position 0.1 m from the
-    robot.
+    """Draws a box that appears after 0.5 s on the tool's nominal path, at the first position that
+    is at least 0.1 m from the robot.
 
     Returns:
         One box, or none if no position is far enough from the robot.
@@ -278,7 +285,7 @@ def _draw_goal_box(random: Generator, level: Level, motion: Motion) -> list[Obst
     goal.
 
     Returns:
-        One box, or none if the robot is too close to the box.
+        One box, or none if the robot comes within 1 cm of its place before it appears.
     """
     near = np.linalg.norm(_tool_path(motion) - motion.goal, axis=1) <= 0.5
     present = [motion.t[near.argmax()], 800 * _STEP]
@@ -294,10 +301,10 @@ def _draw_flying_boxes(
 
     Args:
         random: source of random numbers.
-        level: DRPBench level with number, sizes and speeds of the boxes.
+        level: level of the benchmark DRPBench, with number, sizes and speeds of the boxes.
         motion: nominal motion.
-        at_goal: whether the lines pass the goal, and boxes start above it; else the lines pass
-            `_FLOATING_TARGET`.
+        at_goal: whether the lines pass within 1 cm of the goal along each axis, and boxes start
+            above it; else the lines pass within 20 cm of `_FLOATING_TARGET`.
 
     Returns:
         The boxes, or none if one of them cannot be placed.

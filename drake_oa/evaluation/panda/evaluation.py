@@ -7,16 +7,19 @@ Methods:
                    of three networks computes coupling parameters from the obstacle's section with
                    the P-plane (plane of motion and obstacle). Cost rings (costs of the directions
                    of passing) select the side. The chain is `paper_chain_running`, trained for
-                   this system's movement primitive, with alpha per demonstrated duration
+                   this system's movement primitive; its strength alpha of the coupling term has the
+                   unit 1/T, with the demonstrated duration T
   verified         this project's method: whole-arm motions, verified by simulation among the
                    obstacles' collision geometry; if none is collision-free, a planned path that
                    the movement primitives imitate
   differential_ik  Drake's differential inverse kinematics with collision constraints along the
-                   nominal motion; it knows the obstacles exactly and has the achievable clearance
-                   as its tool's minimum clearance
+                   nominal motion; it knows the obstacles exactly. Its tool keeps the achievable
+                   clearance: the requested one, or that at start or goal if less
   planner          a sampling-based planner that knows the obstacles and their trajectories
                    exactly and shows which scenes have a solution, see `planner`; not simulated
-  without_...      ablations of `verified`, each without one source of candidate motions
+  without_...      ablations of `verified`, each without one source of candidate motions:
+                   without_chain (regressor chain), without_search (search among roll-outs),
+                   without_joint_path (paths of a joint-space planner)
 
 SceneGraph checks contacts of links, hand and fingers with obstacles, table and each other at every
 logged instant (4 ms apart), until everything has been at rest for a second.
@@ -25,10 +28,11 @@ Outcome of a run:
 
   success   no contact, and the tool point ends within 5 mm of the goal
   contact   a contact with the scene or of the robot with itself
-  stopped   any other end; the reason is the stop reason, with "#" in place of numbers, or the
-            exception that the run raised
+  stopped   any other end; the reason is that of the motion's termination in words, with "#" in
+            place of numbers, or the exception that the run raised
 
-Runs in scenes of the benchmark DRPBench are also evaluated by its rules, see `drp_outcome`.
+Runs in scenes of the benchmark DRPBench are also evaluated by its rules (`drp_outcome`): no contact
+for 16.7 s, and the tool then within 5 cm and 15 degrees of the goal.
 """
 
 from __future__ import annotations
@@ -77,8 +81,9 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "without_search": {"generations": 0},
     "without_joint_path": {"configurations": 0, "last_configurations": 0},
 }
-"""Name of a variant of the method `verified` without one source of candidate motions -> changed
-fields of the scenario's block `inference`."""
+"""Name of a variant of the method `verified` without one source of candidate motions (regressor
+chain, search among roll-outs, or joint-space planner) -> changed fields of the scenario's block
+`inference`."""
 METHODS = ("nominal", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *ABLATIONS)
 """Names of all methods that can be evaluated on a scene of the Panda, variants of `verified`
 included."""
@@ -100,12 +105,12 @@ _UNKNOWN_KEYS = (
     "contact_events",
     "claim_violations",
 )
-"""Keys of a run's result that are None if their value is unknown. The last two are also None in
-scenes where no obstacle moves or appears."""
+"""Keys of a run's result that are None if their value is unknown. `contact_events` and
+`claim_violations` are also None in scenes where no obstacle moves or appears."""
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
-"""Regular expression of numbers in a stop reason, which are replaced by "#" to count equal reasons.
-"""
+"""Regular expression of numbers in the reason for which a motion stopped; they are replaced by "#"
+to count equal reasons."""
 
 _logger = logging.getLogger("drake_oa")
 
@@ -119,10 +124,11 @@ class Criteria:
         goal_error: maximum distance of the tool from the goal [m].
         orientation_error: maximum angle of the tool from the goal's orientation [rad].
         beyond_limits: maximum excess of a joint over its position limit during the run [rad].
-        keeps_request: whether the planner's minimum clearance is the requested clearance; else it
-            is `planner.CLEARANCE`.
-        planner_states: maximum number of states that the planner checks.
-        has_drp_rules: whether runs are also evaluated by the rules of the benchmark DRPBench.
+        keeps_request: whether the minimum clearance of the method `planner` is the requested
+            clearance; else it is 2.5 cm (`planner.CLEARANCE`).
+        planner_states: maximum number of states that the planner checks among resting obstacles.
+        has_drp_rules: whether runs are also evaluated by the rules of the benchmark DRPBench, see
+            `drp_outcome`.
     """
 
     goal_error: float = AT_GOAL
@@ -156,7 +162,8 @@ _CRITERIA = Criteria()
 def with_method(scenario: Scenario, method: str) -> Scenario:
     """Returns a copy of a scenario with the inference and policy settings of a method.
 
-    Only the paper's method, `verified` and its ablations change settings.
+    Only the methods `paper`, `verified` and the ablations of `verified`, which lack one source of
+    candidate motions, change settings.
 
     Args:
         scenario: scenario of a scene.
@@ -187,26 +194,30 @@ def run_and_evaluate(
     Args:
         scenario: scene, drawn with depth perception.
         method: one of `METHODS`.
-        perception: one of `scenes.PERCEPTIONS`.
-        duration: time limit of the run [s]; None: that of `simulate`.
+        perception: source of the obstacles: "depth" (camera of the scene), "depth2" (two cameras
+            beside the robot) or "truth" (exact obstacles).
+        duration: time limit of the run [s]; None: six times the demonstrated duration after the
+            last move of the goal, as in `simulate`.
         criteria: conditions of success.
 
     Returns:
-        All keys of `motion_report`, and the following ones. For the method `planner` see
-        `run_planner`.
+        All metrics of one motion by the keys of `motion_report`, and the following ones. A plan of
+        the method `planner` has those of `run_planner` in place of those of `motion_report`.
 
-        - outcome: "success", "contact" or "stopped".
-        - reason: the stop reason of a run without success, with "#" for numbers.
+        - outcome: "success", "contact" or "stopped" (any other end).
+        - reason: the reason in words for which a run without success ended, with "#" for numbers.
         - failed: whether the run raised an exception.
         - beyond_limits: maximum excess of a joint over its position limit [rad].
-        - decision_latencies: latency of each decision [s].
+        - decision_latencies: simulated compute latency of each selection of a motion [s].
         - wall_time, real_time_factor: wall time of the simulation [s], and simulated time over it.
-        - drp_outcome: outcome by the rules of DRPBench; None if `criteria` does not have them.
-        - contact_events: contacts and their causes, see `contacts.contact_events`; None if no
-          obstacle moves or appears.
-        - claim_violations: number of logged instants, and of those that violate each claim of
-          passive motion safety, see the module `claims`; None if no obstacle moves or appears, or
-          without observations.
+        - drp_outcome: outcome by the rules of the benchmark DRPBench; None if `criteria` does not
+          have them.
+        - contact_events: contacts, with closing speed, energy and avoidability, see
+          `contacts.contact_events`; None if no obstacle moves or appears.
+        - claim_violations: numbers of logged instants ("instants"), and of those that violate claim
+          "A" (the arm rests or recedes before a moving obstacle can reach it) or "B" (it is slow
+          toward unobserved space) of passive motion safety; None if no obstacle moves or appears,
+          or without observations.
     """
     scenario = with_method(with_perception(scenario, perception), method)
     has_failed, log, result = False, None, _without_motion(scenario)
@@ -243,7 +254,8 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
     Args:
         scenario: scenario that is configured for the method.
         method: name of the method.
-        duration: time limit of the run [s]; None: that of `simulate`.
+        duration: time limit of the run [s]; None: six times the demonstrated duration after the
+            last move of the goal, as in `simulate`.
     """
     if method == DIFFERENTIAL_IK:
         return simulate_differential_ik(scenario, duration)
@@ -296,10 +308,11 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
     Args:
         scenario: scenario of the run.
         log: log of the run; it may end before the episode if the robot is at rest.
-        contacts: contacts of the whole run, by true geometry.
+        contacts: names "link - object" of the contacts of the whole run, by true geometry.
 
     Returns:
-        "contact" for a contact with an obstacle or the table, "success", or "stopped".
+        "contact" for a contact with an obstacle or the table within the episode of 16.7 s;
+        "success" if the tool is then within 5 cm and 15 degrees of the goal; else "stopped".
     """
     rows = log.t <= EPISODE
     q = log.q[rows]
@@ -335,14 +348,16 @@ class PandaSuite:
 
     Attributes:
         name: name of the evaluation, for example "panda".
-        kind: kind of the scenes.
+        kind: kind of the scenes, for example "tabletop".
         seed: seed of the scenes.
         methods: names of methods, from `METHODS`.
-        perception: one of `scenes.PERCEPTIONS`.
-        duration: time limit of a run [s]; None: that of `simulate`.
+        perception: source of the obstacles: "depth" (camera of the scene), "depth2" (two cameras
+            beside the robot) or "truth" (exact obstacles).
+        duration: time limit of a run [s]; None: six times the demonstrated duration after the last
+            move of the goal.
         stem: prefix of the names of result files.
-        drawings: number of a scene -> function call that returns the text of its scenario; the text
-            depends on the call's positional arguments alone.
+        drawings: number of a scene -> function call that returns the YAML text of its scenario; the
+            text depends on the call's positional arguments alone.
         criteria: conditions of success.
 
     Raises:
@@ -364,7 +379,7 @@ class PandaSuite:
 
     def perception_of(self, method: str) -> str:
         """Returns the perception with which a method is run: "truth" for methods that know the
-        obstacles exactly, else that of the suite.
+        obstacles exactly (differential_ik, planner), else that of the suite.
         """
         return "truth" if method in TRUTH_ONLY else self.perception
 
@@ -400,12 +415,14 @@ def panda_suite(
     Scene i depends only on kind, seed and i, so that a larger suite contains a smaller one.
 
     Args:
-        kind: kind of scenes, from `scenes.KINDS`.
+        kind: kind of scenes, from `scenes.KINDS`, for example "tabletop".
         scenes: number of scenes.
         seed: seed of the scenes.
         methods: names of methods, from `METHODS`.
-        perception: one of `scenes.PERCEPTIONS`.
-        duration: time limit of a run [s]; None: that of `simulate`.
+        perception: source of the obstacles: "depth" (camera of the scene), "depth2" (two cameras
+            beside the robot) or "truth" (exact obstacles).
+        duration: time limit of a run [s]; None: six times the demonstrated duration after the last
+            move of the goal.
 
     Raises:
         ValueError: if the kind or a method is unknown.
@@ -421,7 +438,7 @@ class PandaResults(NamedTuple):
 
     Attributes:
         suite: the evaluated suite.
-        scenarios: number of a scene -> text of the drawn scenario.
+        scenarios: number of a scene -> YAML text of the drawn scenario.
         runs: method -> number of a scene -> result of `run_and_evaluate`.
         resumed: number of results that were read from disk.
     """
@@ -447,7 +464,7 @@ def evaluate_panda(
 
     Raises:
         ValueError: if the scheduler cannot be reached.
-        RuntimeError: if a random scene is not found within the maximum number of motions.
+        RuntimeError: if the conditions of a scene hold for none of 5000 random motions.
     """
     drawings = {n: Task(suite.scene_name(n), draw) for n, draw in suite.drawings.items()}
     scenarios, _ = resumed(drawings, folder, workers)
@@ -466,12 +483,12 @@ def evaluate_panda(
 
 
 def draw_text(seed: int, scene: int, kind: str) -> str:
-    """Draws a random scene with one depth camera and returns the text of its scenario.
+    """Draws a random scene with one depth camera and returns the YAML text of its scenario.
 
     Args:
         seed: seed of the evaluation.
         scene: number of the scene.
-        kind: kind of scenes, from `scenes.KINDS`.
+        kind: kind of scenes, from `scenes.KINDS`, for example "tabletop".
     """
     return scenario_text(draw_panda_scene(seed, scene, kind=kind))
 
@@ -481,8 +498,9 @@ def run_text(text: str, *arguments: Any) -> dict[str, Any]:
     output.
 
     Args:
-        text: text of the scenario.
-        arguments: further arguments of `run_and_evaluate`, from the method on.
+        text: YAML text of the scenario.
+        arguments: arguments of `run_and_evaluate` after the scenario: method, perception, duration
+            and criteria.
     """
     with quiet():
         return run_and_evaluate(parse_scenario(text), *arguments)

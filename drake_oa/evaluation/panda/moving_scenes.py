@@ -6,8 +6,8 @@ obstacles rest on the table. Motions and trajectories are drawn until
 
 - the first obstacle hits the robot on the nominal motion: during its trajectory some link
   penetrates it by at least 5 mm;
-- no obstacle passes through the robot's base, above 0.6 m (1.0 m in `moving_high`; height of its
-  center), or within 2 cm of another obstacle (distance of the enclosing balls);
+- no obstacle passes through the robot's base or within 2 cm of another obstacle (distance of the
+  enclosing balls), and no center of one is higher than 0.6 m (1.0 m in `moving_high`);
 - the whole robot has at least 5 cm clearance to resting obstacles at start and goal, and to moving
   obstacles at the start at time 0;
 - each trajectory ends within 15 s; the obstacle then rests.
@@ -95,11 +95,11 @@ _TARGET_JOINTS = range(4, 7)
 """Indices of the joints that move the links 5 to 7, near which moving obstacles have their target
 points."""
 _MAX_OFFSET = 0.05
-"""Maximum offset of an obstacle's target point from the center of a sphere on a link, along each
-axis [m]."""
+"""Maximum offset of an obstacle's target point from the center of a sphere that encloses a part of
+a link, along each axis [m]."""
 _SLIDING_HEIGHT = 0.05
-"""Height of an obstacle's center above its lowest possible height up to which the obstacle is
-lowered to slide on the table [m]."""
+"""Maximum distance by which an obstacle near the table is lowered so that it slides on the table
+[m]."""
 _TABLE_GAP = 2e-3
 """Gap between the table and an obstacle that slides on the table, to avoid their contact [m]."""
 _MAX_HEIGHT = 0.6
@@ -129,7 +129,8 @@ _TURN_ANGLES = (math.radians(30.0), math.radians(120.0))
 _TURN_RADII = (0.2, 0.5)
 """Range of the radius of the arc on which an obstacle turns [m]."""
 _SPACING = 0.01
-"""Path length between two samples of an obstacle's path, before it is timed [m]."""
+"""Path length between two points of an obstacle's path, from which its positions over time are
+interpolated [m]."""
 
 
 def moving_objects(
@@ -143,12 +144,14 @@ def moving_objects(
 
     Args:
         random: source of random numbers.
-        hard: whether obstacles have maneuvers, as in the kind `moving_hard`.
+        hard: whether obstacles have maneuvers, as in the kind `moving_hard`: they enter the image
+            from outside, change speed, turn, stop or reverse.
         max_height: maximum height of a moving obstacle's center [m].
 
     Returns:
         Function from a nominal motion to obstacles; it returns None if the obstacles cannot be
-        placed by the conditions of the kind.
+        placed for this motion by the conditions in the module's docstring, for example that the
+        first one hits the robot.
     """
     fewest, most = _HARD_COUNTS if hard else _COUNTS
     count, resting = random.integers(fewest, most + 1), int(random.integers(MAX_RESTING + 1))
@@ -199,7 +202,8 @@ def _draw_trajectory(
     Args:
         random: source of random numbers.
         object: obstacle whose shape is given.
-        maneuvers: maneuvers of the obstacle, such as STOPS.
+        maneuvers: subset of ENTERS (the image from outside), CHANGES_SPEED, TURNS, STOPS and
+            COMES_BACK (reverses).
         motion: nominal motion.
         max_height: maximum height of a random target point [m].
         first: whether the obstacle is the first one of the scene.
@@ -240,12 +244,14 @@ def _draw_speeds(
 
     Args:
         random: source of random numbers.
-        maneuvers: maneuvers of the obstacle, such as STOPS.
-        slowest: minimum speed [m/s].
+        maneuvers: subset of ENTERS (the image from outside), CHANGES_SPEED, TURNS, STOPS and
+            COMES_BACK (reverses).
+        slowest: minimum speed, except during stops [m/s].
         fastest: maximum speed [m/s].
 
     Returns:
-        (T,) times from 0, `_SAMPLE_TIME` apart [s], and (T,) path lengths at these times [m].
+        (T,) times from 0, 0.05 s (`_SAMPLE_TIME`) apart [s], and (T,) path lengths from the initial
+        position at these times, which decrease while the obstacle moves back [m].
     """
     speed, sense = random.uniform(slowest, fastest), 1.0
     legs = [(speed, random.uniform(*_LEG_TIMES))]
@@ -282,11 +288,11 @@ def _draw_path(random: Generator, along: FloatArray, *, bends: bool) -> FloatArr
 
     Args:
         random: source of random numbers.
-        along: (T,) path lengths [m].
+        along: (T,) path lengths, increasing or decreasing [m].
         bends: whether the path has a turn, within the range of `along`.
 
     Returns:
-        (T, 2) x and y coordinates at the path lengths [m].
+        (T, 2) x and y coordinates at the path lengths, relative to an arbitrary origin [m].
     """
     length = np.arange(along.min() - _SPACING, along.max() + 2.0 * _SPACING, _SPACING)
     heading = np.full(len(length), random.uniform(-math.pi, math.pi))
@@ -307,15 +313,20 @@ def _trajectory_fits(
     others: Sequence[Obstacle],
     max_height: float,
 ) -> bool:
-    """Checks whether an obstacle's trajectory satisfies the conditions on random scenes in the
-    module's docstring.
+    """Checks whether an obstacle's trajectory satisfies the conditions on random scenes with moving
+    obstacles.
 
-    The conditions are on end time, height, distances to the robot's base and to other obstacles,
-    visibility, and clearance of the robot at start and goal.
+    The trajectory ends within 15 s. The obstacle's center is at most at the maximum height. A ball
+    around the obstacle does not overlap a circle of 16 cm around the robot's base, and is at least
+    2 cm from the balls around other obstacles. Without maneuvers the obstacle's center is always in
+    the camera's view, and the robot has 5 cm clearance at the start for the first second and at the
+    goal after the trajectory. With maneuvers it has 5 cm clearance at the start at time 0. An
+    obstacle that enters the image is initially outside the camera's view, and later in it.
 
     Args:
         object: obstacle with its trajectory.
-        maneuvers: maneuvers of the obstacle, such as STOPS.
+        maneuvers: subset of ENTERS (the image from outside), CHANGES_SPEED, TURNS, STOPS and
+            COMES_BACK (reverses); empty: the obstacle moves straight.
         motion: nominal motion.
         others: obstacles that are placed already.
         max_height: maximum height of the obstacle's center [m].
@@ -360,7 +371,7 @@ def _track(obstacle: Obstacle, t: FloatArray) -> tuple[FloatArray, float]:
 
 def _hits_motion(object: Obstacle, motion: Motion) -> bool:
     """Checks whether a moving obstacle hits the robot on the nominal motion during the obstacle's
-    trajectory.
+    trajectory: by at least 9 mm (`MIN_PENETRATION`) into the spheres that enclose the links.
     """
     rows = (motion.t >= object.waypoints[0][0]) & (motion.t <= object.waypoints[-1][0])
     found = scene_arm().distances(motion.q[rows], [object], motion.t[rows])

@@ -6,8 +6,9 @@ joint space of the arm. It plans from the start configuration to the task's goal
 configurations with the tool at the goal pose. Between start and goal the tool's orientation is
 free, so that the planner may use every motion of the evaluated methods, and more. A valid state is
 within the joint limits, and the clearance of the moving links to every obstacle is at least the
-minimum clearance. In a valid state the robot touches neither environment nor itself (Drake's
-`SceneGraphCollisionChecker`). Requires the extra `baselines`: pip install 'drake_oa[baselines]'.
+minimum clearance. In a valid state the robot touches neither the environment (table) nor itself
+(Drake's `SceneGraphCollisionChecker`). Requires the extra `baselines`: pip install
+'drake_oa[baselines]'.
 
 Moving obstacles with known trajectories (`find_motion`): a tree grows from the start at time 0;
 each node is a configuration at rest at a time. A random edge waits, and then moves to another
@@ -74,18 +75,18 @@ MOVING_STATES = 3_000_000
 """Maximum number of configurations that are checked to find a motion among moving obstacles, which
 requires 10 to 25 s of processor time."""
 _PATH_STATES = 20_000
-"""Maximum number of configurations that one path search checks after all obstacles have come to
-rest."""
+"""Maximum number of configurations that one search for a path to the goal checks, among obstacles
+that have come to rest."""
 _BATCH = 64
 """Number of random motions among moving obstacles that are computed and checked at once."""
 _MOTION_STEPS = 150
-"""Number of steps of a random motion among moving obstacles, within which the arm comes to rest
-again."""
+"""Number of steps of 8 ms of a random motion among moving obstacles, within which the arm comes to
+rest again."""
 _MAX_JOINT_MOTION = 1.0
 """Maximum displacement of a joint in one random motion among moving obstacles [rad]."""
 _MAX_WAIT = 50
-"""Maximum number of steps for which the arm waits before it starts a random motion among moving
-obstacles."""
+"""Maximum number of steps of 8 ms for which the arm waits before it starts a random motion among
+moving obstacles."""
 
 
 def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
@@ -126,9 +127,19 @@ def run_planner(
         states: maximum number of checked states among resting obstacles.
 
     Returns:
-        Those keys of `run_and_evaluate` that a plan has. `stop_reason` is "goal" or the reason for
-        the missing plan, `wall_time` the time of planning [s], and `states` the number of checked
-        configurations.
+        Dictionary with these keys; those from `contacts` on are missing without a plan, and for
+        moving obstacles only `goal_error` and `duration` of them exist:
+
+        - stop_reason: "goal", or the reason in words for the missing plan.
+        - ended: `MotionEnd.GOAL`, or `MotionEnd.MISSED` without a plan.
+        - wall_time: time of planning [s].
+        - states: number of checked configurations.
+        - contacts, self_contacts: names of the pairs of bodies in contact, by true geometry.
+        - tool_clearance_min, robot_clearance_min: minimum clearances to obstacles [m].
+        - goal_error: distance from the end of the path to the goal [m].
+        - duration: duration of the motion, at half the maximum joint speed among resting obstacles
+          [s].
+        - path_length: length of the path of the tool point [m].
 
     Raises:
         ValueError: if no obstacle moves and OMPL is not installed.
@@ -155,7 +166,9 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
         states: maximum number of checked states.
 
     Returns:
-        The reason for a missing plan ("" if there is a plan), and the plan's metrics.
+        The reason for a missing plan ("" if there is a plan), and the plan's metrics: `states`, the
+        number of checked configurations, and with a plan contacts, clearances [m], goal error [m],
+        duration [s] and path length [m].
     """
     base, geometric, util = (
         import_extra(f"ompl.{name}", "baselines") for name in ("base", "geometric", "util")
@@ -229,10 +242,12 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
 
 
 def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
-    """Plans a motion among moving obstacles with known trajectories, see `find_motion`.
+    """Plans a motion among moving obstacles with known trajectories, by a tree of random joint
+    motions over time (`find_motion`).
 
     Returns:
-        The reason for a missing plan ("" if there is a plan), and the plan's metrics.
+        The reason for a missing plan ("" if there is a plan), and the plan's metrics: `states`, the
+        number of checked configurations, and with a plan goal error [m] and duration [s].
     """
     q_start, q_goal = end_positions(scenario)
     world = make_true_world(scenario, MOVING_CLEARANCE)
@@ -252,7 +267,7 @@ class JointMotion(NamedTuple):
     obstacles have come to rest.
 
     Attributes:
-        q: (T, n) joint positions, a row every `STEP`, until all obstacles are at rest [rad].
+        q: (T, n) joint positions, a row every 8 ms (`STEP`), until all obstacles are at rest [rad].
         path: (M, n) corners of the subsequent path to the goal [rad].
     """
 
@@ -274,7 +289,7 @@ def find_motion(
         seed: seed of the random motions.
 
     Returns:
-        The motion, or None, and the number of checked configurations.
+        The motion (None if none was found), and the number of checked configurations.
     """
     random, chain, n_configurations = np.random.default_rng(seed), world.arm.chain, 0
     if not any(is_collision_free(world.arm, q) for q in goals):

@@ -2,8 +2,8 @@
 obstacles.
 
 The model consists of the arm's joints and of spheres that enclose its links, as in motion planning
-(`drake_oa.planning.collision_model`). Distances between true shapes are up to 4 mm larger than
-distances to the spheres; those of the base are up to 2 cm larger.
+(`drake_oa.planning.collision_model`). Distances of the true shapes of the links are up to 4 mm
+larger than distances of the spheres; those of the base are up to 2 cm larger.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from drake_oa.scenario.scenario import Scenario, robot_of
 DEFAULT_SCENARIO = "tabletop_box"
 """Name of the shipped scenario whose robot, camera and parameters most random scenes have."""
 ELBOW_SCENARIO = "shelf_elbow"
-"""Name of the shipped scenario whose camera the scenes of the kind `elbow` have; this camera has a
-smaller downward tilt."""
+"""Name of the shipped scenario whose camera the scenes of the kind `elbow` have, in which obstacles
+block only the path of the elbow. This camera has a smaller downward tilt than in other scenes."""
 _STATION_DIRECTIVES = """\
 directives:
 - add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
@@ -54,7 +54,9 @@ _STEPS = 60
 _LIMIT_MARGIN = 0.03
 """Minimum distance between the joints and their position limits on a straight tool motion [rad]."""
 _MAX_ERROR = 1e-3
-"""Maximum error of the tool pose along a straight tool motion that counts as followed [m, rad]."""
+"""Maximum error of the tool pose up to which the arm counts as following a straight tool motion:
+largest element of the position error [m] and of the rotation vector of the orientation error [rad].
+"""
 
 
 @lru_cache(maxsize=4)
@@ -76,7 +78,7 @@ class Motion(NamedTuple):
     Attributes:
         start: (3,) tool position at the start in the world [m].
         goal: (3,) tool position at the goal in the world [m].
-        t: (T,) times [s].
+        t: (T,) times from 0 at the start [s].
         q: (T, n) joint positions at these times [rad].
         ends: (3, n) first and last row of `q`, and the goal configuration that inverse kinematics
             selects for the scenario [rad].
@@ -113,8 +115,8 @@ class SceneArm:
         self.tool = self._spheres.of_tool[self._spheres.first[:-1]]
 
     def postures(self, p_WE: FloatArray) -> FloatArray:
-        """Computes several configurations (m, n) of the arm with the tool pointing down at a
-        position p_WE (3,) [rad].
+        """Computes several configurations (m, n) of the arm [rad] with the tool pointing down at a
+        position p_WE (3,) in the world [m].
         """
         return inverse_kinematics(self._chain, np.append(self._R_WE, p_WE), self._q_home)
 
@@ -172,8 +174,8 @@ class SceneArm:
     def distances(
         self, q: FloatArray, obstacles: Iterable[Obstacle], t: ArrayLike = 0.0
     ) -> FloatArray:
-        """Computes distances (T, G, K) between the arm's G links and K shapes of obstacles at T
-        times [m].
+        """Computes distances (T, G, K) between the spheres that enclose the arm's G links and K
+        shapes of obstacles at T times [m], negative in penetration.
 
         Args:
             q: (T, n) joint positions [rad], or (1, n) for all times.
@@ -189,7 +191,7 @@ class SceneArm:
         return np.stack(at_times)
 
     def centers(self, q: FloatArray, joints: range) -> FloatArray:
-        """Computes centers of the spheres on some of the arm's links along a joint motion.
+        """Computes centers of the spheres around some of the arm's links along a joint motion.
 
         Args:
             q: (T, n) joint positions [rad].

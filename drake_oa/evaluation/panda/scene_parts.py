@@ -37,8 +37,8 @@ MIN_PENETRATION = 0.009
 """Minimum penetration of an obstacle by the robot's enclosing spheres on a nominal motion that must
 collide [m]. It implies a penetration of 5 mm by the robot's true shapes."""
 BASE_RADIUS = 0.16
-"""Radius of a horizontal circle around the robot's base that random obstacles must not overlap [m].
-"""
+"""Radius of a horizontal circle around the axis of the robot's base that random obstacles must not
+overlap, seen from above [m]."""
 MIN_GAP = 0.02
 """Minimum distance between two random obstacles, measured between circles or balls that contain
 them [m]."""
@@ -80,8 +80,8 @@ _CAMERA_POSITION = [1.2473, 0.2902, 1.05]
 """Position in the world of the camera whose view must contain the centers of random obstacles [m].
 The condition applies even if another source perceives the obstacles."""
 _CAMERA_ROLL = {DEFAULT_SCENARIO: -135.0, ELBOW_SCENARIO: -120.0}
-"""Name of a shipped scenario -> roll angle of its camera, whose view must contain the centers of
-random obstacles [degrees]."""
+"""Name of a shipped scenario -> roll angle of its camera in the world, in addition to a yaw of 110
+degrees [degrees]. The camera's view must contain the centers of random obstacles."""
 
 Shape = Box | Cylinder | Sphere
 """Type of the primitive shapes that random obstacles consist of."""
@@ -226,10 +226,13 @@ def fits(obstacle: Obstacle, others: Sequence[Obstacle], like: str = DEFAULT_SCE
     """Checks whether an obstacle is apart from the robot's base and from other obstacles, and in
     view of a camera.
 
+    Circles around obstacles must be outside the circle of radius `BASE_RADIUS` (16 cm) around the
+    base and at least `MIN_GAP` (2 cm) apart. The camera must have the obstacle's center in view.
+
     Args:
         obstacle: obstacle to place.
-        others: obstacles from which the distance must be at least `MIN_GAP`.
-        like: name of the shipped scenario whose camera must have the obstacle's center in view.
+        others: obstacles that are placed already.
+        like: name of the shipped scenario that has the camera.
     """
     place, footprint = obstacle.translation[:2], footprint_radius(obstacle)
     apart = [math.dist(place, item.translation[:2]) - footprint_radius(item) for item in others]
@@ -281,7 +284,7 @@ def draw_motion(random: Generator) -> Motion | None:
 
 
 def ends_are_free(motion: Motion, obstacles: Sequence[Obstacle]) -> bool:
-    """Checks whether the robot has a clearance of at least `MIN_END_CLEARANCE` to resting obstacles
-    at the start and goal of a motion.
+    """Checks whether the robot has a clearance of at least 5 cm (`MIN_END_CLEARANCE`) to resting
+    obstacles at the start and goal of a motion.
     """
     return bool((scene_arm().distances(motion.ends, obstacles) >= MIN_END_CLEARANCE).all())

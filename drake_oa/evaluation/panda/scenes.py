@@ -2,12 +2,12 @@
 
 The nominal motion (without avoidance) is a straight tool motion of 0.5 to 1.0 m with the tool
 pointing down. The arm can follow it within its joint limits. At start and goal the whole robot,
-represented by its enclosing spheres (`scene_arm`), has 5 cm clearance to every obstacle. The
-centers of the obstacles are in the view of a camera at the table, also if another source perceives
-them. The condition on the view does not apply to moving_hard, moving_high and drp_LEVEL.
+represented by spheres that enclose its links (`scene_arm`), has 5 cm clearance to every obstacle.
+The centers of the obstacles are in the view of a camera at the table, also if another source
+perceives them. The condition on the view does not apply to moving_hard, moving_high and drp_LEVEL.
 
 The number of obstacles is drawn once; motions and obstacles are drawn until the conditions of the
-kind hold. Scene i of a seed does not depend on perception or method. The kinds are:
+kind of scenes hold. Scene i of a seed does not depend on perception or method. The kinds are:
 
 `tabletop`: 1 to 6 objects on the table.
 
@@ -76,11 +76,12 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 
 MAX_OBSTACLES = 6
-"""Maximum number of obstacles in a scene of the kind `tabletop`, and their exact number in the kind
-`clutter6`."""
+"""Maximum number of obstacles in scenes of the kind `tabletop`, and their exact number in scenes of
+the kind `clutter6`."""
 NEAR = 0.25
 """Distance from the hand on the nominal motion (without avoidance) below which an obstacle counts
-as near in the kind `clutter6` [m]."""
+as near in scenes of the kind `clutter6` [m], in which at least three of six obstacles must be near.
+"""
 NEAR_OBSTACLES = 3
 """Minimum number of obstacles near (within 25 cm of) the path of the hand in a scene of the kind
 `clutter6`."""
@@ -99,8 +100,9 @@ def table_objects(random: Generator, *, cluttered: bool) -> DrawObjects:
         cluttered: whether at least three obstacles must be near the path of the hand (`clutter6`).
 
     Returns:
-        Function from a nominal motion to obstacles; it returns None if the drawn obstacles violate
-        a condition of the kind.
+        Function from a nominal motion to obstacles; it returns None if not all of them could be
+        placed, the nominal motion is free, the robot has less than 5 cm clearance at start or goal,
+        or (`clutter6`) fewer than three obstacles are within 25 cm of the hand's path.
     """
     count = MAX_OBSTACLES if cluttered else int(random.integers(1, MAX_OBSTACLES + 1))
 
@@ -144,8 +146,9 @@ _HEIGHTS = (0.2, 0.9)
 """Range of the heights of obstacles that block the path of the elbow in scenes of the kind `elbow`
 [m]."""
 _MIN_FREE_DISTANCE = 0.06
-"""Minimum distance between a place where an obstacle may block the elbow and all places that other
-motions of the robot require to be free [m]."""
+"""Minimum distance between a place where an obstacle may block the elbow and all points that the
+robot occupies at start or goal, the wrist on the nominal motion, or the robot with the elbow moved
+aside [m]."""
 _MIN_AXIS_DISTANCE = 0.2
 """Minimum horizontal distance between a place where an obstacle may block the elbow and the
 vertical axis of the robot's base [m]."""
@@ -155,7 +158,9 @@ place that must remain free [m]."""
 _MAX_OFFSET = 0.04
 """Maximum additional random offset of an obstacle from the elbow's path, along each axis [m]."""
 _ATTEMPTS = 60
-"""Number of obstacles drawn for one nominal motion in the kind `elbow`, until two of them fit."""
+"""Maximum number of obstacles drawn for one nominal motion in scenes of the kind `elbow`. Drawing
+ends as soon as two obstacles meet the conditions: the first collides only with the elbow, and both
+leave hand, wrist and the motion with the elbow moved aside free."""
 
 
 def elbow_objects(random: Generator) -> DrawObjects:
@@ -166,8 +171,9 @@ def elbow_objects(random: Generator) -> DrawObjects:
         random: source of random numbers.
 
     Returns:
-        Function from a nominal motion to obstacles; it returns None if no obstacle satisfies the
-        conditions of the kind.
+        Function from a nominal motion to obstacles; it returns None if the arm cannot move its
+        elbow aside, or no drawn obstacle blocks only the elbow and leaves the motion with the elbow
+        moved aside free.
     """
 
     def draw(motion: Motion) -> list[Obstacle] | None:
@@ -222,8 +228,8 @@ def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Ob
 
     Args:
         random: source of random numbers.
-        places: (N, 2, 3) points that may be blocked, and directions away from free points, from
-            `_elbow_places`.
+        places: (N, 2, 3) points of the elbow's path that may be blocked, in the world [m], and unit
+            vectors to them from the nearest point that must remain free.
         number: number of the obstacle, which determines its name and color.
     """
     point, away = random.choice(places)
@@ -251,15 +257,18 @@ def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Ob
 
 
 def _is_in_elbow_way(object: Obstacle, motion: Motion, swung: Motion, *, first: bool) -> bool:
-    """Checks the conditions of the kind `elbow` on one obstacle: clearances at start and goal, on
-    the nominal motion, and with the elbow moved aside.
+    """Checks the conditions on one obstacle in scenes of the kind `elbow`: clearances at start and
+    goal, on the nominal motion, and with the elbow moved aside.
+
+    The whole robot has 5 cm clearance at start and goal, and 2.5 cm with the elbow moved aside. On
+    the nominal motion the hand has 5 cm and the wrist 3 cm clearance.
 
     Args:
         object: obstacle to check.
         motion: nominal motion.
         swung: motion with the same tool path and the elbow moved aside.
-        first: whether the obstacle is the first one of the scene, which must collide with the elbow
-            on the nominal motion.
+        first: whether the obstacle is the first one of the scene, which must collide with one of
+            the links 2 to 5 on the nominal motion.
     """
     arm = scene_arm()
     if not ends_are_free(motion, [object]):
@@ -283,9 +292,11 @@ class _Kind:
     """Recipe by which `draw_panda_scene` draws random scenes of one kind, for example `tabletop`.
 
     Attributes:
-        objects: function that draws what is drawn once for a scene, and returns the function that
+        objects: function that draws the properties common to all attempts at a scene, such as the
+            number of obstacles, from a source of random numbers, and returns the function that
             draws obstacles for a nominal motion.
-        stream: numbers that select the kind's stream of random numbers.
+        stream: numbers that are appended to seed and index of a scene to seed its random numbers;
+            equal for kinds that differ only in the speed of obstacles.
         like: name of the shipped scenario whose camera, robot and parameters the scenes have.
         motion: function that draws the nominal motion from a source of random numbers; it returns
             None if a draw is rejected.
@@ -325,7 +336,8 @@ KINDS = tuple(_KINDS)
 """Names of all kinds of random scenes, for example `tabletop`."""
 MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
 """Names of the kinds of random scenes with obstacles that move or appear. Cameras that look at the
-workspace replace the one at the table, and passive motion safety is claimed."""
+workspace replace the one at the table, and passive motion safety is claimed: the arm rests or
+recedes before an obstacle of up to 0.8 m/s can reach it, and is slow toward unobserved space."""
 
 
 def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
@@ -334,7 +346,8 @@ def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:
 
     Args:
         suites: kinds of scenes, or `drp` for levels of the benchmark DRPBench.
-        levels: names of levels of DRPBench; empty: all levels of its authors.
+        levels: names of levels (sets of parameters) of DRPBench, for example "sudden1"; empty: all
+            11 levels of its authors.
 
     Raises:
         ValueError: if there are levels but no suite `drp`.
@@ -351,7 +364,8 @@ def draw_panda_scene(seed: int, index: int, *, kind: str = "tabletop") -> Scenar
     simulation.
 
     The same arguments give the same scene. One depth camera observes it: that of the shipped
-    scenario if obstacles rest, or `cameras.ONE_CAMERA` if they move.
+    scenario if obstacles rest, or one 2.1 m from the center of the workspace
+    (`cameras.ONE_CAMERA`), nearly above it, if they move or appear.
 
     Args:
         seed: seed of the evaluation, >= 0.
@@ -359,7 +373,7 @@ def draw_panda_scene(seed: int, index: int, *, kind: str = "tabletop") -> Scenar
         kind: kind of scenes, from `KINDS`.
 
     Raises:
-        RuntimeError: if no scene is found within the maximum number of motions.
+        RuntimeError: if the conditions of the kind hold for none of 5000 nominal motions.
     """
     of_kind = _KINDS[kind]
     scenario = copy.deepcopy(base_scenario(of_kind.like))
@@ -389,7 +403,8 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
 
     Args:
         scenario: scene, drawn by `draw_panda_scene`.
-        perception: name of the source, from `PERCEPTIONS`.
+        perception: name of the source: "depth" (the camera of the scene, unchanged), "depth2" (two
+            cameras beside the robot) or "truth" (exact obstacles).
 
     Raises:
         ValueError: if the name is unknown.

@@ -20,7 +20,8 @@ from drake_oa.runs.report import TOLERANCE, latency_statistics
 from drake_oa.scenario.loading import parse_scenario
 
 ALL = "all"
-"""Name under which an evaluation stores the metrics over all of its sets of scenes together."""
+"""Name under which an evaluation with several sets of scenes stores the metrics over all sets
+together."""
 
 _COLUMNS = (
     Column("name", "method"),
@@ -40,17 +41,18 @@ _LISTED_COUNTS = {
     "contact_pairs": "contact",
     "sources": "executed motion from",
 }
-"""Key of a metric that counts scenes by reason, contact or source -> heading of the lines below the
-table that list these counts."""
+"""Key of a metric that counts scenes by stop reason, pair of bodies in contact, or source of the
+executed motion -> heading of the lines below the table that list these counts."""
 
 
 def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
     """Returns the metrics of a suite (a set of scenes and methods) as JSON data.
 
     Keys: "suite", "seed", "kind", "perception", "duration", "jobs" (number of processes),
-    "versions", "scenes_digest" (SHA-256 of the scenes' seeds, tasks and obstacles, independent of
-    the perception), and those of `methods_metrics`. Each method also has "perception" and "runs",
-    the results scene by scene.
+    "versions" (of libraries), "scenes_digest" (SHA-256 of the scenes' seeds, tasks and obstacles,
+    independent of the perception), "solved" (number of scenes that the planner or another method
+    solves; None without the planner) and "methods" (method -> its metrics, see `methods_metrics`).
+    Each method also has "perception" and "runs", the results scene by scene.
 
     Args:
         results: results of all runs of the suite.
@@ -82,8 +84,8 @@ def methods_metrics(runs: Mapping[str, Mapping[Any, Mapping[str, Any]]]) -> dict
     """Returns the metrics of several methods on the same scenes.
 
     Keys: "solved", the number of scenes in which the planner or another method succeeds (None
-    without the planner), and "methods", method -> `run_metrics`. Each method also has
-    `success_rate_solved`, its number of successes over "solved".
+    without the planner), and "methods", method -> result of `run_metrics`. Each method also has
+    `success_rate_solved`, its number of successes divided by "solved".
 
     Args:
         runs: method -> scene -> result of `run_and_evaluate`.
@@ -119,20 +121,31 @@ def kinds_metrics(
 def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Returns the metrics of the runs of one method; a statistic without values is None.
 
-    Numbers of scenes: `scenes`; `contacts`, `success` and `stopped`, which sum to `scenes` (see
-    `evaluation`); `self_contacts`, contacts of the robot with itself; `time_limits`, runs ended by
-    the time limit; `failed`, runs that raised an exception; `shortfall_count`, runs in which the
-    tool's clearance to resting obstacles was more than 1 mm below the achievable clearance;
-    `stop_reasons`, `contact_pairs` and `sources` (of motions that `verified` executed): reason,
-    pair or source -> number.
+    Numbers of scenes:
 
-    Numbers of contacts: `avoidable_by_physics` and `avoidable_by_view` (see `contact_events`).
-    Numbers of logged instants: `claim_A` and `claim_B`, violations of the claims of passive motion
-    safety (see `claims`), None without moving obstacles. For levels of DRPBench `drp_contacts` and
-    `drp_success`, numbers of scenes by its rules.
+    - scenes: all scenes.
+    - contacts, success, stopped: scenes by outcome, which sum to `scenes`. Stopped is any end that
+      is neither a contact nor a success.
+    - self_contacts: scenes with a contact of the robot with itself.
+    - time_limits: runs ended by the time limit.
+    - failed: runs that raised an exception.
+    - shortfall_count: runs in which the tool's clearance to resting obstacles was more than 1 mm
+      below the achievable clearance, the requested one or that at start or goal if less.
+    - stop_reasons, contact_pairs, sources: dictionaries from stop reason, pair of bodies in
+      contact, or source of motions that the method `verified` executed, to number of scenes.
+    - drp_contacts, drp_success: outcomes by the rules of the benchmark DRPBench, only in scenes of
+      its levels.
 
-    Statistics: `success_rate`; `duration_median` of the motions [s]; `decision_latency` of all
-    decisions (see `latency_statistics`), None without a latency; `tool_clearance_min`,
+    Numbers of contacts: `avoidable_by_physics`, which a joint motion from 0.2 s before avoids, and
+    `avoidable_by_view`, which one avoids after the obstacle's velocity was observed in time.
+
+    Numbers of logged instants, None without moving obstacles: `claim_A` and `claim_B`, violations
+    of passive motion safety. Its claims are that the arm rests or recedes before a moving obstacle
+    can reach it (A), and that it is slow toward unobserved space (B).
+
+    Statistics: `success_rate`; `duration_median` of the motions [s]; `decision_latency`, the median
+    ("median"), 99th percentile ("p99") and maximum ("max") of the simulated compute latencies of
+    all decisions [s], with their number ("count"), None without a latency; `tool_clearance_min`,
     `robot_clearance_min` [m]; `goal_error_max` of the scenes that were not stopped [m];
     `real_time_factor`, the median.
 
@@ -190,7 +203,8 @@ def panda_table(metrics: Sequence[Mapping[str, Any]]) -> TextTable:
     """Makes a table of the metrics of one or several kinds of scenes, with a row for each kind and
     method.
 
-    Lines below the table list stop reasons, contacts, and sources of the executed motions.
+    Lines below the table list stop reasons, pairs in contact, sources of the executed motions,
+    numbers of solved scenes, and digests of the scenes.
 
     Args:
         metrics: `panda_metrics` of each kind of scenes.

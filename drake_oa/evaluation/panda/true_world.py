@@ -1,12 +1,13 @@
 """Ground-truth model of a run, with the arm and all collision geometry along its true trajectories.
 
 The model contains the collision geometry of everything but the robot. Spheres that enclose its
-links represent the arm (`drake_oa.robot.spheres`); they protrude by up to 3 mm, at the hand by 5
-mm. A motion that is collision-free by this model is therefore collision-free. A motion that is not
-may miss an object by 5 mm. Fixed links are left out.
+links represent the arm (`drake_oa.robot.spheres`); they protrude from the links by up to 3 mm, at
+the hand by 5 mm. A motion that is collision-free by this model is therefore collision-free. A
+motion that collides by this model may in truth miss an object by up to 5 mm. Fixed links are left
+out.
 
-Trajectories are sampled every `STEP`: at 1 m/s an obstacle is up to 4 mm away from its position at
-the nearest sample.
+Trajectories are sampled every 8 ms (`STEP`): at 1 m/s an obstacle is up to 4 mm away from its
+position at the nearest sample.
 
 Modules that evaluate runs on this model do not import `drake_oa.safety`, so that the evaluation is
 independent of the motion guard.
@@ -36,24 +37,26 @@ from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 STEP = 0.008
-"""Time between two checked configurations of an evaluated run, a multiple of the log's period [s].
-"""
+"""Time between two samples of the true trajectories, and between two configurations of a motion
+that is checked for collisions [s]. It is a multiple of the log's period."""
 _MAX_MARGIN = 1e-3
-"""Upper bound of computed clearance margins, of which only the sign is used [m]."""
+"""Upper bound of computed clearance margins (distance minus required clearance), of which only the
+sign is used [m]."""
 _DEFAULT_ACCELERATION = 10.0
 """Acceleration limit of a joint for which the robot's model has no limit [rad/s^2]."""
 
 
 class TrueWorld(NamedTuple):
     """Ground-truth model of a run: an arm of n joints, and K collision geometries at T samples
-    `STEP` apart.
+    8 ms (`STEP`) apart.
 
     The collision geometries are at rest after the last sample.
 
     Attributes:
         arm: the arm, its required clearances, and the collision geometries at the last sample.
-        ball: (T, K, 8) bounding spheres `CollisionGeometries.ball` at each sample.
-        X_WO: (T, K, 3, 4) poses `CollisionGeometries.X_WO` at each sample.
+        ball: (T, K, 8) bounding sphere of each geometry at each sample: center in the world and
+            radius [m], then velocity and time of the pose, which are 0 here.
+        X_WO: (T, K, 3, 4) upper three rows of the pose of each geometry at each sample.
         acceleration: (n,) acceleration limits of the joints [rad/s^2].
     """
 
@@ -95,12 +98,14 @@ def bang_motions(
 ) -> FloatArray:
     """Computes joint motions of two legs, each of which is time-optimal for each joint separately.
 
-    In each step of duration `STEP` the acceleration is constant. The velocity v' after the step is
-    the largest one from which the joint can still stop at the target with its acceleration limit a:
+    In each step of duration `STEP` (8 ms) the acceleration is constant. The velocity v' after the
+    step is the largest one from which the joint can still stop at the target with its acceleration
+    limit a:
 
         v' = sign(e) min(v_max, sqrt(h^2 + 2 a |e|) - h),   |v' - v| <= a STEP,
 
-    with h = a STEP / 2, and e the distance to the target minus v STEP / 2.
+    with the speed limit v_max, h = a STEP / 2, and e the distance to the target minus v STEP / 2,
+    where v is the velocity before the step.
 
     Args:
         world: the arm with its speed and acceleration limits.
@@ -133,7 +138,7 @@ def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntAr
 
     Args:
         world: the arm, its required clearances, and the collision geometries.
-        motions: (N, M, n) positions, a row every `STEP` [rad].
+        motions: (N, M, n) joint positions of N motions, a row every 8 ms (`STEP`) [rad].
         first: (N,) index of the sample of `world` at which each motion begins; after the last
             sample everything is at rest.
 
