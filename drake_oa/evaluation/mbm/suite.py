@@ -1,11 +1,12 @@
-"""Conversion of MotionBenchMaker's motion planning problems to scenarios and suites of the Panda's
-evaluation.
+"""Conversion of MotionBenchMaker's motion planning problems to scenarios, and to suites (scenes and
+methods) that `drake_oa.evaluation.panda` evaluates.
 
 The task of a problem is to reach the goal's tool pose among the problem's obstacles. The
 demonstration (the motion without avoidance) is a straight minimum-jerk motion of the tool from the
 tool pose of the start configuration to that of the goal configuration. The tool rotates about a
-fixed axis. The nominal posture, to which the arm's null space is attracted, moves from the start's
-joints to the goal's. The grasped obstacle, which contains the goal's tool point, is left out.
+fixed axis. The nominal posture, to which the arm's null space is attracted, moves from the start
+configuration to the goal configuration. The grasped obstacle, which contains the goal position of
+the tool point, is left out.
 """
 
 from __future__ import annotations
@@ -70,11 +71,12 @@ def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     """Converts a motion planning problem to a scenario with ground-truth perception.
 
-    If goal joints are beyond the robot's limits, the task has the goal's tool pose alone.
+    If the goal configuration exceeds the robot's joint limits, the task has no goal configuration,
+    but only the tool pose of this configuration.
 
     Args:
         problem: problem with joint positions for all joints of the arm.
-        robot: robot of the problem.
+        robot: configuration of the problem's robot.
 
     Raises:
         ValueError: if the problem has other joints than the robot.
@@ -139,9 +141,10 @@ _CRITERIA = Criteria(
 """Conditions of success for runs on motion planning problems, as in published benchmarks on these
 problems.
 
-Joints may exceed their limits by 1 mrad, since a joint with its goal at a limit settles around it.
-The planner needs more than the 40,000 states of random scenes: three of the first six problems of
-the set `cage` require them."""
+The tool ends within 1 cm and 15 degrees of the goal. Joints may exceed their limits by 1 mrad,
+since a joint with its goal at a limit settles around it. The method `planner` (RRT-Connect) plans
+with the requested clearance and may check 200,000 configurations: the 40,000 of random scenes are
+too few for three of the first six problems of the set `cage`."""
 
 
 def mbm_suites(
@@ -157,13 +160,13 @@ def mbm_suites(
     archive.
 
     Args:
-        file: archive, see `problems.read_archive`.
-        robot: name of the robot, see `problems.load_robot`; None: the Panda.
+        file: archive (.tar.bz2) of problems, see `problems.read_archive`.
+        robot: "panda", "ur5", or name or file of a scenario with the robot; None: the Panda.
         sets: names of sets; empty: all sets.
-        methods: names of methods, from `evaluation.METHODS`.
-        scenes: number of problems of each set; None: all.
+        methods: names of methods, from `panda.evaluation.METHODS`.
+        scenes: number of problems of each set, from the first one; None: all.
         perception: "truth" (ground truth) or "depth" (two cameras).
-        duration: time limit of a run [s]; None: that of `simulate`.
+        duration: time limit of a run [s]; None: 6 times the duration of the demonstration.
 
     Raises:
         OSError: if the file cannot be read.
@@ -191,7 +194,9 @@ def mbm_metrics(
 ) -> dict[str, Any]:
     """Returns the JSON of an evaluation on MotionBenchMaker's motion planning problems.
 
-    Keys: "suite"; "sets", name of a set -> `panda_metrics`; "all", `methods_metrics` over all sets.
+    Keys: "suite", the suite's name; "sets", name of a set -> its metrics, the result of
+    `panda_metrics`; and "all", the metrics of each method over all sets together, the result of
+    `methods_metrics`.
 
     Args:
         results: results of each set's suite.

@@ -6,8 +6,9 @@ and seconds.
 The dead-zone figure of Pairet et al., RA-L 2019, compares two coupling terms of equal strength,
 which turn the motion away from an obstacle, on the same action level (equations of motion): the
 original term (eq. 7), gamma theta exp(-beta |theta|), at each gain gamma, and the dead-zone free
-term (eq. 8) with the same peak, gamma / (beta e), and the same area over the heading theta,
-gamma / beta^2 on each side. kappa is 0, as the original term does not depend on the distance.
+term (eq. 8) with the same peak, gamma / (beta e), and the same area, gamma / beta^2 for theta > 0.
+theta is the angle between the heading and the direction of the obstacle's center. kappa is 0, as
+the original term does not depend on the distance.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class Outcome(NamedTuple):
     """Results of one avoidance method on the scenes of a suite.
 
     Attributes:
-        results: label of a `Setting` -> ground-truth results of all scenes.
+        results: label of a `Setting` (requested clearance and scaling of the duration) ->
+            ground-truth results of all scenes.
         seconds: computing time of the method in all settings together [s].
     """
 
@@ -61,11 +63,12 @@ def evaluate(
 
     Args:
         name: name of the method, for the progress bar.
-        method: function that computes motions.
+        method: function from scenes and a setting to one motion for each scene.
         scenes: scenes of a suite.
-        settings: settings of the runs.
+        settings: settings (requested clearance and scaling of the duration), in each of which all
+            scenes are run.
         true_scenes: function from a batch of scenes to the ground-truth scenes in which the motions
-            are evaluated.
+            are evaluated, for example with other obstacles; by default the same scenes.
     """
     results, seconds, count = {}, 0.0, 0
     with progress_bar(len(settings) * len(scenes)) as update:
@@ -99,13 +102,13 @@ def evaluation_metrics(
 ) -> dict[str, Any]:
     """Returns the JSON data of an evaluation of several methods on the scenes of a suite.
 
-    The keys are "suite", "seed", "versions" (of libraries), and "methods", method -> result of
-    `method_metrics`.
+    The keys are "suite", "seed", "versions" (of libraries), and "methods", name of a method -> its
+    metrics, the result of `method_metrics`.
 
     Args:
         suite: name of the suite.
         seed: seed of the scenes; None for scenes without a seed.
-        settings: settings of the runs.
+        settings: settings (requested clearance and scaling of the duration) of the runs.
         outcomes: name of a method -> result of `evaluate`.
     """
     return {
@@ -119,10 +122,15 @@ def evaluation_metrics(
 def method_metrics(outcome: Outcome, settings: Sequence[Setting]) -> dict[str, Any]:
     """Computes the metrics of one avoidance method over the scenes of a suite.
 
-    The keys are those of `motion_statistics`, and `seconds`, the computing time in all settings.
-    With several settings, the statistics are over the settings with a requested clearance and
-    scaled duration, whose labels are in `covers`; `settings` has the statistics of each setting.
-    With several baselines (distances from start to goal), `by_baseline` has the statistics of each.
+    The keys are those of `motion_statistics` (collisions, clearances, goal errors, path lengths),
+    and `seconds`, the computing time in all settings. With several settings, the statistics are
+    over the settings with a requested clearance and scaled duration, whose labels are in `covers`;
+    `settings` has the statistics of each setting. With several baselines (distances from start to
+    goal), `by_baseline` has the statistics of each.
+
+    Args:
+        outcome: results of the method in all settings.
+        settings: settings (requested clearance and scaling of the duration) of the runs.
     """
     main = [setting.label for setting in settings if setting.constrained and setting.scale_time]
     results = outcome.of(*main)
@@ -211,16 +219,17 @@ The coupling term turns the motion away from an obstacle, except straight ahead,
 def matched_term(gamma: float) -> tuple[float, float]:
     """Computes parameters of the paper's coupling term that make it as strong as Hoffmann's.
 
-    Coupling terms turn the motion away from an obstacle. As functions of the angle to the obstacle,
-    both turning rates have the same peak, and the same area on each side:
+    Coupling terms turn the motion away from an obstacle. As functions of the angle theta between
+    the heading and the direction of the obstacle's center, both turning rates have the same peak,
+    and the same area for theta > 0:
 
         alpha = gamma / (beta e),   psi = 2 e / (beta sqrt(pi)).
 
     Args:
-        gamma: gain of Hoffmann's coupling term [1/s], whose decay rate is `BETA`.
+        gamma: gain of Hoffmann's coupling term [1/s]; its decay beta with theta is `BETA`.
 
     Returns:
-        alpha [rad/s] and psi [rad].
+        Strength alpha [rad/s] and angular width psi [rad] of the paper's coupling term.
     """
     return gamma / (BETA * math.e), 2.0 * math.e / (BETA * math.sqrt(math.pi))
 
@@ -236,8 +245,9 @@ def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
             ahead.
 
     Returns:
-        A row for each gain: minimum clearances in the first scene, which is head-on [m], and
-        numbers of scenes with a collision.
+        A row for each gain "gamma". For the terms T = "original" and T = "dead_zone_free" it has
+        "T_head_on", the minimum clearance in the first scene [m], and "T_collisions", the number of
+        scenes with a collision.
     """
     setting = Setting(constrained=False, scale_time=False)
     rows = []

@@ -17,9 +17,13 @@ from drake_oa.evaluation.scenes.scenes import Batch, Motions, Scenes, obstacle_d
 from drake_oa.geometry.ellipsoid import signed_distance
 
 SUBSTEPS = 4
-"""Number of samples of the obstacle's distance between two sampled positions of a motion."""
+"""Number of intervals into which the interval between two sampled positions of a motion is divided.
+
+The distance to the obstacle is computed at the ends of these intervals."""
 _REFINEMENTS = 3
-"""Number of successive refinements around the sample of a motion nearest to the obstacle."""
+"""Number of successive refinements around the sample of a motion nearest to the obstacle.
+
+A refinement samples the motion more densely between the two neighbors of this sample."""
 _REFINEMENT_SAMPLES = 33
 """Number of samples of the obstacle's distance in one refinement around the nearest sample."""
 
@@ -34,8 +38,8 @@ class GroundTruthResult(Batch):
     Attributes:
         min_clearance: (N,) minimum signed distance to the obstacle during the motion, negative
             inside it [m].
-        achievable_clearance: (N,) minimum of Delta and the obstacle's distances from start and
-            goal [m].
+        achievable_clearance: (N,) minimum of the requested clearance Delta and the obstacle's
+            distances from start and goal [m].
         goal_error: (N,) distance to the goal at the end of the motion [m].
         path_ratio: (N,) path length over the distance from start to goal [-].
         baseline: (N,) distance from start to goal [m].

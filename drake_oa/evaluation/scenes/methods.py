@@ -1,6 +1,8 @@
 """Methods of obstacle avoidance for synthetic scenes by name: functions of scenes and a setting.
 
-`verified`: this project's method for a point, a search among roll-outs.
+`verified`: this project's method for a point, a search among simulated candidate motions.
+
+`paper` and `original`: see `drake_oa.evaluation.scenes.paper_method`.
 
 `movement_primitives`: the package of that name. Its `DMP`, with default parameters (10 weights per
 dimension, steps of 0.01 s, compiled Runge-Kutta integration), imitates the straight minimum-jerk
@@ -30,7 +32,9 @@ from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 
 Method = Callable[[Scenes, Setting], Motions]
-"""Method of obstacle avoidance: function that computes a motion for each scene in a setting."""
+"""Method of obstacle avoidance: function from N scenes and a setting to a motion for each scene.
+
+The setting is the requested clearance, and whether the duration is scaled."""
 
 SAMPLES = 500
 """Number of equal time intervals in which the method `verified` samples its motions."""
@@ -53,9 +57,9 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
 
     Args:
         scenes: N scenes.
-        setting: if not `constrained`, the requested clearance is `MIN_CLEARANCE`. With
-            `scale_time`, the duration is scaled by the length of the path over that of the straight
-            line, at least 1.
+        setting: if not `constrained` (without a requested clearance), the required clearance is
+            `MIN_CLEARANCE`. With `scale_time`, the duration is scaled by the length of the path
+            over that of the straight line, at least 1.
 
     Returns:
         The motions, from rest until arrival at the goal.

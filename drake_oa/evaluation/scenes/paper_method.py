@@ -1,19 +1,22 @@
 """Methods `paper` and `original` on the action level of Pairet et al. and their released code.
 
-Both avoid obstacles by a coupling term, which turns the motion. The action level (equations of
-motion) is that of `drake_oa.training.released_law`, with the coupling term about each obstacle's
-center. Paper and released code leave open how the temporal scaling tau is computed and when a
-motion ends. The interpretation that agrees best with the paper's Table II: tau is the length of the
-path through the obstacle's center, plus twice its largest semi-axis and Delta, over the baseline. A
-motion continues after the duration T until it is within 0.4 mm of the goal, until 2 T at most.
+Both avoid obstacles by a coupling term, which turns the motion away from the obstacle's center. The
+action level (equations of motion) is that of `drake_oa.training.released_law`. Paper and released
+code leave open how the temporal scaling tau is computed and when a motion ends. The interpretation
+that agrees best with the paper's Table II: tau is the length of the path from start to goal through
+the obstacle's center, plus twice the sum of its largest semi-axis and the requested clearance
+Delta, over the baseline (distance from start to goal). A motion continues after the demonstrated
+duration T until it is within 0.4 mm of the goal, until 2 T at most.
 
-`paper`: coupling term (eq. 8) with the parameters of the regressor chain at lambda' and Delta,
-evaluated in each step. lambda' are the principal semi-axes of the obstacle's section with the
-P-plane spanned by (p_obs - p, v). lambda1' is the one within 45 degrees of the baseline, as in the
-training set and the released code. (With the one along p_obs - p, both would be exchanged whenever
-an obstacle is passed.) If p_obs - p and v span no plane, the previous P-plane is used, initially
-the horizontal one, as in the released code. Passing sides are not selected, as the paper's
-synthetic experiments have neither table nor workspace. Negative alpha and kappa are replaced by 0.
+`paper`: coupling term (eq. 8) whose parameters the regressor chain computes in each step from
+lambda' and Delta. lambda' are the principal semi-axes of the obstacle's section with the P-plane,
+which is spanned by p_obs - p and v (obstacle's center p_obs, position p and velocity v of the
+motion). lambda1' is the one within 45 degrees of the line from start to goal, as in the training
+set and the released code. (If it were the one within 45 degrees of p_obs - p, lambda1' and lambda2'
+would be exchanged whenever an obstacle is passed.) If p_obs - p and v span no plane, the previous
+P-plane is used, initially the horizontal one, as in the released code. Passing sides are not
+selected, as the paper's synthetic experiments have neither table nor workspace. Negative alpha and
+kappa are replaced by 0.
 
 `original`: Hoffmann's coupling term (eq. 7) at its published gains. It depends neither on the
 obstacle's size nor on the requested clearance.
@@ -38,7 +41,9 @@ from drake_oa.training.released_law import STEPS, ReleasedMotions, Steps
 GAMMA = 1000.0
 """Published gain gamma of Hoffmann's coupling term, which avoids an obstacle by turning [1/s]."""
 BETA = 20.0 / math.pi
-"""Published decay beta of Hoffmann's coupling term with the angle to the obstacle [1/rad]."""
+"""Published decay beta of Hoffmann's coupling term [1/rad].
+
+It acts on the angle between the heading and the direction of the obstacle's center."""
 
 _PARALLEL = 1e-9
 """Distance of an obstacle's center from the line from start to goal that counts as zero [m]."""
@@ -58,7 +63,8 @@ SHIPPED = ("paper_chain", "paper_chain_unconstrained", "paper_chain_running")
 """Names of the shipped regressor chains that were trained by the recipe of Pairet et al.
 
 The first has the requested clearance Delta as an input; the second does not. The third has it, and
-was trained on motions of the running system instead of the authors' released code."""
+was trained on motions by the equations of this package (`drake_oa.policy`) instead of those in the
+authors' released code."""
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:
@@ -69,8 +75,8 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
 
     Args:
         scenes: N scenes.
-        setting: whether the chain has the requested clearance Delta as an input, and whether the
-            temporal scaling tau multiplies the spring.
+        setting: whether the chain has the requested clearance Delta as an input, and whether
+            spring and damper are multiplied by tau^2, with the temporal scaling tau (else tau = 1).
 
     Raises:
         FileNotFoundError: if a weights file is missing.
@@ -84,7 +90,8 @@ def run_original(scenes: Scenes, setting: Setting) -> Motions:
 
     Args:
         scenes: N scenes.
-        setting: setting, of which only `scale_time` is used.
+        setting: setting, of which only `scale_time` is used: whether spring and damper are
+            multiplied by tau^2, with the temporal scaling tau (else tau = 1).
     """
     return released_motions(scenes, setting, np.array((GAMMA, BETA, 0.0)), original=True)
 
@@ -143,17 +150,18 @@ def released_motions(
     chain: ChainWeights | None = None,
     steps: Steps = STEPS,
 ) -> Motions:
-    """Rolls out (simulates) motions by the released equations of Pairet et al., RA-L 2019.
+    """Rolls out (simulates) motions by the equations in the released code of Pairet et al.
 
     The motions in all scenes are simulated at once; those that have ended stay at rest.
 
     Args:
         scenes: N scenes.
-        setting: setting, of which only `scale_time` is used: whether the temporal scaling tau
-            multiplies the spring.
+        setting: setting, of which only `scale_time` is used: whether spring and damper are
+            multiplied by tau^2, with the temporal scaling tau (else tau = 1).
         parameters: (3,) constant parameters alpha [rad/s], psi [rad] and kappa [1/m^2] of the
             coupling term; for the original term gamma [1/s], beta [1/rad] and an unused value.
-        original: whether the coupling term is Hoffmann's, (7) of the paper, instead of (8).
+        original: whether the coupling term is Hoffmann's, (7) of Pairet et al., RA-L 2019, instead
+            of (8).
         chain: regressor chain that computes the parameters during the motion; None: they are
             constant.
         steps: number and length of the time steps of the demonstration.

@@ -115,7 +115,7 @@ class Setting:
     """Setting in which an avoidance method is run, as in the experiments of Pairet et al.
 
     Attributes:
-        label: name in the paper's notation.
+        label: name in the paper's notation, for example "RC(lambda',Delta)".
         constrained: whether a clearance Delta is requested. The paper's method then uses the
             regressor chain RC(lambda', Delta), else RC(lambda'). A chain predicts the parameters of
             the coupling term from the semi-axes lambda' of the obstacle's section.

@@ -1,10 +1,11 @@
 """Suites of synthetic scenes: the distribution of scenes, and the settings in which methods run.
 
-Lengths are in meters; a baseline is the distance from start to goal. The paper's box (section on
-novel scenarios of Pairet et al., RA-L 2019) is the set of obstacles whose extent along x is at
-least 5 cm from start and goal, whose center has y and z within 0.4 m, and whose semi-axes are 2.5
-to 25 cm (along x at most 20 cm at the 0.5 m baseline). Scene i has the baseline BASELINES[i mod 4],
-so that scenes are evenly distributed over the baselines.
+Lengths are in meters; a baseline is the distance from start to goal, and x points from start to
+goal. The paper's box (section on novel scenarios of Pairet et al., RA-L 2019) is the set of
+obstacles whose extent along x is at least 5 cm from start and goal, whose center has y and z within
++-0.4 m, and whose semi-axes are 2.5 to 25 cm (along x at most 20 cm at the 0.5 m baseline). In the
+random suites, scene i has the baseline BASELINES[i mod 4], so that scenes are evenly distributed
+over the baselines.
 
 Random numbers are those of `numpy.random.default_rng`: the same name, count and seed give the same
 scenes.
@@ -115,7 +116,8 @@ class Suite:
     Attributes:
         sample: function that draws a given number of scenes.
         count: default number of scenes.
-        settings: settings of the avoidance method, in each of which all scenes are run.
+        settings: settings of the avoidance method (requested clearance and scaling of the
+            duration), in each of which all scenes are run.
     """
 
     sample: Draw
@@ -171,8 +173,9 @@ def _boxed(
 ) -> Scenes:
     """Draws scenes with a random obstacle in the box of Pairet et al. around the line to the goal.
 
-    The docstring of `drake_oa.evaluation.scenes.suites` defines the box. Obstacles that are too
-    long for it get a center of NaN.
+    In the box are obstacles whose extent along the line (x axis) is at least 5 cm from start and
+    goal, whose center has y and z within +-0.4 m, and whose semi-axes are 2.5 to 25 cm. Obstacles
+    that are too long to be 5 cm from both start and goal get a center of NaN.
 
     Args:
         rng: random generator.
@@ -208,7 +211,7 @@ def _single(rng: Generator, count: int, limit: float, **box: Any) -> Scenes:
         rng: random generator.
         count: number of scenes.
         limit: distance between line and obstacle, below which a scene is accepted [m].
-        box: keyword arguments of `_boxed`, which draws the obstacles.
+        box: `posed` and `own_extent`, see `_boxed`, which draws the obstacles.
     """
     parts, places = [], []
     for k, baseline in enumerate(BASELINES):
@@ -265,7 +268,8 @@ SUITES: dict[str, Suite] = {
 }
 """Name of a suite of synthetic scenes -> suite.
 
-The random suites `novel` and `demo` have obstacles near the line from start to goal, and `hit` has
-obstacles that intersect it. `familiar` has the ellipses of the training set, and `dead-zone` a
-point-like obstacle.
+The random suites `novel` and `demo` have obstacles within 0.15 m of the line from start to goal;
+those of `demo` are placed as by the authors' demo program. `hit` has randomly oriented obstacles
+that intersect the line. `familiar` has the ellipses of the training set of Pairet et al., RA-L
+2019, and `dead-zone` a point-like obstacle on or beside the line.
 """
