@@ -1,7 +1,8 @@
 """Training of the regressor chains that inference evaluates: `drake-oa train`.
 
-In: a recipe. Out: a .safetensors file for each chain, with its networks, the range of its inputs,
-and its provenance. The package is not imported by systems that run on the robot. A regressor chain
+In: a recipe (training set, and numbers of rows and iterations). Out: a .safetensors file for each
+chain, with its networks, the range of its inputs, and its provenance (package version, date, digest
+of the source). The package is not imported by systems that run on the robot. A regressor chain
 predicts the parameters kappa, psi and alpha of a coupling term, which turns the motion away from an
 obstacle, each from the inputs and the parameters before it. The inputs are lambda1' and lambda2',
 the semi-axes of the obstacle's section along and across the baseline (line from start to goal), and
@@ -17,8 +18,8 @@ Recipe `paper` (`PaperRecipe`): Table I of the paper (Pairet et al., RA-L 2019).
 2. `paper` trains RC(lambda') and RC(lambda', Delta) and computes their errors, which `drake-oa
    train` prints beside the published ones.
 
-Recipe `paper_running`: RC(lambda', Delta) on the running system's action level
-(`lattice.running_paths`).
+Recipe `paper_running`: RC(lambda', Delta) on motions by this project's own equations of motion
+(`lattice.running_paths`), as scenarios use it.
 
 The networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
 Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by `torch.func`, in float64 on

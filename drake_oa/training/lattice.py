@@ -3,7 +3,7 @@
 Motions go from rest at (0, 0) to (1, 0) around an ellipse at (0.5, 0) [m], as in section V-A of
 Pairet et al., RA-L 2019. The lattice varies the ellipse's semi-axes and the parameters of the
 coupling term, which turns the motion. The action level (equations of motion) is that of the
-authors' released code (`released_law`) or that of the running system.
+authors' released code (`released_law`) or that of this project (`drake_oa.policy`).
 """
 
 from __future__ import annotations
@@ -36,12 +36,14 @@ ActionLevelName = Literal["released", "running"]
 """Name of an action level, that is, of the equations of motion by which motions are simulated.
 
 "released" are those in the released code of Pairet et al., RA-L 2019, and "running" are those of
-this package's policy."""
+this project (`drake_oa.policy`)."""
 
 _BATCH = 512
 """Number of motions of the training set that are rolled out (simulated) at once."""
 _COARSE = 20
-"""Stride in time steps of the first, coarse search for contacts of a motion with the ellipse."""
+"""Number of time steps between the positions that the first search for contacts checks.
+
+It finds most contacts of a motion with the ellipse. Without a contact, each position is checked."""
 _CENTER = 0.5
 """x coordinate of the ellipse's center, the middle between start and goal of the motions [m]."""
 _GOAL = np.array([1.0, 0.0, 0.0])
@@ -52,14 +54,18 @@ class PaperLattice(NamedTuple):
     """Lattice of ellipses and coupling-term parameters, by default that of Pairet et al.
 
     A coupling term turns the motion away from the ellipse. The training set has one motion past the
-    ellipse for each combination of these values. The baseline is the line from start to goal.
+    ellipse for each combination of these values. The baseline is the line from start to goal, of
+    the length 1 m.
 
     Attributes:
-        lambda1: semi-axes of the ellipse along the baseline [m].
-        lambda2: semi-axes of the ellipse across the baseline [m].
-        kappa: decay rates of the coupling term over the squared distance [1/m^2].
-        psi: widths of the coupling term over the heading [rad].
-        alpha: gains of the coupling term [rad/s].
+        lambda1: (A,) semi-axes of the ellipse along the baseline [m].
+        lambda2: (B,) semi-axes of the ellipse across the baseline [m].
+        kappa: (C,) decay rates of the coupling term over the squared distance from the ellipse's
+            center [1/m^2].
+        psi: (D,) widths of the coupling term over the angle between the heading and the direction
+            of the ellipse's center [rad].
+        alpha: (E,) gains of the coupling term [rad/s]; on the action level "running" [1/T], with
+            the demonstrated duration T.
     """
 
     lambda1: FloatArray = np.linspace(0.025, 0.25, 10)
@@ -75,9 +81,10 @@ def roll_out_lattice(
     """Rolls out (simulates) every motion of a lattice and measures clearances and goal errors.
 
     Args:
-        lattice: lattice of A, B, C, D and E values; on the running action level alpha is in 1/T,
-            with the demonstrated duration T.
-        action_level: action level (equations of motion) of the motions.
+        lattice: lattice with A, B, C, D and E values of lambda1, lambda2, kappa, psi and alpha. For
+            "running", alpha is in 1/T, with the demonstrated duration T.
+        action_level: equations of motion: "released" (code of Pairet et al.) or "running" (this
+            project's).
 
     Returns:
         Two arrays (A, B, C, D, E) in the order of the lattice's fields: the minimum distance to the
@@ -110,11 +117,11 @@ def roll_out_lattice(
 
 @compiled
 def _least_distances(path: FloatArray, axes: Triple, least: FloatArray) -> None:
-    """Computes the minimum distance of each of N paths from the ellipsoid at the lattice's center.
+    """Computes the minimum distance of each of N paths from the ellipsoid at (0.5, 0, 0) [m].
 
     Args:
-        path: (N, T, 3) positions [m].
-        axes: semi-axes of the ellipsoid [m].
+        path: (N, T, 3) positions; the start is the origin, the goal (1, 0, 0) [m].
+        axes: semi-axes of the ellipsoid along x, y and z [m].
         least: (N,) minimum distances, 0 on contact [m]; output.
     """
     for n in range(len(path)):
@@ -131,16 +138,19 @@ def _least_distances(path: FloatArray, axes: Triple, least: FloatArray) -> None:
 
 
 def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> FloatArray:
-    """Rolls out (simulates) motions past the ellipse by the released equations of Pairet et al.
+    """Rolls out (simulates) motions past an ellipse by the equations in the code of Pairet et al.
+
+    The motions go from (0, 0, 0) to (1, 0, 0), with the center of the ellipse at (0.5, 0, 0) [m]. A
+    motion ends early if it enters the ellipse, or if it diverges.
 
     Args:
         parameters: (N, 3) parameters alpha [rad/s], psi [rad] and kappa [1/m^2] of the coupling
-            term, which turns the motion away from the ellipse.
-        lambda1: semi-axis of the ellipse along the baseline [m]; motions end inside the ellipse.
-        lambda2: semi-axis of the ellipse across the baseline [m].
+            term, which turns the motion away from the center of the ellipse.
+        lambda1: semi-axis of the ellipse along the line from start to goal [m].
+        lambda2: semi-axis of the ellipse across this line [m]; it determines the temporal scaling.
 
     Returns:
-        (N, 1001, 3) positions [m]; the last one is infinite if the motion ended early or diverged.
+        (N, 1001, 3) positions [m]; the last one is infinite if the motion ended early.
     """
     count = len(parameters)
     center = np.tile((_CENTER, 0.0, 0.0), (count, 1))
@@ -152,11 +162,12 @@ def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> Fl
 
 
 def running_paths(parameters: FloatArray) -> FloatArray:
-    """Rolls out (simulates) motions past the ellipse's center by the running system's equations.
+    """Rolls out (simulates) motions past the ellipse's center by this project's equations.
 
-    Lengths are in units of L, the distance from start to goal, and times in units of T, the
-    demonstrated duration. The path's shape depends on neither. With four times as many steps, the
-    median clearance is 0.4 mm per meter of L larger.
+    These are the equations of motion in `drake_oa.policy`. Lengths are in units of L, the distance
+    from start to goal, and times in units of T, the demonstrated duration; the path's shape depends
+    on neither. The motions go from (0, 0, 0) to (1, 0, 0), with the center at (0.5, 0, 0). With
+    four times as many steps, the median clearance is 0.4 mm per meter of L larger.
 
     Args:
         parameters: (N, 3) parameters alpha [1/T], psi [rad] and kappa [1/L^2] of the coupling term,

@@ -119,7 +119,7 @@ def fit(network: nn.Module, x: Tensor, y: Tensor, weight: Tensor, iterations: in
         x: (N, d) inputs, about within [-1, 1].
         y: (N,) targets, about within [-1, 1].
         weight: (N,) nonnegative weights of the rows.
-        iterations: maximum number of accepted steps.
+        iterations: maximum number of Levenberg-Marquardt steps that lower the loss.
     """
     best, damping = parameters_to_vector(network.parameters()).detach(), _DAMPING
     for _ in range(iterations):
@@ -157,7 +157,8 @@ def train_network(
         x: (N, d) inputs, in random order.
         y: (N,) targets.
         seed: seed of the initial weights.
-        rounds: rounds of training, in order; each uses a number of rows from the first one.
+        rounds: rounds of training, in order, each with a maximum number of iterations and a number
+            of rows, counted from the first one.
         weight: (N,) weights of the rows.
         bounds: (d + 1,) minima and (d + 1,) maxima of inputs and target, for scaling to [-1, 1].
 

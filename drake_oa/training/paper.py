@@ -2,10 +2,10 @@
 
 A regressor chain predicts the parameters of a coupling term, which turns the motion away from an
 obstacle, from the obstacle's semi-axes lambda' and the requested clearance Delta. The training set
-(section V-A of Pairet et al., RA-L 2019, recovered from the released network) is a lattice of
-ellipses, in the middle between start and goal 1 m apart, and of coupling-term parameters. It has a
-row for each motion with a clearance of at least 1 cm. The action level (equations of motion) is
-that of the released code or of the running system.
+(section V-A of Pairet et al., RA-L 2019, with values recovered from the authors' released network)
+is a lattice of ellipses, in the middle between start and goal 1 m apart, and of coupling-term
+parameters. It has a row for each motion with a clearance of at least 1 cm. The action level
+(equations of motion) is that of the authors' released code or of this project (`drake_oa.policy`).
 """
 
 from __future__ import annotations
@@ -48,17 +48,19 @@ ACTION_LEVELS = {
 }
 """Name of an action level -> its description and the unit of alpha, for a trained chain's file.
 
-An action level is the equations of motion by which the training set is simulated; alpha is the
-strength of the coupling term."""
+An action level is the equations of motion by which the training set is simulated: "released", those
+in the code of Pairet et al., or "running", those of this project. alpha is the strength of the
+coupling term."""
 
 
 class PaperSet(NamedTuple):
-    """Training set of the regressor chains: N motions past an ellipse with the minimum clearance.
+    """Training set of the regressor chains: N motions with a clearance of at least 1 cm.
 
     Attributes:
         values: (N, 5) semi-axes lambda1' and lambda2' of the ellipse [m], and parameters kappa
-            [1/m^2], psi [rad] and alpha of the coupling term; `ACTION_LEVELS` has alpha's unit.
-        clearance: (N,) minimum distance to the ellipse, the chain's input Delta [m].
+            [1/m^2], psi [rad] and alpha of the coupling term. The unit of alpha is rad/s by the
+            equations in the code of Pairet et al., 1 / demonstrated duration by this project's.
+        clearance: (N,) minimum distance of the motion to the ellipse, the chain's input Delta [m].
         goal_error: (N,) distance to the goal at the end of the motion [m].
         rollouts: number of rolled-out motions of the lattice.
     """
@@ -70,17 +72,18 @@ class PaperSet(NamedTuple):
 
 
 def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> PaperSet:
-    """Rolls out (simulates) a lattice of motions and selects those with the minimum clearance.
+    """Rolls out (simulates) a lattice of motions and selects those that keep 1 cm of clearance.
 
     Args:
         lattice: lattice of ellipses and coupling-term parameters.
-        action_level: action level (equations of motion); `ACTION_LEVELS` has the unit of alpha.
+        action_level: equations of motion: "released" (code of Pairet et al.; alpha in rad/s) or
+            "running" (this project's; alpha per demonstrated duration).
 
     Returns:
         The training set. Its rows are sorted by lambda1', lambda2', alpha, psi and kappa.
 
     Raises:
-        ValueError: if no motion has the minimum clearance.
+        ValueError: if no motion has a clearance of at least 1 cm.
     """
     # Rows run over lambda', alpha, psi and kappa, the last the fastest.
     clearance, goal_error = (
@@ -118,9 +121,10 @@ class PaperRecipe(NamedTuple):
 
     Attributes:
         lattice: lattice of ellipses and coupling-term parameters, whose motions are simulated.
-        rounds: name of a chain -> rounds of training of each of its networks for the coupling-term
-            parameters kappa, psi and alpha, in this order.
-        action_level: action level (equations of motion) by which the motions are simulated.
+        rounds: name of a chain -> rounds of training (numbers of iterations and rows) of each of
+            its networks for the coupling-term parameters kappa, psi and alpha, in this order.
+        action_level: equations of motion by which the motions are simulated: "released" (code of
+            Pairet et al.) or "running" (this project's).
     """
 
     lattice: PaperLattice
@@ -136,17 +140,19 @@ _ROUNDS = {
     CHAINS[0]: ((Round(60, 100),), _SINGLE_ROUND, _REFINED_ROUNDS),
     CHAINS[1]: (_REFINED_ROUNDS, _REFINED_ROUNDS, (Round(300, 5000), Round(100, 40000))),
 }
-"""Name of a regressor chain -> rounds of training of its networks for kappa, psi and alpha."""
+"""Name of a regressor chain -> rounds of training of its networks for kappa, psi and alpha.
+
+A round has a maximum number of iterations and a number of training rows."""
 
 
 def paper_recipe(name: str, iterations: int | None = None) -> PaperRecipe:
     """Returns a recipe of training regressor chains by name.
 
     Args:
-        name: "paper" for both chains by the equations of motion in the released code of Pairet et
-            al., or "paper_running" for RC(lambda', Delta) by those of the running system, with
-            alpha per demonstrated duration.
-        iterations: maximum number of iterations of each round; None: as in the recipe.
+        name: "paper" for RC(lambda') and RC(lambda', Delta) by the equations of motion in the
+            released code of Pairet et al., or "paper_running" for RC(lambda', Delta) by those of
+            this project, with alpha per demonstrated duration.
+        iterations: maximum number of iterations of each training round; None: as in the recipe.
     """
     rounds = {
         chain: [
@@ -183,10 +189,11 @@ def train_paper(
 ) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, Errors]]:
     """Rolls out (simulates) the training set and trains the regressor chains of a recipe.
 
-    Each network of a chain is trained on the true values of the parameters before it.
+    The inputs of a chain's second and third network include the parameters that the networks before
+    it predict. In training they are the true values of these parameters.
 
     Args:
-        recipe: parameters of the training.
+        recipe: training set, equations of motion, and rounds of training.
         seed: seed of the train/test split, of the order of rows, and of the initial weights.
 
     Returns:

@@ -2,20 +2,22 @@
 
 It simulates the motions of the paper's training set and tables.
 
-Differences from the running system's action level (`drake_oa.policy`): the coupling term
-accelerates the unscaled velocity, the temporal scaling tau multiplies the spring by tau^2 instead
-of scaling time, it does not scale the forcing term f, and integration is semi-implicit Euler. With
-the position x, velocity v, goal g, time step h and the coupling term C, which turns the motion away
-from an obstacle::
+Differences from this project's action level (`drake_oa.policy`): the coupling term C, which turns
+the motion away from an obstacle, is an acceleration that depends on the velocity, instead of an
+exact rotation of the scaled velocity tau T v (temporal scaling tau, demonstrated duration T);
+spring and damper are multiplied by tau^2, instead of scaling time; the forcing term f is not
+scaled; and integration is semi-implicit Euler. With the position x, velocity v, goal g and time
+step h::
 
     a = tau^2 alpha_x (beta_x (g - x) - v) + f + C
     v += h a,   x += h v
     C = alpha exp(-theta^2 / psi^2 - kappa d^2) n x v     (eq. 8)
     C = gamma theta exp(-beta theta) n x v                (eq. 7, Hoffmann's)
 
-theta is the angle from v to the direction of the obstacle's center, d the distance of the center,
-and n the normal of the plane of both directions. If they span no plane, the previous normal is
-used, initially z_L, so that a motion straight at the center turns to the left.
+theta is the angle between v and the direction o from x to the obstacle's center, d the distance of
+the center, and n the unit normal of the plane of both directions, along o x v. If they span no
+plane, the previous normal is used, initially z (up), so that a motion straight at the center turns
+to the left.
 """
 
 from __future__ import annotations
@@ -82,8 +84,8 @@ def released_forcing(steps: Steps) -> FloatArray:
 
     The forcing term makes a movement primitive reproduce its demonstration. The demonstration has
     constant speed. Its forcing term is fitted, for each basis function, by a quadratic polynomial
-    of the phase. Basis functions are Gaussians with the mean and variance of the phase in equal
-    parts of its range.
+    of the phase. The range of the phase is divided into as many equal parts as there are basis
+    functions; each is a Gaussian with the mean and variance of the phase's samples in one part.
 
     Args:
         steps: S time steps of the demonstration.
@@ -105,7 +107,7 @@ def released_forcing(steps: Steps) -> FloatArray:
 
 
 class ReleasedMotions:
-    """Roll-out (simulation) of N motions by the released equations of Pairet et al., RA-L 2019.
+    """Roll-out (simulation) of N motions by the equations in the released code of Pairet et al.
 
     Each motion has one obstacle. The motions go from rest at the origin to the goal (baseline, 0,
     0). The coupling term of each motion turns its velocity away from the center of its obstacle.
@@ -116,7 +118,8 @@ class ReleasedMotions:
         normal: (N, 3) unit normals n of the planes spanned by velocity and direction of the
             obstacle's center.
         angle: (N,) angles theta between velocity and direction of the obstacle's center [rad].
-        distance: (N,) distances d of the obstacle's center [m]; 0 if the coupling term is 0.
+        distance: (N,) distances d of the obstacle's center [m]; 0 if the speed is too low for a
+            coupling term.
         is_over: (N,) whether the motion has ended and stays at rest.
         number: number of completed steps.
     """
@@ -136,7 +139,7 @@ class ReleasedMotions:
         Args:
             baseline: (N,) distances from start to goal [m].
             center: (N, 3) centers of the obstacles [m].
-            tau: (N,) temporal scalings, whose squares multiply the spring.
+            tau: (N,) temporal scalings, whose squares multiply spring and damper.
             steps: time steps of the demonstration; afterwards the forcing term is 0.
             original: whether the coupling term is that of Hoffmann et al., (7) of Pairet et al.,
                 RA-L 2019, instead of (8).
@@ -193,9 +196,9 @@ def _advance(
         path: (N, S + 1, 3) positions [m]; the first is input, the others output.
         state: velocity, normal, angle, distance and is_over of `ReleasedMotions`; updated.
         constants: goals (N, 3) [m], centers of the obstacles (N, 3) [m], tau^2 alpha_x (N,) [1/s],
-            semi-axes of the ellipsoid in which motions end [m], whether the coupling term is the
-            original one, and time step [s].
-        parameters: (N, 3) parameters of the coupling terms.
+            semi-axes of the ellipsoid in which motions end [m], whether the coupling term is that
+            of Hoffmann et al., and time step [s].
+        parameters: (N, 3) parameters of the coupling terms, see `ReleasedMotions.advance`.
         forcing: (S,) forcing term for a distance of 1 m from start to goal [m/s^2].
     """
     velocity, normal, angle, distance, is_over = state
