@@ -2,10 +2,10 @@
 diagrams needs.
 
 The real-time factor is simulated time over wall time of a run as by `drake-oa run`. A second run
-measures each callback of the Python systems. If a callback evaluates a port of another Python
-system, the time of that evaluation counts for the other system only. The time of Drake's own
-systems, such as a camera without delay, counts for the Python system that evaluates their ports.
-The remainder is plant, Simulator and logs.
+measures each callback (output port or event) of the systems that are written in Python. If a
+callback evaluates a port of another Python system, the time of that evaluation counts for the other
+system only. The time of Drake's own systems, such as a camera without delay, counts for the Python
+system that evaluates their ports. The remainder is plant, Simulator and logs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
 
 REMAINDER = "plant, Simulator and logs"
-"""Name of the table row for the wall time of a simulation outside all Python systems."""
+"""Name of the table row for the wall time of a simulation outside all systems written in Python."""
 _WARMUP = 0.1
 """Simulated duration of a run before the measurements, which loads kernels and renderer [s]."""
 
@@ -43,7 +43,8 @@ def run_benchmark(scenarios: Mapping[str, Scenario], *, seconds: float = 3.0) ->
     Returns:
         Dictionary of "machine" (processor and number of cores), "versions" (of the software) and
         "scenarios". The latter has for each name {"real_time_factor", "layers"}. "layers" is the
-        wall time per simulated second [s/s] of each system, by the name of the system.
+        wall time per simulated second [s/s] of each system that is written in Python, by the name
+        of the system, and that of the remainder, `REMAINDER`.
     """
     metrics: dict[str, dict[str, Any]] = {}
     for name, scenario in scenarios.items():
@@ -83,8 +84,8 @@ def benchmark_table(metrics: Mapping[str, Any]) -> TextTable:
 
 @contextmanager
 def timed_systems() -> Iterator[dict[str, float]]:
-    """Measures the wall times of the callbacks of all Python systems that are created in the `with`
-    block.
+    """Measures the wall times of the callbacks (output ports and events) of all systems written in
+    Python that are created in the `with` block.
 
     Yields:
         Wall time [s] by the name of the system, updated at each callback.

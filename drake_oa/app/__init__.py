@@ -4,7 +4,8 @@ Inputs: scenarios by name or file, logs, depth images, options. Outputs: tables 
 progress and errors on stderr; the files that options name. The package cyclopts derives the options
 of a command from the signature of its function, and the help text for users from the docstring.
 
-    run                 both motions of a scenario, with a report, a log and a recording
+    run                 the nominal and the avoiding motion of a scenario, with a report, a log and
+                        a recording
     play                an interactive run in a browser
     station             a simulated arm that communicates by the messages of the real one
     replay, plot        replay and plot of a log
@@ -22,10 +23,10 @@ The module of a command is imported when the command is called, and numerical pa
 needed: `--help` and `scenarios` import neither NumPy nor Drake. On a terminal rich formats tables
 and progress; elsewhere they are plain text (`drake_oa.common.console`).
 
-Exit statuses: 0 success; 1 failure (an avoiding motion that missed the goal or was in contact, an
-image without a table, a file that could not be written); 2 invalid input, reported in one line
-"drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted by Ctrl-C, which is the
-usual end of `play` and `station`: 0; 143 terminated by SIGTERM or SIGHUP.
+Exit statuses: 0 success; 1 failure (for example an avoiding motion that missed the goal or was in
+contact, an image without a table, or a file that could not be written); 2 invalid input, reported
+in one line "drake-oa: error: ..." (with --verbose after a traceback); 130 interrupted by Ctrl-C (0
+for `play` and `station`, because this is their usual end); 143 terminated by SIGTERM or SIGHUP.
 
 Begin with `main.main`.
 """

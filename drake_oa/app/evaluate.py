@@ -45,7 +45,7 @@ def synthetic(
     seed: Seed = 0,
     json: Path | None = None,
 ) -> None:
-    """Compare methods on scenes of a point among ellipsoids.
+    """Compare methods on scenes of a point and an ellipsoid.
 
     The subcommands table1, table2, table3, figure_familiar and figure_dead_zone reproduce tables
     and figures of the paper (Pairet et al., RA-L 2019) beside its published values. The subcommands
@@ -60,9 +60,10 @@ def synthetic(
       min. clearance [m]       minimum clearance over all scenes
       scenes with shortfall    number of scenes with more than 1 mm less than the achievable
                                clearance min(Delta, distance of start, distance of goal)
-      max. goal error [mm]     maximum distance to the goal at the end of a motion. The end is at
-                               tau T (demonstrated duration T, temporal scaling tau), or at a later
-                               arrival: until 2 tau T for verified, until 2 T for paper
+      max. goal error [mm]     maximum distance to the goal at the end of a motion. With the
+                               demonstrated duration T and the temporal scaling tau, the end is at
+                               the arrival, between tau T and 2 tau T for verified, and between T
+                               and 2 T for paper and original; or at T for movement_primitives
       mean path ratio          mean length of the path over that of the straight line
 
     All columns are computed in float64, independently of the methods, from motions that are sampled
@@ -70,23 +71,24 @@ def synthetic(
 
     Suites (number of scenes):
 
-      novel      the paper's random obstacles, with start and goal at distances of 0.5 to 2 m (4000)
+      novel      the paper's random obstacles within 0.15 m of the straight line from start to goal,
+                 which is 0.5 to 2 m long (4000)
       hit        as novel, but the obstacles have random orientations and the straight line from
                  start to goal is in collision (1000)
       familiar   the scenes of figure_familiar: ellipses of the paper's training set in the middle
                  of a 1 m line; the number of scenes must be a square (100)
       dead-zone  the scenes of figure_dead_zone: a sphere of 2.5 cm on or beside the middle of a
                  1 m line (41)
-      demo       the scenes of table2: as novel, but the minimum distance of the obstacle's center
-                 to start and goal is that of the longest obstacle (4000)
+      demo       the scenes of table2: as novel, but the center of every obstacle is as far from
+                 start and goal as the longest obstacle requires (4000)
 
     Methods (default: paper and verified):
 
-      paper      the paper's regressor chain, as in table2
+      paper      the paper's coupling term with the parameters of its regressor chain, as in table2
       verified   the search of `drake-oa run` among simulated candidate motions (roll-outs): its
                  first candidates pass the obstacle on 16 sides, and none is from the regressor
                  chain
-      original   the coupling term of the literature that the paper improves
+      original   the coupling term of Hoffmann et al., which the paper improves
       movement_primitives
                  the package of this name, with its own coupling term
                  (pip install 'drake_oa[baselines]')
@@ -122,7 +124,7 @@ def evaluate_points(
     notes: Sequence[str] = (),
     terms: bool = False,
 ) -> None:
-    """Runs methods on a suite of scenes in which a point moves among ellipsoids, and prints tables
+    """Runs methods on a suite of scenes in which a point moves past an ellipsoid, and prints tables
     of their metrics.
 
     Args:
@@ -132,8 +134,8 @@ def evaluate_points(
         seed: seed of the scenes; None for scenes without random numbers.
         json: file to which the metrics are written, or None.
         notes: lines below the first table.
-        terms: whether the paper's coupling term and the original one are also compared alone,
-            without a method.
+        terms: whether the paper's coupling term and that of Hoffmann et al. are also compared at
+            equal strength, with constant parameters instead of those of a method.
     """
     from drake_oa.evaluation.scenes.evaluation import (
         compare_terms,
@@ -172,8 +174,8 @@ class Runs:
             (pip install 'drake_oa[cluster]').
         duration: end each run at this simulated time [s].
         json: write the metrics to this file.
-        results: folder of the results, one file per scene and method (default: STEM.scenes in the
-            folder of --json, or drake_oa_runs/evaluate-panda).
+        results: folder of the results, one file per scene and method (default: NAME.scenes beside
+            the file NAME.json of --json, or drake_oa_runs/evaluate-panda without --json).
         write_scenes: write the scenes to this folder as scenario files for `drake-oa run`.
     """
 
@@ -216,7 +218,8 @@ def panda(
                    and direction, stop and return, with up to 2 resting objects; not every scene
                    has a solution
       moving_high  as moving_hard; the center of at least one object is 0.6 to 1.0 m high
-      drp          boxes by the parameters of DRPBench, for one or several levels (--level):
+      drp          boxes by the parameters of the benchmark DRPBench, in one or several levels
+                   (--level):
                    sudden1 to 3, floating1 and 2, goal_blocked1 and 2, moving_goal_blocked1
                    to 4 (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6:
                    floating1 with boxes of this speed [m/s]
@@ -224,7 +227,7 @@ def panda(
     Methods (default: the first four):
 
       nominal          the nominal motion
-      paper            the method of Pairet et al., RA-L 2019, without verification
+      paper            the method of Pairet et al., RA-L 2019, without verification by simulation
       verified         motions of the whole arm that are verified among the obstacles by simulation
                        (roll-outs), or a joint path that the movement primitives imitate; among
                        moving obstacles also maneuvers of the whole arm
@@ -242,19 +245,22 @@ def panda(
       contacts                     number of scenes with a contact of the robot with an obstacle,
                                    the table or itself, by SceneGraph, until the world is at rest
       avoidable by physics, by view
-                                   numbers of contacts with moving objects that at least one of 500
-                                   joint motions avoids: from the state 0.2 s before the contact;
-                                   and from one of five states 0.05 to 0.5 s before it, with the
-                                   obstacle's velocity observed in time
+                                   numbers of contacts, in scenes with moving obstacles, that could
+                                   have been avoided. By physics: at least one of 500 joint motions
+                                   from the state 0.2 s before the contact avoids it. By view: a
+                                   joint motion from one of five states 0.05 to 0.5 s before it
+                                   does, and the velocity of the obstacle was observed at least
+                                   0.1 s before the latest of these states
       success                      number of scenes without contact and with the tool within 5 mm of
                                    the goal at the end
-      violations of claims A, B    number of logged instants that violate a claim of passive motion
+      violations of claims A, B    numbers of logged instants that violate a claim of passive motion
                                    safety. (A): a point of the arm approaches a moving obstacle that
-                                   can reach it from its observed position. (B): a point moves into
-                                   unobserved space faster than 0.25 m/s
-      DRPBench contacts, success   numbers of scenes by DRPBench's rules: a contact with an obstacle
-                                   or the table within 16.7 s; none, and within 5 cm and 15 degrees
-                                   of the goal at that time
+                                   can have reached it since the last observation. (B): a point of
+                                   the arm moves faster than 0.25 m/s toward space that no camera
+                                   has observed
+      DRPBench contacts, success   numbers of scenes by DRPBench's rules. Contact: with an obstacle
+                                   or the table within 16.7 s. Success: no contact in this time, and
+                                   the tool within 5 cm and 15 degrees of the goal at its end
       min. tool clearance [m]      minimum clearance of hand and fingers over all scenes
       median duration [s]          median duration of the motions
 
@@ -318,10 +324,12 @@ def mbm(
     The demonstration is a straight minimum-jerk motion of the tool from FK(start) to FK(goal) in
     5 s, with the rotation between them. The nominal posture leads from the start configuration to
     the goal configuration. Obstacles are known exactly, or with --perception depth perceived by two
-    cameras. These are 1.2 m above and 1.2 m left and right of the center between start and goal. An
-    object that the goal grasps (the tool point is inside) is omitted. The requested clearance is 3
-    cm, or the clearance of the whole robot at start or goal if that is less; the motion guard
-    requires no more.
+    cameras. These are 1.2 m from the middle between start and goal, to the left and right of the
+    direction to the robot's base, at the first of the elevations 35, 50, 65, 80 and 20 degrees at
+    which no object is near the camera or the beginning of its optical axis. An object that the goal
+    grasps (the tool point is inside) is omitted. The requested clearance is 3 cm, or the clearance
+    of the whole robot at start or goal if that is less; the motion guard, which commands the
+    joints, requires no more.
 
     Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each
     joint at most 1 mrad beyond its limit. Methods:
@@ -373,7 +381,7 @@ def sources(
     """Evaluate `verified` without each source of its motions, and count the executed sources.
 
     Sources of the executed motion: nominal (the nominal motion), chain (parameters of the regressor
-    chain of Pairet et al., RA-L 2019, with heading guidance), search (the local search) and
+    chain of Pairet et al., RA-L 2019, with heading guidance), search (among simulated motions) and
     joint_path (a joint path that the movement primitives imitate). The table is that of `drake-oa
     evaluate panda`, for `verified` and for `verified` without chain, without search and without
     joint_path. Lines below it count the scenes in which a motion of each source was executed.
@@ -388,7 +396,7 @@ def sources(
             repeated.
         problems: file of MotionBenchMaker's problems, see `drake-oa evaluate mbm`.
         scenes: number of scenes of each kind.
-        count: number of problems of each set.
+        count: number of MotionBenchMaker's problems of each set, with --problems.
         seed: seed of the scenes.
         runs: options of the runs.
     """
@@ -417,9 +425,9 @@ def run_suites(
         runs: command-line options of the runs.
         suites: suites to run.
         heading: beginning of the line above the table.
-        merge: function that merges the metrics to write with --json; its arguments are the results
-            and the metrics of all suites.
-        table: function that returns the table of the merged metrics; None: the table of `drake-oa
+        merge: function that returns the JSON data of the whole evaluation, for --json and `table`;
+            its arguments are the results and the metrics of all suites.
+        table: function that returns the table of these data; None: the table of `drake-oa
             evaluate panda`.
     """
     if runs.jobs is not None and runs.scheduler is not None:

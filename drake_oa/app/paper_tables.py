@@ -21,7 +21,8 @@ def table1(*, json: Path | None = None) -> None:
 
       train NMSE, published   normalized mean squared error on the rows of the training set
       test NMSE, published    normalized mean squared error on the rows of the test set
-      lowest NMSE             test NMSE that no function of the network's inputs can improve
+      lowest NMSE             estimate of the least NMSE that any function of the network's inputs
+                              can reach
       rows                    number of training and test rows
 
     The errors are those that the training has stored in the weights. `drake-oa train --recipe
@@ -88,12 +89,12 @@ def table3(
 
     A trial is a run of the scenario paper_box, paper_irregular or paper_clutter, three kinds of
     obstacles, with its own noise of the camera. Methods: nominal, which avoids nothing, and paper,
-    the paper's method without verification. The table has a row for each scenario and method, and
-    these columns:
+    the paper's method, whose motions are not verified by simulation before they are executed. The
+    table has a row for each kind of obstacles and method, and these columns:
 
       trials                           number of trials
       touched objects                  number of different objects in contact in any trial
-      mean clearance [m], published    mean minimum clearance of the tool
+      mean clearance [m], published    mean over the trials of the tool's minimum clearance
       trials with shortfall            number of trials with less than the requested clearance
       mean goal error [mm], published  mean distance of the tool to the goal at the end
 
@@ -148,7 +149,7 @@ def figure_dead_zone(
 ) -> None:
     """Reproduce the dead-zone figure of Pairet et al., RA-L 2019: two coupling terms.
 
-    The original coupling term of the literature has a dead zone: it does not turn a motion that
+    The original coupling term, of Hoffmann et al., has a dead zone: it does not turn a motion that
     heads exactly for an obstacle. The paper's coupling term has none. The baseline is the line from
     start to goal. A point obstacle is exactly on it in the first scene, and 10 um to 10 cm beside
     it in the others. The first table compares both terms with equal peak and area, with a row for

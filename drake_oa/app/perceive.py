@@ -168,11 +168,11 @@ def perceive_frame(
     measures the processor time.
 
     Args:
-        frame: depth image with K, or points.
-        tool_W: (K, 3) corners of the tool about its reference point, in the orientation of W
-            [m]; [[0, 0, 0]] for a point.
-        config: parameters of the segmentation.
-        X_WC: (4, 4) pose of the camera for a frame without one; None: unknown.
+        frame: depth image with the intrinsics K = [fx, fy, cx, cy], or points.
+        tool_W: (M, 3) corners of the tool about its reference point, in the orientation of the
+            world frame W [m]; [[0, 0, 0]] for a point.
+        config: parameters of the segmentation, which finds the table and clusters of points.
+        X_WC: (4, 4) pose of the camera in W for a frame without one; None: unknown.
 
     Returns:
         Results for the file of the frame, with the keys that `drake-oa perceive --help` lists.

@@ -30,8 +30,9 @@ def play(
     The arm moves to the goal and back, in real time. The controls are at the upper right:
 
       pause, reset, stop      pause the simulation; restart at the start; end the run
-      next method             verified (the default), the paper's regressor chain (Pairet et al.,
-                              RA-L 2019), or nominal, which avoids nothing
+      next method             verified (the default: motions are verified by simulation before
+                              they are executed), paper (the method of Pairet et al., RA-L 2019),
+                              or nominal, which avoids nothing
       camera or ground truth  source of the obstacles: the camera, or their true shapes
       speed                   simulated time over wall time; 1 is real time
       clearance [m]           requested clearance of hand and fingers

@@ -22,8 +22,8 @@ def replay(
     """Replay a logged motion in a browser, or write the replay as a page.
 
     The replay shows the logged positions of robot and world, the observed ellipsoids, the nominal
-    path and the executed path. It simulates nothing. A log has neither
-    point clouds nor cost rings; `drake-oa run --meshcat` and `--html` show these.
+    path and the executed path. It simulates nothing. A log has neither point clouds nor cost rings
+    (costs of passing an obstacle on each side); `drake-oa run --meshcat` and `--html` show these.
 
     For example:
 
@@ -81,9 +81,10 @@ def replay(
 def plot(log: Path, /, *, out: Path | None = None) -> None:
     """Plot the motions of a logged run to a file.
 
-    The plots over time are: clearance of tool and robot, with the requested clearance; phase and
-    speed scale; and the maximum joint torque over its limit. Two further plots are the path with
-    the observed obstacles, from above and from the side.
+    The plots over time are: clearance of tool and robot, with the requested clearance; phase of the
+    movement primitive, from 1 to 0, and speed scale, the fraction of full speed; and the maximum
+    joint torque over its limit. Two further plots are the path with the observed obstacles, from
+    above and from the side.
 
     For example:
 

@@ -119,14 +119,15 @@ def run(  # noqa: PLR0913
       termination               goal, or the reason for which the motion ended elsewhere
 
     Notes and warnings below the table state contacts between links of the robot, an achievable
-    clearance below the requested one, clearance reductions and clearance shortfalls.
+    clearance below the requested one, clearance reductions (a smaller clearance was required,
+    because an obstacle was perceived near start or goal) and clearance shortfalls.
 
     Both motions are written to one log for `drake-oa replay` and `drake-oa plot`:
     drake_oa_runs/SCENARIO-TIME.npz, or the file of --log.
 
     With --write-bag the depth images, intrinsics and poses of the cameras, the joint states, and
-    the contents of the log are written as ROS 2 messages, for viewers and for `!RecordedBag`; see
-    docs/guides/perception.md.
+    the contents of the log are written as ROS 2 messages, for viewers and for the perception
+    `!RecordedBag` of a scenario; see docs/guides/perception.md.
 
     With --hardware only the avoiding motion is executed, by a real arm and its cameras; see
     docs/hardware.md. Images are on --lcm-url, or on the bus that the scenario's `!LcmCamera` names.
@@ -329,7 +330,8 @@ def _simulate_both(this: _Run, log_file: Path | None) -> None:
 
     Args:
         this: settings of the run.
-        log_file: file to which the log of the nominal motion is already written, or None.
+        log_file: file to which the log of the nominal motion is written before the avoiding motion
+            is simulated; None: none.
     """
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.diagrams.perception import record_images

@@ -68,7 +68,8 @@ def build_errors() -> Iterator[None]:
     """Converts a RuntimeError in the `with` block, by which Drake reports a wrong model or camera,
     to a ScenarioError.
 
-    Commands report a ScenarioError in one line. MotionInterruptedError passes unchanged.
+    Commands report a ScenarioError in one line. A MotionInterruptedError, the error of a simulation
+    that has started, is not converted.
     """
     from drake_oa.common.config import ScenarioError
     from drake_oa.runs.simulation import MotionInterruptedError

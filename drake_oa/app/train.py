@@ -40,9 +40,10 @@ def train(
     Args:
         recipe: recipe of the training, see above.
         out: folder of the weights.
-        seed: random seed of the data and of the initial weights.
-        iterations: number of optimization steps of each network, for a short trial (default:
-            the recipe's number).
+        seed: random seed of the split into training and test rows, of the order of rows, and of the
+            initial weights.
+        iterations: maximum number of optimization steps in each round of a network's training, for
+            a short trial (default: the recipe's number).
     """
     # SciPy and torch take a second to import, which `drake-oa --help` need not wait for.
     paper = import_extra("drake_oa.training.paper", "train")

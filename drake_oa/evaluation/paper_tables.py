@@ -136,7 +136,7 @@ TABLE_TWO: dict[float, dict[str, Any]] = {
 }
 """Published Table II of Pairet et al., RA-L 2019: baseline -> metrics of 1,000 motions.
 
-The baseline is the distance from start to goal [m]. The metrics are mean and minimum clearance,
+The baseline is the distance from start to goal [m]. The metrics are mean and minimum clearance [m],
 mean and maximum goal error [m], and the number of collisions."""
 LINE_COLLISION_RATE = 0.324
 """Published fraction of scenes in which the line from start to goal hits the obstacle [-].

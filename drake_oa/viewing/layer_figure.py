@@ -11,7 +11,7 @@ from pydrake.systems.framework import Diagram
 from drake_oa.common.signal_builder import connections
 
 _CAMERAS = ("delayed_", "live_", "bag_")
-"""Prefixes of the names of systems that output images."""
+"""Prefixes of the names of systems that output images: simulated, real and recorded cameras."""
 _LAYERS = (
     "perception",
     "collision_scene",

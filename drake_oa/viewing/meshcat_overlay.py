@@ -22,7 +22,7 @@ from drake_oa.viewing.drawing import Color
 _ROOT = "/drake_oa"
 """Path in Meshcat's scene tree below which all objects of the overlay are drawn."""
 PERIOD = 1.0 / 15.0
-"""Simulated time between two frames of the overlay [s]."""
+"""Simulated time between two frames of the overlay, the objects that are drawn in Meshcat [s]."""
 _FRAMES_VISIBLE = 3
 """Number of frames of the overlay for which a drawn point cloud or cost ring is visible, before the
 next one replaces it."""
@@ -66,13 +66,14 @@ class MeshcatOverlay(LeafSystem):
     start to goal. The rings of an obstacle are centered at the point of the baseline closest to the
     obstacle, in the order of `Route.costs` from the inside out. Green is cost 0, yellow is 0.5, red
     is 1. A magenta line points in the selected direction. Rings and line are drawn only for
-    obstacles that change the motion.
+    obstacles past which heading guidance leads the motion (`Route.remaining_clearance` is positive,
+    or empty).
 
-    The objects are under "/drake_oa" in the scene tree, in one folder per layer of `LAYERS`. A
-    recording of Meshcat stores transforms and properties, but no objects. Therefore each new shape
-    (cloud, rings, segment of the executed path) is a new object, which is hidden in frames of other
-    times. The discrete state stores the time of the first frame and the end point of the executed
-    path.
+    The objects are under "/drake_oa" in the scene tree, in the folders "perception", "descriptor",
+    "decision" and "motion". A recording of Meshcat stores transforms and properties, but no
+    objects. Therefore each new shape (cloud, rings, segment of the executed path) is a new object,
+    which is hidden in frames of other times. The discrete state stores the time of the first frame
+    and the end point of the executed path.
     """
 
     def __init__(
@@ -94,8 +95,9 @@ class MeshcatOverlay(LeafSystem):
             body_index: index of the tool's body B in the plant; None: the tool point E is at p_WE
                 of `policy_state`.
             p_BE: (3,) position of the tool point E in the frame of body B [m].
-            show: names of the layers of `LAYERS` that are visible at first; the user can change
-                them in the browser.
+            show: folders of objects that are visible at first, out of "perception" (point cloud),
+                "descriptor" (ellipsoids), "decision" (cost rings and selected directions) and
+                "motion" (paths); the user can change them in the browser.
         """
         super().__init__()
         self._show = tuple(show)
@@ -193,7 +195,8 @@ class MeshcatOverlay(LeafSystem):
 
     def _draw_start(self, context: Context) -> None:
         """Draws the objects whose shapes are constant during the run (nominal path, start, goal,
-        ellipsoids of unit size), and then the first frame.
+        tool point, lines of selected directions, and ellipsoids as unit spheres, which are scaled
+        in each frame), and then the first frame.
         """
         meshcat = self._meshcat
         for layer in LAYERS:
@@ -222,8 +225,8 @@ class MeshcatOverlay(LeafSystem):
         self._draw_frame(context)
 
     def _draw_frame(self, context: Context) -> None:
-        """Draws the obstacles, tool point, executed path and point cloud at the time of a
-        Context.
+        """Draws the ellipsoids and cost rings of obstacles, the tool point, the executed path and
+        the point cloud at the time of a Context.
         """
         time, start = context.get_time(), context.get_discrete_state_vector()[0]
         frame = round((time - start) / PERIOD)

@@ -1,5 +1,7 @@
 """Panel with title, readings and legend, which is added to the HTML page of Meshcat: to a
-recording, or to the live page.
+recording, or to the live page, which displays a simulation or a replay while it runs.
+
+Readings are lines of text on the state of the run at one time.
 """
 
 from __future__ import annotations
@@ -31,11 +33,11 @@ the last frame that was sent to a live page."""
 
 
 class Reading(NamedTuple):
-    """Text of the panel's readings from one time of the run on, with a warning if there is one.
+    """Text that the panel displays from one simulated time on, with a warning if there is one.
 
     Attributes:
         time: simulated time from which the text is displayed [s].
-        text: lines of the panel's readings.
+        text: lines on the state of the run, for example time, clearances and reason of a hold.
         alert: warning that is displayed in red; empty: no warning.
     """
 
@@ -87,7 +89,7 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
         page: HTML of a page of Meshcat, a recording or the live page.
         title: title of the panel and of the browser window.
         description: text that follows the title in the panel.
-        readings: readings of a recording, at least one, ordered by time; None: a live page, which
+        readings: texts of a recording, at least one, ordered by time; None: a live page, which
             requests readings from its server.
     """
     title, description = html.escape(title), html.escape(description)

@@ -1,5 +1,5 @@
-"""Drawing of a scenario before its run: an image of the station, and the depth images of its
-cameras.
+"""Drawing of a scenario before its run: an image of the station (simulated robot and its world),
+and the depth images of its cameras.
 """
 
 from __future__ import annotations
