@@ -46,6 +46,8 @@ class Batch(Frozen):
 class Scenes(Batch):
     """Batch of N synthetic scenes, each with a start at the origin, a goal and a resting ellipsoid.
 
+    Positions and axes are in the frame of the motion: x points from start to goal, z up.
+
     Attributes:
         baseline: (N,) distance from start to goal [m].
         center: (N, 3) centers of the ellipsoids [m].
@@ -79,6 +81,8 @@ def make_scenes(
 ) -> Scenes:
     """Makes N scenes with equal distance from start to goal and equal requested clearance.
 
+    Positions and axes are in the frame of the motion: origin at the start, x toward the goal, z up.
+
     Args:
         baseline: distance from start to goal [m].
         center: (N, 3) centers of the ellipsoids [m].
@@ -102,7 +106,7 @@ def obstacle_distance(scenes: Scenes, points: FloatArray) -> FloatArray:
 
     Args:
         scenes: N scenes.
-        points: (N, 3) points [m].
+        points: (N, 3) points, relative to the start, with x toward the goal and z up [m].
 
     Returns:
         (N,) distances, negative inside the obstacle [m].
@@ -140,7 +144,7 @@ class Motions(NamedTuple):
     """Motions in N scenes, each sampled at S + 1 equally spaced instants from 0 to its duration.
 
     Attributes:
-        path: (N, S + 1, 3) positions [m].
+        path: (N, S + 1, 3) positions, relative to the start, with x toward the goal and z up [m].
         velocity: (N, S + 1, 3) velocities [m/s].
         duration: (N,) durations of the sampled motions [s].
     """

@@ -129,7 +129,7 @@ def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
     """Draws the synthetic scenes of a suite by a seeded random generator.
 
     Args:
-        name: name of the suite.
+        name: name of the suite, a key of `SUITES`: "novel", "hit", "familiar", "dead-zone", "demo".
         count: number of scenes; None: the suite's default.
         seed: seed of the random generator.
 
